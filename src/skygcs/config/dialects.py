@@ -1,0 +1,282 @@
+"""From a dialect's name or XML file to its tables, through mavgen's own parser, cached by content.
+
+mavgen (pymavlink.generator.mavparse) computes field order, extension rules, target offsets and CRC_EXTRA, so they
+are pymavlink's by construction; what skygcs keeps is the table, not generated Python: loading the cached table takes
+some 20 ms where importing pymavlink's generated `all` module takes over 300 ms.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import re
+import tempfile
+from importlib import metadata, util
+from pathlib import Path
+from typing import Any
+
+from skygcs.core.mavlink.dialect import ABSENT, Dialect, FieldInfo, MessageInfo
+from skygcs.errors import DialectError
+
+TABLE_FORMAT = 1
+"""Raised whenever `Dialect.to_table` changes shape: old cache files are then never read."""
+
+MAX_INCLUDE_DEPTH = 5
+"""mavgen's own limit (MAXIMUM_INCLUDE_FILE_NESTING)."""
+
+PX4_EXTRAS = "px4-extras"
+"""Shipped file with the messages PX4 sends that pymavlink's XML lacks."""
+
+_INCLUDE = re.compile(rb"<include>\s*([^<]+?)\s*</include>")
+
+
+def shipped_dialects_dir() -> Path:
+    """Folder of the XML shipped with skygcs: inside the package when installed, at the project's top in a checkout."""
+    packaged = Path(__file__).parent.parent / "dialects"
+    if packaged.is_dir():
+        return packaged
+    return Path(__file__).parents[3] / "dialects"
+
+
+def _pymavlink_dir() -> Path:
+    """pymavlink's folder, found without importing it (its import pulls in more than we need)."""
+    spec = util.find_spec("pymavlink")
+    if spec is None or spec.origin is None:
+        raise DialectError("pymavlink", None, "is not installed; reinstall skygcs")
+    return Path(spec.origin).parent
+
+
+def packaged_dialects_dir() -> Path:
+    """Folder of pymavlink's packaged XML."""
+    return _pymavlink_dir() / "dialects" / "v20"
+
+
+def default_cache_dir() -> Path:
+    """$XDG_CACHE_HOME/skygcs/dialects, by default below ~/.cache."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "skygcs" / "dialects"
+
+
+def load_dialect(
+    name_or_path: str | list[str], *, base_dir: Path | None = None, cache_dir: Path | None = None
+) -> Dialect:
+    """The dialect of that name (pymavlink's or shipped) or XML path; a list merges several, first ones win.
+
+    A path is anything with a slash or ending in .xml, relative to ``base_dir`` (the fleet file's folder).
+    Raises DialectError naming file and line. Reads and writes the cache; a cache that cannot be written is not an error.
+    """
+    wanted = [name_or_path] if isinstance(name_or_path, str) else list(name_or_path)
+    roots = [_resolve(w, base_dir) for w in wanted]
+    sources = _collect(roots)
+    digest = hashlib.sha256(f"{TABLE_FORMAT} {metadata.version('pymavlink')}".encode())
+    for path, content in sources:
+        digest.update(path.name.encode() + b"\0" + content + b"\0")
+    label = "+".join(root.stem for root in roots)
+    cache = (cache_dir or default_cache_dir()) / f"{label}-{digest.hexdigest()[:24]}.json"
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, IndexError):
+        return Dialect.from_table(json.loads(cache.read_bytes()))
+    dialect = _generate(label, [path for path, _ in sources])
+    _store(cache, dialect)
+    return dialect
+
+
+def offline_dialect() -> Dialect:
+    """What offline tools use: everything pymavlink knows plus the PX4 extras, so that most logs decode whole."""
+    return load_dialect(["all", PX4_EXTRAS])
+
+
+def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
+    if "/" in name_or_path or name_or_path.endswith(".xml"):
+        path = Path(name_or_path).expanduser()
+        if not path.is_absolute() and base_dir is not None:
+            path = base_dir / path
+        if not path.is_file():
+            raise DialectError(str(path), None, "no such dialect file")
+        return path
+    for folder in (shipped_dialects_dir(), packaged_dialects_dir()):
+        path = folder / f"{name_or_path}.xml"
+        if path.is_file():
+            return path
+    known = sorted({p.stem for d in (shipped_dialects_dir(), packaged_dialects_dir()) for p in d.glob("*.xml")})
+    raise DialectError(name_or_path, None, "no dialect of this name; known: " + ", ".join(known))
+
+
+def _collect(roots: list[Path]) -> list[tuple[Path, bytes]]:
+    """Every file that takes part, roots first, each once; includes are looked for beside the file, then packaged."""
+    found: list[tuple[Path, bytes]] = []
+    seen: set[Path] = set()
+    queue = [(root, 0) for root in roots]
+    while queue:
+        path, depth = queue.pop(0)
+        real = path.resolve()
+        if real in seen:
+            continue
+        seen.add(real)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise DialectError(str(path), None, f"cannot be read: {error.strerror}") from None
+        found.append((path, content))
+        for match in _INCLUDE.finditer(_without_comments(content)):
+            line = content.count(b"\n", 0, max(content.find(match.group(0)), 0)) + 1
+            if depth >= MAX_INCLUDE_DEPTH:
+                raise DialectError(str(path), line, f"includes nest deeper than {MAX_INCLUDE_DEPTH}")
+            name = match.group(1).decode("utf-8", "replace")
+            queue.append((_resolve_include(path, line, name), depth + 1))
+    return found
+
+
+def _without_comments(content: bytes) -> bytes:
+    return re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL)
+
+
+def _resolve_include(including: Path, line: int, name: str) -> Path:
+    for candidate in (
+        including.parent / name,
+        packaged_dialects_dir() / Path(name).name,
+        shipped_dialects_dir() / name,
+    ):
+        if candidate.is_file():
+            return candidate
+    raise DialectError(str(including), line, f"includes {name}, which is neither beside it nor packaged with pymavlink")
+
+
+def _generate(label: str, paths: list[Path]) -> Dialect:
+    parsed = []
+    for path in paths:
+        _validate(path)
+        parsed.append((path, _parse(path)))
+    messages: dict[int, MessageInfo] = {}
+    origin: dict[int, tuple[Path, Any]] = {}
+    enums: dict[str, dict[int, str]] = {}
+    for path, xml in parsed:
+        bitmasks = {e.name for e in xml.enum if e.bitmask}
+        for message in xml.message:
+            if message.id in origin:
+                _check_redefinition(path, message, *origin[message.id])
+                continue
+            origin[message.id] = (path, message)
+            messages[message.id] = _message_info(message, bitmasks)
+        for enum in xml.enum:
+            entries = enums.setdefault(enum.name, {})
+            for entry in enum.entry:
+                entries.setdefault(entry.value, entry.name)
+    return Dialect(label, messages.values(), enums)
+
+
+def _check_redefinition(path: Path, message: Any, first_path: Path, first: Any) -> None:
+    """The same message twice (the same file reached two ways, or copied) is fine; two meanings of one id are not."""
+    same = first.name == message.name and first.crc_extra == message.crc_extra
+    if not same:
+        raise DialectError(
+            str(first_path),
+            first.linenumber,
+            f"message id {message.id} ({first.name}) is already {message.name} in {path.name}:{message.linenumber}",
+        )
+
+
+def _message_info(message: Any, bitmasks: set[str]) -> MessageInfo:
+    base = {f.name for f in message.ordered_fields[: message.base_fields()]}
+    fields = [
+        FieldInfo(
+            f.name,
+            f.type,
+            f.array_length,
+            f.wire_offset,
+            f.name not in base,
+            f.enum,
+            f.units.strip("[]"),
+            f.enum in bitmasks or f.display == "bitmask",
+        )
+        for f in message.fields
+    ]
+    return MessageInfo(
+        message.id,
+        message.name,
+        message.crc_extra,
+        message.wire_min_length,
+        message.wire_length,
+        message.target_system_ofs if message.message_flags & 1 else ABSENT,
+        message.target_component_ofs if message.message_flags & 2 else ABSENT,
+        fields,
+    )
+
+
+def _validate(path: Path) -> None:
+    """Against the schema pymavlink ships (mavschema.xsd): syntax, tags, attributes, types, each with its line."""
+    from lxml import etree
+
+    try:
+        document = etree.parse(str(path))
+    except etree.XMLSyntaxError as error:
+        raise DialectError(str(path), error.lineno, str(error.msg).split(", line ")[0]) from None
+    schema_path = _pymavlink_dir() / "generator" / "mavschema.xsd"
+    tree = etree.parse(str(schema_path))
+    for element in tree.iterfind('{*}attribute[@name="units"]'):
+        element.set("type", "xs:string")  # as mavgen does unless told to be strict about units
+    schema = etree.XMLSchema(tree)
+    if not schema.validate(document):
+        first = schema.error_log[0]
+        raise DialectError(str(path), first.line, str(first.message))
+
+
+def _parse(path: Path) -> Any:
+    from pymavlink.generator import mavparse
+
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):  # mavparse prints its notes
+            xml = mavparse.MAVXML(str(path), mavparse.PROTOCOL_2_0)
+    except Exception as error:  # mavparse evals, asserts and raises what it likes; the schema has seen the file already
+        raise DialectError(str(path), _line_of(error), f"{type(error).__name__}: {error}") from None
+    _check_messages(path, xml)
+    return xml
+
+
+def _line_of(error: BaseException) -> int | None:
+    """The XML line at which mavparse stopped: its handlers run as closures over the expat parser ``p``."""
+    trace = error.__traceback__
+    while trace is not None:
+        parser = trace.tb_frame.f_locals.get("p")
+        line = getattr(parser, "CurrentLineNumber", None)
+        if isinstance(line, int):
+            return line
+        trace = trace.tb_next
+    return None
+
+
+def _check_messages(path: Path, xml: Any) -> None:
+    ids: dict[int, Any] = {}
+    names: dict[str, Any] = {}
+    for message in xml.message:
+        for key, seen in ((message.id, ids), (message.name, names)):
+            if key in seen:
+                first = seen[key].linenumber
+                raise DialectError(str(path), message.linenumber, f"message {key} is already defined in line {first}")
+            seen[key] = message
+        if not 0 <= message.id < 1 << 24:
+            raise DialectError(str(path), message.linenumber, f"message id {message.id} is not in 0..16777215")
+        if message.wire_length > 255:
+            raise DialectError(
+                str(path),
+                message.linenumber,
+                f"{message.name} has {message.wire_length} bytes; a payload has at most 255",
+            )
+        fields = [f.name for f in message.fields]
+        for field in fields:
+            if fields.count(field) > 1:
+                raise DialectError(str(path), message.linenumber, f"{message.name} has the field {field} twice")
+
+
+def _store(cache: Path, dialect: Dialect) -> None:
+    """Whole or not at all: written beside and renamed, so that two daemons starting together never read half a file."""
+    try:
+        cache.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=cache.parent, suffix=".tmp")
+        with os.fdopen(handle, "w") as file:
+            json.dump(dialect.to_table(), file, separators=(",", ":"))
+        os.replace(name, cache)
+    except OSError:
+        return  # a read-only home costs a second at every start, not a flight

@@ -1,0 +1,276 @@
+"""The fleet file as data: frozen, unknown keys refused. How it is read is `loader`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+Sysid = Annotated[int, Field(ge=1, le=255)]
+Compid = Annotated[int, Field(ge=1, le=255)]
+Port = Annotated[int, Field(ge=0, le=65535)]
+Role = Literal["peer", "gcs", "vehicle", "radio"]
+Autopilot = Literal["px4", "ardupilot"]
+MessageName = str | int
+"""A message of the dialect, by name or id."""
+
+OWN_SYSID = 255
+"""ArduPilot counts only heartbeats of MAV_GCS_SYSID (default 255) for its GCS failsafe."""
+
+OWN_COMPID = 25
+"""MAV_COMP_ID_USER1: 190 (QGC, Mission Planner), 230 (MAVProxy), 240 (mavlink-server) and 0 (pymavlink) are taken."""
+
+
+class Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class DaemonConfig(Model):
+    """[daemon]: who we are to others and where we keep things."""
+
+    sysid: Sysid = OWN_SYSID
+    compid: Compid = OWN_COMPID
+    heartbeat: bool = True
+    """Send a GCS heartbeat at 1 Hz on every link (a radio needs it to report RADIO_STATUS)."""
+    socket: Path | None = None
+    """JSON-RPC Unix socket; default: $XDG_RUNTIME_DIR/skygcs.sock, else /tmp/skygcs-UID/skygcs.sock."""
+    tcp_port: Port | None = None
+    """JSON-RPC on 127.0.0.1 as well; needs ``token_file``."""
+    token_file: Path | None = None
+    log_dir: Path = Path("logs")
+    """tlogs go here; relative to the fleet file."""
+    record: bool = True
+    record_max_mb: Annotated[float, Field(gt=0)] = 100.0
+    """A new tlog is begun at this size ..."""
+    record_max_minutes: Annotated[float, Field(gt=0)] = 60.0
+    """... or at this age."""
+    vehicle_timeout_s: Annotated[float, Field(gt=0)] = 5.0
+    """Without a heartbeat for this long a vehicle is lost."""
+    route_timeout_s: Annotated[float, Field(gt=0)] = 60.0
+    goto_limit_m: Annotated[float, Field(gt=0)] = 1000.0
+    """A goto farther than this from the vehicle is refused."""
+    bad_crc: Literal["drop", "pass"] = "drop"
+    """What becomes of a known message with a wrong CRC from a source that was verified before."""
+
+
+class RateLimits(Model):
+    """Upper rates of what is forwarded *to* a link. Per source: ten vehicles keep ten times the rate."""
+
+    messages: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
+    """Hz per message name or id ("ATTITUDE" = 2.0); 0 stops it; "*" for all not named."""
+    bytes_per_s: Annotated[float, Field(gt=0)] | None = None
+    """Upper rate of broadcast traffic to each channel of this link; targeted frames and heartbeats always pass."""
+
+
+class LinkCommon(Model):
+    """Keys of every link. The twelve filter keys are mavlink-router's, in lower case."""
+
+    name: str = ""
+    """Set from the table's name."""
+    enabled: bool = True
+    role: Role = "peer"
+    group: str | None = None
+    """Links of one group are parallel ways to the same systems: nothing is forwarded between them."""
+    forward_unknown: bool | None = None
+    """Send frames of unknown id to this link; default: yes, but not to a radio."""
+    allow_msg_id_in: tuple[MessageName, ...] = ()
+    block_msg_id_in: tuple[MessageName, ...] = ()
+    allow_msg_id_out: tuple[MessageName, ...] = ()
+    block_msg_id_out: tuple[MessageName, ...] = ()
+    allow_src_sys_in: tuple[int, ...] = ()
+    block_src_sys_in: tuple[int, ...] = ()
+    allow_src_sys_out: tuple[int, ...] = ()
+    block_src_sys_out: tuple[int, ...] = ()
+    allow_src_comp_in: tuple[int, ...] = ()
+    block_src_comp_in: tuple[int, ...] = ()
+    allow_src_comp_out: tuple[int, ...] = ()
+    block_src_comp_out: tuple[int, ...] = ()
+    rate_in: RateLimits = RateLimits()
+    rate_out: RateLimits = RateLimits()
+
+
+class SerialLink(LinkCommon):
+    """A serial port: a radio, a telemetry cable, a pty."""
+
+    type: Literal["serial"] = "serial"
+    device: str
+    baud: int | tuple[int, ...] = 57600
+    """One rate, or several to try in turn until frames come."""
+    rtscts: bool = False
+    low_latency: bool = True
+
+
+class UdpServerLink(LinkCommon):
+    """Listens; every peer that sends a good frame becomes a channel of its own."""
+
+    type: Literal["udp_server"] = "udp_server"
+    host: str = "0.0.0.0"
+    port: Port
+    peer_timeout_s: Annotated[float, Field(gt=0)] = 60.0
+    max_peers: Annotated[int, Field(ge=1, le=4096)] = 256
+
+
+class UdpClientLink(LinkCommon):
+    """Sends to one address (a QGroundControl on port 14550, for instance) and hears its answers."""
+
+    type: Literal["udp_client"] = "udp_client"
+    host: str
+    port: Port
+    local_port: Port = 0
+
+
+class UdpBroadcastLink(LinkCommon):
+    """Broadcasts until somebody answers, then talks to that one; back to broadcast after 5 s of silence."""
+
+    type: Literal["udp_broadcast"] = "udp_broadcast"
+    host: str = "255.255.255.255"
+    port: Port
+    local_port: Port = 0
+
+
+class TcpServerLink(LinkCommon):
+    type: Literal["tcp_server"] = "tcp_server"
+    host: str = "127.0.0.1"
+    port: Port
+    max_clients: Annotated[int, Field(ge=1, le=1024)] = 32
+
+
+class TcpClientLink(LinkCommon):
+    type: Literal["tcp_client"] = "tcp_client"
+    host: str
+    port: Port
+
+
+class ReplayLink(LinkCommon):
+    """A tlog or raw capture, played as if it came from a link. Ends when the file ends."""
+
+    type: Literal["replay"] = "replay"
+    file: Path
+    speed: Annotated[float, Field(ge=0)] = 1.0
+    """1 = as recorded, 10 = ten times as fast, 0 = as fast as possible."""
+    loop: bool = False
+    raw_bytes_per_s: Annotated[float, Field(gt=0)] = 5760.0
+    """A raw capture has no times; it is played at this rate (57600 baud)."""
+
+
+class MemoryLink(LinkCommon):
+    """For tests: the other end is a Python object; a bad network on request."""
+
+    type: Literal["memory"] = "memory"
+    loss: Annotated[float, Field(ge=0, le=1)] = 0.0
+    duplicate: Annotated[float, Field(ge=0, le=1)] = 0.0
+    delay_s: Annotated[float, Field(ge=0)] = 0.0
+    jitter_s: Annotated[float, Field(ge=0)] = 0.0
+    split: bool = False
+    """One byte at a time."""
+    seed: int = 1
+
+
+class SimulatedLink(LinkCommon):
+    """Simulated vehicles inside the daemon: no sockets, the same bytes."""
+
+    type: Literal["simulated"] = "simulated"
+    px4: Annotated[int, Field(ge=0, le=250)] = 0
+    ardupilot: Annotated[int, Field(ge=0, le=250)] = 0
+    first_sysid: Sysid = 1
+    lat_deg: float = 43.7806
+    lon_deg: float = -79.4653
+    alt_amsl_m: float = 180.0
+    seed: int = 1
+
+
+LinkConfig = (
+    SerialLink
+    | UdpServerLink
+    | UdpClientLink
+    | UdpBroadcastLink
+    | TcpServerLink
+    | TcpClientLink
+    | ReplayLink
+    | MemoryLink
+    | SimulatedLink
+)
+AnyLink = Annotated[LinkConfig, Field(discriminator="type")]
+
+
+class VehicleSettings(Model):
+    """What [defaults] and [types.NAME] may say; None = not said here."""
+
+    autopilot: Autopilot | None = None
+    group: str | tuple[str, ...] | None = None
+    takeoff_height_m: Annotated[float, Field(gt=0, le=500)] | None = None
+    goto_limit_m: Annotated[float, Field(gt=0)] | None = None
+
+
+class VehicleEntry(VehicleSettings):
+    """[vehicles.NAME]"""
+
+    sysid: Sysid
+    type: str | None = None
+
+
+class VehicleConfig(Model):
+    """One vehicle after defaults < type < vehicle were laid over each other."""
+
+    name: str
+    sysid: Sysid
+    groups: tuple[str, ...] = ()
+    autopilot: Autopilot | None = None
+    takeoff_height_m: float = 2.5
+    """The seed's take-off height."""
+    goto_limit_m: float = 1000.0
+
+
+class OriginConfig(Model):
+    """[origin]: the fleet's world frame. ENU positions are shown only when it is set here or at run time."""
+
+    lat_deg: Annotated[float, Field(ge=-90, le=90)]
+    lon_deg: Annotated[float, Field(ge=-180, le=180)]
+    alt_amsl_m: float
+
+
+class FleetConfig(Model):
+    """A whole fleet file."""
+
+    daemon: DaemonConfig = DaemonConfig()
+    dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
+    origin: OriginConfig | None = None
+    links: dict[str, AnyLink] = Field(default_factory=dict)
+    defaults: VehicleSettings = VehicleSettings()
+    types: dict[str, VehicleSettings] = Field(default_factory=dict)
+    vehicles: dict[str, VehicleEntry] = Field(default_factory=dict)
+
+    @field_validator("links", mode="before")
+    @classmethod
+    def _name_links(cls, links: Any) -> Any:
+        if not isinstance(links, dict):
+            return links
+        return {k: {**v, "name": k} if isinstance(v, dict) else v for k, v in links.items()}
+
+    @model_validator(mode="after")
+    def _tcp_needs_token(self) -> FleetConfig:
+        if self.daemon.tcp_port is not None and self.daemon.token_file is None:
+            raise ValueError("daemon.tcp_port needs daemon.token_file: anyone on this machine could fly the fleet")
+        return self
+
+    def vehicle_configs(self) -> tuple[VehicleConfig, ...]:
+        """Every vehicle with defaults < type < vehicle applied."""
+        return tuple(self._resolved(name, entry) for name, entry in self.vehicles.items())
+
+    def default_vehicle(self, sysid: int) -> VehicleConfig:
+        """Settings of a vehicle that is not in the file."""
+        return self._resolved(f"v{sysid}", VehicleEntry(sysid=sysid))
+
+    def _resolved(self, name: str, entry: VehicleEntry) -> VehicleConfig:
+        layers = [self.defaults, self.types.get(entry.type or "", VehicleSettings()), entry]
+        merged: dict[str, Any] = {"goto_limit_m": self.daemon.goto_limit_m}
+        groups: list[str] = []
+        for layer in layers:
+            for key in ("autopilot", "takeoff_height_m", "goto_limit_m"):
+                value = getattr(layer, key)
+                if value is not None:
+                    merged[key] = value
+            if layer.group is not None:
+                groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
+        return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)

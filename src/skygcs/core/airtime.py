@@ -1,0 +1,128 @@
+"""What waits to be sent on one link, and in which order: strict classes, every one with a bound and a policy.
+
+Pure: the sender (shell) offers, asks what is next, and writes. Fitting the whole to a radio's budget builds on this.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Priority(IntEnum):
+    """Order of service on a link, most urgent first (docs/explanation/architecture.md, "uplink")."""
+
+    EMERGENCY = 0
+    COMMAND = 1
+    SETPOINT = 2
+    EXCHANGE = 3
+    HEARTBEAT = 4
+    CORRECTION = 5
+    FORWARDED = 6
+
+
+BOUND: dict[Priority, int] = {
+    Priority.EMERGENCY: 256,  # never fewer than vehicles in a fleet: a stop for each of 250 fits
+    Priority.COMMAND: 256,
+    Priority.SETPOINT: 256,  # one per vehicle, the newest
+    Priority.EXCHANGE: 256,
+    Priority.HEARTBEAT: 4,
+    Priority.CORRECTION: 16,  # 16 fragments of 180 B are three seconds of RTCM; older ones are worthless
+    Priority.FORWARDED: 128,  # at 57600 baud some 5 kB: almost a second of air
+}
+"""Most entries waiting per class."""
+
+DROPS_OLDEST = frozenset({Priority.HEARTBEAT, Priority.CORRECTION, Priority.FORWARDED})
+"""Classes whose newest entry is worth more than their oldest; the others refuse when full, and the sender retries."""
+
+
+@dataclass(slots=True)
+class ClassCounters:
+    """What became of the entries of one class."""
+
+    sent: int = 0
+    replaced: int = 0
+    dropped: int = 0
+    refused: int = 0
+
+
+@dataclass(slots=True)
+class TxQueue(Generic[T]):
+    """Bounded, prioritised queue of one link. Entries with a ``key`` replace the waiting one of the same key."""
+
+    counters: dict[Priority, ClassCounters] = field(default_factory=lambda: {p: ClassCounters() for p in Priority})
+    _plain: dict[Priority, deque[T]] = field(default_factory=lambda: {p: deque() for p in Priority})
+    _keyed: dict[Priority, dict[Hashable, T]] = field(default_factory=lambda: {p: {} for p in Priority})
+    _length: int = 0
+
+    def __len__(self) -> int:
+        return self._length
+
+    def offer(self, entry: T, priority: Priority, key: Hashable | None = None) -> bool:
+        """Queue it; False if its class is full and refuses. Never blocks, never raises.
+
+        With a key the newest value takes the place of the waiting one (latest wins), keeping that one's turn.
+        """
+        counters = self.counters[priority]
+        if key is not None:
+            keyed = self._keyed[priority]
+            if key in keyed:
+                keyed[key] = entry
+                counters.replaced += 1
+                return True
+        waiting = len(self._plain[priority]) + len(self._keyed[priority])
+        if waiting >= BOUND[priority]:
+            if priority not in DROPS_OLDEST or not self._drop_oldest(priority):
+                counters.refused += 1
+                return False
+            counters.dropped += 1
+        if key is not None:
+            self._keyed[priority][key] = entry
+        else:
+            self._plain[priority].append(entry)
+        self._length += 1
+        return True
+
+    def pop(self) -> tuple[T, Priority] | None:
+        """The most urgent entry, oldest first within a class; None when nothing waits."""
+        if not self._length:
+            return None
+        for priority in Priority:
+            keyed = self._keyed[priority]
+            plain = self._plain[priority]
+            if plain:
+                entry = plain.popleft()
+            elif keyed:
+                entry = keyed.pop(next(iter(keyed)))
+            else:
+                continue
+            self._length -= 1
+            self.counters[priority].sent += 1
+            return entry, priority
+        return None
+
+    def clear(self) -> int:
+        """Forget everything that waits (the link went down); how many that were. Counted as dropped."""
+        gone = self._length
+        for priority in Priority:
+            self.counters[priority].dropped += len(self._plain[priority]) + len(self._keyed[priority])
+            self._plain[priority].clear()
+            self._keyed[priority].clear()
+        self._length = 0
+        return gone
+
+    def _drop_oldest(self, priority: Priority) -> bool:
+        if self._plain[priority]:
+            self._plain[priority].popleft()
+        elif self._keyed[priority]:
+            keyed = self._keyed[priority]
+            keyed.pop(next(iter(keyed)))
+        else:
+            return False
+        self._length -= 1
+        return True

@@ -1,0 +1,1 @@
+"""Composition root: config -> objects -> task groups; ordered shutdown."""

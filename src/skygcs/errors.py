@@ -1,0 +1,70 @@
+"""Every exception skygcs raises on purpose; the class says whose fault it is.
+
+SkygcsError                  base; str() is one line for a person, never a traceback
+├── ConfigError              the user's file: fleet TOML (file, key, what to do); carries every problem at once
+├── DialectError             the user's message XML (file, line)
+├── LinkError                a device or an address: could not be opened, or broke
+├── TargetError              a target that names no vehicle ("7", "alpha")
+├── RefusedError             an order skygcs itself refuses (unsafe, wrong state); says how to insist if one can
+└── RpcError                 an answer of the JSON-RPC server that is an error (code, message, data)
+    └── DaemonUnreachable    nobody listens on the socket
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class SkygcsError(Exception):
+    """Base of all errors raised on purpose."""
+
+
+class ConfigError(SkygcsError):
+    """The fleet file is wrong. ``problems`` holds one line per problem, each with its key path."""
+
+    def __init__(self, source: str, problems: list[str]) -> None:
+        self.source = source
+        self.problems = problems
+        count = f"{len(problems)} problem{'s' if len(problems) != 1 else ''}"
+        super().__init__(f"{source}: {count}\n" + "\n".join(f"  {p}" for p in problems))
+
+
+class DialectError(SkygcsError):
+    """A message XML that cannot be used. ``path`` and ``line`` (1-based; None if the file itself is missing)."""
+
+    def __init__(self, path: str, line: int | None, reason: str) -> None:
+        self.path = path
+        self.line = line
+        self.reason = reason
+        where = path if line is None else f"{path}:{line}"
+        super().__init__(f"{where}: {reason}")
+
+
+class LinkError(SkygcsError):
+    """A link could not be opened, or broke."""
+
+
+class TargetError(SkygcsError):
+    """A target expression that names no vehicle."""
+
+
+class RefusedError(SkygcsError):
+    """skygcs refuses the order itself; the text says why and, where one can, how to insist."""
+
+
+class RpcError(SkygcsError):
+    """The server answered a request with an error object (JSON-RPC 2.0, section 5.1)."""
+
+    def __init__(self, code: int, message: str, data: Any = None) -> None:
+        self.code = code
+        self.message = message
+        self.data = data
+        super().__init__(message)
+
+
+class DaemonUnreachable(RpcError):
+    """Nobody listens on the daemon's socket."""
+
+    def __init__(self, address: str, reason: str) -> None:
+        self.address = address
+        super().__init__(-32000, f"no skygcs daemon at {address} ({reason}); start one with: skygcs run FLEET.toml")

@@ -1,0 +1,150 @@
+"""What every link is made of, and what it may expect of its host.
+
+A **link** is an endpoint of the fleet file (one serial port, one UDP port). A **channel** is one route target on it:
+the serial port itself, one UDP peer, one TCP connection. A link opens, provides channels, and fails as a whole; the
+supervisor opens it again. The host (the hub) gets whole frames and hands out frames to send.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections.abc import Hashable
+from typing import Any, Protocol
+
+from skygcs.config.models import LinkConfig
+from skygcs.core.airtime import Priority
+from skygcs.core.linkstats import SourceStats
+from skygcs.core.mavlink.dialect import MessageInfo
+from skygcs.core.mavlink.frame import Frame, encode_payload
+from skygcs.core.mavlink.parser import FrameParser
+
+MAX_SOURCES_PER_CHANNEL = 512
+"""Bound of the per-source table of one channel; what comes from further sources is counted together."""
+
+
+class OwnMessage:
+    """A message of our own on its way to one or more channels. It gets its sequence number when it is written, so that
+    what was dropped or replaced while waiting does not look like loss to the vehicle."""
+
+    __slots__ = ("compid", "info", "payload", "recorded", "sysid")
+
+    def __init__(self, info: MessageInfo, payload: bytes, sysid: int, compid: int) -> None:
+        self.info = info
+        self.payload = payload
+        self.sysid = sysid
+        self.compid = compid
+        self.recorded = False
+
+    def encode(self, seq: int, version: int) -> bytes:
+        """The frame for one channel. An id above 255 is sent as MAVLink 2 whatever the channel prefers."""
+        if self.info.msgid > 255:
+            version = 2
+        return encode_payload(self.info, self.payload, sysid=self.sysid, compid=self.compid, seq=seq, version=version)
+
+
+Outgoing = bytes | OwnMessage
+"""Received bytes forwarded as they are, or a message of our own."""
+
+
+class LinkHost(Protocol):
+    """The hub, as links see it. All calls are synchronous, on the loop's thread, and never raise."""
+
+    def new_parser(self, config: LinkConfig) -> FrameParser:
+        """A parser for one channel of this link."""
+        ...
+
+    def attach(self, channel: Channel) -> None:
+        """A channel is open: it may be routed to from now on. Sets ``channel.id``."""
+        ...
+
+    def detach(self, channel: Channel, reason: str) -> None:
+        """The channel is gone. Idempotent."""
+        ...
+
+    def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
+        """Frames in the order they came."""
+        ...
+
+    def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
+        """A message of our own was written (for the recorder)."""
+        ...
+
+
+class Channel(ABC):
+    """One route target. ``peer`` is a person's name for the other end ("192.168.1.7:14550", "/dev/ttyUSB0")."""
+
+    def __init__(self, link: Link, peer: str) -> None:
+        self.id = 0
+        self.link = link
+        self.config: LinkConfig = link.config
+        self.peer = peer
+        self.parser: FrameParser = link.host.new_parser(link.config)
+        self.version = 2
+        self.opened_at = link.loop.time()
+        self.last_rx_at = self.opened_at
+        self.rx_frames = 0
+        self.rx_bytes = 0
+        self.tx_frames = 0
+        self.tx_bytes = 0
+        self.tx_dropped = 0
+        self.sources: dict[int, SourceStats] = {}
+        self._seq = 0
+
+    @abstractmethod
+    def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
+        """Send or queue; False if it was dropped or refused (counted). Never blocks, never raises."""
+
+    def encode(self, outgoing: Outgoing) -> bytes:
+        """Bytes to write now; a message of our own takes this channel's next sequence number and is recorded."""
+        if type(outgoing) is bytes:
+            return outgoing
+        assert isinstance(outgoing, OwnMessage)
+        raw = outgoing.encode(self._seq, self.version)
+        self._seq = (self._seq + 1) & 0xFF
+        self.link.host.on_sent(self, outgoing, raw)
+        return raw
+
+    def counters(self) -> dict[str, Any]:
+        """JSON-able counters of this channel; subclasses add their own."""
+        stats = self.parser.stats
+        return {
+            "rx_frames": self.rx_frames,
+            "rx_bytes": self.rx_bytes,
+            "tx_frames": self.tx_frames,
+            "tx_bytes": self.tx_bytes,
+            "tx_dropped": self.tx_dropped,
+            "good": stats.good,
+            "bad_crc": stats.bad_crc,
+            "unknown": stats.unknown,
+            "skipped_bytes": stats.skipped_bytes,
+        }
+
+
+class Link(ABC):
+    """An endpoint. Life: `open`, then `failed` resolves when it breaks, then `close`; then it may be opened again."""
+
+    def __init__(self, config: LinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+        self.config = config
+        self.name = config.name
+        self.host = host
+        self.loop = loop
+        self.failed: asyncio.Future[str] = loop.create_future()
+
+    @abstractmethod
+    async def open(self) -> None:
+        """Open the device or socket. Raises LinkError with what to do. After a failure `close` has been called."""
+
+    @abstractmethod
+    async def close(self) -> None:
+        """Detach all channels and free the device. Idempotent. Never raises."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> list[Channel]:
+        """The channels that are open now."""
+
+    def fail(self, reason: str) -> None:
+        """Called by the link's own callbacks when it breaks; the supervisor closes and reopens it."""
+        if not self.failed.done():
+            self.failed.set_result(reason)
