@@ -66,7 +66,7 @@ def load_dialect(
     """The dialect of that name (pymavlink's or shipped) or XML path; a list merges several, first ones win.
 
     A path is anything with a slash or ending in .xml, relative to ``base_dir`` (the fleet file's folder).
-    Raises DialectError naming file and line. Reads and writes the cache; a cache that cannot be written is not an error.
+    Raises DialectError naming file and line. Reads and writes the cache; one that cannot be written is no error.
     """
     wanted = [name_or_path] if isinstance(name_or_path, str) else list(name_or_path)
     roots = [_resolve(w, base_dir) for w in wanted]

@@ -213,7 +213,7 @@ class MessageInfo:
 
 
 class Dialect:
-    """All messages and enums of one dialect. ``messages`` by id, ``by_name`` by NAME, ``enums[enum][value] = entry``."""
+    """All messages and enums of one dialect: ``messages`` by id, ``by_name``, ``enums[enum][value] = entry``."""
 
     __slots__ = ("by_name", "enums", "messages", "name")
 
@@ -269,5 +269,5 @@ class Dialect:
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Dialect:
         """Inverse of `to_table`. Raises KeyError, TypeError or ValueError on a table of another shape."""
-        messages = [MessageInfo(*row[:-1], fields=(FieldInfo(*f) for f in row[-1])) for row in table["messages"]]
+        messages = [MessageInfo(*[*row[:-1], [FieldInfo(*f) for f in row[-1]]]) for row in table["messages"]]
         return cls(table["name"], messages, {k: {int(a): b for a, b in v} for k, v in table["enums"].items()})
