@@ -1,0 +1,440 @@
+"""Who was heard where, and where a frame goes: every routing rule there is, in one place.
+
+Rules (https://mavlink.io/en/guide/routing.html, and what a ground router of many vehicles needs on top):
+
+    frame                                   goes to
+    ------------------------------------    -----------------------------------------------------------------------
+    no target, or target system 0           every other channel (not: same group; not: telemetry of a vehicle to
+                                            channels of role vehicle or radio; not: RADIO_STATUS to vehicles)
+    id not in the dialect                   as without a target; to a radio only if the link says so; teaches no route
+    target = our system and component       us
+    target = our system, component 0        us, and where others with our system id were heard
+    target = our system, other component    where that component was heard
+    target = other system                   where that component was heard, else where that system was heard;
+                                            of channels that hear the same frames twice only the better one
+    target never heard                      nowhere, counted
+    source = our own id                     nowhere: an echo, or somebody uses our id; counted, noted, not learned
+
+Never back to the channel it came from. SYSTEM_TIME going back means the system rebooted: its routes are cleared.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+from skygcs.core.dedup import DuplicateFilter, ParallelChannels
+from skygcs.core.filters import ChannelPolicy
+from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V2, Frame
+
+HEARTBEAT = 0
+SYSTEM_TIME = 2
+RADIO_STATUS = 109
+RADIO = 166
+
+MAX_ROUTES = 4096
+"""Bound of the route table: 250 vehicles have some 1,000 components; a flood of forged sources ends here."""
+
+MAX_NOTES = 256
+CONFLICT_QUIET_S = 60.0
+"""A conflict is noted again only after so long without one on the same channel."""
+
+_MAV_TYPE_GCS = 6
+_MAV_AUTOPILOT_INVALID = 8
+
+
+class Verdict(Enum):
+    """What became of a frame. Values are the names of the counters."""
+
+    FORWARDED = "forwarded"
+    LOCAL = "local"
+    NOBODY = "nobody_else"
+    UNKNOWN_TARGET = "unknown_target"
+    DUPLICATE = "duplicate"
+    CONFLICT = "conflict"
+    FILTERED_IN = "filtered_in"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """``destinations``: channel ids. ``local``: it is for us too (to us, or to all)."""
+
+    verdict: Verdict
+    destinations: tuple[int, ...] = ()
+    local: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RouteNote:
+    """A change worth a log line: learned, expired, cleared or conflict."""
+
+    kind: str
+    sysid: int
+    compid: int
+    channel_id: int
+
+
+_DUPLICATE = Decision(Verdict.DUPLICATE)
+_CONFLICT = Decision(Verdict.CONFLICT)
+_FILTERED_IN = Decision(Verdict.FILTERED_IN)
+_UNKNOWN_TARGET = Decision(Verdict.UNKNOWN_TARGET)
+_NOBODY = Decision(Verdict.NOBODY)
+
+# Kinds of broadcast, as bits: each has its own cached list of destinations per channel.
+_TELEMETRY = 1
+_UNKNOWN_ID = 2
+_RADIO_STATUS = 4
+
+
+class _Port:
+    """One channel in the routing table."""
+
+    __slots__ = (
+        "boot_ms",
+        "broadcast",
+        "conflict_at",
+        "filter_in",
+        "filter_out",
+        "filtered_in",
+        "filtered_out",
+        "heard",
+        "id",
+        "limited",
+        "limiter_in",
+        "limiter_out",
+        "policy",
+        "vehicles",
+    )
+
+    def __init__(self, channel_id: int, policy: ChannelPolicy) -> None:
+        self.id = channel_id
+        self.policy = policy
+        self.filter_in = policy.filter_in or None
+        self.filter_out = policy.filter_out or None
+        self.limiter_in = policy.limiter_in() or None
+        self.limiter_out = policy.limiter_out() or None
+        self.heard: dict[int, float] = {}
+        self.boot_ms: dict[int, int] = {}
+        self.vehicles: set[int] = set()
+        self.broadcast: dict[int, tuple[Decision, tuple[_Port, ...]]] = {}
+        self.conflict_at = float("-inf")
+        self.filtered_in = 0
+        self.filtered_out = 0
+        self.limited = 0
+
+    @property
+    def restricts_out(self) -> bool:
+        return self.filter_out is not None or self.limiter_out is not None
+
+
+class Router:
+    """The routing table. Channels are opened and closed by the host; `decide` learns from a frame and routes it."""
+
+    def __init__(self, own_sysid: int, own_compid: int, *, route_timeout_s: float = 60.0) -> None:
+        self._own_sysid = own_sysid
+        self._own_source = own_sysid << 8 | own_compid
+        self._own_compid = own_compid
+        self._route_timeout_s = route_timeout_s
+        self._ports: dict[int, _Port] = {}
+        self._by_source: dict[int, list[_Port]] = {}
+        self._by_system: dict[int, list[_Port]] = {}
+        self._duplicates = DuplicateFilter()
+        self._dedup = False
+        self._parallel: dict[int, ParallelChannels] = {}
+        self._routes = 0
+        self.counters: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
+        self.overflowed_routes = 0
+        self.notes: deque[RouteNote] = deque(maxlen=MAX_NOTES)
+
+    # -- channels
+
+    def open(self, channel_id: int, policy: ChannelPolicy) -> None:
+        """A channel exists from now on. Raises ValueError if the id is taken."""
+        if channel_id in self._ports:
+            raise ValueError(f"channel {channel_id} is open already")
+        self._ports[channel_id] = _Port(channel_id, policy)
+        self._topology_changed()
+
+    def close(self, channel_id: int) -> None:
+        """The channel is gone, and all its routes with it. Unknown ids are ignored."""
+        port = self._ports.pop(channel_id, None)
+        if port is None:
+            return
+        for source in list(port.heard):
+            self._forget(port, source)
+        for system, parallel in list(self._parallel.items()):
+            parallel.forget(channel_id)
+            if len(parallel.channel_ids) < 2:
+                del self._parallel[system]
+        self._topology_changed()
+
+    def _topology_changed(self) -> None:
+        for port in self._ports.values():
+            port.broadcast.clear()
+        # Frames can only come twice over two channels that may both carry vehicles.
+        self._dedup = sum(port.policy.role != "gcs" for port in self._ports.values()) > 1
+
+    # -- one frame
+
+    def decide(self, channel_id: int, frame: Frame, now: float) -> Decision:
+        """Learn from one received frame and say where it goes. Hot: one call per frame."""
+        port = self._ports[channel_id]
+        source = frame.sysid << 8 | frame.compid
+        if source == self._own_source:
+            return self._conflict(port, frame, now)
+        if port.filter_in is not None and not port.filter_in.passes(frame.msgid, frame.sysid, frame.compid):
+            port.filtered_in += 1
+            return self._counted(_FILTERED_IN)
+        info = frame.info
+        if info is not None:
+            if frame.msgid == SYSTEM_TIME:
+                self._check_reboot(port, frame, source)
+            if source in port.heard:
+                port.heard[source] = now
+            else:
+                self._learn(port, source, now)
+            if frame.msgid == HEARTBEAT:
+                self._check_vehicle(port, frame, source)
+        if self._dedup and self._is_copy(port, frame, source, now):
+            return self._counted(_DUPLICATE)
+        system, component = frame.target()
+        if port.limiter_in is not None and not port.limiter_in.passes(
+            source, frame.msgid, len(frame.raw), system != 0, now
+        ):
+            port.limited += 1
+            return self._counted(_FILTERED_IN)
+        if system == 0:
+            decision = self._broadcast(port, frame, source, now)
+        else:
+            decision = self._targeted(port, frame, system, component, now)
+        self.counters[decision.verdict] += 1
+        return decision
+
+    def _counted(self, decision: Decision) -> Decision:
+        self.counters[decision.verdict] += 1
+        return decision
+
+    def _broadcast(self, port: _Port, frame: Frame, source: int, now: float) -> Decision:
+        kind = 0
+        if frame.info is None:
+            kind = _UNKNOWN_ID
+        elif frame.msgid == RADIO_STATUS or frame.msgid == RADIO:
+            kind = _RADIO_STATUS
+        if port.policy.carries_vehicles or source in port.vehicles:
+            kind |= _TELEMETRY
+        cached = port.broadcast.get(kind)
+        if cached is None:
+            cached = port.broadcast[kind] = self._broadcast_ports(port, kind)
+        decision, checked = cached
+        if not checked:
+            return decision
+        return self._restricted(decision, frame, source, False, now)
+
+    def _broadcast_ports(self, port: _Port, kind: int) -> tuple[Decision, tuple[_Port, ...]]:
+        """The decision for this kind of broadcast, and those of its destinations that filter or limit."""
+        ports = [p for p in self._ports.values() if self._takes_broadcast(port, p, kind)]
+        verdict = Verdict.FORWARDED if ports else Verdict.LOCAL
+        decision = Decision(verdict, tuple(p.id for p in ports), local=True)
+        return decision, tuple(p for p in ports if p.restricts_out)
+
+    def _takes_broadcast(self, source: _Port, port: _Port, kind: int) -> bool:
+        if not self._may_forward(source, port):
+            return False
+        if kind & _TELEMETRY and port.policy.carries_vehicles:
+            return False
+        if kind & _UNKNOWN_ID and not port.policy.forward_unknown:
+            return False
+        return not (kind & _RADIO_STATUS and (port.policy.carries_vehicles or port.vehicles))
+
+    def _targeted(self, port: _Port, frame: Frame, system: int, component: int, now: float) -> Decision:
+        ports: list[_Port] | None
+        local = False
+        if system == self._own_sysid:
+            local = component in (0, self._own_compid)
+            if component == self._own_compid:
+                ports = []
+            elif component == 0:
+                ports = self._by_system.get(system)
+            else:
+                ports = self._by_source.get(system << 8 | component)
+        else:
+            ports = (component and self._by_source.get(system << 8 | component)) or self._by_system.get(system)
+        if not ports:
+            return Decision(Verdict.LOCAL, (), local=True) if local else _UNKNOWN_TARGET
+        if len(ports) > 1 and system in self._parallel:
+            ports = self._preferred(ports, system, now)
+        ids = tuple(p.id for p in ports if self._may_forward(port, p))
+        if not ids:
+            return Decision(Verdict.LOCAL, (), local=True) if local else _NOBODY
+        decision = Decision(Verdict.FORWARDED, ids, local)
+        if any(p.restricts_out for p in ports):
+            return self._restricted(decision, frame, frame.sysid << 8 | frame.compid, True, now)
+        return decision
+
+    @staticmethod
+    def _may_forward(source: _Port, port: _Port) -> bool:
+        if port is source:
+            return False
+        return source.policy.group is None or source.policy.group != port.policy.group
+
+    def _restricted(self, decision: Decision, frame: Frame, source: int, targeted: bool, now: float) -> Decision:
+        """The decision without the channels whose filters or limits keep this frame out."""
+        passed = []
+        for channel_id in decision.destinations:
+            port = self._ports[channel_id]
+            if port.filter_out is not None and not port.filter_out.passes(frame.msgid, frame.sysid, frame.compid):
+                port.filtered_out += 1
+            elif port.limiter_out is not None and not port.limiter_out.passes(
+                source, frame.msgid, len(frame.raw), targeted, now
+            ):
+                port.limited += 1
+            else:
+                passed.append(channel_id)
+        if len(passed) == len(decision.destinations):
+            return decision
+        if passed:
+            return Decision(Verdict.FORWARDED, tuple(passed), decision.local)
+        return Decision(Verdict.LOCAL if decision.local else Verdict.NOBODY, (), decision.local)
+
+    def _preferred(self, ports: list[_Port], system: int, now: float) -> list[_Port]:
+        """Of parallel channels the better one; channels that are not parallel all stay."""
+        parallel = self._parallel[system]
+        heard = {p.id: self._last_heard(p, system) for p in ports}
+        best = parallel.choose(heard, now)
+        if best is None:
+            return ports
+        same = parallel.channel_ids
+        return [p for p in ports if p.id == best or p.id not in same]
+
+    @staticmethod
+    def _last_heard(port: _Port, system: int) -> float:
+        return max((at for source, at in port.heard.items() if source >> 8 == system), default=float("-inf"))
+
+    # -- our own messages
+
+    def route_own(self, sysid: int, compid: int, now: float, *, everywhere: bool = False) -> tuple[int, ...]:
+        """Channels for a message of ours: all for system 0; else the best one to that component or system.
+
+        ``everywhere`` (emergencies) takes every channel on which it was heard. () if it was never heard.
+        """
+        if sysid == 0:
+            return tuple(self._ports)
+        ports = self._by_source.get(sysid << 8 | compid) or self._by_system.get(sysid)
+        if not ports:
+            return ()
+        if len(ports) == 1 or everywhere:
+            return tuple(p.id for p in ports)
+        heard = {p.id: self._last_heard(p, sysid) for p in ports}
+        parallel = self._parallel.get(sysid)
+        best = parallel.choose(heard, now) if parallel is not None else None
+        return (best if best is not None else max(heard, key=lambda c: heard[c]),)
+
+    # -- learning and forgetting
+
+    def _learn(self, port: _Port, source: int, now: float) -> None:
+        if source >> 8 == 0:
+            return  # system 0 is "all" as a target: a route to it would catch every broadcast
+        if self._routes >= MAX_ROUTES:
+            self.overflowed_routes += 1
+            return
+        port.heard[source] = now
+        self._routes += 1
+        self._by_source.setdefault(source, []).append(port)
+        systems = self._by_system.setdefault(source >> 8, [])
+        if port not in systems:
+            systems.append(port)
+        self._note("learned", source, port)
+
+    def _forget(self, port: _Port, source: int) -> None:
+        del port.heard[source]
+        self._routes -= 1
+        _remove(self._by_source, source, port)
+        system = source >> 8
+        if not any(s >> 8 == system for s in port.heard):
+            _remove(self._by_system, system, port)
+        if source in port.vehicles:
+            port.vehicles.discard(source)
+            self._topology_changed()
+
+    def expire(self, now: float) -> None:
+        """Forget what has not been heard for the route timeout. To be called about once a second."""
+        limit = now - self._route_timeout_s
+        for port in self._ports.values():
+            for source in [s for s, at in port.heard.items() if at < limit]:
+                self._forget(port, source)
+                self._note("expired", source, port)
+
+    def _check_reboot(self, port: _Port, frame: Frame, source: int) -> None:
+        """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears what is known of the system's routes."""
+        payload = frame.payload
+        boot_ms = struct.unpack_from("<I", payload + bytes(12), 8)[0]
+        if boot_ms < port.boot_ms.get(source, 0):
+            system = source >> 8
+            for other in self._ports.values():
+                for known in [s for s in other.heard if s >> 8 == system]:
+                    self._forget(other, known)
+                    other.boot_ms.pop(known, None)
+            self._parallel.pop(system, None)
+            self._note("cleared", source, port)
+        if source in port.boot_ms or len(port.boot_ms) < MAX_ROUTES:
+            port.boot_ms[source] = boot_ms
+
+    def _check_vehicle(self, port: _Port, frame: Frame, source: int) -> None:
+        """A heartbeat of an autopilot: what this source broadcasts from here is telemetry of a vehicle."""
+        if source in port.vehicles or source not in port.heard:
+            return
+        raw = frame.raw
+        at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
+        if raw[1] >= 6 and raw[at + 5] != _MAV_AUTOPILOT_INVALID and raw[at + 4] != _MAV_TYPE_GCS:
+            port.vehicles.add(source)
+            self._topology_changed()
+
+    def _is_copy(self, port: _Port, frame: Frame, source: int, now: float) -> bool:
+        first = self._duplicates.first_heard_on((source, frame.seq, frame.crc), port.id, now)
+        system = source >> 8
+        parallel = self._parallel.get(system)
+        if first == port.id or first not in self._ports:
+            if parallel is not None:
+                parallel.on_frame(port.id, copy=False)
+            return False
+        if parallel is None:
+            parallel = self._parallel[system] = ParallelChannels(first)
+            parallel.on_frame(first, copy=False)
+        parallel.on_frame(port.id, copy=True)
+        return True
+
+    def _conflict(self, port: _Port, frame: Frame, now: float) -> Decision:
+        if now - port.conflict_at > CONFLICT_QUIET_S:
+            self._note("conflict", frame.sysid << 8 | frame.compid, port)
+        port.conflict_at = now
+        return self._counted(_CONFLICT)
+
+    def _note(self, kind: str, source: int, port: _Port) -> None:
+        self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id))
+
+    # -- what a person asks
+
+    def channels_of(self, sysid: int) -> dict[int, float]:
+        """Channel id -> when the system was last heard there."""
+        return {p.id: self._last_heard(p, sysid) for p in self._by_system.get(sysid, ())}
+
+    def routes(self) -> list[tuple[int, int, int, float]]:
+        """(sysid, compid, channel id, last heard at), sorted."""
+        rows = [(s >> 8, s & 0xFF, p.id, at) for p in self._ports.values() for s, at in p.heard.items()]
+        return sorted(rows)
+
+    def port_counters(self, channel_id: int) -> dict[str, int]:
+        """What filters and limits kept out on one channel."""
+        port = self._ports.get(channel_id)
+        if port is None:
+            return {}
+        return {"filtered_in": port.filtered_in, "filtered_out": port.filtered_out, "rate_limited": port.limited}
+
+
+def _remove(table: dict[int, list[_Port]], key: int, port: _Port) -> None:
+    ports = table[key]
+    ports.remove(port)
+    if not ports:
+        del table[key]
