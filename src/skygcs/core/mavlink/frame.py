@@ -8,7 +8,7 @@ Layout: https://mavlink.io/en/guide/serialization.html#packet_format
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -23,6 +23,9 @@ SIGNATURE_BYTES = 13
 INCOMPAT_SIGNED = 0x01
 MAX_FRAME_BYTES = HEADER_V2_BYTES + MAX_PAYLOAD_BYTES + CRC_BYTES + SIGNATURE_BYTES
 """280: the longest frame there is, a signed one with a full payload."""
+
+Verdict = Literal["ok", "bad_crc", "unknown"]
+"""What the CRC says; "unknown": the dialect has no such message, so nothing can be said."""
 
 
 class Frame:
@@ -87,6 +90,43 @@ class Frame:
         at = info.target_component_offset
         component = raw[base + at] if 0 <= at < length else 0
         return system, component
+
+
+def frame_size(data: bytes, at: int = 0) -> int:
+    """Size of the frame whose header begins at ``at``; 0 if there is no magic byte or the header is incomplete."""
+    left = len(data) - at
+    if left >= HEADER_V1_BYTES and data[at] == MAGIC_V1:
+        return HEADER_V1_BYTES + data[at + 1] + CRC_BYTES
+    if left >= HEADER_V2_BYTES and data[at] == MAGIC_V2:
+        signature = SIGNATURE_BYTES if data[at + 2] & INCOMPAT_SIGNED else 0
+        return HEADER_V2_BYTES + data[at + 1] + CRC_BYTES + signature
+    return 0
+
+
+def check(raw: bytes, messages: Mapping[int, MessageInfo]) -> tuple[Frame | None, Verdict]:
+    """The frame that these bytes, exactly `frame_size` of them, are, and what its CRC says.
+
+    (None, "bad_crc") for a wrong CRC or, in MAVLink 1, a length that the message cannot have; a frame with
+    incompatibility flags that nobody defined is "unknown".
+    """
+    length = raw[1]
+    if raw[0] == MAGIC_V2:
+        crc_at = HEADER_V2_BYTES + length
+        seq, sysid, compid = raw[4], raw[5], raw[6]
+        msgid = raw[7] | raw[8] << 8 | raw[9] << 16
+        info = messages.get(msgid) if raw[2] <= INCOMPAT_SIGNED else None
+    else:
+        crc_at = HEADER_V1_BYTES + length
+        seq, sysid, compid, msgid = raw[2], raw[3], raw[4], raw[5]
+        info = messages.get(msgid)
+        if info is not None and not info.min_length <= length <= info.length:
+            return None, "bad_crc"
+    if info is None:
+        return Frame(raw, seq, sysid, compid, msgid, None), "unknown"
+    crc = mcrf4xx(raw[1:crc_at] + info.crc_extra_byte)
+    if raw[crc_at] != crc & 0xFF or raw[crc_at + 1] != crc >> 8:
+        return None, "bad_crc"
+    return Frame(raw, seq, sysid, compid, msgid, info), "ok"
 
 
 def encode(

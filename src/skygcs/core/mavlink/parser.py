@@ -1,9 +1,11 @@
 """Bytes in, frames out, from any split of a byte stream.
 
 Rules (docs/explanation/routing.md, "strict frames"):
-- a frame counts only if its CRC is right; one whose id the dialect does not know cannot be checked and is taken
-  only from a (sysid, compid) that a good CRC verified before on this link, with incompat_flags in {0, 1} and
-  compat_flags 0;
+- a frame counts only if its CRC is right, and in MAVLink 1 its length too: v1 does not trim, so that a known message
+  is exactly as long as its fields (this alone takes away 99 % of the frames that chance finds in noise);
+- a frame whose id the dialect does not know cannot be checked and is taken only from a (sysid, compid) that a good
+  CRC verified before on this link, with incompat_flags in {0, 1} and compat_flags 0, if the next frame begins where
+  it ends (or the data ends) and no good frame stands inside it;
 - after a false start the search goes on at the next byte, never behind the claimed length: a noise byte that
   looks like a start would otherwise eat the good frames behind it (pymavlink, gomavlib, mavlink-router do that);
 - nothing raises and nothing grows: at most one incomplete frame (280 bytes) is kept.
@@ -17,9 +19,21 @@ from dataclasses import dataclass
 from fastcrc.crc16 import mcrf4xx
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import INCOMPAT_SIGNED, MAGIC_V1, MAGIC_V2, Frame
+from skygcs.core.mavlink.frame import (
+    HEADER_V1_BYTES,
+    HEADER_V2_BYTES,
+    INCOMPAT_SIGNED,
+    MAGIC_V1,
+    MAGIC_V2,
+    Frame,
+    check,
+    frame_size,
+)
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")
+
+_LAST_STEPS = frozenset((x << 8 ^ x << 3 ^ x >> 4) & 0xFFFF for x in range(256))
+"""What the last byte that goes into a CRC-16/MCRF4XX, which is CRC_EXTRA, can add to the state before it."""
 
 MAX_VERIFIED_SOURCES = 4096
 """Bound of the set of verified (sysid, compid): a real link has a few, a hostile one could invent 65,536."""
@@ -43,7 +57,8 @@ class FrameParser:
     """Parser of one byte stream, or of one peer's datagrams.
 
     `feed` takes stream bytes, `feed_datagram` whole datagrams. After `feed`, if `pending` is true and nothing more
-    arrives for a while, call `rescue` once: a false start may be holding complete frames back.
+    arrives for a while, call `rescue` once: a false start may be holding complete frames back. How the stream is
+    split between calls of `feed` changes nothing.
     ``pass_bad_crc`` accepts a known id with a bad CRC from a verified source, as an unknown one (info None).
     """
 
@@ -75,24 +90,28 @@ class FrameParser:
         return frames
 
     def rescue(self) -> list[Frame]:
-        """To be called after a silence on the stream: complete frames that stand inside the incomplete one.
+        """To be called after a silence on the stream: the complete frames among the bytes that are kept.
 
-        If there are any, the incomplete one was a false start and its bytes are skipped; otherwise nothing changes
-        and the rest of a slow frame may still come.
+        If there are any behind the first byte, the incomplete frame was a false start and its bytes are skipped;
+        otherwise nothing changes and the rest of a slow frame may still come.
         """
-        buffer = self._buffer
-        if not buffer:
-            return []
-        at = 1
-        while (found := _MAGIC.search(buffer, at)) is not None:
-            at = found.start()
-            frame, size = self._frame_at(buffer, at, len(buffer), final=False, count=False)
-            if frame is not None and frame.info is not None and size > 0:
-                self.stats.skipped_bytes += at
-                self._buffer = b""
-                return self.feed(buffer[at:])
-            at += 1
-        return []
+        frames: list[Frame] = []
+        while buffer := self._buffer:
+            at = self._complete_at(buffer)
+            if at < 0:
+                break
+            self.stats.skipped_bytes += at
+            frame, size = self._frame_at(buffer, at, len(buffer), final=True, count=True)
+            if frame is not None:
+                frames.append(frame)
+            self._buffer = b""
+            frames += self.feed(buffer[at + size :])
+        return frames
+
+    def _complete_at(self, buffer: bytes) -> int:
+        """Where the first complete frame stands: at 0 also one of unknown id, further on only a checked one. Or -1."""
+        frame, _ = self._frame_at(buffer, 0, len(buffer), final=True, count=False)
+        return 0 if frame is not None else self._good_from(buffer, 1)
 
     def _scan(self, buffer: bytes, frames: list[Frame], *, final: bool) -> int:
         """Append the frames of ``buffer``; return where the incomplete rest begins (its end if ``final``)."""
@@ -121,7 +140,7 @@ class FrameParser:
     def _frame_at(self, buffer: bytes, at: int, end: int, *, final: bool, count: bool) -> tuple[Frame | None, int]:
         """(frame, its size) at a magic byte, or (None, NEED_MORE or NOT_A_FRAME)."""
         if buffer[at] == MAGIC_V2:
-            if end - at < 10:
+            if end - at < HEADER_V2_BYTES:
                 return None, NEED_MORE
             length = buffer[at + 1]
             incompat = buffer[at + 2]
@@ -129,29 +148,30 @@ class FrameParser:
                 return None, NOT_A_FRAME  # flags nobody defined: cannot be parsed (serialization guide)
             seq, sysid, compid = buffer[at + 4], buffer[at + 5], buffer[at + 6]
             msgid = buffer[at + 7] | buffer[at + 8] << 8 | buffer[at + 9] << 16
+            info = self._messages.get(msgid)
             crc_at = at + 10 + length
             size = length + 25 if incompat else length + 12
             plain = buffer[at + 3] == 0
         else:
-            if end - at < 6:
+            if end - at < HEADER_V1_BYTES:
                 return None, NEED_MORE
             length, seq, sysid, compid, msgid = buffer[at + 1 : at + 6]
+            info = self._messages.get(msgid)
+            if info is not None and not info.min_length <= length <= info.length:
+                return None, NOT_A_FRAME  # up to info.length, as pymavlink sends extensions in MAVLink 1 too
             crc_at = at + 6 + length
             size = length + 8
             plain = True
-        info = self._messages.get(msgid)
         source = sysid << 8 | compid
-        if info is None and (not plain or source not in self.verified):
-            if count:
-                self.stats.unverified += 1
-            return (
-                None,
-                NOT_A_FRAME,
-            )  # at once: an unverified unknown never makes good frames wait for its length
+        if info is None:
+            if not plain or source not in self.verified:
+                self.stats.unverified += count
+                return None, NOT_A_FRAME  # at once: it never makes good frames wait for its length
+            if at + size > end:
+                return None, NEED_MORE
+            return self._unknown_at(buffer, at, size, end, (seq, sysid, compid, msgid), final=final, count=count)
         if at + size > end:
             return None, NEED_MORE
-        if info is None:
-            return self._unknown_at(buffer, at, size, end, (seq, sysid, compid, msgid), count)
         crc = mcrf4xx(buffer[at + 1 : crc_at] + info.crc_extra_byte)
         if buffer[crc_at] == crc & 0xFF and buffer[crc_at + 1] == crc >> 8:
             if count:
@@ -159,20 +179,54 @@ class FrameParser:
                 if source not in self.verified and len(self.verified) < MAX_VERIFIED_SOURCES:
                     self.verified.add(source)
             return Frame(buffer[at : at + size], seq, sysid, compid, msgid, info), size
-        if count:
-            self.stats.bad_crc += 1
         if self._pass_bad_crc and plain and source in self.verified:
-            return self._unknown_at(buffer, at, size, end, (seq, sysid, compid, msgid), False)
+            header = (seq, sysid, compid, msgid)
+            frame, step = self._unknown_at(buffer, at, size, end, header, final=final, count=False)
+            if step != NEED_MORE:
+                self.stats.bad_crc += count
+            return frame, step
+        self.stats.bad_crc += count
         return None, NOT_A_FRAME
 
     def _unknown_at(
-        self, buffer: bytes, at: int, size: int, end: int, header: tuple[int, int, int, int], count: bool
+        self,
+        buffer: bytes,
+        at: int,
+        size: int,
+        end: int,
+        header: tuple[int, int, int, int],
+        *,
+        final: bool,
+        count: bool,
     ) -> tuple[Frame | None, int]:
-        """A frame that no CRC can vouch for: it must at least end where the next one begins, or the data ends."""
+        """A complete frame that no CRC can vouch for: see the rules above."""
         after = at + size
-        if after < end and buffer[after] != MAGIC_V2 and buffer[after] != MAGIC_V1:
+        raw = buffer[at:after]
+        if after == end and not final:
+            return None, NEED_MORE
+        if after < end and buffer[after] not in (MAGIC_V1, MAGIC_V2):
             return None, NOT_A_FRAME
-        if count:
-            self.stats.unknown += 1
+        if self._good_from(raw, 1) >= 0 and not _some_extra_fits(raw):
+            return None, NOT_A_FRAME  # a false start would swallow the good one; an intact tunnel may carry it
+        self.stats.unknown += count
         seq, sysid, compid, msgid = header
-        return Frame(buffer[at:after], seq, sysid, compid, msgid, None), size
+        return Frame(raw, seq, sysid, compid, msgid, None), size
+
+    def _good_from(self, buffer: bytes, at: int) -> int:
+        """Where the first complete frame of a right CRC stands, from ``at`` on; -1 if there is none."""
+        for found in _MAGIC.finditer(buffer, at):
+            start = found.start()
+            size = frame_size(buffer, start)
+            if size and start + size <= len(buffer):
+                _, verdict = check(buffer[start : start + size], self._messages)
+                if verdict == "ok":
+                    return start
+        return -1
+
+
+def _some_extra_fits(raw: bytes) -> bool:
+    """Whether any CRC_EXTRA makes the CRC of this frame right: true for every intact frame, for 1 of 256 others."""
+    crc_at = raw[1] + (HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES)
+    before_extra = mcrf4xx(raw[1:crc_at])
+    sent = raw[crc_at] | raw[crc_at + 1] << 8
+    return (sent ^ before_extra >> 8) in _LAST_STEPS
