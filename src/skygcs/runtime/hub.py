@@ -1,0 +1,267 @@
+"""Where every frame passes: link -> router -> links, recorder, vehicles. Synchronous, in that order, no queue between.
+
+The hub is the links' host. It owns the table of open channels and our own outgoing messages; what a frame means for
+routing is decided in `core.routing`, what it means for a vehicle in the fleet.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any
+
+from skygcs.config.models import FleetConfig, LinkConfig, MessageName
+from skygcs.core.airtime import Priority
+from skygcs.core.filters import ChannelPolicy, MessageFilter
+from skygcs.core.linkstats import SourceStats
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.routing import RouteNote, Router, Verdict
+from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, OwnMessage
+
+FrameTap = Callable[[Frame, Channel, float], None]
+
+OTHER_SOURCES = -1
+"""Key under which one channel's further sources are counted together once its table is full."""
+
+_DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN)
+
+
+def channel_policy(config: LinkConfig, dialect: Dialect) -> ChannelPolicy:
+    """The routing policy of a link's channels. Raises KeyError for a message name the dialect does not have."""
+
+    def msgids(names: tuple[MessageName, ...]) -> frozenset[int]:
+        return frozenset(dialect.find(n).msgid if isinstance(n, str) else n for n in names)
+
+    def rates(named: Mapping[str, float]) -> dict[int, float]:
+        return {dialect.find(n).msgid: hz for n, hz in named.items() if n != "*"}
+
+    unknown = config.forward_unknown
+    return ChannelPolicy(
+        role=config.role,
+        group=config.group,
+        forward_unknown=config.role != "radio" if unknown is None else unknown,
+        filter_in=MessageFilter(
+            msgids(config.allow_msg_id_in),
+            msgids(config.block_msg_id_in),
+            frozenset(config.allow_src_sys_in),
+            frozenset(config.block_src_sys_in),
+            frozenset(config.allow_src_comp_in),
+            frozenset(config.block_src_comp_in),
+        ),
+        filter_out=MessageFilter(
+            msgids(config.allow_msg_id_out),
+            msgids(config.block_msg_id_out),
+            frozenset(config.allow_src_sys_out),
+            frozenset(config.block_src_sys_out),
+            frozenset(config.allow_src_comp_out),
+            frozenset(config.block_src_comp_out),
+        ),
+        rates_in=rates(config.rate_in.messages),
+        rates_out=rates(config.rate_out.messages),
+        default_hz_in=config.rate_in.messages.get("*"),
+        default_hz_out=config.rate_out.messages.get("*"),
+        bytes_per_s_in=config.rate_in.bytes_per_s,
+        bytes_per_s_out=config.rate_out.bytes_per_s,
+    )
+
+
+class Hub:
+    """The links' host.
+
+    ``on_vehicle_frame(key, frame, channel label, now)`` gets every accepted frame (key is sysid<<8|compid);
+    ``record(raw, unix_us)`` gets every accepted frame and every message of ours; ``on_note`` gets route changes;
+    ``on_fault`` gets the first of each kind of unexpected exception behind a frame.
+    """
+
+    def __init__(
+        self,
+        config: FleetConfig,
+        dialect: Dialect,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        on_vehicle_frame: Callable[[int, Frame, str, float], None],
+        record: Callable[[bytes, int], None] | None,
+        on_note: Callable[[RouteNote, Channel | None], None],
+        on_fault: Callable[[str], None],
+    ) -> None:
+        own = config.daemon
+        self.router = Router(own.sysid, own.compid, route_timeout_s=own.route_timeout_s)
+        self.channels: dict[int, Channel] = {}
+        self.faults = 0
+        self._config = config
+        self._dialect = dialect
+        self._loop = loop
+        self._own = (own.sysid, own.compid)
+        self._on_vehicle_frame = on_vehicle_frame
+        self._record = record
+        self._on_note = on_note
+        self._on_fault = on_fault
+        self._fault_kinds: set[str] = set()
+        self._next_id = 1
+        self._taps: list[tuple[set[int] | None, set[int] | None, FrameTap]] = []
+
+    # -- what links call
+
+    def new_parser(self, config: LinkConfig) -> FrameParser:
+        """A parser for one channel."""
+        return FrameParser(self._dialect, pass_bad_crc=self._config.daemon.bad_crc == "pass")
+
+    def attach(self, channel: Channel) -> None:
+        """The channel may be routed to from now on; gives it its id."""
+        channel.id = self._next_id
+        self._next_id += 1
+        self.channels[channel.id] = channel
+        self.router.open(channel.id, channel_policy(channel.config, self._dialect))
+
+    def detach(self, channel: Channel, reason: str) -> None:
+        """The channel is gone, with its routes. Idempotent."""
+        if self.channels.pop(channel.id, None) is not None:
+            self.router.close(channel.id)
+
+    def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
+        """The way of every frame. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""
+        if channel.id not in self.channels:
+            return  # a callback that was under way when the channel closed
+        decide = self.router.decide
+        channels = self.channels
+        channel_id = channel.id
+        sources = channel.sources
+        unix_us = time.time_ns() // 1000
+        label = channel.link.name
+        channel.last_rx_at = now
+        for frame in frames:
+            raw = frame.raw
+            size = len(raw)
+            key = frame.sysid << 8 | frame.compid
+            channel.rx_frames += 1
+            channel.rx_bytes += size
+            stats = sources.get(key)
+            if stats is None:
+                stats = self._new_source(channel, key, frame)
+            stats.on_frame(frame.seq, size, now)
+            try:
+                decision = decide(channel_id, frame, now)
+                for destination in decision.destinations:
+                    channels[destination].send(raw)
+                if decision.verdict in _DROPPED:
+                    continue
+                if self._record is not None:
+                    self._record(raw, unix_us)
+                if frame.info is not None:
+                    self._on_vehicle_frame(key, frame, label, now)
+                if self._taps:
+                    self._tap(frame, channel, key, now)
+            except Exception as error:
+                self._fault(error)
+        if self.router.notes:
+            self._drain_notes()
+
+    def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
+        """A message of ours was written; recorded once however many channels it goes to."""
+        if self._record is not None and not message.recorded:
+            message.recorded = True
+            self._record(raw, time.time_ns() // 1000)
+
+    # -- our own messages
+
+    def send(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        key: Hashable | None = None,
+    ) -> bool:
+        """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
+
+        False if nobody by that id was heard lately or every link refused. Raises ValueError as `pack` does.
+        """
+        message = OwnMessage(info, info.pack(values), *self._own)
+        ids = self.router.route_own(sysid, compid, self._loop.time(), everywhere=priority is Priority.EMERGENCY)
+        if sysid == 0:
+            ids = tuple(i for i in ids if self.channels[i].config.role != "gcs")
+        return self._send_on(ids, message, priority, key)
+
+    def send_heartbeat(self, info: MessageInfo, values: Mapping[str, Any]) -> None:
+        """Our heartbeat, on every channel whatever its role."""
+        message = OwnMessage(info, info.pack(values), *self._own)
+        self._send_on(tuple(self.channels), message, Priority.HEARTBEAT, "heartbeat")
+
+    def send_on_link(self, link: str, info: MessageInfo, values: Mapping[str, Any]) -> bool:
+        """A message of ours to every channel of one link, by a person's order."""
+        message = OwnMessage(info, info.pack(values), *self._own)
+        ids = tuple(c.id for c in self.channels.values() if c.link.name == link)
+        return self._send_on(ids, message, Priority.COMMAND, None)
+
+    def _send_on(self, ids: tuple[int, ...], message: OwnMessage, priority: Priority, key: Hashable | None) -> bool:
+        sent = False
+        for channel_id in ids:
+            channel = self.channels.get(channel_id)
+            if channel is not None:
+                sent |= channel.send(message, priority, key)
+        return sent
+
+    # -- watchers
+
+    def add_tap(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameTap) -> Callable[[], None]:
+        """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
+        entry = (msgids, keys, tap)
+        self._taps.append(entry)
+
+        def remove() -> None:
+            if entry in self._taps:
+                self._taps.remove(entry)
+
+        return remove
+
+    def _tap(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
+        for msgids, keys, tap in tuple(self._taps):
+            if (msgids is None or frame.msgid in msgids) and (keys is None or key in keys):
+                tap(frame, channel, now)
+
+    # -- once a second
+
+    def tick(self, now: float) -> None:
+        """Expire routes and sample rates."""
+        self.router.expire(now)
+        if self.router.notes:
+            self._drain_notes()
+        for channel in self.channels.values():
+            for stats in channel.sources.values():
+                stats.sample(now)
+
+    def restart_source(self, key: int) -> None:
+        """A system rebooted: its sequence numbers start anew on every channel."""
+        for channel in self.channels.values():
+            stats = channel.sources.get(key)
+            if stats is not None:
+                stats.restart()
+
+    def _new_source(self, channel: Channel, key: int, frame: Frame) -> SourceStats:
+        if len(channel.sources) >= MAX_SOURCES_PER_CHANNEL:
+            key = OTHER_SOURCES
+            known = channel.sources.get(key)
+            if known is not None:
+                return known
+        stats = channel.sources[key] = SourceStats(frame.sysid, frame.compid)
+        if key == OTHER_SOURCES:
+            stats.counts_loss = False
+        return stats
+
+    def _drain_notes(self) -> None:
+        notes = self.router.notes
+        while notes:
+            note = notes.popleft()
+            self._on_note(note, self.channels.get(note.channel_id))
+
+    def _fault(self, error: Exception) -> None:
+        """An exception behind a frame is our bug: counted, told once per kind, never into the loop."""
+        self.faults += 1
+        kind = f"{type(error).__name__}: {error}"[:200]
+        if kind not in self._fault_kinds and len(self._fault_kinds) < 64:
+            self._fault_kinds.add(kind)
+            self._on_fault(kind)
