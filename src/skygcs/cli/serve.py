@@ -1,0 +1,224 @@
+"""`skygcs`: the daemon, the demo, the simulated fleet and the file check.
+
+argparse and late imports on purpose: a daemon that is restarted in flight should forward its first frame within half
+a second, and typer with rich would cost a third of that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from skygcs import __version__
+from skygcs.errors import SkygcsError
+
+if TYPE_CHECKING:
+    from skygcs.daemon import Daemon
+
+EXIT_OK = 0
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point of `skygcs`. Exits 0 done, 1 failed (one line on stderr says why), 2 usage."""
+    args = _parser().parse_args(argv)
+    try:
+        code = args.run(args)
+    except SkygcsError as error:
+        print(f"skygcs: {error}", file=sys.stderr)
+        code = EXIT_FAILED
+    except KeyboardInterrupt:
+        code = EXIT_OK
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = EXIT_FAILED
+    sys.exit(code)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="skygcs",
+        description="Ground-control daemon for fleets of MAVLink vehicles. Talk to it with skygcs-cli.",
+    )
+    parser.add_argument("--version", action="version", version=f"skygcs {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="run the daemon with a fleet file")
+    run.add_argument("file", type=Path, metavar="FLEET.toml")
+    run.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the file's or the default one")
+    run.add_argument("--log-dir", type=Path, help="where tlogs go instead of the file's daemon.log_dir")
+    run.add_argument("-v", "--verbose", action="store_true", help="log routes, commands and status texts too")
+    run.add_argument("-q", "--quiet", action="store_true", help="log warnings and errors only")
+    run.set_defaults(run=_run)
+
+    check = commands.add_parser("check", help="check a fleet file and say everything that is wrong with it")
+    check.add_argument("file", type=Path, metavar="FLEET.toml")
+    check.set_defaults(run=_check)
+
+    demo = commands.add_parser("demo", help="fly three simulated vehicles; needs no hardware and no file")
+    demo.add_argument("--stay", action="store_true", help="keep daemon and vehicles up for skygcs-cli; Ctrl-C ends it")
+    demo.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the default one")
+    demo.add_argument("--log-dir", type=Path, default=Path("logs"), help="where the tlog goes (default: logs)")
+    demo.set_defaults(run=_demo)
+
+    sim = commands.add_parser("sim", help="run simulated vehicles as a process of their own")
+    sim.add_argument("--px4", type=int, default=1, metavar="N", help="number of PX4 quadrotors (default 1)")
+    sim.add_argument("--ardupilot", type=int, default=1, metavar="N", help="number of ArduCopters (default 1)")
+    sim.add_argument("--first-sysid", type=int, default=1, metavar="ID")
+    where = sim.add_mutually_exclusive_group()
+    where.add_argument("--udp", metavar="HOST:PORT", help="send to this address (default 127.0.0.1:14550)")
+    where.add_argument("--tcp", metavar="HOST:PORT", help="listen there; every connection hears all vehicles")
+    where.add_argument("--pty", metavar="PATH", help="a pseudo-terminal, like a radio with all vehicles behind it")
+    sim.add_argument("--separate-ports", action="store_true", help="with --udp: one socket per vehicle")
+    sim.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL")
+    sim.add_argument("--seed", type=int, default=1)
+    sim.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second")
+    sim.set_defaults(run=_sim)
+    return parser
+
+
+def _run(args: argparse.Namespace) -> int:
+    from skygcs.config.dialects import load_dialect
+    from skygcs.config.loader import load_fleet
+
+    config = load_fleet(args.file)
+    changes = {"socket": args.socket, "log_dir": args.log_dir}
+    own = config.daemon.model_copy(update={k: v for k, v in changes.items() if v is not None})
+    config = config.model_copy(update={"daemon": own})
+    dialect = load_dialect(config.dialect, base_dir=args.file.resolve().parent)
+    configure_logging(verbose=args.verbose, quiet=args.quiet)
+
+    async def serve() -> int:
+        from skygcs.daemon import Daemon
+
+        daemon = Daemon(config, dialect, source=str(args.file.resolve()))
+        await serve_until_signal(daemon)
+        return EXIT_OK
+
+    return run_loop(serve())
+
+
+async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None = None) -> None:
+    """Run the daemon until SIGINT or SIGTERM; tells a service manager (sd_notify) when it is up and when it stops."""
+    import structlog
+
+    log = structlog.get_logger("skygcs")
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, daemon.stop)
+
+    async def announce() -> None:
+        await daemon.ready.wait()
+        _notify_service_manager("READY=1")
+        log.info(
+            "skygcs is up",
+            socket=str(daemon.socket_path),
+            links=", ".join(daemon.config.links) or "none",
+            sysid=daemon.config.daemon.sysid,
+            compid=daemon.config.daemon.compid,
+        )
+        if on_ready is not None:
+            on_ready()
+
+    announcing = asyncio.create_task(announce(), name="announce")
+    try:
+        await daemon.run()
+    finally:
+        announcing.cancel()
+        _notify_service_manager("STOPPING=1")
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.remove_signal_handler(number)
+    log.info("skygcs has stopped")
+
+
+def _notify_service_manager(state: str) -> None:
+    """systemd's sd_notify(3) protocol; nothing happens where there is no $NOTIFY_SOCKET."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    if address.startswith("@"):
+        address = "\0" + address[1:]
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notify:
+        notify.sendto(state.encode(), address)
+
+
+def run_loop(main_coroutine: Coroutine[Any, Any, int]) -> int:
+    """Run on uvloop where it is installed. The first SkygcsError of a task group is raised as itself."""
+    try:
+        import uvloop
+
+        factory: Callable[[], asyncio.AbstractEventLoop] | None = uvloop.new_event_loop
+    except ImportError:
+        factory = None
+    try:
+        with asyncio.Runner(loop_factory=factory) as runner:
+            return runner.run(main_coroutine)
+    except BaseExceptionGroup as group:
+        ours = group.subgroup(SkygcsError)
+        if ours is None:
+            raise
+        while isinstance(ours, BaseExceptionGroup):
+            ours = ours.exceptions[0]
+        raise ours from None
+
+
+def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
+    """One line per change of state on stderr: coloured on a terminal, key=value elsewhere."""
+    import structlog
+
+    level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
+    tty = sys.stderr.isatty()
+    renderer: Any = structlog.dev.ConsoleRenderer(colors=tty, pad_event_to=0)
+    structlog.configure(
+        processors=[
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="%H:%M:%S" if tty else "iso", utc=not tty),
+            renderer,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(level),
+        logger_factory=structlog.PrintLoggerFactory(file=sys.stderr),
+        cache_logger_on_first_use=False,
+    )
+
+
+def _check(args: argparse.Namespace) -> int:
+    from skygcs.cli.check import check
+
+    return check(args.file)
+
+
+def _demo(args: argparse.Namespace) -> int:
+    from skygcs.cli.demo import demo
+
+    configure_logging(quiet=True)
+    return run_loop(demo(stay=args.stay, socket=args.socket, log_dir=args.log_dir))
+
+
+def _sim(args: argparse.Namespace) -> int:
+    from skygcs.cli.sim import run_sim
+
+    udp = args.udp
+    if udp is None and args.tcp is None and args.pty is None:
+        udp = "127.0.0.1:14550"
+    return run_sim(
+        px4=args.px4,
+        ardupilot=args.ardupilot,
+        first_sysid=args.first_sysid,
+        udp=udp,
+        tcp=args.tcp,
+        pty=args.pty,
+        separate_ports=args.separate_ports,
+        home=args.home,
+        seed=args.seed,
+        speedup=args.speedup,
+    )
