@@ -8,6 +8,7 @@ some 20 ms where importing pymavlink's generated `all` module takes over 300 ms.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import hashlib
 import io
 import json
@@ -101,7 +102,9 @@ def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
         if path.is_file():
             return path
     known = sorted({p.stem for d in (shipped_dialects_dir(), packaged_dialects_dir()) for p in d.glob("*.xml")})
-    raise DialectError(name_or_path, None, "no dialect of this name; known: " + ", ".join(known))
+    near = difflib.get_close_matches(name_or_path, known, n=1)
+    hint = f"; did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
+    raise DialectError(name_or_path, None, "no dialect of this name" + hint)
 
 
 def _collect(roots: list[Path]) -> list[tuple[Path, bytes]]:

@@ -12,6 +12,8 @@ Compid = Annotated[int, Field(ge=1, le=255)]
 Port = Annotated[int, Field(ge=0, le=65535)]
 Role = Literal["peer", "gcs", "vehicle", "radio"]
 Autopilot = Literal["px4", "ardupilot"]
+Baud = Annotated[int, Field(ge=50, le=20_000_000)]
+SourceId = Annotated[int, Field(ge=0, le=255)]
 MessageName = str | int
 """A message of the dialect, by name or id."""
 
@@ -23,7 +25,7 @@ OWN_COMPID = 25
 
 
 class Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class DaemonConfig(Model):
@@ -78,14 +80,14 @@ class LinkCommon(Model):
     block_msg_id_in: tuple[MessageName, ...] = ()
     allow_msg_id_out: tuple[MessageName, ...] = ()
     block_msg_id_out: tuple[MessageName, ...] = ()
-    allow_src_sys_in: tuple[int, ...] = ()
-    block_src_sys_in: tuple[int, ...] = ()
-    allow_src_sys_out: tuple[int, ...] = ()
-    block_src_sys_out: tuple[int, ...] = ()
-    allow_src_comp_in: tuple[int, ...] = ()
-    block_src_comp_in: tuple[int, ...] = ()
-    allow_src_comp_out: tuple[int, ...] = ()
-    block_src_comp_out: tuple[int, ...] = ()
+    allow_src_sys_in: tuple[SourceId, ...] = ()
+    block_src_sys_in: tuple[SourceId, ...] = ()
+    allow_src_sys_out: tuple[SourceId, ...] = ()
+    block_src_sys_out: tuple[SourceId, ...] = ()
+    allow_src_comp_in: tuple[SourceId, ...] = ()
+    block_src_comp_in: tuple[SourceId, ...] = ()
+    allow_src_comp_out: tuple[SourceId, ...] = ()
+    block_src_comp_out: tuple[SourceId, ...] = ()
     rate_in: RateLimits = RateLimits()
     rate_out: RateLimits = RateLimits()
 
@@ -94,8 +96,8 @@ class SerialLink(LinkCommon):
     """A serial port: a radio, a telemetry cable, a pty."""
 
     type: Literal["serial"] = "serial"
-    device: str
-    baud: int | tuple[int, ...] = 57600
+    device: Annotated[str, Field(min_length=1)]
+    baud: Baud | Annotated[tuple[Baud, ...], Field(min_length=1)] = 57600
     """One rate, or several to try in turn until frames come."""
     rtscts: bool = False
     low_latency: bool = True
@@ -241,12 +243,10 @@ class FleetConfig(Model):
     types: dict[str, VehicleSettings] = Field(default_factory=dict)
     vehicles: dict[str, VehicleEntry] = Field(default_factory=dict)
 
-    @field_validator("links", mode="before")
+    @field_validator("links")
     @classmethod
-    def _name_links(cls, links: Any) -> Any:
-        if not isinstance(links, dict):
-            return links
-        return {k: {**v, "name": k} if isinstance(v, dict) else v for k, v in links.items()}
+    def _name_links(cls, links: dict[str, LinkConfig]) -> dict[str, LinkConfig]:
+        return {name: link.model_copy(update={"name": name}) for name, link in links.items()}
 
     @model_validator(mode="after")
     def _tcp_needs_token(self) -> FleetConfig:

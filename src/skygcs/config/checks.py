@@ -1,0 +1,228 @@
+"""What pydantic cannot see in a fleet file: keys that are each right and do not go together."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+from skygcs.config.keylines import KeyPath
+from skygcs.config.models import (
+    FleetConfig,
+    LinkConfig,
+    SerialLink,
+    SimulatedLink,
+    TcpClientLink,
+    TcpServerLink,
+    UdpBroadcastLink,
+    UdpClientLink,
+    UdpServerLink,
+    VehicleSettings,
+)
+from skygcs.core.mavlink.dialect import Dialect
+
+MAX_SOCKET_PATH_BYTES = 107
+"""sun_path holds 108 bytes with the final zero (Linux, unix(7))."""
+
+MAX_SYSID = 255
+MAX_MSGID = 0xFFFFFF
+
+_WILDCARDS = frozenset({"", "0.0.0.0", "::"})
+_LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing wrong with a fleet file. ``missing``: the key at ``path`` should be there and is not."""
+
+    path: KeyPath
+    text: str
+    missing: bool = False
+
+
+def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Problem]:
+    """Every conflict between keys. ``wrong`` are keys whose own values were refused: nothing is claimed about them."""
+    problems = [*_vehicle_names(config), *_vehicle_sysids(config), *_vehicle_types(config)]
+    if ("daemon", "sysid") not in wrong:
+        problems += _own_sysid(config)
+    problems += _simulated(config)
+    active = {name: link for name, link in config.links.items() if link.enabled}
+    problems += _shared_places(config, active)
+    problems += _own_places(active)
+    problems += _contradicting_filters(config.links)
+    socket = config.daemon.socket
+    if socket is not None and len(os.fsencode(socket)) > MAX_SOCKET_PATH_BYTES:
+        problems.append(
+            Problem(
+                ("daemon", "socket"), f"is longer than the {MAX_SOCKET_PATH_BYTES} bytes a Unix socket's path may have"
+            )
+        )
+    return problems
+
+
+def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[Problem]:
+    """Messages in filters and rate limits that the dialect does not have. An id it does not have is allowed: that is
+    how an unknown message is filtered."""
+    problems: list[Problem] = []
+    for name, link in links.items():
+        for key in ("allow_msg_id_in", "block_msg_id_in", "allow_msg_id_out", "block_msg_id_out"):
+            for index, message in enumerate(getattr(link, key)):
+                if text := _message_problem(message, dialect):
+                    problems.append(Problem(("links", name, key, index), text))
+        for key in ("rate_in", "rate_out"):
+            for message in getattr(link, key).messages:
+                if message != "*" and (text := _message_problem(message, dialect)):
+                    problems.append(Problem(("links", name, key, "messages", message), text))
+    return problems
+
+
+def _message_problem(message: str | int, dialect: Dialect) -> str | None:
+    if isinstance(message, int) or message.isdecimal():
+        return None if 0 <= int(message) <= MAX_MSGID else f"{message} is no message id (0 to {MAX_MSGID})"
+    try:
+        dialect.find(message)
+    except KeyError:
+        near = difflib.get_close_matches(message.upper(), dialect.by_name, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        return f"the dialect has no message {message}{hint}"
+    return None
+
+
+def _vehicle_names(config: FleetConfig) -> Iterator[Problem]:
+    groups = {group for vehicle in config.vehicle_configs() for group in vehicle.groups}
+    for name, entry in config.vehicles.items():
+        path: KeyPath = ("vehicles", name)
+        if text := _name_problem(name):
+            yield Problem(path, f"the name {name!r} {text}")
+        elif name in groups:
+            yield Problem(path, f"{name!r} is the name of a vehicle and of a group; orders to it would be ambiguous")
+        elif re.fullmatch(r"v[0-9]+", name) and int(name[1:]) != entry.sysid:
+            yield Problem(path, f"the name {name!r} is what a vehicle {name[1:]} is called that has no name of its own")
+    for path, group in _group_keys(config):
+        if text := _name_problem(group):
+            yield Problem(path, f"the group name {group!r} {text}")
+
+
+def _name_problem(name: str) -> str | None:
+    """Names and groups are targets: "1,3", "2-5" and "all" mean something else there."""
+    if not name.strip():
+        return "is empty"
+    if name.lower() == "all":
+        return "means every vehicle"
+    if name.isdecimal():
+        return "looks like a system id"
+    if bad := re.search(r"[,\-\s]", name):
+        what = {",": "a comma separates targets", "-": "2-5 is a range of system ids"}
+        return f"contains {bad.group()!r}: {what.get(bad.group(), 'a target has no blanks')}; use _ instead"
+    return None
+
+
+def _group_keys(config: FleetConfig) -> Iterator[tuple[KeyPath, str]]:
+    sections: list[tuple[KeyPath, VehicleSettings]] = [(("defaults",), config.defaults)]
+    sections += [(("types", name), settings) for name, settings in config.types.items()]
+    sections += [(("vehicles", name), entry) for name, entry in config.vehicles.items()]
+    for path, settings in sections:
+        groups = (settings.group,) if isinstance(settings.group, str) else settings.group or ()
+        for group in groups:
+            yield (*path, "group"), group
+
+
+def _vehicle_sysids(config: FleetConfig) -> Iterator[Problem]:
+    first: dict[int, str] = {}
+    for name, entry in config.vehicles.items():
+        if entry.sysid in first:
+            text = f"{entry.sysid} is already the system id of {first[entry.sysid]}: two vehicles of one id are one"
+            yield Problem(("vehicles", name, "sysid"), text)
+        else:
+            first[entry.sysid] = name
+
+
+def _vehicle_types(config: FleetConfig) -> Iterator[Problem]:
+    for name, entry in config.vehicles.items():
+        if entry.type is not None and entry.type not in config.types:
+            near = difflib.get_close_matches(entry.type, config.types, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            yield Problem(("vehicles", name, "type"), f"there is no [types.{entry.type}]{hint}")
+
+
+def _own_sysid(config: FleetConfig) -> Iterator[Problem]:
+    for name, entry in config.vehicles.items():
+        if entry.sysid == config.daemon.sysid:
+            text = f"{entry.sysid} is skygcs's own system id (daemon.sysid)"
+            yield Problem(("vehicles", name, "sysid"), text)
+
+
+def _simulated(config: FleetConfig) -> Iterator[Problem]:
+    taken: dict[int, str] = {}
+    for name, link in config.links.items():
+        if not isinstance(link, SimulatedLink) or not link.enabled:
+            continue
+        sysids = range(link.first_sysid, link.first_sysid + link.px4 + link.ardupilot)
+        path = ("links", name, "first_sysid")
+        if sysids and sysids[-1] > MAX_SYSID:
+            yield Problem(path, f"{len(sysids)} vehicles from {sysids[0]} on need system ids above {MAX_SYSID}")
+        elif config.daemon.sysid in sysids:
+            yield Problem(path, f"{config.daemon.sysid} would be a simulated vehicle and is skygcs's own system id")
+        elif clash := next((s for s in sysids if s in taken), None):
+            yield Problem(path, f"{clash} is also a vehicle of the simulated link {taken[clash]}")
+        taken.update(dict.fromkeys(sysids, name))
+
+
+def _places(link: LinkConfig) -> list[tuple[str, str, int | str]]:
+    """(kind, host, port or device) that a link occupies or talks to; port 0 is any free one and never clashes."""
+    match link:
+        case SerialLink():
+            return [("serial", "", os.path.realpath(link.device))]
+        case UdpServerLink():
+            return [("udp", link.host, link.port)] if link.port else []
+        case TcpServerLink():
+            return [("tcp", link.host, link.port)] if link.port else []
+        case UdpClientLink() | UdpBroadcastLink():
+            local = [("udp", "0.0.0.0", link.local_port)] if link.local_port else []
+            return [("udp to", link.host, link.port), *local]
+        case TcpClientLink():
+            return [("tcp to", link.host, link.port)]
+    return []
+
+
+def _shared_places(config: FleetConfig, links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
+    """Two links on one device or port."""
+    occupied = [(("links", name), place) for name, link in links.items() for place in _places(link)]
+    if config.daemon.tcp_port:
+        occupied.insert(0, (("daemon", "tcp_port"), ("tcp", "127.0.0.1", config.daemon.tcp_port)))
+    for (path_a, a), (path_b, b) in combinations(occupied, 2):
+        if a[0] == b[0] and a[2] == b[2] and path_a != path_b and _same_host(a[1], b[1]):
+            where = {"serial": "the device {2}", "udp": "UDP port {2}", "tcp": "TCP port {2}"}.get(a[0], "{1}:{2}")
+            yield Problem(path_b, f"{where.format(*b)} is already used by {'.'.join(path_a)}")
+
+
+def _same_host(a: str, b: str) -> bool:
+    return a == b or a in _WILDCARDS or b in _WILDCARDS or (a in _LOOPBACK and b in _LOOPBACK)
+
+
+def _own_places(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
+    """A link that talks to another link of the same daemon: every frame would go round."""
+    for name, link in links.items():
+        if isinstance(link, UdpClientLink | UdpBroadcastLink | TcpClientLink):
+            if not link.port:
+                yield Problem(("links", name, "port"), "0 is no port to send to")
+            kind = UdpServerLink if not isinstance(link, TcpClientLink) else TcpServerLink
+            heard = link.host in _LOOPBACK or isinstance(link, UdpBroadcastLink)
+            for other, server in links.items():
+                if heard and isinstance(server, kind) and server.port == link.port and link.port:
+                    yield Problem(
+                        ("links", name, "port"), f"{link.port} is our own link {other}: frames would go round"
+                    )
+
+
+def _contradicting_filters(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
+    for name, link in links.items():
+        for what in ("msg_id", "src_sys", "src_comp"):
+            for way in ("in", "out"):
+                allow, block = f"allow_{what}_{way}", f"block_{what}_{way}"
+                if getattr(link, allow) and getattr(link, block):
+                    text = f"stands beside {allow}, which already refuses all it does not name: keep one of them"
+                    yield Problem(("links", name, block), text)

@@ -1,0 +1,91 @@
+"""In which line of a TOML text each key stands: tomllib does not say, and a problem without its line is a search."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+KeyPath = tuple[str | int, ...]
+
+_TOKEN = re.compile(
+    r'"""|\'\'\''  # begin of a text over several lines
+    r'|"(?:[^"\\]|\\.)*"'
+    r"|'[^']*'"
+    r"|[\[\]{}]"
+    r"|\#.*"
+)
+
+
+def key_lines(text: str) -> dict[KeyPath, int]:
+    """Key path -> line (1-based) of every table header and key of a TOML text that tomllib has accepted.
+
+    Keys inside inline tables are not listed: `line_of` finds the line of the key that holds them.
+    """
+    lines: dict[KeyPath, int] = {}
+    table: KeyPath = ()
+    depth = 0
+    quote = ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not quote and not depth:
+            statement = line.strip()
+            if statement.startswith("["):
+                table = _header(statement)
+                lines.setdefault(table, number)
+                continue
+            key = _keys(statement.partition("#")[0]) if "=" in statement else ()
+            for length in range(1, len(key) + 1):
+                lines.setdefault(table + key[:length], number)
+        depth, quote = _continues(line, depth, quote)
+    return lines
+
+
+def line_of(path: KeyPath, lines: dict[KeyPath, int]) -> int | None:
+    """Line of that key, else of the nearest table or key around it; None for the whole file."""
+    for length in range(len(path), 0, -1):
+        if (line := lines.get(path[:length])) is not None:
+            return line
+    return None
+
+
+def _header(statement: str) -> KeyPath:
+    inner = statement.split("#")[0].strip() if '"' not in statement and "'" not in statement else statement
+    keys = _keys(inner.strip("[] \t") + " =")
+    return keys
+
+
+def _keys(statement: str) -> KeyPath:
+    """The dotted key in front of '=', by tomllib itself: quoted parts and escapes are its business."""
+    for end in [m.start() for m in re.finditer("=", statement)]:
+        try:
+            node: object = tomllib.loads(f"{statement[:end]} = 0")
+        except tomllib.TOMLDecodeError:
+            continue  # this '=' stands inside a quoted key
+        path: list[str | int] = []
+        while isinstance(node, dict):
+            key = next(iter(node))
+            path.append(key)
+            node = node[key]
+        return tuple(path)
+    return ()
+
+
+def _continues(line: str, depth: int, quote: str) -> tuple[int, str]:
+    """(open brackets, open quote of several lines) after this line."""
+    at = 0
+    while True:
+        if quote:
+            end = line.find(quote, at)
+            if end < 0:
+                return depth, quote
+            at, quote = end + len(quote), ""
+        found = _TOKEN.search(line, at)
+        if found is None:
+            return depth, ""
+        token = found.group()
+        at = found.end()
+        if token in ('"""', "'''"):
+            quote = token
+        elif token in "[{":
+            depth += 1
+        elif token in "]}":
+            depth = max(depth - 1, 0)

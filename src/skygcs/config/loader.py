@@ -1,0 +1,332 @@
+"""Reads a fleet file: TOML -> FleetConfig, or one ConfigError with every problem, its key and its line."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import json
+import re
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+
+from skygcs.config.checks import Problem, conflicts, message_problems
+from skygcs.config.dialects import load_dialect
+from skygcs.config.keylines import KeyPath, key_lines, line_of
+from skygcs.config.models import (
+    AnyLink,
+    DaemonConfig,
+    FleetConfig,
+    LinkCommon,
+    LinkConfig,
+    OriginConfig,
+    RateLimits,
+    ReplayLink,
+    VehicleEntry,
+    VehicleSettings,
+)
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.errors import ConfigError, DialectError
+
+_LINK_TYPES: dict[str, type[LinkCommon]] = {m.model_fields["type"].default: m for m in get_args(LinkConfig)}
+
+_EXPECTED = {
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "string_type": "text in quotes",
+    "path_type": "a path in quotes",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "dict_type": "a table",
+    "too_short": "a list of at least one",
+    "string_too_short": "text that is not empty",
+    "model_type": "a table",
+    "model_attributes_type": "a table",
+}
+"""pydantic's error type -> what was wanted, after "must be"."""
+
+_BOUNDS = {
+    "greater_than_equal": ("at least", "ge"),
+    "greater_than": ("more than", "gt"),
+    "less_than_equal": ("at most", "le"),
+    "less_than": ("less than", "lt"),
+}
+
+
+def load_fleet(path: Path | str) -> FleetConfig:
+    """The fleet file, checked as a whole, its relative paths resolved against its folder.
+
+    Raises ConfigError with every problem there is (a TOML syntax error hides the others).
+    """
+    path = Path(path)
+    text = _read(path)
+    table = _parse(path, text)
+    lines = key_lines(text)
+    config, problems, wrong = _validate(table)
+    if config is not None:
+        problems += conflicts(config, wrong)
+        config = _with_paths(config, path.parent.absolute())
+        try:
+            dialect = load_dialect(_listed(config.dialect))
+        except DialectError as error:
+            problems.append(Problem(("dialect",), str(error)))
+        else:
+            problems += message_problems(config.links, dialect)
+    if problems or config is None:
+        raise ConfigError(str(path), _shown(problems, lines))
+    return config
+
+
+def parse_link(name: str, table: dict[str, Any], dialect: Dialect | None = None) -> LinkConfig:
+    """One link as it would stand in [links.NAME], for links added at run time. Raises ConfigError as `load_fleet`."""
+    whole = {"links": {name: table}}
+    try:
+        link: LinkConfig = TypeAdapter(AnyLink).validate_json(_as_json({**table, "name": name}), strict=True)
+    except ValidationError as error:
+        found = [{**e, "loc": ("links", name, *e["loc"])} for e in error.errors(include_url=False)]
+        raise ConfigError(f"link {name}", _shown(_translated(found, whole), {})) from None  # type: ignore[arg-type]
+    if dialect is not None and (problems := message_problems({name: link}, dialect)):
+        raise ConfigError(f"link {name}", _shown(problems, {}))
+    return link
+
+
+def _listed(dialect: str | tuple[str, ...]) -> list[str]:
+    return [dialect] if isinstance(dialect, str) else list(dialect)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise ConfigError(str(path), ["no such file"]) from None
+    except IsADirectoryError:
+        raise ConfigError(str(path), ["is a folder, not a fleet file"]) from None
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(path), [f"is not UTF-8 text (byte {error.start})"]) from None
+
+
+def _parse(path: Path, text: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        what, _, where = str(error).partition(" (at ")
+        where = where.rstrip(")")
+        if where == "end of document":
+            where = f"line {max(len(text.splitlines()), 1)}, the end of the file"
+        raise ConfigError(str(path), [f"{where}: not TOML: {what}"]) from None
+    except RecursionError:
+        raise ConfigError(str(path), ["not a fleet file: nested too deeply"]) from None
+
+
+def _as_json(table: dict[str, Any]) -> str:
+    """JSON, because only there does pydantic's strict mode tell "57600" from 57600 and still make paths of text."""
+    return json.dumps(table, default=str)
+
+
+def _validate(table: dict[str, Any]) -> tuple[FleetConfig | None, list[Problem], set[KeyPath]]:
+    """(config, problems, key paths that were wrong). After problems the config is what remains without the wrong keys,
+    so that they do not hide the conflicts among the right ones; None if nothing usable remains."""
+    rest = copy.deepcopy(table)
+    problems: list[Problem] = _named_links(rest)
+    wrong: set[KeyPath] = {p.path for p in problems}
+    for attempt in range(8):
+        try:
+            return FleetConfig.model_validate_json(_as_json(rest), strict=True), problems, wrong
+        except ValidationError as error:
+            found = _translated(error.errors(include_url=False), rest)
+        problems += [p for p in found if attempt == 0 or not (p.missing or _mentions(p, wrong))]
+        for problem in found:
+            wrong.add(problem.path)
+            _remove(rest, problem.path[:-1] if problem.missing else problem.path)
+    return None, problems, wrong
+
+
+def _mentions(problem: Problem, wrong: set[KeyPath]) -> bool:
+    """Whether a problem is only there because a wrong key was taken away."""
+    return any(_key_text(path) in problem.text for path in wrong if path)
+
+
+def _named_links(table: dict[str, Any]) -> list[Problem]:
+    """A link's name is its table's name; a key "name" would be overwritten without a word."""
+    links = table.get("links")
+    named = [k for k, v in links.items() if isinstance(v, dict) and "name" in v] if isinstance(links, dict) else []
+    for link in named:
+        del table["links"][link]["name"]
+    return [Problem(("links", link, "name"), "a link's name is the name of its table") for link in named]
+
+
+def _remove(table: dict[str, Any], path: KeyPath) -> None:
+    node: Any = table
+    for part in path[:-1]:
+        if isinstance(part, int):
+            break
+        node = node.get(part) if isinstance(node, dict) else None
+    key = next((p for p in path if isinstance(p, int)), None)
+    if key is not None:  # a wrong item of a list: without the whole list nothing is claimed about its rest
+        _remove(table, path[: path.index(key)])
+    elif isinstance(node, dict):
+        node.pop(path[-1] if path else "", None)
+
+
+def _translated(errors: Iterable[ErrorDetails], table: dict[str, Any]) -> list[Problem]:
+    """pydantic's errors in a person's words, one problem per key."""
+    expected: dict[KeyPath, list[str]] = {}
+    given: dict[KeyPath, Any] = {}
+    problems: list[Problem] = []
+    for error in errors:
+        path = _key_path(error, table)
+        kind = error["type"]
+        if (wanted := _wanted(error)) is not None:
+            expected.setdefault(path, []).append(wanted)
+            given[path] = error["input"]
+        elif kind == "extra_forbidden":
+            problems.append(Problem(path, _unknown_key(path, table)))
+        elif kind == "missing":
+            problems.append(Problem(path, "is missing", missing=True))
+        elif kind == "value_error":
+            text = error["msg"].removeprefix("Value error, ")
+            named = re.match(r"([a-z_]+(?:\.[a-z_]+)*) ", text) if not path else None
+            if named:  # a check of several keys says itself which one it is about
+                problems.append(Problem(tuple(named.group(1).split(".")), text[named.end() :]))
+            else:
+                problems.append(Problem(path, text))
+        else:
+            problems.append(Problem(path, _link_type_problem(error) or error["msg"]))
+    deepest = set(expected) | {p.path for p in problems}
+    for path, wanted_list in expected.items():
+        if any(len(other) > len(path) and other[: len(path)] == path for other in deepest):
+            continue  # the other branch of a union says it more exactly
+        wanted = " or ".join(dict.fromkeys(wanted_list))
+        hint = _did_you_mean(str(given[path]), wanted.removeprefix("one of ").split(", ")) if "one of" in wanted else ""
+        problems.append(Problem(path, f"must be {wanted}, not {_quoted(given[path])}{hint}"))
+    return problems
+
+
+def _wanted(error: ErrorDetails) -> str | None:
+    kind = error["type"]
+    if kind in _EXPECTED:
+        return _EXPECTED[kind]
+    if kind in _BOUNDS:
+        words, key = _BOUNDS[kind]
+        return f"{words} {error['ctx'][key]:.10g}"
+    if kind == "literal_error":
+        allowed = re.findall(r"'([^']*)'", error["ctx"]["expected"])
+        return "one of " + ", ".join(allowed)
+    return None
+
+
+def _link_type_problem(error: ErrorDetails) -> str | None:
+    known = ", ".join(_LINK_TYPES)
+    if error["type"] == "union_tag_not_found":
+        return f"has no type; it must be one of {known}"
+    if error["type"] == "union_tag_invalid":
+        tag = str(error["ctx"]["tag"])
+        return f"type must be one of {known}, not {_quoted(tag)}" + _did_you_mean(tag, _LINK_TYPES)
+    return None
+
+
+def _key_path(error: ErrorDetails, table: dict[str, Any]) -> KeyPath:
+    """The key in the file. pydantic's own marks in the location (union branches, type tags) are no keys."""
+    node: Any = table
+    path: list[str | int] = []
+    for position, part in enumerate(error["loc"]):
+        last = position == len(error["loc"]) - 1
+        inside = isinstance(node, dict) and part in node
+        if inside or (isinstance(node, list) and isinstance(part, int) and part < len(node)):
+            path.append(part)
+            node = node[part]
+        elif last and error["type"] == "missing":
+            path.append(part)
+    return tuple(path)
+
+
+def _unknown_key(path: KeyPath, table: dict[str, Any]) -> str:
+    model = _model_at(path[:-1], table)
+    known = [k for k in model.model_fields if not (issubclass(model, LinkCommon) and k == "name")] if model else []
+    hint = _did_you_mean(str(path[-1]), known)
+    return "unknown key" + (hint or (f"; known here: {', '.join(known)}" if known else ""))
+
+
+def _did_you_mean(word: str, known: Iterable[str]) -> str:
+    """'; did you mean X?' if one is near; mavlink-router's AllowMsgIdIn is near allow_msg_id_in."""
+    plain = {re.sub("[^a-z0-9]", "", k.lower()): k for k in known}
+    near = difflib.get_close_matches(re.sub("[^a-z0-9]", "", word.lower()), plain, n=1, cutoff=0.6)
+    return f"; did you mean {plain[near[0]]}?" if near else ""
+
+
+def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
+    match path:
+        case ():
+            return FleetConfig
+        case ("daemon",):
+            return DaemonConfig
+        case ("origin",):
+            return OriginConfig
+        case ("defaults",) | ("types", _):
+            return VehicleSettings
+        case ("vehicles", _):
+            return VehicleEntry
+        case ("links", _, "rate_in" | "rate_out"):
+            return RateLimits
+        case ("links", name):
+            return _LINK_TYPES.get(str(table["links"][name].get("type")))
+    return None
+
+
+def _quoted(value: Any) -> str:
+    text = json.dumps(value, default=str, ensure_ascii=False)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def _with_paths(config: FleetConfig, folder: Path) -> FleetConfig:
+    """Every path absolute: relative ones begin at the fleet file's folder, ~ is the user's home."""
+
+    def absolute(path: Path) -> Path:
+        return folder / path.expanduser()
+
+    daemon = config.daemon
+    paths = {
+        key: absolute(value)
+        for key in ("socket", "token_file", "log_dir")
+        if (value := getattr(daemon, key)) is not None
+    }
+    links = {
+        name: link.model_copy(update={"file": absolute(link.file)}) if isinstance(link, ReplayLink) else link
+        for name, link in config.links.items()
+    }
+    dialect = tuple(
+        str(absolute(Path(name))) if "/" in name or name.endswith(".xml") else name for name in _listed(config.dialect)
+    )
+    update = {"daemon": daemon.model_copy(update=paths), "links": links, "dialect": dialect}
+    return config.model_copy(update=update)
+
+
+def _shown(problems: list[Problem], lines: dict[KeyPath, int]) -> list[str]:
+    """One line of text per problem, in the order of the file."""
+    placed = [(line_of(p.path, lines), p) for p in problems]
+    placed.sort(key=lambda pair: pair[0] or 0)
+    return [_key_text(p.path) + (f" (line {line})" if line else "") + f": {p.text}" for line, p in placed]
+
+
+def _key_text(path: KeyPath) -> str:
+    """links.radio.allow_msg_id_in[2]"""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            bare = re.fullmatch(r"[A-Za-z0-9_-]+", part) is not None
+            text += ("." if text else "") + (part if bare else json.dumps(part, ensure_ascii=False))
+    return text or "file"
