@@ -1,0 +1,25 @@
+"""Where daemon and clients meet when nobody says otherwise. Imported by both sides; imports next to nothing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+SOCKET_VARIABLE = "SKYGCS_SOCKET"
+TOKEN_FILE_VARIABLE = "SKYGCS_TOKEN_FILE"
+
+
+def default_socket_path() -> Path:
+    """$XDG_RUNTIME_DIR/skygcs.sock, else /tmp/skygcs-UID/skygcs.sock: private to the user either way."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime:
+        return Path(runtime) / "skygcs.sock"
+    return Path(f"/tmp/skygcs-{os.getuid()}") / "skygcs.sock"
+
+
+def client_address(address: str | os.PathLike[str] | None = None) -> str:
+    """What a client connects to: the argument, else $SKYGCS_SOCKET, else the default path.
+
+    A path, or ``tcp://HOST:PORT`` (a daemon with ``tcp_port``, usually through an SSH tunnel).
+    """
+    return os.fspath(address) if address else os.environ.get(SOCKET_VARIABLE) or str(default_socket_path())

@@ -1,0 +1,226 @@
+"""JSON-RPC 2.0 without I/O: one parsed request in, one encoded reply out. https://www.jsonrpc.org/specification
+
+Why not a library: docs/decisions/0002-json-rpc-dispatch.md.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import json
+from collections.abc import Callable, Coroutine, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import structlog
+from pydantic import ValidationError
+from pydantic_core import PydanticSerializationError, from_json, to_json
+
+from skygcs.errors import ConfigError, DialectError, LinkError, RefusedError, SkygcsError, TargetError
+from skygcs.rpc.models import Params
+
+PARSE_ERROR = -32700
+INVALID_REQUEST = -32600
+METHOD_NOT_FOUND = -32601
+INVALID_PARAMS = -32602
+INTERNAL_ERROR = -32603
+TARGET_ERROR = -32001
+REFUSED = -32002
+LINK_ERROR = -32003
+NOT_AUTHENTICATED = -32004
+LIMIT_EXCEEDED = -32005
+
+MAX_ECHO_CHARS = 80
+"""Of what a client sent, no more than this comes back in an error text."""
+
+_log = structlog.get_logger(__name__)
+C = TypeVar("C")
+
+
+class InvalidParams(SkygcsError):
+    """Parameters of the right types that still do not fit; ``problems`` is (parameter, what is wrong with it)."""
+
+    def __init__(self, *problems: tuple[str, str]) -> None:
+        self.problems = problems
+        super().__init__("; ".join(f"{p}: {text}" if p else text for p, text in problems))
+
+
+class LimitExceeded(SkygcsError):
+    """A client wants more than one client gets; the text names the limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method(Generic[C]):
+    """One method: its handler gets the session's context and checked parameters, and answers.
+
+    A handler that is a plain function runs at once, without a task; the first line of its docstring is the summary.
+    """
+
+    name: str
+    params: type[Params]
+    handler: Callable[[C, Any], Any]
+    result: Any = dict
+    errors: tuple[int, ...] = ()
+
+
+Reply = bytes | Coroutine[Any, Any, bytes] | None
+"""Encoded reply without newline; or a coroutine that makes it; or nothing to say (a notification that is done)."""
+
+
+class Dispatcher(Generic[C]):
+    """Finds the method, checks its parameters, runs it, encodes the reply. Never raises for what a client sent."""
+
+    def __init__(self, methods: Mapping[str, Method[C]]) -> None:
+        self._methods = methods
+        self._coroutines = frozenset(m.name for m in methods.values() if inspect.iscoroutinefunction(m.handler))
+
+    def start(self, context: C, request: object) -> Reply:
+        """Answer one request. A coroutine must be awaited or closed by the caller; its b"" is not to be sent."""
+        if type(request) is not dict:
+            return error_reply(None, INVALID_REQUEST, "a request is a JSON object")
+        request_id = request.get("id")
+        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+            return error_reply(None, INVALID_REQUEST, "id must be a string or a number")
+        name = request.get("method")
+        if request.get("jsonrpc") != "2.0" or type(name) is not str:
+            return error_reply(request_id, INVALID_REQUEST, 'a request has "jsonrpc": "2.0" and a method name')
+        notification = "id" not in request
+        try:
+            method = self._methods.get(name)
+            if method is None:
+                raise _MethodNotFound(name, self._methods)
+            params = _check(method.params, request.get("params"))
+            if name in self._coroutines:
+                return self._finish(method, context, params, request_id, notification)
+            result = method.handler(context, params)
+        except Exception as error:
+            return None if notification else failure_reply(request_id, name, error)
+        return None if notification else result_reply(request_id, name, result)
+
+    async def _finish(
+        self, method: Method[C], context: C, params: Params, request_id: object, notification: bool
+    ) -> bytes:
+        try:
+            result = await method.handler(context, params)
+        except Exception as error:
+            return b"" if notification else failure_reply(request_id, method.name, error)
+        return b"" if notification else result_reply(request_id, method.name, result)
+
+
+class _MethodNotFound(SkygcsError):
+    def __init__(self, name: str, known: Mapping[str, object]) -> None:
+        close = difflib.get_close_matches(name[:MAX_ECHO_CHARS], known, n=3)
+        hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists what there is"
+        super().__init__(f"no method {_clip(name)}{hint}")
+
+
+def parse(line: bytes) -> Any:
+    """The JSON value of one line. Raises ValueError with a text for a person (also for NaN and too deep nesting)."""
+    return from_json(line, allow_inf_nan=False, cache_strings="keys")
+
+
+def result_reply(request_id: object, name: str, result: object) -> bytes:
+    """NaN and Infinity, which JSON lacks, become null."""
+    try:
+        body = to_json(result, inf_nan_mode="null")
+    except PydanticSerializationError as error:
+        return failure_reply(request_id, name, error)
+    return b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode_id(request_id), body)
+
+
+def error_reply(request_id: object, code: int, message: str, data: object = None) -> bytes:
+    error: dict[str, object] = {"code": code, "message": message}
+    if data is not None:
+        error["data"] = data
+    # json escapes what is no valid Unicode (file names in error texts), where to_json gives up
+    body = json.dumps(error, default=str, separators=(",", ":")).encode()
+    return b'{"jsonrpc":"2.0","id":%b,"error":%b}' % (_encode_id(request_id), body)
+
+
+def failure_reply(request_id: object, name: str, error: Exception) -> bytes:
+    """The reply for an exception; one that nobody raised on purpose is logged here and answered without its text."""
+    match error:
+        case ValidationError():
+            return _params_reply(request_id, name, _problems(error))
+        case InvalidParams():
+            return _params_reply(request_id, name, list(error.problems))
+        case ConfigError():
+            return _params_reply(request_id, name, [("", problem) for problem in error.problems])
+        case DialectError():
+            return _params_reply(request_id, name, [("", str(error))])
+        case _MethodNotFound():
+            return error_reply(request_id, METHOD_NOT_FOUND, str(error))
+        case TargetError():
+            return error_reply(request_id, TARGET_ERROR, str(error))
+        case RefusedError():
+            return error_reply(request_id, REFUSED, str(error))
+        case LinkError():
+            return error_reply(request_id, LINK_ERROR, str(error))
+        case LimitExceeded():
+            return error_reply(request_id, LIMIT_EXCEEDED, str(error))
+    _log.error("rpc method failed", method=name, exc_info=error)
+    return error_reply(request_id, INTERNAL_ERROR, f"{_clip(name)} failed inside the daemon; its log says why")
+
+
+def _params_reply(request_id: object, name: str, problems: list[tuple[str, str]]) -> bytes:
+    text = "; ".join(f"{param}: {problem}" if param else problem for param, problem in problems[:10])
+    data = {"problems": [{"param": param, "problem": problem} for param, problem in problems]}
+    return error_reply(request_id, INVALID_PARAMS, f"{name}: {text}", data)
+
+
+def _check(model: type[Params], params: object) -> Params:
+    """Parameters by name, or by position in the declared order."""
+    if params is None:
+        params = {}
+    elif type(params) is list:
+        fields = list(model.model_fields)
+        if len(params) > len(fields):
+            raise InvalidParams(("", f"{len(params)} parameters given, there are {len(fields)}: {', '.join(fields)}"))
+        params = dict(zip(fields, params, strict=False))
+    elif type(params) is not dict:
+        raise InvalidParams(("", "params must be an object or an array"))
+    try:
+        return model.model_validate(params)
+    except ValidationError as error:
+        if any(e["type"] == "extra_forbidden" for e in error.errors(include_url=False, include_context=False)):
+            raise _unknown_params(model, error) from None
+        raise
+
+
+def _unknown_params(model: type[Params], error: ValidationError) -> InvalidParams:
+    problems = []
+    known = list(model.model_fields)
+    for loc, text in _problems(error):
+        if text != _UNKNOWN:
+            problems.append((loc, text))
+            continue
+        close = difflib.get_close_matches(loc, known, n=1)
+        there_is = ", ".join(known) or "none"
+        hint = f"did you mean {close[0]}?" if close else f"there is: {there_is}"
+        problems.append((_clip(loc), f"no such parameter; {hint}"))
+    return InvalidParams(*problems)
+
+
+_UNKNOWN = "no such parameter"
+
+
+def _problems(error: ValidationError) -> list[tuple[str, str]]:
+    found = []
+    for item in error.errors(include_url=False):
+        text = item["msg"].removeprefix("Value error, ").removeprefix("Input ")
+        if item["type"] == "missing":
+            text = "is missing"
+        elif item["type"] == "extra_forbidden":
+            text = _UNKNOWN
+        elif item["type"] != "value_error":
+            text += f" (got {_clip(json.dumps(item['input'], default=str))})"
+        found.append((".".join(str(part) for part in item["loc"]), text))
+    return found
+
+
+def _encode_id(request_id: object) -> bytes:
+    return b"null" if request_id is None else json.dumps(request_id).encode()
+
+
+def _clip(text: str) -> str:
+    return text if len(text) <= MAX_ECHO_CHARS else text[:MAX_ECHO_CHARS] + "…"

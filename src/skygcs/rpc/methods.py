@@ -1,0 +1,327 @@
+"""Every method of the socket: one function each, and one table of them all at the end.
+
+A function's docstring is the method's description in `rpc.discover` and docs/reference/rpc.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+from collections.abc import Awaitable, Callable
+from itertools import islice
+from typing import Any, Protocol
+
+import structlog
+
+from skygcs.core.mavlink.dialect import MessageInfo
+from skygcs.errors import RefusedError, TargetError
+from skygcs.rpc import dispatch, openrpc
+from skygcs.rpc import models as m
+from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.ports import Daemon, JsonObject, OutcomeLike, Vehicle
+from skygcs.rpc.subscriptions import resolve
+
+_log = structlog.get_logger(__name__)
+
+
+class Context(Protocol):
+    """What a method knows of who asks: the daemon, and the session's subscriptions."""
+
+    @property
+    def daemon(self) -> Daemon: ...
+    def subscribe(self, params: m.SubscribeParams) -> int: ...
+    def unsubscribe(self, number: int) -> None: ...
+
+
+def daemon_info(context: Context, _: m.NoParams) -> JsonObject:
+    """Version, process id, uptime, own MAVLink ids, dialect, fleet file."""
+    return context.daemon.info()
+
+
+def vehicles_list(context: Context, params: m.ListParams) -> list[JsonObject]:
+    """The state of some or all vehicles, by system id."""
+    now = context.daemon.now()
+    return [vehicle.state(now) for vehicle in resolve(context.daemon, params.targets)]
+
+
+def vehicles_get(context: Context, params: m.TargetParams) -> JsonObject:
+    """The state of one vehicle."""
+    return _one(context.daemon, params.target).state(context.daemon.now())
+
+
+async def vehicles_arm(context: Context, params: m.ArmParams) -> JsonObject:
+    """Arm."""
+    return await _order(context, params, lambda v: v.arm(force=params.force, wait_s=params.wait_s))
+
+
+async def vehicles_disarm(context: Context, params: m.DisarmParams) -> JsonObject:
+    """Disarm; in flight only with force."""
+    return await _order(context, params, lambda v: v.disarm(force=params.force))
+
+
+async def vehicles_mode(context: Context, params: m.ModeParams) -> JsonObject:
+    """Set the flight mode by the autopilot's own name for it."""
+    return await _order(context, params, lambda v: v.set_mode(params.mode))
+
+
+async def vehicles_takeoff(context: Context, params: m.TakeoffParams) -> JsonObject:
+    """Take off to a height above the ground it stands on."""
+    return await _order(context, params, lambda v: v.takeoff(params.height_m, arm=params.arm))
+
+
+async def vehicles_land(context: Context, params: m.TargetsParams) -> JsonObject:
+    """Land where it is."""
+    return await _order(context, params, lambda v: v.land())
+
+
+async def vehicles_rtl(context: Context, params: m.TargetsParams) -> JsonObject:
+    """Return to launch and land there."""
+    return await _order(context, params, lambda v: v.rtl())
+
+
+async def vehicles_hold(context: Context, params: m.TargetsParams) -> JsonObject:
+    """Stop and hold position."""
+    return await _order(context, params, lambda v: v.hold())
+
+
+async def vehicles_goto(context: Context, params: m.GotoParams) -> JsonObject:
+    """Fly to a place, given in degrees and height above home or in metres about the fleet's origin."""
+    place: dict[str, Any] = params.model_dump(exclude={"targets"})
+    return await _order(context, params, lambda v: v.goto(**place))
+
+
+async def vehicles_reboot(context: Context, params: m.RebootParams) -> JsonObject:
+    """Reboot the autopilot; armed only with force."""
+    return await _order(context, params, lambda v: v.reboot(force=params.force))
+
+
+async def vehicles_set_home(context: Context, params: m.SetHomeParams) -> JsonObject:
+    """Set the autopilot's home: a place, or (without one) where it stands."""
+    place: dict[str, Any] = params.model_dump(exclude={"targets"})
+    return await _order(context, params, lambda v: v.set_home(**place))
+
+
+async def vehicles_interval(context: Context, params: m.IntervalParams) -> JsonObject:
+    """Ask for one message at a rate (SET_MESSAGE_INTERVAL)."""
+    info = message_info(context.daemon, params.message, "message")
+    return await _order(context, params, lambda v: v.set_message_interval(info.name, params.rate_hz))
+
+
+async def vehicles_stream(context: Context, params: m.StreamParams) -> JsonObject:
+    """Ask for a group of messages at a rate (REQUEST_DATA_STREAM)."""
+    return await _order(context, params, lambda v: v.request_stream(params.stream, params.rate_hz))
+
+
+async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObject:
+    """Send any MAV_CMD and wait for its acknowledgement."""
+    return await _order(
+        context,
+        params,
+        lambda v: v.command(
+            params.command, params.params, int_frame=params.int_frame, x=params.x, y=params.y, z=params.z
+        ),
+    )
+
+
+def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | None:
+    """The last message of one name from one vehicle, or null if none came yet."""
+    info = message_info(context.daemon, params.name, "name")
+    return _one(context.daemon, params.target).latest(info.name)
+
+
+def messages_send(context: Context, params: m.SendParams) -> JsonObject:
+    """Send any message of the dialect, checked field by field, to one vehicle, one link or everyone."""
+    info = message_info(context.daemon, params.name, "name")
+    fields = _checked_fields(info, params.fields)
+    target = None if params.target is None else str(_one(context.daemon, params.target).sysid)
+    return context.daemon.send_message(info.name, fields, target, params.link)
+
+
+def messages_list(context: Context, _: m.NoParams) -> list[JsonObject]:
+    """Every message of the dialect with its fields, by id."""
+    messages = context.daemon.dialect.messages
+    return [_describe(messages[msgid]) for msgid in sorted(messages)]
+
+
+def links_list(context: Context, _: m.NoParams) -> list[JsonObject]:
+    """Every link: its kind, state, channels, and counters per channel and source."""
+    return context.daemon.links_status()
+
+
+async def links_add(context: Context, params: m.LinkParams) -> list[JsonObject]:
+    """Add a link at run time (until the daemon ends; the fleet file is not changed)."""
+    await context.daemon.add_link(params.name, params.link)
+    return context.daemon.links_status()
+
+
+async def links_change(context: Context, params: m.LinkParams) -> list[JsonObject]:
+    """Close a link and open it again with a new configuration."""
+    await context.daemon.change_link(params.name, params.link)
+    return context.daemon.links_status()
+
+
+async def links_remove(context: Context, params: m.LinkNameParams) -> list[JsonObject]:
+    """Close a link and forget it."""
+    await context.daemon.remove_link(params.name)
+    return context.daemon.links_status()
+
+
+def router_stats(context: Context, _: m.NoParams) -> JsonObject:
+    """Routes, and counters of what was forwarded, filtered and dropped."""
+    return context.daemon.router_stats()
+
+
+def events_recent(context: Context, params: m.RecentParams) -> list[JsonObject]:
+    """The newest events, oldest of them first."""
+    events = context.daemon.events
+    return [dict(e) for e in islice(events, max(0, len(events) - params.limit), None)]
+
+
+def recorder_status(context: Context, _: m.NoParams) -> JsonObject:
+    """What is recorded where, and what could not be."""
+    return context.daemon.recorder_status()
+
+
+def subscribe(context: Context, params: m.SubscribeParams) -> JsonObject:
+    """Be told from now on, by notifications: "telemetry", "event" or "message".
+
+    Each carries the subscription's number and a state, an event or a message. A client that reads slowly gets fewer,
+    fresher telemetry updates; events and messages that did not fit are counted in "dropped".
+    """
+    return {"subscription": context.subscribe(params)}
+
+
+def unsubscribe(context: Context, params: m.UnsubscribeParams) -> JsonObject:
+    """End a subscription of this connection."""
+    context.unsubscribe(params.subscription)
+    return {"subscription": params.subscription}
+
+
+def rpc_discover(context: Context, _: m.NoParams) -> JsonObject:
+    """This interface as an OpenRPC document."""
+    return _document()
+
+
+@functools.cache
+def _document() -> JsonObject:
+    """Made once, on the first question: it takes 15 ms."""
+    return openrpc.document(METHODS.values())
+
+
+async def _order(
+    context: Context, params: m.TargetsParams, order: Callable[[Vehicle], Awaitable[OutcomeLike]]
+) -> JsonObject:
+    """The same order to every target at the same time; one outcome each, whatever happens to the others."""
+    vehicles = resolve(context.daemon, params.targets)
+    if not vehicles:
+        raise TargetError("no vehicle has been heard yet")
+    outcomes = await asyncio.gather(*(_outcome(v, order) for v in vehicles))
+    return {"outcomes": dict(zip((v.name for v in vehicles), outcomes, strict=True))}
+
+
+async def _outcome(vehicle: Vehicle, order: Callable[[Vehicle], Awaitable[OutcomeLike]]) -> JsonObject:
+    try:
+        return (await order(vehicle)).as_dict()
+    except RefusedError as error:
+        return _no_attempt("refused", str(error))
+    except Exception as error:  # one vehicle's fault is not the others'
+        _log.error("order failed", vehicle=vehicle.name, exc_info=error)
+        return _no_attempt("failed", "failed inside the daemon; its log says why")
+
+
+def _no_attempt(result: str, message: str) -> JsonObject:
+    return {
+        "ok": False,
+        "result": result,
+        "message": message,
+        "attempts": 0,
+        "elapsed_s": 0.0,
+        "status_texts": [],
+    }
+
+
+def _one(daemon: Daemon, target: str) -> Vehicle:
+    vehicles = resolve(daemon, target)
+    if len(vehicles) != 1:
+        names = ", ".join(v.name for v in vehicles[:10]) or "none"
+        raise TargetError(f"{target} names {len(vehicles)} vehicles ({names}); give one")
+    return vehicles[0]
+
+
+def message_info(daemon: Daemon, name: str | int, param: str) -> MessageInfo:
+    try:
+        return daemon.dialect.find(name)
+    except KeyError as error:
+        raise InvalidParams((param, f"{error.args[0]}; messages.list lists them")) from None
+
+
+def _checked_fields(info: MessageInfo, fields: JsonObject) -> JsonObject:
+    """Fields as the dialect packs them; every wrong one is told, not only the first."""
+    types = {f.name: f.type for f in info.fields}
+    problems: list[tuple[str, str]] = []
+    result: JsonObject = {}
+    for name, value in fields.items():
+        if types.get(name) in ("float", "double"):
+            value = _null_to_nan(value)
+        try:
+            info.pack({name: value})
+        except ValueError as error:
+            problems.append((f"fields.{name}"[:100], str(error)))
+        result[name] = value
+    if problems:
+        raise InvalidParams(*problems)
+    return result
+
+
+def _null_to_nan(value: object) -> object:
+    if value is None:
+        return float("nan")
+    return [_null_to_nan(v) for v in value] if isinstance(value, list) else value
+
+
+def _describe(info: MessageInfo) -> JsonObject:
+    fields = []
+    for f in info.fields:
+        kind = f"{f.type}[{f.array_length}]" if f.array_length else f.type
+        fields.append({"name": f.name, "type": kind, "units": f.units, "enum": f.enum})
+    return {"id": info.msgid, "name": info.name, "fields": fields}
+
+
+_ORDER = (dispatch.TARGET_ERROR,)
+_LINK = (dispatch.LINK_ERROR, dispatch.REFUSED)
+
+METHODS: dict[str, Method[Context]] = {
+    method.name: method
+    for method in (
+        Method("daemon.info", m.NoParams, daemon_info),
+        Method("vehicles.list", m.ListParams, vehicles_list, list[m.VehicleState], _ORDER),
+        Method("vehicles.get", m.TargetParams, vehicles_get, m.VehicleState, _ORDER),
+        Method("vehicles.arm", m.ArmParams, vehicles_arm, m.Outcomes, _ORDER),
+        Method("vehicles.disarm", m.DisarmParams, vehicles_disarm, m.Outcomes, _ORDER),
+        Method("vehicles.mode", m.ModeParams, vehicles_mode, m.Outcomes, _ORDER),
+        Method("vehicles.takeoff", m.TakeoffParams, vehicles_takeoff, m.Outcomes, _ORDER),
+        Method("vehicles.land", m.TargetsParams, vehicles_land, m.Outcomes, _ORDER),
+        Method("vehicles.rtl", m.TargetsParams, vehicles_rtl, m.Outcomes, _ORDER),
+        Method("vehicles.hold", m.TargetsParams, vehicles_hold, m.Outcomes, _ORDER),
+        Method("vehicles.goto", m.GotoParams, vehicles_goto, m.Outcomes, _ORDER),
+        Method("vehicles.reboot", m.RebootParams, vehicles_reboot, m.Outcomes, _ORDER),
+        Method("vehicles.set_home", m.SetHomeParams, vehicles_set_home, m.Outcomes, _ORDER),
+        Method("vehicles.interval", m.IntervalParams, vehicles_interval, m.Outcomes, _ORDER),
+        Method("vehicles.stream", m.StreamParams, vehicles_stream, m.Outcomes, _ORDER),
+        Method("vehicles.command", m.CommandParams, vehicles_command, m.Outcomes, _ORDER),
+        Method("messages.latest", m.LatestParams, messages_latest, m.MessageReading | None, _ORDER),
+        Method("messages.send", m.SendParams, messages_send, dict[str, Any], (*_ORDER, dispatch.LINK_ERROR)),
+        Method("messages.list", m.NoParams, messages_list, list[m.MessageType]),
+        Method("links.list", m.NoParams, links_list, list[dict[str, Any]]),
+        Method("links.add", m.LinkParams, links_add, list[dict[str, Any]], _LINK),
+        Method("links.change", m.LinkParams, links_change, list[dict[str, Any]], _LINK),
+        Method("links.remove", m.LinkNameParams, links_remove, list[dict[str, Any]], _LINK),
+        Method("router.stats", m.NoParams, router_stats),
+        Method("events.recent", m.RecentParams, events_recent, list[m.Event]),
+        Method("recorder.status", m.NoParams, recorder_status),
+        Method("subscribe", m.SubscribeParams, subscribe, m.Subscription, (*_ORDER, dispatch.LIMIT_EXCEEDED)),
+        Method("unsubscribe", m.UnsubscribeParams, unsubscribe, m.Subscription),
+        Method("rpc.discover", m.NoParams, rpc_discover),
+    )
+}
+"""By name, in the order in which they are documented."""

@@ -1,0 +1,317 @@
+"""Parameters and results of every method: the one place from which checks, `rpc.discover` and the docs come.
+
+Parameters are strict (no "5" for 5), frozen and refuse unknown names. Results are described here for clients; they are
+not validated when they are sent.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
+
+MAX_TELEMETRY_HZ = 20.0
+"""Telemetry goes out on a 50 ms grid; autopilots send position at 4 to 10 Hz, over a radio slower still."""
+
+
+def _targets(value: Any) -> str | list[str]:
+    items = value if isinstance(value, list) else [value]
+    if not items or not all(isinstance(i, str | int) and not isinstance(i, bool) and str(i).strip() for i in items):
+        raise ValueError('give a system id, a name, a group, "1,3", "2-5", "all", or a list of these')
+    return [str(i) for i in items] if isinstance(value, list) else str(value)
+
+
+def _target(value: Any) -> str:
+    if isinstance(value, bool) or not isinstance(value, str | int) or not str(value).strip():
+        raise ValueError("give one vehicle: its system id or its name")
+    return str(value)
+
+
+def _name_or_id(value: Any) -> str | int:
+    if isinstance(value, bool) or not isinstance(value, str | int) or value == "":
+        raise ValueError("give a name or a number")
+    return value
+
+
+_SCALAR = [{"type": "string"}, {"type": "integer"}]
+Targets = Annotated[
+    Any,
+    PlainValidator(_targets),
+    WithJsonSchema({"anyOf": [*_SCALAR, {"type": "array", "items": {"anyOf": _SCALAR}, "minItems": 1}]}),
+    Field(description='Vehicles: system id, name, group, "1,3", "2-5", "all", or a list of these.'),
+]
+Target = Annotated[
+    Any,
+    PlainValidator(_target),
+    WithJsonSchema({"anyOf": _SCALAR}),
+    Field(description="One vehicle: its system id or its name."),
+]
+NameOrId = Annotated[Any, PlainValidator(_name_or_id), WithJsonSchema({"anyOf": _SCALAR})]
+MessageName = Annotated[NameOrId, Field(description="A message of the dialect, by name (any case) or id.")]
+Lat = Annotated[float, Field(ge=-90, le=90, description="Latitude in degrees (WGS84).")]
+Lon = Annotated[float, Field(ge=-180, le=180, description="Longitude in degrees (WGS84).")]
+Enu = Annotated[
+    list[float],
+    Field(min_length=3, max_length=3, description="[east, north, up] in metres from the fleet's origin."),
+]
+LinkName = Annotated[str, Field(min_length=1, max_length=64, description="The link's name.")]
+Hz = Annotated[float, Field(description="Messages per second; 0 stops it, -1 is the autopilot's default.", ge=-1)]
+
+
+class Params(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class NoParams(Params):
+    """No parameters."""
+
+
+class ListParams(Params):
+    targets: Targets = "all"
+
+
+class TargetParams(Params):
+    target: Target
+
+
+class TargetsParams(Params):
+    targets: Targets
+
+
+class ArmParams(TargetsParams):
+    force: bool = Field(False, description="Arm although the autopilot's checks fail (magic number 21196).")
+    wait_s: float = Field(
+        0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to arm yet."
+    )
+
+
+class DisarmParams(TargetsParams):
+    force: bool = Field(False, description="Disarm in flight as well: the vehicle falls.")
+
+
+class ModeParams(TargetsParams):
+    mode: str = Field(min_length=1, description='Flight mode by name, e.g. "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter).')
+
+
+class TakeoffParams(TargetsParams):
+    height_m: float | None = Field(
+        None, gt=0, le=500, description="Metres above the ground it stands on; null: the fleet file's."
+    )
+    arm: bool = Field(True, description="Arm first if it is not armed.")
+
+
+class GotoParams(TargetsParams):
+    lat_deg: Lat | None = None
+    lon_deg: Lon | None = None
+    height_m: float | None = Field(None, description="Metres above home; null: as high as it is now.")
+    enu_m: Enu | None = None
+    yaw_deg: float | None = Field(None, description="Heading, clockwise from north; null: the autopilot's choice.")
+    force: bool = Field(False, description="Go although it is farther than the configured limit.")
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        geodetic = self.lat_deg is not None or self.lon_deg is not None
+        if self.enu_m is not None and (geodetic or self.height_m is not None):
+            raise ValueError("give either enu_m, or lat_deg, lon_deg and height_m, not both")
+        if self.enu_m is None and (self.lat_deg is None or self.lon_deg is None):
+            raise ValueError("give lat_deg and lon_deg, or enu_m")
+        return self
+
+
+class RebootParams(TargetsParams):
+    force: bool = Field(False, description="Reboot although it is armed.")
+
+
+class SetHomeParams(TargetsParams):
+    lat_deg: Lat | None = None
+    lon_deg: Lon | None = None
+    alt_amsl_m: float | None = Field(None, description="Altitude above mean sea level in metres.")
+
+    @model_validator(mode="after")
+    def _all_or_none(self) -> Self:
+        given = [self.lat_deg, self.lon_deg, self.alt_amsl_m]
+        if None in given and any(v is not None for v in given):
+            raise ValueError("give lat_deg, lon_deg and alt_amsl_m, or none of them (home is where it stands)")
+        return self
+
+
+class IntervalParams(TargetsParams):
+    message: MessageName
+    rate_hz: Hz
+
+
+class StreamParams(TargetsParams):
+    stream: NameOrId = Field(description='A MAV_DATA_STREAM by number or name, e.g. "POSITION".')
+    rate_hz: float = Field(ge=0, le=1000, description="Messages per second; 0 stops the stream.")
+
+
+class CommandParams(TargetsParams):
+    command: NameOrId = Field(description='A MAV_CMD by number or name, e.g. "MAV_CMD_DO_SET_SERVO" or "DO_SET_SERVO".')
+    params: list[float | None] = Field(
+        default_factory=list, max_length=7, description="param1 to param7; null is NaN (unset), missing ones are 0."
+    )
+    int_frame: int | None = Field(None, ge=0, le=255, description="Send COMMAND_INT with this MAV_FRAME.")
+    x: int | None = Field(None, description="COMMAND_INT's x (latitude in 1e-7 degrees).")
+    y: int | None = Field(None, description="COMMAND_INT's y (longitude in 1e-7 degrees).")
+    z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
+
+
+class LatestParams(TargetParams):
+    name: MessageName
+
+
+class SendParams(Params):
+    name: MessageName
+    fields: dict[str, Any] = Field(
+        default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."
+    )
+    target: Target | None = Field(None, description="Vehicle to address; its ids are filled in.")
+    link: str | None = Field(None, description="Send on this link only.")
+
+
+class LinkParams(Params):
+    name: LinkName
+    link: dict[str, Any] = Field(description="The link's table as in the fleet file, with its type.")
+
+
+class LinkNameParams(Params):
+    name: LinkName
+
+
+class RecentParams(Params):
+    limit: int = Field(100, ge=1, le=10000, description="At most so many, the newest ones.")
+
+
+class SubscribeParams(Params):
+    topic: Literal["telemetry", "events", "messages"]
+    targets: Targets = "all"
+    rate_hz: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="telemetry: updates per second and vehicle, default 2, at most 20. "
+        "messages: at most so many per second of each name and source; null: every one.",
+    )
+    names: Annotated[list[NameOrId], Field(min_length=1, max_length=64)] | None = Field(
+        None,
+        description="telemetry: sections of the state. events: kinds. messages: names or ids. null: all of them.",
+    )
+
+    @model_validator(mode="after")
+    def _rate(self) -> Self:
+        if self.topic == "telemetry" and self.rate_hz is not None and self.rate_hz > MAX_TELEMETRY_HZ:
+            raise ValueError(f"telemetry has at most {MAX_TELEMETRY_HZ:g} updates a second")
+        if self.topic == "events" and self.rate_hz is not None:
+            raise ValueError("events have no rate_hz: every one is sent")
+        return self
+
+
+class UnsubscribeParams(Params):
+    subscription: int = Field(description="What `subscribe` answered.")
+
+
+class Result(BaseModel):
+    """Base of described results; more keys may come with later versions."""
+
+    model_config = ConfigDict(extra="allow")
+
+
+class Outcome(Result):
+    """What became of one order on one vehicle."""
+
+    ok: bool
+    result: Literal[
+        "accepted",
+        "temporarily_rejected",
+        "denied",
+        "unsupported",
+        "failed",
+        "in_progress",
+        "cancelled",
+        "timeout",
+        "refused",
+        "lost",
+    ] = Field(description="The autopilot's answer in words; refused: by skygcs itself; lost: the vehicle went silent.")
+    message: str = Field(description="One line for a person.")
+    attempts: int
+    elapsed_s: float
+    status_texts: list[str] = Field(description="Status texts of the vehicle while the order ran.")
+
+
+class Outcomes(Result):
+    outcomes: dict[str, Outcome] = Field(description="By vehicle name.")
+
+
+class StatusText(Result):
+    severity: str | int
+    text: str
+    age_s: float
+
+
+class VehicleState(Result):
+    """Everything known of one vehicle. null where unknown; every section has age_s. SI units, degrees, ENU."""
+
+    name: str
+    sysid: int
+    compid: int
+    autopilot: str
+    type: str | None
+    firmware: str | None
+    groups: list[str]
+    connected: bool
+    last_heartbeat_age_s: float | None
+    uptime_s: float | None
+    clock_offset_s: float | None
+    armed: bool | None
+    mode: str | None
+    system_status: str | None
+    landed: str | None
+    failsafe: bool | None
+    gps: dict[str, Any] | None = Field(
+        description="fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, age_s"
+    )
+    position: dict[str, Any] | None = Field(
+        description="lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps, enu_m, age_s"
+    )
+    local: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, age_s")
+    attitude: dict[str, Any] | None = Field(
+        description="roll_deg, pitch_deg, yaw_deg, rates_dps, quaternion (w, x, y, z), age_s"
+    )
+    battery: dict[str, Any] | None = Field(description="volts, amps, percent, age_s")
+    home: dict[str, Any] | None = Field(description="lat_deg, lon_deg, alt_amsl_m, age_s")
+    estimator: dict[str, Any] | None = Field(description="flags, ok, names, age_s")
+    sensors: dict[str, Any] | None = Field(description="present, enabled, health: lists of names; age_s")
+    vfr: dict[str, Any] | None = Field(description="airspeed_mps, groundspeed_mps, throttle_percent, climb_mps, age_s")
+    rc: dict[str, Any] | None = Field(description="channels, rssi, age_s")
+    imu: dict[str, Any] | None = Field(description="accel_mps2, gyro_radps, mag and more, age_s")
+    status_texts: list[StatusText]
+    messages: dict[str, Any] = Field(description="By message name: rate_hz, age_s, count.")
+    links: dict[str, Any] = Field(description="By link: loss_ratio, bytes_per_s.")
+
+
+class Subscription(Result):
+    subscription: int = Field(description="Comes with every notification; needed to unsubscribe.")
+
+
+class MessageReading(Result):
+    """The last message of one name."""
+
+    name: str
+    fields: dict[str, Any]
+    age_s: float
+
+
+class MessageType(Result):
+    """One message of the dialect."""
+
+    id: int
+    name: str
+    fields: list[dict[str, Any]] = Field(description="name, type, units, enum of each field.")
+
+
+class Event(Result):
+    time_unix_s: float
+    kind: str
+    vehicle: str | None
+    text: str
+    data: dict[str, Any]

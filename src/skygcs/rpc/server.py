@@ -1,0 +1,169 @@
+"""The socket: newline-delimited JSON-RPC 2.0 on a Unix socket, and on TCP loopback if a token is configured.
+
+Every client is a session of its own with bounds on all it can make the daemon keep or do; what one does wrong is
+answered to it, counted, and noticed by nobody else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import os
+import socket
+import stat
+from pathlib import Path
+
+import structlog
+
+from skygcs.errors import LinkError
+from skygcs.rpc.dispatch import Dispatcher
+from skygcs.rpc.methods import METHODS, Context
+from skygcs.rpc.ports import Daemon, JsonObject
+from skygcs.rpc.session import Hub, Session
+
+MAX_SUN_PATH_BYTES = 107
+"""Linux's sockaddr_un holds 108 bytes with the closing NUL."""
+
+_log = structlog.get_logger(__name__)
+
+
+class RpcServer:
+    """Serves one daemon. `start` once, `close` once."""
+
+    def __init__(
+        self,
+        daemon: Daemon,
+        socket_path: str | os.PathLike[str],
+        tcp_port: int | None = None,
+        token: str | None = None,
+    ) -> None:
+        """``token`` is required with ``tcp_port``; port 0 lets the system choose (see `tcp_address`)."""
+        if tcp_port is not None and not token:
+            raise ValueError("a TCP port needs a token")
+        self.socket_path = Path(socket_path)
+        self.tcp_address: tuple[str, int] | None = None
+        self._daemon = daemon
+        self._tcp_port = tcp_port
+        self._token = token
+        self._hub: Hub | None = None
+        self._servers: list[asyncio.AbstractServer] = []
+        self._socket_inode: tuple[int, int] | None = None
+        self._lock_fd = -1
+
+    async def start(self) -> None:
+        """Listen. Raises LinkError if another daemon has the socket, or it cannot be made."""
+        loop = asyncio.get_running_loop()
+        self._hub = hub = Hub(self._daemon, Dispatcher[Context](METHODS), loop)
+        try:
+            listener = self._bind()
+            server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener)
+            self._servers.append(server)
+            if self._tcp_port is not None:
+                await self._listen_tcp(loop, hub)
+        except BaseException:
+            await self.close()
+            raise
+        _log.info("rpc listening", socket=str(self.socket_path), tcp=self.tcp_address)
+
+    async def close(self) -> None:
+        """Stop listening, cancel what clients wait for, close them, remove the socket. Idempotent."""
+        for server in self._servers:
+            server.close()
+        self._servers.clear()
+        if self._hub is not None:
+            await self._hub.close()
+            self._hub = None
+        self._remove_socket()
+        if self._lock_fd >= 0:
+            os.close(self._lock_fd)
+            self._lock_fd = -1
+
+    def stats(self) -> JsonObject:
+        """Counters: sessions now and ever, requests, errors, drops."""
+        return self._hub.stats() if self._hub is not None else {}
+
+    async def _listen_tcp(self, loop: asyncio.AbstractEventLoop, hub: Hub) -> None:
+        token = self._token
+        assert token is not None
+        try:
+            server = await loop.create_server(lambda: Session(hub, token), "127.0.0.1", self._tcp_port)
+        except OSError as error:
+            raise LinkError(f"cannot listen on 127.0.0.1:{self._tcp_port}: {error.strerror or error}") from None
+        self._servers.append(server)
+        self.tcp_address = server.sockets[0].getsockname()
+
+    def _bind(self) -> socket.socket:
+        """A bound Unix socket of mode 0600. Nobody can connect before it listens, and it does so only after this."""
+        path = os.fspath(self.socket_path)
+        if len(os.fsencode(path)) > MAX_SUN_PATH_BYTES:
+            raise LinkError(f"{path}: a socket's path has at most {MAX_SUN_PATH_BYTES} bytes")
+        try:
+            self._make_directory()
+            self._take_lock(path)
+            self._remove_stale(path)
+            listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            try:
+                listener.bind(path)
+                os.chmod(path, 0o600)
+                status = os.lstat(path)
+                self._socket_inode = (status.st_dev, status.st_ino)
+                listener.setblocking(False)
+            except OSError:
+                listener.close()
+                raise
+        except OSError as error:
+            raise LinkError(f"cannot make the socket {path}: {error.strerror or error}") from None
+        return listener
+
+    def _make_directory(self) -> None:
+        """The directory, private if it is made here; in /tmp it may not be somebody else's trap."""
+        folder = self.socket_path.parent
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(mode=0o700, parents=True)
+        if folder.name == f"skygcs-{os.getuid()}":
+            status = folder.lstat()
+            if status.st_uid != os.getuid() or not stat.S_ISDIR(status.st_mode) or status.st_mode & 0o022:
+                raise LinkError(f"{folder} belongs to somebody else or others may write to it; choose another socket")
+
+    def _take_lock(self, path: str) -> None:
+        """Held as long as this daemon lives, by the system, whatever kills it: two daemons never share a socket."""
+        self._lock_fd = os.open(f"{path}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        try:
+            fcntl.flock(self._lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise LinkError(_in_use(path)) from None
+
+    def _remove_stale(self, path: str) -> None:
+        """What a dead daemon left is replaced; anything alive, or no socket at all, is not."""
+        try:
+            mode = os.lstat(path).st_mode
+        except FileNotFoundError:
+            return
+        if not stat.S_ISSOCK(mode):
+            raise LinkError(f"{path} exists and is not a socket; remove it or choose another socket")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+            probe.setblocking(False)
+            try:
+                probe.connect(path)
+            except (ConnectionRefusedError, FileNotFoundError):
+                with contextlib.suppress(FileNotFoundError):
+                    os.unlink(path)
+                return
+            except BlockingIOError:  # alive, with a full backlog
+                pass
+        raise LinkError(_in_use(path))
+
+    def _remove_socket(self) -> None:
+        """Only our own: a path that somebody replaced meanwhile is theirs."""
+        if self._socket_inode is None:
+            return
+        with contextlib.suppress(OSError):
+            status = os.lstat(self.socket_path)
+            if (status.st_dev, status.st_ino) == self._socket_inode:
+                os.unlink(self.socket_path)
+        self._socket_inode = None
+
+
+def _in_use(path: str) -> str:
+    return f"another skygcs daemon listens on {path}; stop it, or give this one another socket (daemon.socket)"

@@ -1,0 +1,436 @@
+"""One client of the socket: lines in, replies and notifications out, and the bounds that keep it harmless."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import select
+import socket
+from collections import Counter
+from collections.abc import Coroutine
+from typing import Any
+
+import structlog
+
+from skygcs.rpc import dispatch
+from skygcs.rpc import models as m
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
+from skygcs.rpc.methods import Context, message_info
+from skygcs.rpc.ports import Daemon, JsonObject
+from skygcs.rpc.subscriptions import (
+    DEFAULT_TELEMETRY_HZ,
+    EventFeed,
+    EventSubscription,
+    MessageFeed,
+    MessageSubscription,
+    QueuedSubscription,
+    TelemetryFeed,
+    TelemetrySubscription,
+)
+
+MAX_LINE_BYTES = 1 << 20
+"""A request is a few hundred bytes, a full batch of the largest messages some 100 kB."""
+
+MAX_LINE_BEFORE_AUTH_BYTES = 4096
+AUTH_TIMEOUT_S = 5.0
+"""A TCP client that does not say its token by then is closed."""
+
+MAX_UNAUTHENTICATED = 8
+"""Further ones are closed at once: whoever has no token cannot use up the sessions of those who have."""
+
+MAX_SESSIONS = 64
+"""A fleet has a few dashboards and scripts; each open socket costs a file descriptor of the usual 1024."""
+
+MAX_BATCH = 128
+MAX_IN_FLIGHT = 64
+"""Orders that one client waits for at the same time; one order to 250 vehicles is one of them."""
+
+MAX_SUBSCRIPTIONS = 32
+HIGH_WATER_BYTES = 256 * 1024
+"""Beyond this much unread output a client gets no telemetry, and no further request of its own is read."""
+
+MAX_OUTPUT_BYTES = 8 << 20
+"""Beyond this much unread output it is closed. Replies of 1 MB (250 states) still fit several times."""
+
+TURN_S = 0.002
+TURN_LINES = 64
+"""A client's requests are worked on this long, then it is everybody else's turn (routing, too)."""
+
+_log = structlog.get_logger(__name__)
+
+
+class Hub:
+    """What all sessions share."""
+
+    def __init__(self, daemon: Daemon, dispatcher: Dispatcher[Context], loop: asyncio.AbstractEventLoop) -> None:
+        self.daemon = daemon
+        self.dispatcher = dispatcher
+        self.loop = loop
+        self.telemetry = TelemetryFeed(daemon, loop)
+        self.events = EventFeed(daemon, loop)
+        self.messages = MessageFeed(daemon, loop)
+        self.sessions: set[Session] = set()
+        self.counters: Counter[str] = Counter()
+
+    def unauthenticated(self) -> int:
+        return sum(not s.authenticated for s in self.sessions)
+
+    def stats(self) -> JsonObject:
+        return {"sessions": len(self.sessions), **self.counters}
+
+    async def close(self) -> None:
+        """End every session and wait for its tasks."""
+        tasks = [task for session in self.sessions for task in session.tasks]
+        for session in list(self.sessions):
+            session.close()
+        self.telemetry.close()
+        self.events.close()
+        self.messages.close()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+class Session(asyncio.Protocol):
+    """A connection. ``token`` is None where the socket's mode is the protection."""
+
+    def __init__(self, hub: Hub, token: str | None) -> None:
+        self.daemon = hub.daemon
+        self.tasks: set[asyncio.Task[None]] = set()
+        self.authenticated = token is None
+        self.writable = True
+        self._hub = hub
+        self._token = token
+        self._transport: asyncio.Transport | None = None
+        self._buffer = bytearray()
+        self._scanned = 0
+        self._skipping = False
+        self._turn_due = False
+        self._in_flight = 0
+        self._subscriptions: dict[int, TelemetrySubscription | QueuedSubscription] = {}
+        self._next_subscription = 1
+        self._auth_timer: asyncio.TimerHandle | None = None
+        self._eof = False
+
+    # -- asyncio.Protocol
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        hub = self._hub
+        self._transport = transport
+        transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
+        hub.counters["connections"] += 1
+        if len(hub.sessions) >= MAX_SESSIONS or (
+            not self.authenticated and hub.unauthenticated() >= MAX_UNAUTHENTICATED
+        ):
+            hub.counters["connections_refused"] += 1
+            self.write(error_reply(None, dispatch.LIMIT_EXCEEDED, f"too many clients ({len(hub.sessions)})") + b"\n")
+            transport.close()
+            self._transport = None
+            return
+        hub.sessions.add(self)
+        if not self.authenticated:
+            self._auth_timer = hub.loop.call_later(AUTH_TIMEOUT_S, self.close)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._end()
+
+    def data_received(self, data: bytes) -> None:
+        if self._transport is None:
+            return
+        self._buffer += data
+        if not self._turn_due:
+            self._turn()
+
+    def eof_received(self) -> bool:
+        """The client sends no more. One that is still there (`echo … | nc -NU`) gets its answers, then it is closed;
+        what one that is gone waits for is cancelled."""
+        if self._transport is None or not self._peer_still_reads():
+            return False
+        self._eof = True
+        if self._buffer and not self._buffer.endswith(b"\n"):
+            self._buffer += b"\n"
+        if not self._turn_due:
+            self._turn()
+        return self._transport is not None
+
+    def pause_writing(self) -> None:
+        self.writable = False
+
+    def resume_writing(self) -> None:
+        self.writable = True
+        for subscription in list(self._subscriptions.values()):
+            subscription.flush()
+        self._hub.telemetry.resume()
+        if not self._turn_due:
+            self._turn()
+
+    # -- the session as methods see it (Context) and as subscriptions see it (Sink)
+
+    def write(self, data: bytes) -> None:
+        transport = self._transport
+        if transport is None:
+            return
+        transport.write(data)
+        if transport.get_write_buffer_size() > MAX_OUTPUT_BYTES:
+            self._hub.counters["closed_unread"] += 1
+            _log.warning("rpc client closed: it does not read its replies", unread_bytes=MAX_OUTPUT_BYTES)
+            transport.abort()
+            self._end()
+
+    def subscribe(self, params: m.SubscribeParams) -> int:
+        if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
+            raise LimitExceeded(f"at most {MAX_SUBSCRIPTIONS} subscriptions per client; unsubscribe some")
+        number = self._next_subscription
+        self._subscriptions[number] = self._subscribed(params, number)
+        self._next_subscription += 1
+        return number
+
+    def unsubscribe(self, number: int) -> None:
+        subscription = self._subscriptions.pop(number, None)
+        if subscription is None:
+            have = ", ".join(map(str, self._subscriptions)) or "none"
+            raise InvalidParams(("subscription", f"this client has no subscription {number}; it has: {have}"))
+        self._unsubscribe(subscription)
+
+    def close(self) -> None:
+        """Close; what was written still goes out, unless the client does not read."""
+        if self._transport is not None:
+            if self.writable:
+                self._transport.close()
+            else:
+                self._transport.abort()
+        self._end()
+
+    # -- lines
+
+    def _turn(self) -> None:
+        """Work on complete lines for a while, as long as the client takes the replies."""
+        self._turn_due = False
+        loop = self._hub.loop
+        deadline = loop.time() + TURN_S
+        lines = 0
+        while self.writable and (line := self._next_line()) is not None:
+            self._on_line(line)
+            lines += 1
+            if lines >= TURN_LINES or loop.time() > deadline:
+                self._turn_due = True
+                loop.call_soon(self._turn)
+                break
+        self._pace_reading()
+        self._close_if_idle()
+
+    def _pace_reading(self) -> None:
+        transport = self._transport
+        if transport is None or transport.is_closing() or self._eof:
+            return
+        if self._turn_due or not self.writable:
+            transport.pause_reading()
+        elif not transport.is_reading():
+            transport.resume_reading()
+
+    def _next_line(self) -> bytes | None:
+        """The next line within the length limit; longer ones are answered with an error and skipped."""
+        limit = MAX_LINE_BYTES if self.authenticated else MAX_LINE_BEFORE_AUTH_BYTES
+        buffer = self._buffer
+        while self._transport is not None:
+            end = buffer.find(b"\n", self._scanned)
+            length = end if end >= 0 else len(buffer)
+            if length > limit and not self._skipping:
+                self._skipping = True
+                self._hub.counters["lines_too_long"] += 1
+                self._reply(error_reply(None, dispatch.INVALID_REQUEST, f"a line has at most {limit} bytes"))
+                if not self.authenticated:
+                    self._hang_up()
+                    return None
+            if end < 0:
+                if self._skipping:
+                    buffer.clear()
+                self._scanned = len(buffer)
+                return None
+            line = bytes(buffer[:end])
+            del buffer[: end + 1]
+            self._scanned = 0
+            if self._skipping:
+                self._skipping = False
+            elif line.strip():
+                return line
+        return None
+
+    def _on_line(self, line: bytes) -> None:
+        self._hub.counters["lines"] += 1
+        try:
+            request = parse(line)
+        except ValueError as error:
+            self._hub.counters["parse_errors"] += 1
+            self._reply(error_reply(None, dispatch.PARSE_ERROR, f"not JSON: {error}"))
+            if not self.authenticated:
+                self._hang_up()
+            return
+        if not self.authenticated:
+            self._authenticate(request)
+        elif type(request) is list:
+            self._on_batch(request)
+        else:
+            reply = self._start(request)
+            if isinstance(reply, bytes):
+                self._reply(reply)
+            elif reply is not None:
+                self._run([reply], batch=False)
+
+    def _start(self, request: object) -> dispatch.Reply:
+        """Begin one request, unless the client already waits for too many."""
+        if self._in_flight >= MAX_IN_FLIGHT:
+            request_id = request.get("id") if isinstance(request, dict) else None
+            text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
+            return error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
+        reply = self._hub.dispatcher.start(self, request)
+        if isinstance(reply, Coroutine):
+            self._in_flight += 1
+        return reply
+
+    def _on_batch(self, requests: list[Any]) -> None:
+        if not requests:
+            return self._reply(error_reply(None, dispatch.INVALID_REQUEST, "a batch is not empty"))
+        if len(requests) > MAX_BATCH:
+            text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
+            return self._reply(error_reply(None, dispatch.LIMIT_EXCEEDED, text))
+        replies: list[dispatch.Reply] = []
+        size = 0
+        for request in requests:
+            reply = self._start(request)
+            if isinstance(reply, bytes):
+                size += len(reply)
+                if size > MAX_OUTPUT_BYTES // 2:
+                    request_id = request.get("id") if isinstance(request, dict) else None
+                    text = f"the replies of this batch exceed {MAX_OUTPUT_BYTES // 2} bytes"
+                    reply = error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
+            replies.append(reply)
+        if any(isinstance(reply, Coroutine) for reply in replies):
+            self._run(replies, batch=True)
+        else:
+            self._reply(_joined([r for r in replies if isinstance(r, bytes)]))
+
+    def _run(self, replies: list[dispatch.Reply], *, batch: bool) -> None:
+        """Finish what takes time in a task of its own, which ends with the client at the latest."""
+        coroutines = [reply for reply in replies if isinstance(reply, Coroutine)]
+
+        async def finish() -> None:
+            if not batch:
+                self._reply(await coroutines[0])
+                return
+            late = iter(await asyncio.gather(*coroutines))
+            self._reply(_joined([next(late) if isinstance(r, Coroutine) else r or b"" for r in replies]))
+
+        def on_done(task: asyncio.Task[None]) -> None:
+            self.tasks.discard(task)
+            self._in_flight -= len(coroutines)
+            for coroutine in coroutines:
+                coroutine.close()  # those of a task that was cancelled before it began
+            if not task.cancelled() and (error := task.exception()) is not None:
+                _log.error("rpc request failed", exc_info=error)
+            self._close_if_idle()
+
+        task = self._hub.loop.create_task(finish(), name="rpc request")
+        self.tasks.add(task)
+        task.add_done_callback(on_done)
+
+    def _reply(self, reply: bytes) -> None:
+        if reply:
+            self.write(reply + b"\n")
+
+    # -- TCP
+
+    def _authenticate(self, request: object) -> None:
+        """The first request, and the only one a client without the token gets: auth {"token": …}."""
+        request_id = request.get("id") if isinstance(request, dict) else None
+        token = None
+        if isinstance(request, dict) and request.get("method") == "auth" and isinstance(request.get("params"), dict):
+            token = request["params"].get("token")
+        given = token.encode() if isinstance(token, str) else b""
+        assert self._token is not None
+        if not isinstance(request_id, str | int | None) or not hmac.compare_digest(given, self._token.encode()):
+            self._hub.counters["auth_failures"] += 1
+            self._reply(error_reply(None, dispatch.NOT_AUTHENTICATED, 'first: auth {"token": "…"}, with the right one'))
+            self._hang_up()
+            return
+        self.authenticated = True
+        if self._auth_timer is not None:
+            self._auth_timer.cancel()
+        self._reply(dispatch.result_reply(request_id, "auth", {"ok": True}))
+
+    def _hang_up(self) -> None:
+        """Close after what was written has gone out."""
+        if self._transport is not None:
+            self._transport.close()
+        self._end()
+
+    # -- subscriptions
+
+    def _subscribed(self, params: m.SubscribeParams, number: int) -> TelemetrySubscription | QueuedSubscription:
+        hub = self._hub
+        targets = params.targets
+        if params.topic == "telemetry":
+            sections = frozenset(str(n) for n in params.names or ())
+            rate_hz = params.rate_hz or DEFAULT_TELEMETRY_HZ
+            telemetry = TelemetrySubscription(self, number, targets, rate_hz, sections)
+            hub.telemetry.add(telemetry)
+            return telemetry
+        if params.topic == "events":
+            kinds = frozenset(str(n) for n in params.names or ())
+            events = EventSubscription(self, number, hub.loop, hub.daemon, targets, kinds)
+            hub.events.add(events)
+            return events
+        names = None
+        if params.names is not None:
+            names = [message_info(hub.daemon, n, "names").name for n in params.names]
+        messages = MessageSubscription(self, number, hub.loop, params.rate_hz)
+        hub.messages.add(messages, names, targets)
+        return messages
+
+    def _unsubscribe(self, subscription: TelemetrySubscription | QueuedSubscription) -> None:
+        match subscription:
+            case TelemetrySubscription():
+                self._hub.telemetry.remove(subscription)
+            case EventSubscription():
+                self._hub.events.remove(subscription)
+            case MessageSubscription():
+                self._hub.messages.remove(subscription)
+
+    # -- the end
+
+    def _peer_still_reads(self) -> bool:
+        """After an end of file: whether the client has only shut down its sending side.
+
+        On a Unix socket poll tells (POLLHUP: both directions are shut); on TCP nothing does, so it counts as gone.
+        """
+        peer = self._transport.get_extra_info("socket") if self._transport is not None else None
+        if peer is None or peer.family != socket.AF_UNIX:
+            return False
+        poll = select.poll()
+        poll.register(peer.fileno(), 0)
+        return not poll.poll(0)
+
+    def _close_if_idle(self) -> None:
+        """After the client's end of file: close once nothing is left to answer or to tell."""
+        if self._eof and self._transport is not None and not (self.tasks or self._subscriptions or self._buffer):
+            self._hang_up()
+
+    def _end(self) -> None:
+        """Forget everything of this client. Its waiting calls are cancelled; an order already sent stays sent."""
+        self._transport = None
+        self.writable = False
+        self._hub.sessions.discard(self)
+        if self._auth_timer is not None:
+            self._auth_timer.cancel()
+        subscriptions, self._subscriptions = self._subscriptions, {}
+        for subscription in subscriptions.values():
+            self._unsubscribe(subscription)
+        for task in self.tasks:
+            task.cancel()
+        self._buffer.clear()
+        self._scanned = 0
+
+
+def _joined(replies: list[bytes]) -> bytes:
+    """A batch's reply; empty if all of it were notifications."""
+    wanted = [reply for reply in replies if reply]
+    return b"[" + b",".join(wanted) + b"]" if wanted else b""

@@ -1,0 +1,358 @@
+"""A daemon without links: what the RPC methods need, under the test's control.
+
+As a process, for the command line: python -m support.fake_daemon SOCKET [NUMBER_OF_VEHICLES]
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from skygcs.config.dialects import load_dialect
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame, encode
+from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
+from skygcs.rpc.server import RpcServer
+
+NAMES = ("alpha", "bravo", "carol")
+
+
+def common_dialect() -> Dialect:
+    """Cached in the temporary directory, not in the user's cache."""
+    return load_dialect("common", cache_dir=Path(tempfile.gettempdir()) / "skygcs-test-dialects")
+
+
+@dataclass(frozen=True)
+class FakeOutcome:
+    ok: bool
+    result: str
+    message: str
+    attempts: int = 1
+    elapsed_s: float = 0.1
+    status_texts: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+class FakeVehicle:
+    """Accepts every order unless told otherwise, and remembers them in ``orders``."""
+
+    def __init__(self, sysid: int, name: str, autopilot: str, groups: tuple[str, ...]) -> None:
+        self.sysid, self.compid, self.name, self.autopilot, self.groups = sysid, 1, name, autopilot, groups
+        self.orders: list[tuple[str, dict[str, Any]]] = []
+        self.cancelled = 0
+        self.states_made = 0
+        self.connected = True
+        self.armed = False
+        self.mode = "AUTO.LOITER" if autopilot == "px4" else "LOITER"
+        self.outcome = FakeOutcome(True, "accepted", "accepted")
+        self.delay_s = 0.0
+        self.fails: Exception | None = None
+        self.state_fails: Exception | None = None
+
+    async def _order(self, order: str, **arguments: Any) -> FakeOutcome:
+        self.orders.append((order, arguments))
+        try:
+            await asyncio.sleep(self.delay_s)
+        except asyncio.CancelledError:
+            self.cancelled += 1
+            raise
+        if self.fails is not None:
+            raise self.fails
+        if self.outcome.ok and order in ("arm", "disarm"):
+            self.armed = order == "arm"
+        return self.outcome
+
+    async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> FakeOutcome:
+        return await self._order("arm", force=force, wait_s=wait_s)
+
+    async def disarm(self, *, force: bool = False) -> FakeOutcome:
+        return await self._order("disarm", force=force)
+
+    async def set_mode(self, name: str) -> FakeOutcome:
+        if name == "NONSENSE":
+            raise RefusedError(f"{self.autopilot} has no mode NONSENSE; it has: HOLD, LAND")
+        self.mode = name
+        return await self._order("set_mode", name=name)
+
+    async def takeoff(self, height_m: float | None, *, arm: bool = True) -> FakeOutcome:
+        return await self._order("takeoff", height_m=height_m, arm=arm)
+
+    async def land(self) -> FakeOutcome:
+        return await self._order("land")
+
+    async def rtl(self) -> FakeOutcome:
+        return await self._order("rtl")
+
+    async def hold(self) -> FakeOutcome:
+        return await self._order("hold")
+
+    async def goto(self, **place: Any) -> FakeOutcome:
+        return await self._order("goto", **place)
+
+    async def reboot(self, *, force: bool = False) -> FakeOutcome:
+        return await self._order("reboot", force=force)
+
+    async def set_home(self, **place: Any) -> FakeOutcome:
+        return await self._order("set_home", **place)
+
+    async def set_message_interval(self, message: str | int, rate_hz: float) -> FakeOutcome:
+        return await self._order("set_message_interval", message=message, rate_hz=rate_hz)
+
+    async def request_stream(self, stream: int | str, rate_hz: float) -> FakeOutcome:
+        return await self._order("request_stream", stream=stream, rate_hz=rate_hz)
+
+    async def command(self, command: str | int, params: Sequence[float | None], **rest: Any) -> FakeOutcome:
+        return await self._order("command", command=command, params=list(params), **rest)
+
+    def latest(self, message_name: str) -> dict[str, Any] | None:
+        if message_name != "ATTITUDE":
+            return None
+        return {"name": "ATTITUDE", "fields": {"roll": math.nan, "pitch": 0.1, "yaw": 1.5}, "age_s": 0.2}
+
+    def state(self, now: float) -> dict[str, Any]:
+        self.states_made += 1
+        if self.state_fails is not None:
+            raise self.state_fails
+        swing = math.sin(now + self.sysid)
+        known = self.connected
+        return {
+            "name": self.name,
+            "sysid": self.sysid,
+            "compid": self.compid,
+            "autopilot": self.autopilot,
+            "type": "QUADROTOR",
+            "firmware": "1.14.3" if self.autopilot == "px4" else "4.5.1",
+            "groups": list(self.groups),
+            "connected": known,
+            "last_heartbeat_age_s": 0.4 if known else 73.0,
+            "uptime_s": 321.0,
+            "clock_offset_s": None,
+            "armed": self.armed,
+            "mode": self.mode,
+            "system_status": "ACTIVE" if self.armed else "STANDBY",
+            "landed": "in_air" if self.armed else "on_ground",
+            "failsafe": False,
+            "gps": {
+                "fix": "3D",
+                "fix_type": 3,
+                "satellites": 11,
+                "hdop": 0.8,
+                "vdop": math.nan,
+                "lat_deg": 43.7806,
+                "lon_deg": -79.4653,
+                "alt_amsl_m": 180.0,
+                "age_s": 0.2,
+            },
+            "position": {
+                "lat_deg": 43.7806 + swing * 1e-4,
+                "lon_deg": -79.4653,
+                "alt_amsl_m": 182.5,
+                "alt_rel_m": 2.5 + swing,
+                "heading_deg": 90.0,
+                "vel_enu_mps": [0.1, swing, 0.0],
+                "enu_m": None,
+                "age_s": 0.1,
+            },
+            "local": {"pos_enu_m": [1.0, 2.0, 3.0], "vel_enu_mps": [0.0, 0.0, 0.0], "age_s": 0.1},
+            "attitude": {
+                "roll_deg": swing,
+                "pitch_deg": -0.5,
+                "yaw_deg": 90.0,
+                "rates_dps": [0.0, 0.0, 0.0],
+                "quaternion": None,
+                "age_s": 0.1,
+            },
+            "battery": {"volts": 15.8, "amps": 1.2, "percent": 23 if self.sysid == 3 else 87, "age_s": 0.5},
+            "home": None,
+            "estimator": {"flags": 831, "ok": True, "names": ["ATTITUDE"], "age_s": 0.5},
+            "sensors": {"present": ["3D_GYRO"], "enabled": ["3D_GYRO"], "health": ["3D_GYRO"], "age_s": 0.5},
+            "vfr": None,
+            "rc": None,
+            "imu": None,
+            "status_texts": [
+                {
+                    "severity": "WARNING",
+                    "text": "PreArm: Throttle too high" if self.sysid == 3 else "Ready",
+                    "age_s": 12.0,
+                }
+            ],
+            "messages": {"HEARTBEAT": {"rate_hz": 1.0, "age_s": 0.4, "count": 321}},
+            "links": {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}},
+        }
+
+
+class FakeFleet:
+    """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
+
+    def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
+        self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
+
+    def resolve(self, targets: str | list[str]) -> list[FakeVehicle]:
+        parts = targets if isinstance(targets, list) else targets.split(",")
+        found: dict[int, FakeVehicle] = {}
+        for part in parts:
+            matching = [v for v in self.vehicles.values() if self._matches(v, str(part).strip())]
+            if not matching:
+                raise TargetError(
+                    f"no vehicle {part!r}; there are: {', '.join(v.name for v in self.vehicles.values())}"
+                )
+            found.update({v.sysid: v for v in matching})
+        return list(found.values())
+
+    @staticmethod
+    def _matches(vehicle: FakeVehicle, part: str) -> bool:
+        first, _, last = part.partition("-")
+        if first.isdigit() and last.isdigit():
+            return int(first) <= vehicle.sysid <= int(last)
+        return part in ("all", vehicle.name, str(vehicle.sysid), *vehicle.groups)
+
+
+class FakeDaemon:
+    """Everything `skygcs.rpc.ports.Daemon` asks for."""
+
+    def __init__(self, vehicle_count: int = 3) -> None:
+        self.dialect = common_dialect()
+        self.fleet = FakeFleet(
+            [
+                FakeVehicle(
+                    i, NAMES[i - 1] if i <= 3 else f"v{i}", "ardupilot" if i % 3 == 0 else "px4", ("red",) * (i % 2)
+                )
+                for i in range(1, vehicle_count + 1)
+            ]
+        )
+        self.events: deque[dict[str, Any]] = deque(maxlen=1000)
+        self.sent: list[tuple[str, dict[str, Any], str | None, str | None]] = []
+        self.links: dict[str, dict[str, Any]] = {"radio": {"type": "serial", "device": "/dev/ttyUSB0"}}
+        self._on_event: list[Callable[[Mapping[str, Any]], None]] = []
+        self._on_frame: list[tuple[set[str] | None, set[int] | None, Callable[[Frame, Any, float], None]]] = []
+        self.emit("vehicle_discovered", "alpha", "alpha (1) discovered on radio")
+
+    def vehicle(self, name: str) -> FakeVehicle:
+        return self.fleet.resolve(name)[0]
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def info(self) -> dict[str, Any]:
+        return {"version": "0.1.0", "pid": 1, "uptime_s": 12.5, "sysid": 255, "compid": 25, "dialect": "common"}
+
+    def links_status(self) -> list[dict[str, Any]]:
+        return [
+            {
+                "name": name,
+                "type": link["type"],
+                "role": "peer",
+                "state": "up",
+                "since_s": 42.0,
+                "last_error": None,
+                "channels": [
+                    {
+                        "peer": link.get("device", "127.0.0.1:14550"),
+                        "counters": {
+                            "rx_frames": 1200,
+                            "rx_bytes": 48000,
+                            "tx_frames": 30,
+                            "tx_bytes": 900,
+                            "tx_dropped": 0,
+                            "good": 1200,
+                            "bad_crc": 3,
+                            "unknown": 1,
+                            "skipped_bytes": 57,
+                        },
+                        "sources": {"1/1": {"frames": 1200, "bytes": 48000, "lost": 12, "loss_ratio": 0.0099}},
+                    }
+                ],
+            }
+            for name, link in self.links.items()
+        ]
+
+    async def add_link(self, name: str, link: dict[str, Any]) -> None:
+        if name in self.links:
+            raise LinkError(f"there is a link {name} already")
+        if "type" not in link:
+            raise ConfigError(f"links.{name}", [f"links.{name}.type: is missing", f"links.{name}.port: is missing"])
+        self.links[name] = link
+
+    async def change_link(self, name: str, link: dict[str, Any]) -> None:
+        await self.remove_link(name)
+        await self.add_link(name, link)
+
+    async def remove_link(self, name: str) -> None:
+        if name not in self.links:
+            raise LinkError(f"no link {name}; there are: {', '.join(self.links)}")
+        del self.links[name]
+
+    def router_stats(self) -> dict[str, Any]:
+        return {"forwarded": 17, "routes": {}}
+
+    def recorder_status(self) -> dict[str, Any]:
+        return {"recording": True, "file": "logs/a.tlog", "dropped": 0}
+
+    def send_message(self, name: str, fields: dict[str, Any], target: str | None, link: str | None) -> dict[str, Any]:
+        self.sent.append((name, fields, target, link))
+        return {"sent": True, "links": [link or "radio"]}
+
+    def subscribe_events(self, callback: Callable[[Mapping[str, Any]], None]) -> Callable[[], None]:
+        self._on_event.append(callback)
+        return lambda: self._on_event.remove(callback)
+
+    def subscribe_messages(
+        self, names: set[str] | None, keys: set[int] | None, callback: Callable[[Frame, Any, float], None]
+    ) -> Callable[[], None]:
+        entry = (names, keys, callback)
+        self._on_frame.append(entry)
+        return lambda: self._on_frame.remove(entry)
+
+    @property
+    def listeners(self) -> int:
+        """Subscriptions that clients hold here just now."""
+        return len(self._on_event) + len(self._on_frame)
+
+    def emit(self, kind: str, vehicle: str | None, text: str, **data: Any) -> None:
+        event = {"time_unix_s": time.time(), "kind": kind, "vehicle": vehicle, "text": text, "data": data}
+        self.events.append(event)
+        for callback in list(self._on_event):
+            callback(event)
+
+    def hear(self, name: str, sysid: int = 1, compid: int = 1, **fields: Any) -> None:
+        """A message arrives."""
+        info = self.dialect.by_name[name]
+        frame = Frame(encode(info, fields, sysid=sysid, compid=compid, seq=0), 0, sysid, compid, info.msgid, info)
+        for names, keys, callback in list(self._on_frame):
+            if (names is None or name in names) and (keys is None or sysid << 8 | compid in keys):
+                callback(frame, None, self.now())
+
+
+async def serve(path: str, vehicle_count: int) -> None:
+    """Until it is killed: vehicles that move a little, an event and some messages each second."""
+    daemon = FakeDaemon(vehicle_count)
+    if vehicle_count >= 3:
+        carol = daemon.vehicle("carol")
+        carol.outcome = FakeOutcome(
+            False, "denied", "denied: Arm: Throttle too high", status_texts=("Arm: Throttle too high",)
+        )
+    server = RpcServer(daemon, path)
+    await server.start()
+    print("ready", flush=True)
+    try:
+        for i in range(1 << 30):
+            await asyncio.sleep(0.2)
+            daemon.hear("ATTITUDE", roll=0.1 * (i % 7), pitch=-0.02, yaw=1.5)
+            if i % 5 == 0:
+                daemon.emit("statustext", "bravo", f"bravo: all well, {i // 5} s")
+    finally:
+        await server.close()
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 3))
