@@ -1,0 +1,303 @@
+"""Writes every frame, both directions, to tlogs that QGroundControl and Mission Planner read.
+
+`offer` only appends to memory; one writer thread takes whole pieces from there to the file. A thread and not the
+loop, because a write to a slow card can block for seconds when the kernel throttles dirty pages; one thread and no
+more, so that pieces keep their order. There is no fsync: bytes that `write` has taken are the kernel's and survive a
+kill -9; what a power cut may cost is the file system's matter.
+
+A disk fault is a state, not an error: one event when it begins, one when it ends, a growing pause between attempts,
+and routing never waits. A file never holds a broken record but at its very end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import io
+import os
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from skygcs.core.tlog import TIME_BYTES, encode_record
+from skygcs.core.vehicle.events import Event
+
+FLUSH_PERIOD_S = 0.25
+"""How long a record waits in memory at most while the disk works; with the write it stays well below a second."""
+
+PIECE_BYTES = 65536
+"""One write. Above this a piece is closed and written at once: 11 s of a full 57600 baud radio, 30 ms of a flood."""
+
+MAX_BUFFER_BYTES = 8 << 20
+"""Waiting for the disk; above this the newest are dropped and counted. 24 minutes of a full 57600 baud radio."""
+
+RETRY_FIRST_S = 1.0
+RETRY_MAX_S = 10.0
+"""Pause between attempts while the disk fails, doubling between these."""
+
+CLOSE_TIMEOUT_S = 3.0
+"""A stuck disk may delay the end of the daemon by this much, not more."""
+
+OpenFile = Callable[[Path], io.FileIO]
+
+
+def _open_new(path: Path) -> io.FileIO:
+    """Unbuffered, only if there is no such file."""
+    return io.FileIO(path, "xb")
+
+
+@dataclass(slots=True)
+class _Piece:
+    """Whole records, in order."""
+
+    data: bytearray = field(default_factory=bytearray)
+    records: int = 0
+
+
+class TlogFiles:
+    """The files of one daemon's life, on the writer's thread: opens, writes whole pieces, rotates, cuts off rests.
+
+    Names begin with the UTC time of their first record, so that they sort, and end with a counter.
+    """
+
+    def __init__(self, folder: Path, max_bytes: int, max_age_s: float, open_file: OpenFile) -> None:
+        self.path: Path | None = None
+        self.size = 0
+        self.count = 0
+        self._folder = folder
+        self._max_bytes = max_bytes
+        self._max_age_s = max_age_s
+        self._open_file = open_file
+        self._file: io.FileIO | None = None
+        self._opened_at = 0.0
+        self._number = 0
+
+    def write(self, data: bytes | bytearray, now: float) -> None:
+        """All of ``data`` (whole records) or, raising OSError, nothing of it."""
+        if self._file is not None and self._is_over(len(data), now):
+            self.close()
+        file = self._file or self._open(data, now)
+        start = self.size
+        try:
+            view = memoryview(data)
+            while view:
+                written = file.write(view)
+                if not written:
+                    raise OSError(f"{self.path}: nothing was written")
+                view = view[written:]
+        except OSError:
+            self._cut(file, start)
+            raise
+        self.size = start + len(data)
+
+    def close(self) -> None:
+        """Close the present file; the next write opens another."""
+        file, self._file = self._file, None
+        if file is not None:
+            with contextlib.suppress(OSError):  # the data is written; a late error here can be told to nobody
+                file.close()
+
+    def _is_over(self, coming: int, now: float) -> bool:
+        """Full, too old, or deleted under us (a cleaned-up folder would otherwise swallow everything)."""
+        assert self._file is not None
+        if self.size and (self.size + coming > self._max_bytes or now - self._opened_at >= self._max_age_s):
+            return True
+        try:
+            return os.fstat(self._file.fileno()).st_nlink == 0
+        except OSError:
+            return True
+
+    def _open(self, data: bytes | bytearray, now: float) -> io.FileIO:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        unix_us = int.from_bytes(data[:TIME_BYTES], "big")
+        try:
+            begun = f"{datetime.fromtimestamp(unix_us / 1e6, UTC):%Y%m%dT%H%M%SZ}"
+        except (ValueError, OverflowError, OSError):
+            begun = "00000000T000000Z"  # a clock that nobody set; the counter keeps the order
+        while True:
+            path = self._folder / f"{begun}-{self._number + 1:04d}.tlog"
+            try:
+                file = self._open_file(path)
+            except FileExistsError:
+                self._number += 1
+                continue
+            self._number += 1
+            self.count += 1
+            self._file, self.path, self.size, self._opened_at = file, path, 0, now
+            return file
+
+    def _cut(self, file: io.FileIO, size: int) -> None:
+        """Take a partly written piece away again; if even that fails the file ends there and a new one is begun."""
+        try:
+            if size:
+                file.truncate(size)
+                file.seek(size)
+                return
+        except OSError:
+            self.close()
+            return
+        self.close()  # a first write that failed: leave no empty file behind at every attempt
+        self._number -= 1
+        self.count -= 1
+        with contextlib.suppress(OSError):
+            if self.path is not None:
+                self.path.unlink()
+        self.path = None
+
+
+class Recorder:
+    """Bounded memory in front of `TlogFiles`. `offer` any time; `run` writes; `close` writes the rest.
+
+    All methods belong to the loop's thread. ``on_event`` gets kind "recorder" when recording stops and when it is back.
+    """
+
+    def __init__(
+        self,
+        log_dir: Path,
+        max_bytes: int,
+        max_age_s: float,
+        on_event: Callable[[Event], None],
+        *,
+        open_file: OpenFile = _open_new,
+        max_buffer_bytes: int = MAX_BUFFER_BYTES,
+    ) -> None:
+        self._files = TlogFiles(log_dir, max_bytes, max_age_s, open_file)
+        self._log_dir = log_dir
+        self._on_event = on_event
+        self._piece_bytes = max(min(PIECE_BYTES, max_bytes // 4), 1)
+        self._max_buffer_bytes = max_buffer_bytes
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="tlog")
+        self._flushing: asyncio.Task[None] | None = None
+        self._closed = False
+        self._pieces: deque[_Piece] = deque()  # closed and waiting
+        self._piece = _Piece()  # being filled
+        self._buffered_bytes = 0
+        self._some = asyncio.Event()
+        self._many = asyncio.Event()
+        self._records = 0
+        self._bytes = 0
+        self._lost = 0
+        self._lost_in_fault = 0
+        self._fault: str | None = None
+        self._fault_since = 0.0
+        self._refused = False  # the last write failed
+        self._retry_s = RETRY_FIRST_S
+
+    def offer(self, raw: bytes, unix_us: int) -> None:
+        """Record one frame. Hot: never blocks, never raises; without room it is dropped and counted."""
+        piece = self._piece
+        size = TIME_BYTES + len(raw)
+        if self._closed or unix_us < 0 or self._buffered_bytes + size > self._max_buffer_bytes:
+            self._drop()
+            return
+        piece.data += encode_record(unix_us, raw)
+        piece.records += 1
+        self._buffered_bytes += size
+        if piece.records == 1:
+            self._some.set()
+        if len(piece.data) >= self._piece_bytes:
+            self._pieces.append(piece)
+            self._piece = _Piece()
+            self._some.set()
+            self._many.set()
+
+    async def run(self) -> None:
+        """Write until cancelled; then call `close`. A disk fault never ends it."""
+        loop = asyncio.get_running_loop()
+        while True:
+            await self._some.wait()
+            self._some.clear()
+            if not self._many.is_set():
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(FLUSH_PERIOD_S):
+                        await self._many.wait()
+            self._many.clear()
+            if self._refused:
+                await asyncio.sleep(self._retry_s)
+                self._retry_s = min(self._retry_s * 2, RETRY_MAX_S)
+            self._flushing = loop.create_task(self._flush(), name="tlog flush")
+            await asyncio.shield(self._flushing)  # what the thread has begun is finished and counted
+            if self._refused:
+                self._some.set()
+
+    async def close(self) -> None:
+        """Write what waits and close the file. Idempotent. Never raises; waits CLOSE_TIMEOUT_S for a stuck disk."""
+        if self._closed:
+            return
+        self._closed = True
+        loop = asyncio.get_running_loop()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                if self._flushing is not None and not self._flushing.done():
+                    await asyncio.shield(self._flushing)
+                self._flushing = loop.create_task(self._flush(), name="last tlog flush")
+                await asyncio.shield(self._flushing)
+                await loop.run_in_executor(self._executor, self._files.close)
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        if waiting := sum(p.records for p in self._pieces) + self._piece.records:
+            self._lost += waiting
+            self._tell(f"recording ended with {waiting} records unwritten: {self._fault or 'the disk is stuck'}")
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able: where it writes, how much, what was lost, what is wrong."""
+        return {
+            "state": "closed" if self._closed else "failing" if self._fault is not None else "recording",
+            "folder": str(self._log_dir),
+            "file": str(self._files.path) if self._files.path is not None else None,
+            "file_bytes": self._files.size,
+            "files": self._files.count,
+            "records": self._records,
+            "bytes": self._bytes,
+            "buffered_bytes": self._buffered_bytes,
+            "lost_records": self._lost,
+            "error": self._fault,
+        }
+
+    async def _flush(self) -> None:
+        """Write all pieces that are there now, in order; on a fault keep the rest for the next time."""
+        loop = asyncio.get_running_loop()
+        if self._piece.records:
+            self._pieces.append(self._piece)
+            self._piece = _Piece()
+        for _ in range(len(self._pieces)):
+            piece = self._pieces[0]
+            try:
+                await loop.run_in_executor(self._executor, self._files.write, piece.data, loop.time())
+            except Exception as error:  # whatever the file does, routing and later attempts go on
+                self._refused = True
+                self._failed(getattr(error, "strerror", None) or str(error) or type(error).__name__)
+                return
+            self._pieces.popleft()
+            self._buffered_bytes -= len(piece.data)
+            self._records += piece.records
+            self._bytes += len(piece.data)
+        self._refused = False
+        self._recovered()
+
+    def _drop(self) -> None:
+        self._lost += 1
+        self._lost_in_fault += 1
+        if self._fault is None and not self._closed:
+            self._failed("the disk is too slow, memory is full")
+
+    def _failed(self, reason: str) -> None:
+        if self._fault is None:
+            self._fault_since = asyncio.get_running_loop().time()
+            self._retry_s = RETRY_FIRST_S
+            self._fault = reason
+            self._tell(f"recording to {self._log_dir} stopped: {reason}; everything else goes on", error=reason)
+        self._fault = reason
+
+    def _recovered(self) -> None:
+        if self._fault is None:
+            return
+        seconds = asyncio.get_running_loop().time() - self._fault_since
+        lost, self._lost_in_fault, self._fault = self._lost_in_fault, 0, None
+        self._tell(f"recording again after {seconds:.0f} s; {lost} records lost", lost=lost, seconds=round(seconds, 1))
+
+    def _tell(self, text: str, **data: Any) -> None:
+        self._on_event(Event("recorder", None, None, text, data))
