@@ -89,6 +89,14 @@ class FrameParser:
         self._scan(data, frames, final=True)
         return frames
 
+    def finish(self) -> list[Frame]:
+        """At the end of the stream (a file, a closed connection): the complete frames that were held back; the rest is
+        skipped, and the next `feed` begins anew."""
+        frames: list[Frame] = []
+        buffer, self._buffer = self._buffer, b""
+        self._scan(buffer, frames, final=True)
+        return frames
+
     def rescue(self) -> list[Frame]:
         """To be called after a silence on the stream: the complete frames among the bytes that are kept.
 

@@ -1,0 +1,229 @@
+"""`skygcs-cli tlog info FILE`: what is in a tlog or a raw capture. Needs no daemon."""
+
+from __future__ import annotations
+
+import json
+import mmap
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from skygcs.config.dialects import load_dialect, offline_dialect
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.tlog import ByteSource, RecordReader, sniff
+from skygcs.core.vehicle.discovery import HEARTBEAT, discovers
+from skygcs.errors import SkygcsError
+
+RAW_PIECE_BYTES = 1 << 16
+
+PROGRESS_FROM_BYTES = 20 << 20
+"""Some 2 s of work; below this a bar would only flash up."""
+
+
+@dataclass(slots=True)
+class SeenVehicle:
+    """What the heartbeats of one vehicle told. Times in seconds from the first record, None in a raw capture."""
+
+    sysid: int
+    compid: int
+    first_s: float | None
+    last_s: float | None = None
+    autopilot: int = 0
+    type: int = 0
+    heartbeats: int = 0
+    modes: list[str] = field(default_factory=list)
+    armed: bool = False
+
+    def on_heartbeat(self, frame: Frame, elapsed_s: float | None) -> None:
+        fields = frame.fields()
+        self.last_s = elapsed_s
+        self.heartbeats += 1
+        self.autopilot, self.type = fields["autopilot"], fields["type"]
+        base_mode = fields.get("base_mode", 0)
+        self.armed = self.armed or bool(base_mode & SAFETY_ARMED)
+        mode = mode_name(self.autopilot, self.type, base_mode, fields.get("custom_mode", 0))
+        if mode not in self.modes:
+            self.modes.append(mode)
+
+    def as_dict(self, dialect: Dialect) -> dict[str, Any]:
+        kind = dialect.enums.get("MAV_TYPE", {}).get(self.type, str(self.type))
+        return {
+            "sysid": self.sysid,
+            "compid": self.compid,
+            "autopilot": family(self.autopilot),
+            "type": kind.removeprefix("MAV_TYPE_"),
+            "first_s": _rounded(self.first_s),
+            "last_s": _rounded(self.last_s),
+            "heartbeats": self.heartbeats,
+            "modes": self.modes,
+            "armed": self.armed,
+        }
+
+
+class Census:
+    """Counts of one file; ``as_dict`` is the JSON answer."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self.dialect = dialect
+        self.verdicts: Counter[str] = Counter()
+        self.skipped_bytes = 0
+        self.duration_s: float | None = None
+        self._types: Counter[str] = Counter()
+        self._sources: Counter[int] = Counter()
+        self._vehicles: dict[int, SeenVehicle] = {}
+
+    def read_tlog(self, data: ByteSource, advance: Progress) -> None:
+        reader = RecordReader(data, self.dialect)
+        for record in reader:
+            self.verdicts[record.verdict] += 1
+            self.duration_s = record.elapsed_s
+            if record.verdict == "ok" and record.frame is not None:
+                self._on_good(record.frame, record.elapsed_s)
+            advance(record.offset)
+        self.skipped_bytes = reader.skipped_bytes
+
+    def read_raw(self, data: ByteSource, advance: Progress) -> None:
+        parser = FrameParser(self.dialect)
+        for start in range(0, len(data), RAW_PIECE_BYTES):
+            self._on_frames(parser.feed(data[start : start + RAW_PIECE_BYTES]))
+            advance(start)
+        self._on_frames(parser.finish())
+        stats = parser.stats
+        self.verdicts = Counter(ok=stats.good, bad_crc=stats.bad_crc, unknown=stats.unknown)
+        self.skipped_bytes = stats.skipped_bytes
+
+    def as_dict(self) -> dict[str, Any]:
+        sources = {f"{key >> 8}/{key & 0xFF}": count for key, count in self._sources.most_common()}
+        return {
+            "records": sum(self.verdicts.values()),
+            "ok": self.verdicts["ok"],
+            "bad_crc": self.verdicts["bad_crc"],
+            "unknown": self.verdicts["unknown"],
+            "skipped_bytes": self.skipped_bytes,
+            "duration_s": _rounded(self.duration_s),
+            "sources": sources,
+            "types": dict(self._types.most_common()),
+            "vehicles": [self._vehicles[key].as_dict(self.dialect) for key in sorted(self._vehicles)],
+        }
+
+    def _on_frames(self, frames: list[Frame]) -> None:
+        for frame in frames:
+            if frame.info is not None:
+                self._on_good(frame, None)
+
+    def _on_good(self, frame: Frame, elapsed_s: float | None) -> None:
+        key = frame.sysid << 8 | frame.compid
+        self._sources[key] += 1
+        self._types[frame.name] += 1
+        if frame.msgid == HEARTBEAT and discovers(frame):
+            vehicle = self._vehicles.get(key)
+            if vehicle is None:
+                vehicle = self._vehicles[key] = SeenVehicle(frame.sysid, frame.compid, elapsed_s)
+            vehicle.on_heartbeat(frame, elapsed_s)
+
+
+class Progress:
+    """Called with the offset reached; draws a bar for a long file on a terminal, else nothing."""
+
+    def __init__(self, size: int) -> None:
+        self._bar: Any = None
+        self._next = 0
+        if size >= PROGRESS_FROM_BYTES and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import Progress as Bar
+
+            self._bar = Bar(console=Console(stderr=True), transient=True)
+            self._task = self._bar.add_task("reading", total=size)
+            self._bar.start()
+
+    def __call__(self, offset: int) -> None:
+        if self._bar is not None and offset >= self._next:
+            self._next = offset + (1 << 20)
+            self._bar.update(self._task, completed=offset)
+
+    def stop(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+
+def tlog_info(file: Path, json_output: bool = False, dialect: str | None = None) -> int:
+    """Print what is in ``file``; 0. Raises SkygcsError for a file that cannot be read or holds no MAVLink."""
+    table = offline_dialect() if dialect is None else load_dialect(dialect)
+    with _mapped(file) as data:
+        kind = sniff(data, table) or ("tlog" if file.suffix == ".tlog" else None)
+        census = Census(table)
+        progress = Progress(len(data))
+        try:
+            if kind == "tlog":
+                census.read_tlog(data, progress)
+            elif kind == "raw":
+                census.read_raw(data, progress)
+        finally:
+            progress.stop()
+    answer = census.as_dict()
+    if not answer["records"]:
+        raise SkygcsError(f"{file}: no MAVLink in it, neither as a tlog nor as a raw capture")
+    if json_output:
+        print(json.dumps(answer, indent=1))
+    else:
+        _show(file, "tlog" if kind == "tlog" else "raw capture", answer)
+    return 0
+
+
+@contextmanager
+def _mapped(file: Path) -> Iterator[ByteSource]:
+    """The file's bytes without reading it whole; a pipe is read whole."""
+    try:
+        with file.open("rb") as handle:
+            try:
+                data: mmap.mmap | bytes = mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ)
+            except (OSError, ValueError):  # a pipe, or empty
+                data = handle.read()
+            yield data
+            if isinstance(data, mmap.mmap):
+                data.close()
+    except OSError as error:
+        raise SkygcsError(f"{file}: {error.strerror or error}") from None
+
+
+def _rounded(seconds: float | None) -> float | None:
+    return None if seconds is None else round(seconds, 1)
+
+
+def _show(file: Path, kind: str, answer: dict[str, Any]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console()
+    duration = "" if answer["duration_s"] is None else f", {answer['duration_s']:.1f} s"
+    console.print(f"[bold]{escape(file.name)}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False)
+    console.print(
+        f"{answer['ok']} good, {answer['bad_crc']} with a wrong CRC, {answer['unknown']} of unknown id, "
+        f"{answer['skipped_bytes']} bytes skipped",
+        highlight=False,
+    )
+    if answer["vehicles"]:
+        table = Table("vehicle", "autopilot", "type", "heard, s", "armed", box=box.SIMPLE_HEAD)
+        table.add_column("modes", overflow="fold")
+        for v in answer["vehicles"]:
+            heard = "" if v["first_s"] is None else f"{v['first_s']:.1f} to {v['last_s']:.1f}"
+            row = (f"{v['sysid']}/{v['compid']}", v["autopilot"], v["type"], heard, "yes" if v["armed"] else "no")
+            table.add_row(*row, "\n".join(v["modes"]))
+        console.print(table)
+    else:
+        console.print("no vehicle")
+    for title, counts in (("source", answer["sources"]), ("message", answer["types"])):
+        table = Table(title, box=box.SIMPLE_HEAD)
+        table.add_column("frames", justify="right")
+        for name, count in counts.items():
+            table.add_row(name, str(count))
+        console.print(table)
