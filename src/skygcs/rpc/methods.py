@@ -18,8 +18,8 @@ from skygcs.errors import RefusedError, TargetError
 from skygcs.rpc import dispatch, openrpc
 from skygcs.rpc import models as m
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.ports import Daemon, JsonObject, OutcomeLike, Vehicle
-from skygcs.rpc.subscriptions import resolve
+from skygcs.rpc.ports import Daemon, JsonObject, OutcomeLike, Vehicle, resolve
+from skygcs.rpc.subscriptions import find_message
 
 _log = structlog.get_logger(__name__)
 
@@ -103,7 +103,7 @@ async def vehicles_set_home(context: Context, params: m.SetHomeParams) -> JsonOb
 
 async def vehicles_interval(context: Context, params: m.IntervalParams) -> JsonObject:
     """Ask for one message at a rate (SET_MESSAGE_INTERVAL)."""
-    info = message_info(context.daemon, params.message, "message")
+    info = find_message(context.daemon.dialect, params.message, "message")
     return await _order(context, params, lambda v: v.set_message_interval(info.name, params.rate_hz))
 
 
@@ -125,13 +125,13 @@ async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObj
 
 def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | None:
     """The last message of one name from one vehicle, or null if none came yet."""
-    info = message_info(context.daemon, params.name, "name")
+    info = find_message(context.daemon.dialect, params.name, "name")
     return _one(context.daemon, params.target).latest(info.name)
 
 
 def messages_send(context: Context, params: m.SendParams) -> JsonObject:
     """Send any message of the dialect, checked field by field, to one vehicle, one link or everyone."""
-    info = message_info(context.daemon, params.name, "name")
+    info = find_message(context.daemon.dialect, params.name, "name")
     fields = _checked_fields(info, params.fields)
     target = None if params.target is None else str(_one(context.daemon, params.target).sysid)
     return context.daemon.send_message(info.name, fields, target, params.link)
@@ -246,13 +246,6 @@ def _one(daemon: Daemon, target: str) -> Vehicle:
         names = ", ".join(v.name for v in vehicles[:10]) or "none"
         raise TargetError(f"{target} names {len(vehicles)} vehicles ({names}); give one")
     return vehicles[0]
-
-
-def message_info(daemon: Daemon, name: str | int, param: str) -> MessageInfo:
-    try:
-        return daemon.dialect.find(name)
-    except KeyError as error:
-        raise InvalidParams((param, f"{error.args[0]}; messages.list lists them")) from None
 
 
 def _checked_fields(info: MessageInfo, fields: JsonObject) -> JsonObject:

@@ -1,4 +1,4 @@
-"""What the RPC methods need of the daemon, and no more: the seam at which tests put a fake one."""
+"""What the RPC server needs of the daemon, and no more: the seam at which tests put a fake one."""
 
 from __future__ import annotations
 
@@ -94,3 +94,21 @@ class Daemon(Protocol):
     def send_message(self, name: str, fields: JsonObject, target: str | None, link: str | None) -> JsonObject: ...
     def subscribe_events(self, callback: OnEvent) -> Unsubscribe: ...
     def subscribe_messages(self, names: set[str] | None, keys: set[int] | None, callback: OnFrame) -> Unsubscribe: ...
+
+
+class Sink(Protocol):
+    """A client's output, as subscriptions see it."""
+
+    @property
+    def writable(self) -> bool:
+        """False while the client has not taken what was written before."""
+        ...
+
+    def write(self, data: bytes) -> None: ...
+
+
+def resolve(daemon: Daemon, targets: str | list[str]) -> list[Vehicle]:
+    """The vehicles of a target expression; "all" may be none. Raises TargetError for any other that names none."""
+    if targets in ("all", ["all"]):
+        return sorted(daemon.fleet.vehicles.values(), key=lambda v: (v.sysid, v.compid))
+    return list(daemon.fleet.resolve(targets))

@@ -15,18 +15,9 @@ import structlog
 from skygcs.rpc import dispatch
 from skygcs.rpc import models as m
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
-from skygcs.rpc.methods import Context, message_info
+from skygcs.rpc.methods import Context
 from skygcs.rpc.ports import Daemon, JsonObject
-from skygcs.rpc.subscriptions import (
-    DEFAULT_TELEMETRY_HZ,
-    EventFeed,
-    EventSubscription,
-    MessageFeed,
-    MessageSubscription,
-    QueuedSubscription,
-    TelemetryFeed,
-    TelemetrySubscription,
-)
+from skygcs.rpc.subscriptions import Feeds, Subscription
 
 MAX_LINE_BYTES = 1 << 20
 """A request is a few hundred bytes, a full batch of the largest messages some 100 kB."""
@@ -66,9 +57,7 @@ class Hub:
         self.daemon = daemon
         self.dispatcher = dispatcher
         self.loop = loop
-        self.telemetry = TelemetryFeed(daemon, loop)
-        self.events = EventFeed(daemon, loop)
-        self.messages = MessageFeed(daemon, loop)
+        self.feeds = Feeds(daemon, loop)
         self.sessions: set[Session] = set()
         self.counters: Counter[str] = Counter()
 
@@ -83,9 +72,7 @@ class Hub:
         tasks = [task for session in self.sessions for task in session.tasks]
         for session in list(self.sessions):
             session.close()
-        self.telemetry.close()
-        self.events.close()
-        self.messages.close()
+        self.feeds.close()
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
@@ -105,7 +92,7 @@ class Session(asyncio.Protocol):
         self._skipping = False
         self._turn_due = False
         self._in_flight = 0
-        self._subscriptions: dict[int, TelemetrySubscription | QueuedSubscription] = {}
+        self._subscriptions: dict[int, Subscription] = {}
         self._next_subscription = 1
         self._auth_timer: asyncio.TimerHandle | None = None
         self._eof = False
@@ -159,7 +146,7 @@ class Session(asyncio.Protocol):
         self.writable = True
         for subscription in list(self._subscriptions.values()):
             subscription.flush()
-        self._hub.telemetry.resume()
+        self._hub.feeds.resume()
         if not self._turn_due:
             self._turn()
 
@@ -180,7 +167,7 @@ class Session(asyncio.Protocol):
         if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
             raise LimitExceeded(f"at most {MAX_SUBSCRIPTIONS} subscriptions per client; unsubscribe some")
         number = self._next_subscription
-        self._subscriptions[number] = self._subscribed(params, number)
+        self._subscriptions[number] = self._hub.feeds.add(self, number, params)
         self._next_subscription += 1
         return number
 
@@ -189,7 +176,7 @@ class Session(asyncio.Protocol):
         if subscription is None:
             have = ", ".join(map(str, self._subscriptions)) or "none"
             raise InvalidParams(("subscription", f"this client has no subscription {number}; it has: {have}"))
-        self._unsubscribe(subscription)
+        self._hub.feeds.remove(subscription)
 
     def close(self) -> None:
         """Close; what was written still goes out, unless the client does not read."""
@@ -363,38 +350,6 @@ class Session(asyncio.Protocol):
             self._transport.close()
         self._end()
 
-    # -- subscriptions
-
-    def _subscribed(self, params: m.SubscribeParams, number: int) -> TelemetrySubscription | QueuedSubscription:
-        hub = self._hub
-        targets = params.targets
-        if params.topic == "telemetry":
-            sections = frozenset(str(n) for n in params.names or ())
-            rate_hz = params.rate_hz or DEFAULT_TELEMETRY_HZ
-            telemetry = TelemetrySubscription(self, number, targets, rate_hz, sections)
-            hub.telemetry.add(telemetry)
-            return telemetry
-        if params.topic == "events":
-            kinds = frozenset(str(n) for n in params.names or ())
-            events = EventSubscription(self, number, hub.loop, hub.daemon, targets, kinds)
-            hub.events.add(events)
-            return events
-        names = None
-        if params.names is not None:
-            names = [message_info(hub.daemon, n, "names").name for n in params.names]
-        messages = MessageSubscription(self, number, hub.loop, params.rate_hz)
-        hub.messages.add(messages, names, targets)
-        return messages
-
-    def _unsubscribe(self, subscription: TelemetrySubscription | QueuedSubscription) -> None:
-        match subscription:
-            case TelemetrySubscription():
-                self._hub.telemetry.remove(subscription)
-            case EventSubscription():
-                self._hub.events.remove(subscription)
-            case MessageSubscription():
-                self._hub.messages.remove(subscription)
-
     # -- the end
 
     def _peer_still_reads(self) -> bool:
@@ -423,7 +378,7 @@ class Session(asyncio.Protocol):
             self._auth_timer.cancel()
         subscriptions, self._subscriptions = self._subscriptions, {}
         for subscription in subscriptions.values():
-            self._unsubscribe(subscription)
+            self._hub.feeds.remove(subscription)
         for task in self.tasks:
             task.cancel()
         self._buffer.clear()

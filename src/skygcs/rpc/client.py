@@ -1,0 +1,340 @@
+"""Asyncio client of a running skygcs daemon.
+
+    from skygcs.rpc.client import connect
+
+    async with connect() as gcs:                          # the default socket, or a path, or tcp://127.0.0.1:PORT
+        outcomes = await gcs.arm("all")                   # {"alpha": {"ok": true, "result": "accepted", ...}, ...}
+        await gcs.takeoff("alpha", 5)
+        async for state in gcs.telemetry("alpha", rate_hz=5):
+            print(state["position"]["alt_rel_m"])
+
+Every method of docs/reference/rpc.md can be called by name: ``await gcs.call("vehicles.arm", targets="all")``.
+An error answer is raised as RpcError (``code``, ``message``, ``data``), a daemon that is not there or goes away as
+DaemonUnreachable; connecting again is the caller's business. A cancelled call is no longer waited for, but the order
+may have been sent; closing the connection cancels what the daemon still does for it. One client belongs to one loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import os
+from collections.abc import Callable, Sequence
+from typing import Any, Self
+
+from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.rpc.address import client_address
+from skygcs.rpc.inbox import Inbox, Latest, Queue
+
+_OnAnswer = Callable[[Any, "RpcError | None"], None]
+Targets = str | int | Sequence[str | int]
+Outcomes = dict[str, dict[str, Any]]
+"""By vehicle name: ok, result, message, attempts, elapsed_s, status_texts. Orders never raise for a vehicle's "no"."""
+
+
+def connect(address: str | os.PathLike[str] | None = None, *, token: str | None = None) -> Client:
+    """A client for ``async with``. Default address: $SKYGCS_SOCKET, else the user's own socket.
+
+    ``address`` is a path or ``tcp://HOST:PORT``; TCP needs the daemon's ``token``. Entering raises DaemonUnreachable.
+    """
+    return Client(client_address(address), token)
+
+
+class Client:
+    """A connection; made by `connect`. Usable from many tasks of one loop."""
+
+    def __init__(self, address: str, token: str | None = None) -> None:
+        self.address = address
+        self._token = token
+        self._wire: _Wire | None = None
+        self._last_id = 0
+
+    async def __aenter__(self) -> Self:
+        await self.open()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def open(self) -> None:
+        """Connect. Raises DaemonUnreachable, and RpcError for a wrong token."""
+        loop = asyncio.get_running_loop()
+        try:
+            if self.address.startswith("tcp://"):
+                host, _, port = self.address.removeprefix("tcp://").rpartition(":")
+                if not port.isdigit():
+                    raise DaemonUnreachable(self.address, "not of the form tcp://HOST:PORT")
+                _, self._wire = await loop.create_connection(lambda: _Wire(self.address), host, int(port))
+            else:
+                _, self._wire = await loop.create_unix_connection(lambda: _Wire(self.address), self.address)
+        except OSError as error:
+            raise DaemonUnreachable(self.address, os.strerror(error.errno) if error.errno else str(error)) from None
+        if self._token is not None and self.address.startswith("tcp://"):
+            await self.call("auth", token=self._token)
+
+    async def close(self) -> None:
+        """Close; calls and iterations still waiting end with DaemonUnreachable. Idempotent."""
+        if self._wire is not None:
+            self._wire.transport.close()
+            self._wire.lose("closed here")
+            self._wire = None
+
+    async def call(self, method: str, /, **params: Any) -> Any:
+        """The result of one method. Raises RpcError, DaemonUnreachable, and ValueError for what JSON cannot carry."""
+        wire = self._connected()
+        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+        def on_answer(result: Any, error: RpcError | None) -> None:
+            if future.done():
+                return
+            if error is not None:
+                future.set_exception(error)
+            else:
+                future.set_result(result)
+
+        wire.start(self._next_id(), method, params, on_answer)
+        return await future
+
+    # -- vehicles
+
+    async def vehicles(self, targets: Targets = "all") -> list[dict[str, Any]]:
+        """The states of some or all vehicles."""
+        states: list[dict[str, Any]] = await self.call("vehicles.list", targets=_plain(targets))
+        return states
+
+    async def vehicle(self, target: str | int) -> dict[str, Any]:
+        """The state of one vehicle."""
+        state: dict[str, Any] = await self.call("vehicles.get", target=target)
+        return state
+
+    async def arm(self, targets: Targets, *, force: bool = False, wait_s: float = 0.0) -> Outcomes:
+        """``wait_s``: keep trying while the autopilot is not ready yet."""
+        return await self._order("arm", targets, force=force, wait_s=wait_s)
+
+    async def disarm(self, targets: Targets, *, force: bool = False) -> Outcomes:
+        """``force``: in flight as well; the vehicle falls."""
+        return await self._order("disarm", targets, force=force)
+
+    async def takeoff(self, targets: Targets, height_m: float | None = None, *, arm: bool = True) -> Outcomes:
+        """To a height above the ground it stands on; None: the fleet file's."""
+        return await self._order("takeoff", targets, height_m=height_m, arm=arm)
+
+    async def land(self, targets: Targets) -> Outcomes:
+        return await self._order("land", targets)
+
+    async def rtl(self, targets: Targets) -> Outcomes:
+        return await self._order("rtl", targets)
+
+    async def hold(self, targets: Targets) -> Outcomes:
+        return await self._order("hold", targets)
+
+    async def mode(self, targets: Targets, mode: str) -> Outcomes:
+        """By the autopilot's own name: "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter)."""
+        return await self._order("mode", targets, mode=mode)
+
+    async def goto(
+        self,
+        targets: Targets,
+        lat_deg: float | None = None,
+        lon_deg: float | None = None,
+        height_m: float | None = None,
+        *,
+        enu_m: Sequence[float] | None = None,
+        yaw_deg: float | None = None,
+        force: bool = False,
+    ) -> Outcomes:
+        """To degrees and a height above home (None: as high as it is), or to east, north, up from the origin."""
+        place = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "yaw_deg": yaw_deg, "force": force}
+        return await self._order("goto", targets, enu_m=None if enu_m is None else list(enu_m), **place)
+
+    async def reboot(self, targets: Targets, *, force: bool = False) -> Outcomes:
+        """``force``: although it is armed."""
+        return await self._order("reboot", targets, force=force)
+
+    async def command(
+        self, targets: Targets, command: str | int, params: Sequence[float | None] = (), **more: Any
+    ) -> Outcomes:
+        """Any MAV_CMD; None or NaN is an unset parameter. ``more``: int_frame, x, y, z for COMMAND_INT."""
+        plain = [None if p is None or math.isnan(p) else p for p in params]
+        return await self._order("command", targets, command=command, params=plain, **more)
+
+    async def send(self, name: str | int, *, target: str | int | None = None, **fields: Any) -> Any:
+        """One message of the dialect, to a vehicle or (without target) to everyone."""
+        return await self.call("messages.send", name=name, fields=fields, target=target)
+
+    # -- subscriptions
+
+    def telemetry(
+        self, targets: Targets = "all", *, rate_hz: float = 2.0, sections: Sequence[str] | None = None
+    ) -> Subscription:
+        """States as they come, at most ``rate_hz`` (up to 20) per vehicle; only some ``sections`` of them if given.
+
+        Who is slow gets each vehicle's newest state, never old ones.
+        """
+        params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(sections)}
+        return Subscription(self._connected(), self._next_id(), {"topic": "telemetry", **params}, Latest())
+
+    def events(self, targets: Targets = "all", *, kinds: Sequence[str] | None = None) -> Subscription:
+        """Events from now on; ``event["dropped"]`` is there if so many before it were lost to slowness."""
+        params = {"topic": "events", "targets": _plain(targets), "names": _listed(kinds)}
+        return Subscription(self._connected(), self._next_id(), params, Queue("event"))
+
+    def messages(self, *names: str | int, targets: Targets = "all", rate_hz: float | None = None) -> Subscription:
+        """Decoded messages of these names (none: all): vehicle, sysid, compid, name, fields, age_s.
+
+        ``rate_hz``: at most so many of each name and source. ``message["dropped"]`` as for events.
+        """
+        params = {"topic": "messages", "targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(names)}
+        return Subscription(self._connected(), self._next_id(), params, Queue("message"))
+
+    # -- private
+
+    async def _order(self, order: str, targets: Targets, **params: Any) -> Outcomes:
+        answer = await self.call(f"vehicles.{order}", targets=_plain(targets), **params)
+        outcomes: Outcomes = answer["outcomes"]
+        return outcomes
+
+    def _connected(self) -> _Wire:
+        if self._wire is None:
+            raise DaemonUnreachable(self.address, "not connected")
+        return self._wire
+
+    def _next_id(self) -> int:
+        self._last_id += 1
+        return self._last_id
+
+
+class Subscription:
+    """What `Client.telemetry`, `events` and `messages` give: to be iterated over with ``async for``.
+
+    Subscribed from the moment it is made until `close`, or until nobody holds it any more. The iteration raises
+    RpcError if the daemon refused it, DaemonUnreachable if the daemon goes away.
+    """
+
+    def __init__(self, wire: _Wire, call_id: int, params: dict[str, Any], inbox: Inbox) -> None:
+        self._inbox = inbox
+        self._wire = wire
+        self._state = state = _SubscriptionState(wire, inbox)
+        wire.start(call_id, "subscribe", params, state.on_answer)
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> dict[str, Any]:
+        return await self._inbox.get()
+
+    def close(self) -> None:
+        """Unsubscribe. Idempotent."""
+        self._state.close()
+
+    def __del__(self) -> None:
+        self._state.close()
+
+
+class _SubscriptionState:
+    """Apart from `Subscription`, so that the answer still due does not keep an abandoned one alive."""
+
+    def __init__(self, wire: _Wire, inbox: Inbox) -> None:
+        self._wire = wire
+        self._inbox = inbox
+        self._number: int | None = None
+        self._closed = False
+
+    def on_answer(self, result: Any, error: RpcError | None) -> None:
+        """Called before the next line is read: the first notification may be in the same packet."""
+        if error is not None:
+            self._inbox.fail(error)
+            return
+        number: int = result["subscription"]
+        if self._closed:
+            self._wire.notify("unsubscribe", {"subscription": number})
+        else:
+            self._number = number
+            self._wire.inboxes[number] = self._inbox
+
+    def close(self) -> None:
+        self._closed = True
+        number, self._number = self._number, None
+        if number is not None and self._wire.inboxes.pop(number, None) is not None:
+            self._wire.notify("unsubscribe", {"subscription": number})
+
+
+class _Wire(asyncio.Protocol):
+    """Lines in and out: finds the call or the subscription that each belongs to."""
+
+    transport: asyncio.Transport
+
+    def __init__(self, address: str) -> None:
+        self.inboxes: dict[int, Inbox] = {}
+        self._address = address
+        self._calls: dict[int, _OnAnswer] = {}
+        self._partial: list[bytes] = []
+        self._lost: DaemonUnreachable | None = None
+        self._refused: RpcError | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        if b"\n" not in data:
+            self._partial.append(data)
+            return
+        *lines, rest = b"".join([*self._partial, data]).split(b"\n")
+        self._partial = [rest]
+        for line in lines:
+            if line:
+                self._on_answer(json.loads(line))
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.lose("it closed the connection")
+
+    def lose(self, reason: str) -> None:
+        """Everyone who waits is told. Idempotent."""
+        if self._lost is None:
+            self._lost = DaemonUnreachable(self._address, reason)
+        error = self._refused or self._lost
+        calls, self._calls = self._calls, {}
+        for on_answer in calls.values():
+            on_answer(None, error)
+        for inbox in self.inboxes.values():
+            inbox.fail(error)
+        self.inboxes.clear()
+
+    def start(self, number: int, method: str, params: dict[str, Any], on_answer: _OnAnswer) -> None:
+        """Send a request; ``on_answer(result, error)`` is called once."""
+        if self._lost is not None:
+            raise self._lost
+        line = json.dumps({"jsonrpc": "2.0", "id": number, "method": method, "params": params}, allow_nan=False)
+        self._calls[number] = on_answer
+        self.transport.write(line.encode() + b"\n")
+
+    def notify(self, method: str, params: dict[str, Any]) -> None:
+        if self._lost is None:
+            self.transport.write(json.dumps({"jsonrpc": "2.0", "method": method, "params": params}).encode() + b"\n")
+
+    def _on_answer(self, answer: dict[str, Any]) -> None:
+        if "method" in answer:
+            params = answer["params"]
+            inbox = self.inboxes.get(params["subscription"])
+            if inbox is not None:
+                inbox.put(params)
+            return
+        error = answer.get("error")
+        failure = None if error is None else RpcError(error["code"], error["message"], error.get("data"))
+        number = answer.get("id")
+        if number is None:
+            self._refused = failure  # not about one call: "too many clients", a wrong token; the end follows
+            return
+        on_answer = self._calls.pop(number, None)
+        if on_answer is not None:
+            on_answer(answer.get("result"), failure)
+
+
+def _plain(targets: Targets) -> str | int | list[str | int]:
+    return targets if isinstance(targets, str | int) else list(targets)
+
+
+def _listed(names: Sequence[str | int] | None) -> list[str | int] | None:
+    return list(names) if names else None
