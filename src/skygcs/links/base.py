@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from skygcs.config.models import LinkConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.linkstats import SourceStats
-from skygcs.core.mavlink.dialect import MessageInfo
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 
@@ -50,6 +50,11 @@ Outgoing = bytes | OwnMessage
 class LinkHost(Protocol):
     """The hub, as links see it. All calls are synchronous, on the loop's thread, and never raise."""
 
+    @property
+    def dialect(self) -> Dialect:
+        """What a link needs that makes or reads frames itself (simulated, replay)."""
+        ...
+
     def new_parser(self, config: LinkConfig) -> FrameParser:
         """A parser for one channel of this link."""
         ...
@@ -63,7 +68,7 @@ class LinkHost(Protocol):
         ...
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
-        """Frames in the order they came."""
+        """Frames in the order they came. The host counts them on the channel and sets its ``last_rx_at``."""
         ...
 
     def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
@@ -122,7 +127,8 @@ class Channel(ABC):
 
 
 class Link(ABC):
-    """An endpoint. Life: `open`, then `failed` resolves when it breaks, then `close`; then it may be opened again."""
+    """An endpoint. Life: `open`, then `failed` resolves when it breaks, then `close`; then, after `rearm`, it may be
+    opened again. ``finished`` tells that it ended by itself (a replay) and is not to be opened again."""
 
     def __init__(self, config: LinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         self.config = config
@@ -130,10 +136,12 @@ class Link(ABC):
         self.host = host
         self.loop = loop
         self.failed: asyncio.Future[str] = loop.create_future()
+        self.finished = False
 
     @abstractmethod
     async def open(self) -> None:
-        """Open the device or socket. Raises LinkError with what to do. After a failure `close` has been called."""
+        """Open the device or socket. Raises LinkError with what to do; it then holds nothing open. So it is when
+        cancelled, or when `close` is called meanwhile (a LinkError as well)."""
 
     @abstractmethod
     async def close(self) -> None:
@@ -148,3 +156,17 @@ class Link(ABC):
         """Called by the link's own callbacks when it breaks; the supervisor closes and reopens it."""
         if not self.failed.done():
             self.failed.set_result(reason)
+
+    def rearm(self) -> None:
+        """Forget the last failure; to be called before the link is opened again."""
+        self.failed = self.loop.create_future()
+
+    def counters(self) -> dict[str, Any]:
+        """JSON-able counters of what belongs to no channel (refused peers, noise); subclasses have their own."""
+        return {}
+
+    @property
+    def why_closed(self) -> str:
+        """What to tell the host when channels are detached: the failure, or that it was closed on purpose."""
+        failed = self.failed
+        return failed.result() if failed.done() and not failed.cancelled() else "closed"

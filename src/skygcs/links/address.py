@@ -1,0 +1,61 @@
+"""Internet addresses: names to socket addresses and back, and socket errors in words that tell what to do."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+from typing import Any
+
+from skygcs.errors import LinkError
+
+Address = tuple[Any, ...]
+"""As the socket module has it: (host, port) for IPv4, (host, port, flow, scope) for IPv6."""
+
+_IPV4_MAPPED = "::ffff:"
+
+
+async def resolve(
+    loop: asyncio.AbstractEventLoop, host: str, port: int, kind: socket.SocketKind
+) -> list[tuple[int, Address]]:
+    """(family, address) of a numeric address or a name, IPv4 first. Raises LinkError. Never blocks the loop.
+
+    IPv4 first because autopilots, radios and companions listen on 0.0.0.0, and UDP gives no sign that nobody listens
+    on ::1 when "localhost" names both.
+    """
+    try:
+        found = socket.getaddrinfo(host, port, type=kind, flags=socket.AI_NUMERICHOST)  # no look-up: does not block
+    except (OSError, UnicodeError):
+        try:
+            found = await loop.getaddrinfo(host, port, type=kind)
+        except (OSError, UnicodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+            raise LinkError(f"{host}: the name has no address ({reason.lower()}); check spelling and network") from None
+    return sorted(((info[0], info[4]) for info in found), key=lambda item: item[0] != socket.AF_INET)
+
+
+def format_address(address: Address) -> str:
+    """ "192.168.1.7:14550" or "[fe80::1%2]:14550"; an IPv4 peer of an IPv6 socket is shown as IPv4."""
+    host, port = str(address[0]), address[1]
+    if host.startswith(_IPV4_MAPPED):
+        host = host[len(_IPV4_MAPPED) :]
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def explain(error: OSError, host: str, port: int) -> str:
+    """One line for a person: what a bind or connect failed of, and what to do."""
+    match error.errno:
+        case errno.EADDRINUSE:
+            return f"port {port} is in use by another program; stop that one or choose another port"
+        case errno.EADDRNOTAVAIL:
+            return f"this machine has no address {host}; take 0.0.0.0 for all it has, or bring the network up"
+        case errno.EACCES | errno.EPERM:
+            return f"not permitted to use {host} port {port}; ports below 1024 need root"
+        case errno.ECONNREFUSED:
+            return "connection refused: nobody listens there (yet)"
+        case errno.EHOSTUNREACH | errno.ENETUNREACH:
+            return "no route to it: is the network up?"
+        case errno.EMFILE | errno.ENFILE:
+            return "too many open files: raise the limit (ulimit -n)"
+        case _:
+            return (error.strerror or str(error)).lower()

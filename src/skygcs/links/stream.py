@@ -1,0 +1,231 @@
+"""Channels over a byte stream: a serial port, a TCP connection.
+
+In: bytes to the channel's parser, and the parser's rescue after a silence. Out: a priority queue in front of the
+descriptor, written when it takes something; a frame once begun is finished before anything else.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable, Hashable
+from typing import Any
+
+from skygcs.core.airtime import Priority, TxQueue
+from skygcs.links.base import Channel, Link, Outgoing
+from skygcs.links.readiness import Readiness
+
+RESCUE_AFTER_S = 0.1
+"""Silence after which what the parser holds back is searched for whole frames. The longest frame takes 49 ms at 57600
+baud, so a pause of twice that is not within one; the rescue harms no slow frame either, it only finds whole ones.
+"""
+
+READ_BYTES = 65536
+"""Most bytes taken at one wake-up, so that a flooded link leaves the others their turn."""
+
+SHALLOW_BYTES = 256
+"""Outstanding bytes in the kernel at which we stop writing: 44 ms at 57600 baud is what an urgent frame then waits."""
+
+SHALLOW_S = 0.02
+"""The same as a time, for fast ports, where 256 bytes would be gone before the next look."""
+
+MIN_LOOK_S = 0.002
+"""Shortest time between two looks at the kernel's buffer."""
+
+
+class StreamIntake:
+    """Hands what comes on one stream to the channel's host, and looks for held-back frames after a silence."""
+
+    __slots__ = ("_channel", "_loop", "_timer", "_touched_at")
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._loop = channel.link.loop
+        self._timer: asyncio.TimerHandle | None = None
+        self._touched_at = 0.0
+
+    def feed(self, data: bytes) -> None:
+        """Bytes as they came, in any split."""
+        channel = self._channel
+        now = self._loop.time()
+        frames = channel.parser.feed(data)
+        if channel.parser.pending:
+            self._touched_at = now
+            if self._timer is None:
+                self._timer = self._loop.call_later(RESCUE_AFTER_S, self._on_silence)
+        if frames:
+            channel.link.host.on_frames(channel, frames, now)
+
+    def close(self) -> None:
+        """No calls to the host after this. Idempotent."""
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def rescue(self) -> None:
+        """Nothing more is to be expected for now: hand on what stands behind a false start."""
+        channel = self._channel
+        while frames := channel.parser.rescue():  # each time it gives some, it holds less
+            channel.link.host.on_frames(channel, frames, self._loop.time())
+
+    def _on_silence(self) -> None:
+        self._timer = None
+        if not self._channel.parser.pending:
+            return
+        left = self._touched_at + RESCUE_AFTER_S - self._loop.time()
+        if left > 0.001:  # one timer for many reads: it is moved on only when it fires
+            self._timer = self._loop.call_later(left, self._on_silence)
+            return
+        self.rescue()
+
+
+class StreamChannel(Channel):
+    """A channel over a non-blocking descriptor, which stays its owner's to close (after `close`).
+
+    ``on_broken(channel, reason)`` is called once, from the loop, after the descriptor reported its end or an error or,
+    with ``stuck_after_s``, after the other end took nothing for that long. ``outstanding`` tells how many written bytes
+    the kernel still holds and ``bytes_per_s`` how fast they go: with them the kernel's buffer is kept shallow, so that
+    priorities mean something; without, it is filled until it takes no more.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        peer: str,
+        fd: int,
+        on_broken: Callable[[StreamChannel, str], None],
+        *,
+        outstanding: Callable[[], int] | None = None,
+        bytes_per_s: float = 5760.0,
+        stuck_after_s: float | None = None,
+    ) -> None:
+        super().__init__(link, peer)
+        self.queue: TxQueue[Outgoing] = TxQueue()
+        self.bytes_per_s = bytes_per_s
+        self.intake = StreamIntake(self)
+        self._fd = fd
+        self._loop = link.loop
+        self._on_broken = on_broken
+        self._outstanding = outstanding
+        self._stuck_after_s = stuck_after_s
+        self._rest = b""
+        self._blocked = False
+        self._progress_at = 0.0
+        self._look: asyncio.TimerHandle | None = None
+        self._stuck: asyncio.TimerHandle | None = None
+        self._closed = False
+        self._readiness = Readiness(link.loop, fd, self._on_ready)
+
+    def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
+        if self._closed:
+            self.tx_dropped += 1
+            return False
+        counters = self.queue.counters[priority]
+        lost = counters.dropped + counters.refused
+        taken = self.queue.offer(outgoing, priority, key)
+        self.tx_dropped += counters.dropped + counters.refused - lost
+        if not self._blocked and self._look is None:
+            self._pump()
+        return taken
+
+    def close(self) -> None:
+        """Stop reading and writing; what waits is dropped and counted. Idempotent."""
+        if self._closed:
+            return
+        self._closed = True
+        self._readiness.close()
+        self.intake.close()
+        for timer in (self._look, self._stuck):
+            if timer is not None:
+                timer.cancel()
+        self._look = self._stuck = None
+        self.tx_dropped += self.queue.clear() + bool(self._rest)
+        self._rest = b""
+
+    def counters(self) -> dict[str, Any]:
+        return {**super().counters(), "tx_waiting": len(self.queue)}
+
+    def _on_ready(self) -> None:
+        try:
+            data = os.read(self._fd, READ_BYTES)
+        except (BlockingIOError, InterruptedError):
+            pass
+        except OSError as error:
+            self._break((error.strerror or str(error)).lower())
+            return
+        else:
+            if not data:
+                self._break("the other end closed it")
+                return
+            self.intake.feed(data)
+        if self._blocked and not self._closed:
+            self._pump()
+
+    def _pump(self) -> None:
+        """Write until nothing waits, the descriptor takes no more, or the kernel holds enough."""
+        while True:
+            rest = self._rest
+            if not rest:
+                if not self._has_room():
+                    break
+                popped = self.queue.pop()
+                if popped is None:
+                    break
+                rest = self.encode(popped[0])
+            try:
+                written = os.write(self._fd, rest)
+            except (BlockingIOError, InterruptedError):
+                written = 0
+            except OSError as error:
+                self._break((error.strerror or str(error)).lower())
+                return
+            if written:
+                self.tx_bytes += written
+                self._progress_at = self._loop.time()
+            self._rest = rest[written:]
+            if self._rest:
+                self._wait()
+                return
+            self.tx_frames += 1
+        if self._blocked:
+            self._blocked = False
+            self._readiness.want_write(False)
+
+    def _has_room(self) -> bool:
+        """Whether the kernel holds little enough to write one more frame; if not, the time to look again is set."""
+        if self._outstanding is None or not self.queue:
+            return True
+        held = self._outstanding()
+        limit = max(SHALLOW_BYTES, self.bytes_per_s * SHALLOW_S)
+        if held < limit:
+            return True
+        self._look = self._loop.call_later(max((held - limit / 2) / self.bytes_per_s, MIN_LOOK_S), self._on_look)
+        return False
+
+    def _on_look(self) -> None:
+        self._look = None
+        self._pump()
+
+    def _wait(self) -> None:
+        """The descriptor takes no more for now."""
+        if self._blocked:
+            return
+        self._blocked = True
+        self._readiness.want_write(True)
+        if self._stuck_after_s is not None and self._stuck is None:
+            self._progress_at = self._loop.time()
+            self._stuck = self._loop.call_later(self._stuck_after_s, self._on_stuck, self._stuck_after_s)
+
+    def _on_stuck(self, after_s: float) -> None:
+        self._stuck = None
+        if not self._blocked:
+            return
+        left = self._progress_at + after_s - self._loop.time()
+        if left > 0.001:
+            self._stuck = self._loop.call_later(left, self._on_stuck, after_s)
+        else:
+            self._break(f"the other end took nothing for {after_s:g} s")
+
+    def _break(self, reason: str) -> None:
+        self.close()
+        self._loop.call_soon(self._on_broken, self, reason)  # not from within a send, amid the host's work on a frame

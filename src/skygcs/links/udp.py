@@ -1,0 +1,357 @@
+"""UDP: a server with a channel per peer, a client, and a broadcaster that locks onto who answers.
+
+One raw socket per link, many datagrams per wake-up; a datagram is a unit, never part of a stream. The socket is never
+connected: a connected one keeps the local address it began with when the machine changes its network, and reports
+every datagram that met nobody as an error. Replies from elsewhere are sorted out by their address instead.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import socket
+from abc import abstractmethod
+from collections.abc import Hashable
+from typing import Any
+
+from skygcs.config import models
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.errors import LinkError
+from skygcs.links.address import Address, explain, format_address, resolve
+from skygcs.links.base import Channel, Link, LinkHost, Outgoing
+from skygcs.links.readiness import Readiness
+
+DATAGRAMS_PER_WAKEUP = 64
+"""Enough that the wake-up costs little per datagram; few enough that other links have their turn within 1 ms."""
+
+MAX_DATAGRAM_BYTES = 65535
+
+RECEIVE_BUFFER_BYTES = 4 << 20
+"""Asked of the kernel (which may give less): outlasts a stall of this process of some seconds."""
+
+BROADCAST_AGAIN_S = 5.0
+"""Silence after which a broadcaster lets go of its peer (mavlink-router's time)."""
+
+MIN_EXPIRY_STEP_S = 0.01
+"""Least time between two looks for silent peers; a loop may count time in whole milliseconds."""
+
+_TRANSIENT = frozenset(
+    {
+        errno.EINTR,
+        errno.ECONNREFUSED,
+        errno.ENETUNREACH,
+        errno.EHOSTUNREACH,
+        errno.ENETDOWN,
+        errno.ENOBUFS,
+        errno.ENOMEM,
+    }
+)
+"""What receiving may report without the socket being broken."""
+
+
+class UdpChannel(Channel):
+    """One peer; ``address`` is where it is sent to. A datagram the kernel does not take is dropped and counted."""
+
+    def __init__(self, link: Link, sock: socket.socket, address: Address) -> None:
+        super().__init__(link, format_address(address))
+        self.address = address
+        self._sendto = sock.sendto
+
+    def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
+        raw = outgoing if type(outgoing) is bytes else self.encode(outgoing)
+        try:
+            self._sendto(raw, self.address)
+        except OSError:  # no buffer, no route, closed: the next datagram may well go through
+            self.tx_dropped += 1
+            return False
+        self.tx_frames += 1
+        self.tx_bytes += len(raw)
+        return True
+
+
+class UdpLink(Link):
+    """What the three kinds share: the socket and the way of a datagram to its peer's channel."""
+
+    config: models.UdpServerLink | models.UdpClientLink | models.UdpBroadcastLink
+
+    def __init__(
+        self,
+        config: models.UdpServerLink | models.UdpClientLink | models.UdpBroadcastLink,
+        host: LinkHost,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        super().__init__(config, host, loop)
+        self._peers: dict[Address, UdpChannel] = {}
+        self._socket: socket.socket | None = None
+        self._readiness: Readiness | None = None
+        self._session = 0
+        self._ignored = 0
+
+    @property
+    def channels(self) -> list[Channel]:
+        return list(self._peers.values())
+
+    @property
+    def bound_port(self) -> int:
+        """The local port while open, also where 0 (any) was configured; else 0."""
+        return int(self._socket.getsockname()[1]) if self._socket is not None else 0
+
+    async def open(self) -> None:
+        config = self.config
+        session = self._session
+        try:
+            family, address = (await resolve(self.loop, config.host, config.port, socket.SOCK_DGRAM))[0]
+        except LinkError as error:
+            raise LinkError(f"{config.type} {error}") from None
+        if session != self._session:
+            raise LinkError(f"{config.type} {config.host}:{config.port}: closed while it was being opened")
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            sock.setblocking(False)
+            with contextlib.suppress(OSError):
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+            self._set_up(sock, family, address)
+            self._readiness = Readiness(self.loop, sock.fileno(), self._on_readable)
+            self._socket = sock
+            self._begin(sock, address)
+        except BaseException as error:
+            await self.close()
+            sock.close()
+            if isinstance(error, OSError):
+                raise LinkError(f"{config.type} {format_address(address)}: {self._explain(error)}") from None
+            raise
+
+    async def close(self) -> None:
+        self._session += 1
+        if self._readiness is not None:
+            self._readiness.close()
+            self._readiness = None
+        channels = self.channels
+        self._peers.clear()
+        for channel in channels:
+            self.host.detach(channel, self.why_closed)
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def counters(self) -> dict[str, Any]:
+        """``ignored_datagrams``: without a good frame, or from somebody we do not talk to."""
+        return {"ignored_datagrams": self._ignored}
+
+    @abstractmethod
+    def _set_up(self, sock: socket.socket, family: int, address: Address) -> None:
+        """Bind and set options. May raise OSError."""
+
+    @abstractmethod
+    def _begin(self, sock: socket.socket, address: Address) -> None:
+        """The socket is ready: attach the channel that is there from the start."""
+
+    @abstractmethod
+    def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
+        """The channel for a datagram from an unknown address, None to pass it over."""
+
+    def _explain(self, error: OSError) -> str:
+        return explain(error, self.config.host, self.config.port)
+
+    def _on_readable(self) -> None:
+        """HOT: from datagram to host without allocation but the frames, without a log line, without an await."""
+        sock = self._socket
+        if sock is None:
+            return
+        receive = sock.recvfrom
+        channel_of = self._peers.get
+        on_frames = self.host.on_frames
+        now = self.loop.time()
+        for _ in range(DATAGRAMS_PER_WAKEUP):
+            try:
+                data, address = receive(MAX_DATAGRAM_BYTES)
+            except BlockingIOError:
+                return
+            except OSError as error:
+                if self._socket is sock and error.errno not in _TRANSIENT:
+                    self.fail(f"{self.config.type} port {self.bound_port}: {self._explain(error)}")
+                return
+            channel = channel_of(address)
+            if channel is None:
+                channel = self._stranger(data, address, now)
+                if channel is None:
+                    continue
+            frames = channel.parser.feed_datagram(data)
+            if frames:
+                on_frames(channel, frames, now)
+
+
+class UdpServerLink(UdpLink):
+    """Listens. An address becomes a channel with its first good frame and stops being one after a silence.
+
+    Noise makes neither channels nor memory: until its first good frame an address is known to nobody.
+    """
+
+    config: models.UdpServerLink
+
+    def __init__(self, config: models.UdpServerLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__(config, host, loop)
+        self._probe = host.new_parser(config)
+        self._expiry: asyncio.TimerHandle | None = None
+        self._none_expires_before = 0.0
+        self._refused = 0
+        self._expired = 0
+
+    async def close(self) -> None:
+        if self._expiry is not None:
+            self._expiry.cancel()
+            self._expiry = None
+        await super().close()
+
+    def counters(self) -> dict[str, Any]:
+        return {**super().counters(), "peers_refused": self._refused, "peers_expired": self._expired}
+
+    def _set_up(self, sock: socket.socket, family: int, address: Address) -> None:
+        sock.bind(address)
+
+    def _begin(self, sock: socket.socket, address: Address) -> None:
+        pass
+
+    def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
+        if not _holds_good_frame(self._probe, data):
+            self._ignored += 1
+            return None
+        if len(self._peers) >= self.config.max_peers and now >= self._none_expires_before:
+            self._expire(now)
+        if len(self._peers) >= self.config.max_peers or self._socket is None:
+            self._refused += 1
+            return None
+        channel = UdpChannel(self, self._socket, address)
+        self._peers[address] = channel
+        self.host.attach(channel)
+        if self._expiry is None:
+            self._plan_expiry(now)
+        return channel
+
+    def _expire(self, now: float) -> None:
+        """Let go of every peer that was silent for too long."""
+        timeout_s = self.config.peer_timeout_s
+        for address, channel in list(self._peers.items()):
+            if now - channel.last_rx_at >= timeout_s:
+                del self._peers[address]
+                self._expired += 1
+                self.host.detach(channel, f"silent for {timeout_s:g} s")
+        heard = [channel.last_rx_at for channel in self._peers.values()]
+        self._none_expires_before = min(heard, default=now) + timeout_s
+
+    def _plan_expiry(self, now: float) -> None:
+        self._none_expires_before = min((c.last_rx_at for c in self._peers.values()), default=now)
+        self._none_expires_before += self.config.peer_timeout_s
+        delay_s = max(self._none_expires_before - now, MIN_EXPIRY_STEP_S)
+        self._expiry = self.loop.call_later(delay_s, self._on_expiry)
+
+    def _on_expiry(self) -> None:
+        self._expiry = None
+        now = self.loop.time()
+        self._expire(now)
+        if self._peers:
+            self._plan_expiry(now)
+
+
+class UdpClientLink(UdpLink):
+    """Sends to one address from the start, whether or not somebody is there, and hears that address only."""
+
+    config: models.UdpClientLink
+
+    def _set_up(self, sock: socket.socket, family: int, address: Address) -> None:
+        sock.bind(("::" if family == socket.AF_INET6 else "0.0.0.0", self.config.local_port))
+
+    def _begin(self, sock: socket.socket, address: Address) -> None:
+        channel = self._peers[address] = UdpChannel(self, sock, address)
+        self.host.attach(channel)
+
+    def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
+        self._ignored += 1
+        return None
+
+    def _explain(self, error: OSError) -> str:
+        return explain(error, "0.0.0.0", self.config.local_port)
+
+
+class UdpBroadcastLink(UdpLink):
+    """Broadcasts until somebody answers with a good frame, then talks to that one until it is silent for 5 s."""
+
+    config: models.UdpBroadcastLink
+
+    def __init__(self, config: models.UdpBroadcastLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__(config, host, loop)
+        self._probe = host.new_parser(config)
+        self._channel: UdpChannel | None = None
+        self._everybody: Address = ()
+        self._silence: asyncio.TimerHandle | None = None
+
+    @property
+    def channels(self) -> list[Channel]:
+        return [self._channel] if self._channel is not None else []
+
+    async def close(self) -> None:
+        if self._silence is not None:
+            self._silence.cancel()
+            self._silence = None
+        await super().close()
+        self._channel = None
+
+    def _set_up(self, sock: socket.socket, family: int, address: Address) -> None:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        sock.bind(("::" if family == socket.AF_INET6 else "0.0.0.0", self.config.local_port))
+
+    def _begin(self, sock: socket.socket, address: Address) -> None:
+        self._everybody = address
+        self._channel = UdpChannel(self, sock, address)
+        self.host.attach(self._channel)
+
+    def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
+        channel = self._channel
+        if channel is None or self._peers or not _holds_good_frame(self._probe, data) or self._is_own(address):
+            self._ignored += 1
+            return None
+        self._peers[address] = channel
+        channel.address = address
+        channel.peer = format_address(address)
+        self._silence = self.loop.call_later(BROADCAST_AGAIN_S, self._on_silence)
+        return channel
+
+    def _on_silence(self) -> None:
+        self._silence = None
+        channel = self._channel
+        if channel is None:
+            return
+        left_s = channel.last_rx_at + BROADCAST_AGAIN_S - self.loop.time()
+        if left_s > MIN_EXPIRY_STEP_S:
+            self._silence = self.loop.call_later(left_s, self._on_silence)
+            return
+        self._peers.clear()
+        channel.address = self._everybody
+        channel.peer = format_address(self._everybody)
+
+    def _is_own(self, address: Address) -> bool:
+        """Whether this is our own broadcast come back: our port at an address of this machine.
+
+        Connecting a UDP socket sends nothing; to one of its own addresses a machine talks from that same address.
+        """
+        if address[1] != self.bound_port or self._socket is None:
+            return False
+        with socket.socket(self._socket.family, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect(address)
+            except OSError:
+                return False
+            return bool(probe.getsockname()[0] == address[0])
+
+    def _explain(self, error: OSError) -> str:
+        return explain(error, "0.0.0.0", self.config.local_port)
+
+
+def _holds_good_frame(probe: FrameParser, data: bytes) -> bool:
+    """Whether a CRC vouches for anything in this datagram. The parser learns nothing from it."""
+    good = probe.stats.good
+    probe.feed_datagram(data)
+    probe.verified.clear()
+    return probe.stats.good != good
