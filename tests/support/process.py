@@ -1,0 +1,154 @@
+"""A real `skygcs run` process for system tests: free ports, a temporary directory, ended by pid."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import socket
+import subprocess
+import sys
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 20.0
+"""How long a slow machine may take for something that takes milliseconds; not what is tested."""
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    """A port that was free a moment ago on loopback."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until(condition: Callable[[], Any], what: str) -> Any:
+    """The condition's first true value; fails the test with ``what`` if there is none."""
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.02)
+    raise AssertionError(f"never happened: {what}")
+
+
+class PtyRadio:
+    """The far side of a radio's serial port; ``path`` is a symlink, so that it can be unplugged and plugged again."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.master = -1
+        self.plug()
+
+    def plug(self) -> None:
+        self.master, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self.master, False)
+        if self.path.is_symlink():
+            self.path.unlink()
+        self.path.symlink_to(os.ttyname(slave))
+        os.close(slave)
+
+    def unplug(self) -> None:
+        if self.master >= 0:
+            os.close(self.master)
+            self.master = -1
+        if self.path.is_symlink():
+            self.path.unlink()
+
+    def send(self, data: bytes) -> None:
+        while data:
+            try:
+                data = data[os.write(self.master, data) :]
+            except BlockingIOError:
+                time.sleep(0.001)
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self.master, 65536)
+        except (BlockingIOError, OSError):
+            return b""
+
+
+class DaemonProcess:
+    """`skygcs run` with this fleet file; use as a context manager. ``stderr`` is kept for looking at."""
+
+    def __init__(self, folder: Path, toml: str, *, name: str = "fleet") -> None:
+        self.folder = folder
+        self.socket = folder / f"{name}.sock"
+        self.logs = folder / "logs"
+        self.file = folder / f"{name}.toml"
+        self.file.write_text(f'[daemon]\nsocket = "{self.socket}"\nlog_dir = "{self.logs}"\n{toml}')
+        self.stderr_path = folder / f"{name}.stderr"
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> DaemonProcess:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        with self.stderr_path.open("ab") as stderr:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "skygcs", "run", "-v", str(self.file)], stderr=stderr, stdout=stderr, cwd=ROOT
+            )
+        wait_until(self._answers, f"the daemon answers; it said: {self.stderr_path}")
+
+    def _answers(self) -> bool:
+        assert self.process is not None
+        assert self.process.poll() is None, self.stderr
+        try:
+            return bool(self.call("daemon.info"))
+        except OSError:
+            return False
+
+    @property
+    def stderr(self) -> str:
+        return self.stderr_path.read_text()
+
+    def call(self, method: str, **params: Any) -> Any:
+        """One JSON-RPC call over a plain socket, independent of the client library."""
+        with socket.socket(socket.AF_UNIX) as link:
+            link.settimeout(PATIENCE_S)
+            link.connect(str(self.socket))
+            link.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode() + b"\n")
+            with link.makefile("rb") as lines:
+                answer = json.loads(lines.readline())
+        if "error" in answer:
+            raise AssertionError(answer["error"])
+        return answer["result"]
+
+    def vehicles(self) -> dict[str, dict[str, Any]]:
+        return {v["name"]: v for v in self.call("vehicles.list", targets="all")} if self.known() else {}
+
+    def known(self) -> int:
+        return int(self.call("daemon.info")["vehicles"])
+
+    def cli(self, *words: str) -> subprocess.CompletedProcess[str]:
+        """`skygcs-cli` against this daemon."""
+        command = [str(Path(sys.executable).with_name("skygcs-cli")), "--socket", str(self.socket), *words]
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+
+    def kill(self) -> None:
+        """kill -9."""
+        assert self.process is not None
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self) -> None:
+        if self.process is not None and self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            try:
+                self.process.wait(10)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+                raise AssertionError(f"the daemon did not stop on SIGTERM: {self.stderr}") from None
