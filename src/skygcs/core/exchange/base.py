@@ -1,0 +1,53 @@
+"""What every request/reply state machine is: time goes in, effects come out, one deadline tells when to call again.
+
+The shell owns the machine: it calls `start` once, `on_timer` when ``deadline`` has come, the machine's own ``on_x``
+methods when something arrived, and carries out the effects returned, in order. A machine with an outcome returns no
+further effects and has no deadline.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Transmit:
+    """Send the request; ``attempt`` is 0 for the first time (COMMAND_LONG's confirmation count)."""
+
+    attempt: int
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The vehicle is working on it; ``percent`` is None where it does not say how far."""
+
+    percent: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """Over: the machine's ``outcome`` is set."""
+
+
+Effect = Transmit | Report | Finish
+
+
+class Exchange(ABC):
+    """One request and its reply."""
+
+    deadline: float | None = None
+    """When `on_timer` has to be called; None while not started and after the end."""
+
+    @abstractmethod
+    def start(self, now: float) -> tuple[Effect, ...]:
+        """Begin. To be called once."""
+
+    @abstractmethod
+    def on_timer(self, now: float) -> tuple[Effect, ...]:
+        """The deadline has come; harmless when called early."""
+
+    @property
+    @abstractmethod
+    def done(self) -> bool:
+        """Whether it is over."""

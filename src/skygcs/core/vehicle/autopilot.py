@@ -1,0 +1,248 @@
+"""Everything in which PX4 and ArduPilot differ when they are told to do something. Pure: state in, plan out.
+
+What each order is made of, and why:
+
+    order     PX4                                          ArduCopter
+    -------   ------------------------------------------   -------------------------------------------------------------
+    mode      DO_SET_MODE 1, main, sub                     DO_SET_MODE 1, number
+    takeoff   (AUTO.LOITER,) arm, NAV_TAKEOFF to AMSL,     GUIDED, arm, NAV_TAKEOFF to a height above home, 0/0
+              NaN yaw and place
+    land      NAV_LAND                                     NAV_LAND
+    rtl       NAV_RETURN_TO_LAUNCH                         NAV_RETURN_TO_LAUNCH
+    hold      mode AUTO.LOITER                             mode BRAKE
+    goto      DO_REPOSITION as COMMAND_INT, AMSL,          the same, height above home; older than 4.1: GUIDED and
+              changing the mode itself                     SET_POSITION_TARGET_GLOBAL_INT; a yaw is CONDITION_YAW
+
+- PX4 refuses to arm in a manual mode without RC, so a takeoff first goes to AUTO.LOITER unless it is in an AUTO mode.
+  Arming comes before NAV_TAKEOFF (PX4 takes them in any order): a refused arm must not leave it in AUTO.TAKEOFF, where
+  the next arming, by whomever, would lift it off.
+- ArduCopter's LOITER takes the throttle stick for climb rate: without RC it sinks. BRAKE stops as fast as it can where
+  it is and holds, in any flight mode, with or without RC; flying back to a last known place would not be "hold" when
+  that place is a second old. The next goto leaves BRAKE by itself.
+- DO_REPOSITION is acknowledged by both; ArduCopter ignores its yaw (GCS_MAVLink_Copter.cpp, 4.1 to 4.7).
+- land and rtl are the same command for both, so that one broadcast frame serves a mixed fleet.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from skygcs.core.exchange.command import CommandSpec, Location
+from skygcs.core.mavlink import modes
+from skygcs.core.vehicle.plan import ArmedIs, InAir, ModeIn, Plan, Step, TargetNear
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+NAV_RETURN_TO_LAUNCH = 20
+NAV_LAND = 21
+NAV_TAKEOFF = 22
+CONDITION_YAW = 115
+DO_SET_MODE = 176
+DO_SET_HOME = 179
+DO_REPOSITION = 192
+PREFLIGHT_REBOOT_SHUTDOWN = 246
+COMPONENT_ARM_DISARM = 400
+SET_MESSAGE_INTERVAL = 511
+REQUEST_MESSAGE = 512
+"""MAV_CMD: wire constants, the same in every dialect."""
+
+FORCE_ARM_MAGIC = 21196.0
+"""param2 of COMPONENT_ARM_DISARM: skips the checks; disarms in the air."""
+
+FORCE_REBOOT_MAGIC = 20190226.0
+"""param6 of PREFLIGHT_REBOOT_SHUTDOWN: ArduPilot reboots even when armed. PX4 has no such thing and refuses."""
+
+FRAME_GLOBAL = 0
+FRAME_GLOBAL_RELATIVE_ALT = 3
+FRAME_GLOBAL_RELATIVE_ALT_INT = 6
+
+CHANGE_MODE = 1.0
+"""MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
+
+POSITION_ONLY = 0xDF8
+POSITION_AND_YAW = 0x9F8
+"""type_mask of SET_POSITION_TARGET_*."""
+
+NAN = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """Where to go: the height both ways, so that each autopilot gets the one it takes."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    height_m: float
+    yaw_deg: float | None = None
+
+
+def set_mode(vehicle: Vehicle, name: str) -> Plan:
+    """Raises RefusedError for a mode the vehicle's firmware does not have, naming near ones."""
+    try:
+        number = modes.mode_number(vehicle.autopilot, vehicle.type, name)
+    except KeyError as error:
+        raise RefusedError(str(error.args[0])) from None
+    step = _mode_step(vehicle, number)
+    return Plan("mode", (step,), f"mode {_mode_name(vehicle, number)}")
+
+
+def arm(*, force: bool = False) -> Plan:
+    return Plan("arm", (_arm_step(force=force),), "armed")
+
+
+def disarm(*, force: bool = False) -> Plan:
+    spec = CommandSpec(COMPONENT_ARM_DISARM, (0.0, FORCE_ARM_MAGIC if force else 0.0))
+    return Plan("disarm", (Step("disarm", spec, expect=ArmedIs(False)),), "disarmed", emergency=force)
+
+
+def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan:
+    """``alt_amsl_m``: where the vehicle stands; PX4 needs it, ArduCopter counts from home itself."""
+    if vehicle.family == "px4":
+        if alt_amsl_m is None:
+            raise RefusedError("its altitude is not known yet, and PX4 takes off to an altitude above sea level")
+        steps = _px4_takeoff(vehicle, alt_amsl_m + height_m)
+    elif vehicle.family == "ardupilot" and modes.is_copter(vehicle.type):
+        steps = _copter_takeoff(vehicle, height_m)
+    else:
+        raise RefusedError("skygcs knows the takeoff of PX4 and ArduCopter only; use a raw command for others")
+    return Plan("takeoff", steps, f"taking off to {height_m:g} m")
+
+
+def land(vehicle: Vehicle) -> Plan:
+    wanted = {"px4": ("AUTO.LAND", "AUTO.PRECLAND"), "ardupilot": ("LAND", "QLAND", "AUTOLAND", "SURFACE")}
+    step = Step("land", CommandSpec(NAV_LAND, (0.0,) * 7), expect=_any_mode(vehicle, wanted.get(vehicle.family, ())))
+    return Plan("land", (step,), "landing")
+
+
+def rtl(vehicle: Vehicle) -> Plan:
+    wanted = {"px4": ("AUTO.RTL",), "ardupilot": ("RTL", "SMART_RTL", "QRTL", "AUTO_RTL")}
+    expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
+    return Plan("rtl", (Step("rtl", CommandSpec(NAV_RETURN_TO_LAUNCH), expect=expect),), "returning to launch")
+
+
+def hold(vehicle: Vehicle) -> Plan:
+    """Stop here and stay. Raises RefusedError where the firmware has no mode that does."""
+    names = modes.mode_names(vehicle.autopilot, vehicle.type)
+    if modes.is_copter(vehicle.type) and "BRAKE" in names:
+        wanted = "BRAKE"
+    else:
+        wanted = next((n for n in ("AUTO.LOITER", "HOLD", "LOITER", "POSHOLD") if n in names), "")
+    if not wanted:
+        raise RefusedError("skygcs knows no mode of this autopilot that holds its position")
+    number = modes.mode_number(vehicle.autopilot, vehicle.type, wanted)
+    step = _mode_step(vehicle, number, or_disarmed=True)
+    return Plan("hold", (step,), f"holding in {wanted}")
+
+
+def goto(vehicle: Vehicle, to: Destination) -> Plan:
+    done = f"going to {to.lat_deg:.7f}, {to.lon_deg:.7f}, {to.height_m:.1f} m"
+    if vehicle.family == "px4":
+        yaw = NAN if to.yaw_deg is None else math.radians(to.yaw_deg)
+        spec = CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, yaw), _location(FRAME_GLOBAL, to, to.alt_amsl_m))
+        expect = _any_mode(vehicle, ("AUTO.LOITER",), or_disarmed=False)
+        return Plan("goto", (Step("goto", spec, expect=expect),), done)
+    if vehicle.family != "ardupilot":
+        raise RefusedError("skygcs knows the goto of PX4 and ArduPilot only; use a raw command for others")
+    guided = modes.mode_number(vehicle.autopilot, vehicle.type, "GUIDED")
+    location = _location(FRAME_GLOBAL_RELATIVE_ALT, to, to.height_m)
+    reposition = Step(
+        "goto",
+        CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN), location),
+        expect=ModeIn(frozenset({guided})),
+        instead=_guided_target(vehicle, guided, to),
+    )
+    if to.yaw_deg is None:
+        return Plan("goto", (reposition,), done)
+    turn = Step("yaw", CommandSpec(CONDITION_YAW, (to.yaw_deg % 360.0, 0.0, 0.0, 0.0)), expect_s=0)
+    return Plan("goto", (reposition, turn), done)
+
+
+def reboot(vehicle: Vehicle, *, force: bool = False) -> Plan:
+    magic = FORCE_REBOOT_MAGIC if force and vehicle.family == "ardupilot" else 0.0
+    spec = CommandSpec(PREFLIGHT_REBOOT_SHUTDOWN, (1.0, 0.0, 0.0, 0.0, 0.0, magic, 0.0))
+    return Plan("reboot", (Step("reboot", spec),), "rebooting")
+
+
+def set_home(place: Destination | None) -> Plan:
+    """None: where it is now."""
+    if place is None:
+        spec = CommandSpec(DO_SET_HOME, (1.0,))
+    else:
+        spec = CommandSpec(DO_SET_HOME, (0.0, 0.0, 0.0, 0.0), _location(FRAME_GLOBAL, place, place.alt_amsl_m))
+    return Plan("home", (Step("set home", spec),), "home set")
+
+
+def message_interval(msgid: int, rate_hz: float | None) -> Plan:
+    """``rate_hz`` 0 turns it off, None is the vehicle's own default."""
+    interval_us = 0.0 if rate_hz is None else -1.0 if rate_hz == 0 else round(1e6 / rate_hz)
+    done = "default rate" if rate_hz is None else f"{rate_hz:g} Hz" if rate_hz else "off"
+    return Plan("interval", (Step("interval", CommandSpec(SET_MESSAGE_INTERVAL, (float(msgid), interval_us))),), done)
+
+
+def _arm_step(*, force: bool = False, skip_if_met: bool = False) -> Step:
+    spec = CommandSpec(COMPONENT_ARM_DISARM, (1.0, FORCE_ARM_MAGIC if force else 0.0))
+    undo = Step("disarm again", CommandSpec(COMPONENT_ARM_DISARM, (0.0, 0.0)), expect=ArmedIs(False))
+    return Step("arm", spec, expect=ArmedIs(True), skip_if_met=skip_if_met, undo=undo)
+
+
+def _mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_if_met: bool = False) -> Step:
+    if vehicle.family == "px4":
+        params = (float(modes.CUSTOM_MODE_ENABLED), float(number >> 16 & 0xFF), float(number >> 24 & 0xFF))
+    else:
+        params = (float(modes.CUSTOM_MODE_ENABLED), float(number), 0.0)
+    expect = ModeIn(frozenset({number}), or_disarmed)
+    name = f"mode {_mode_name(vehicle, number)}"
+    return Step(name, CommandSpec(DO_SET_MODE, params), expect=expect, skip_if_met=skip_if_met)
+
+
+def _mode_name(vehicle: Vehicle, number: int) -> str:
+    return modes.mode_name(vehicle.autopilot, vehicle.type, modes.CUSTOM_MODE_ENABLED, number)
+
+
+def _any_mode(vehicle: Vehicle, names: tuple[str, ...], *, or_disarmed: bool = True) -> ModeIn | None:
+    known = set(modes.mode_names(vehicle.autopilot, vehicle.type))
+    numbers = {modes.mode_number(vehicle.autopilot, vehicle.type, n) for n in names if n in known}
+    return ModeIn(frozenset(numbers), or_disarmed) if numbers else None
+
+
+def _location(frame: int, to: Destination, alt_m: float) -> Location:
+    return Location(frame, round(to.lat_deg * 1e7), round(to.lon_deg * 1e7), alt_m)
+
+
+def _px4_takeoff(vehicle: Vehicle, alt_amsl_m: float) -> tuple[Step, ...]:
+    climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, alt_amsl_m))
+    expect = _any_mode(vehicle, ("AUTO.TAKEOFF", "AUTO.LOITER"), or_disarmed=False)
+    steps = [_arm_step(skip_if_met=True), Step("takeoff", climb, expect=expect)]
+    if not vehicle.armed and not vehicle.mode.startswith("AUTO."):
+        steps.insert(0, _mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER")))
+    return tuple(steps)
+
+
+def _copter_takeoff(vehicle: Vehicle, height_m: float) -> tuple[Step, ...]:
+    climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m))
+    return (
+        _mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True),
+        _arm_step(skip_if_met=True),
+        Step("takeoff", climb, expect=InAir(), expect_s=0),
+    )
+
+
+def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step, ...]:
+    """For firmware without DO_REPOSITION. The message is not acknowledged: the vehicle is asked for its target."""
+    yaw = to.yaw_deg
+    values = {
+        "coordinate_frame": FRAME_GLOBAL_RELATIVE_ALT_INT,
+        "type_mask": POSITION_ONLY if yaw is None else POSITION_AND_YAW,
+        "lat_int": round(to.lat_deg * 1e7),
+        "lon_int": round(to.lon_deg * 1e7),
+        "alt": to.height_m,
+        "yaw": 0.0 if yaw is None else math.radians(yaw),
+    }
+    position_target = 87.0
+    return (
+        _mode_step(vehicle, guided, skip_if_met=True),
+        Step("goto", message=("SET_POSITION_TARGET_GLOBAL_INT", values), expect_s=0),
+        Step("target", CommandSpec(REQUEST_MESSAGE, (position_target,)), expect=TargetNear(to.lat_deg, to.lon_deg)),
+    )

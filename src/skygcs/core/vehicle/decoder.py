@@ -1,0 +1,148 @@
+"""What is read of which message, and the readers for it: one `Decoder` per dialect, shared by all vehicles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+
+Values = Mapping[str, tuple[Any, ...]]
+"""Per message its scalar fields in the order of `FIELDS`, then its arrays in the order of `ARRAYS`."""
+
+_RC = tuple(f"chan{n}_raw" for n in range(1, 19))
+_RC_RAW = tuple(f"chan{n}_raw" for n in range(1, 9))
+_SERVO = tuple(f"servo{n}_raw" for n in range(1, 17))
+_IMU = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag")
+
+FIELDS: dict[str, tuple[str, ...]] = {
+    "SYS_STATUS": (
+        "onboard_control_sensors_present",
+        "onboard_control_sensors_enabled",
+        "onboard_control_sensors_health",
+        "load",
+        "voltage_battery",
+        "current_battery",
+        "battery_remaining",
+    ),
+    "GPS_RAW_INT": ("fix_type", "lat", "lon", "alt", "eph", "epv", "satellites_visible", "time_usec"),
+    "GLOBAL_POSITION_INT": ("time_boot_ms", "lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg"),
+    "LOCAL_POSITION_NED": ("time_boot_ms", "x", "y", "z", "vx", "vy", "vz"),
+    "ATTITUDE": ("time_boot_ms", "roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"),
+    "ATTITUDE_QUATERNION": ("time_boot_ms", "q1", "q2", "q3", "q4", "rollspeed", "pitchspeed", "yawspeed"),
+    "BATTERY_STATUS": (
+        "id",
+        "temperature",
+        "current_battery",
+        "current_consumed",
+        "battery_remaining",
+        "time_remaining",
+    ),
+    "HOME_POSITION": ("latitude", "longitude", "altitude"),
+    "GPS_GLOBAL_ORIGIN": ("latitude", "longitude", "altitude"),
+    "ESTIMATOR_STATUS": (
+        "flags",
+        "vel_ratio",
+        "pos_horiz_ratio",
+        "pos_vert_ratio",
+        "mag_ratio",
+        "pos_horiz_accuracy",
+        "pos_vert_accuracy",
+    ),
+    "EKF_STATUS_REPORT": (
+        "flags",
+        "velocity_variance",
+        "pos_horiz_variance",
+        "pos_vert_variance",
+        "compass_variance",
+    ),
+    "VFR_HUD": ("airspeed", "groundspeed", "heading", "throttle", "alt", "climb"),
+    "RC_CHANNELS": ("time_boot_ms", "chancount", "rssi", *_RC),
+    "RC_CHANNELS_RAW": ("time_boot_ms", "rssi", *_RC_RAW),
+    "HIGHRES_IMU": (*_IMU, "abs_pressure", "temperature"),
+    "SCALED_IMU": _IMU,
+    "RAW_IMU": _IMU,
+    "SERVO_OUTPUT_RAW": _SERVO,
+    "MISSION_CURRENT": ("seq",),
+    "POSITION_TARGET_GLOBAL_INT": (
+        "coordinate_frame",
+        "type_mask",
+        "lat_int",
+        "lon_int",
+        "alt",
+        "vx",
+        "vy",
+        "vz",
+        "yaw",
+    ),
+    "POSITION_TARGET_LOCAL_NED": ("coordinate_frame", "type_mask", "x", "y", "z", "vx", "vy", "vz", "yaw"),
+    "SYSTEM_TIME": ("time_unix_usec", "time_boot_ms"),
+    "HIGH_LATENCY2": (
+        "type",
+        "autopilot",
+        "custom_mode",
+        "failure_flags",
+        "latitude",
+        "longitude",
+        "altitude",
+        "heading",
+        "groundspeed",
+        "throttle",
+        "battery",
+        "wp_num",
+    ),
+    "COMMAND_ACK": ("command", "result", "progress", "target_system", "target_component"),
+    "HEARTBEAT": ("type", "autopilot", "base_mode", "custom_mode", "system_status"),
+    "STATUSTEXT": ("severity", "text", "id", "chunk_seq"),
+    "EXTENDED_SYS_STATE": ("landed_state",),
+    "AUTOPILOT_VERSION": ("flight_sw_version", "capabilities"),
+}
+"""What is read of each message. A message that a dialect lacks, or has with other fields, is not folded."""
+
+ARRAYS: dict[str, tuple[str, ...]] = {"BATTERY_STATUS": ("voltages",), "ATTITUDE_TARGET": ("q", "type_mask", "thrust")}
+
+
+class Decoder:
+    """Readers of one dialect's messages; made once and shared by all vehicles."""
+
+    def __init__(self, dialect: Dialect) -> None:
+        self.dialect = dialect
+        self.msgid: dict[str, int] = {}
+        self.read: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
+        for name, fields in FIELDS.items():
+            info = dialect.by_name.get(name)
+            if info is None:
+                continue
+            present = {f.name for f in info.fields}
+            if present.issuperset(fields):
+                self.msgid[name] = info.msgid
+                self.read[name] = info.reader(*fields)
+        for name, fields in ARRAYS.items():
+            info = dialect.by_name.get(name)
+            if info is not None and {f.name for f in info.fields}.issuperset(fields):
+                self.msgid[name] = info.msgid
+
+    def msgid_of(self, message: str) -> int:
+        """Id of a message of the dialect; -1 if it has none of that name."""
+        info = self.dialect.by_name.get(message)
+        return -1 if info is None else info.msgid
+
+    def values(self, name: str, payload: bytes) -> tuple[Any, ...]:
+        """The fields of `FIELDS`, then the arrays of the message, in order."""
+        read = self.read.get(name)
+        scalars = read(payload) if read is not None else ()
+        arrays = ARRAYS.get(name)
+        if arrays is None:
+            return scalars
+        fields = self.dialect.by_name[name].unpack(payload)
+        return (*scalars, *(fields[a] for a in arrays))
+
+    def bit_names(self, enum: str, bits: int, prefix: str) -> list[str]:
+        """Names of the set bits, lower case, without the prefix; unnamed bits as ``bit_N``."""
+        entries = self.dialect.enums.get(enum, {})
+        names = []
+        for n in range(bits.bit_length()):
+            if bits >> n & 1:
+                entry = entries.get(1 << n)
+                names.append(entry.removeprefix(prefix).lower() if entry else f"bit_{n}")
+        return names

@@ -1,0 +1,23 @@
+"""Something that happened, told once: what the log, the operator and RPC subscribers get."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """One change of state. ``text`` is a sentence for a person, ``data`` (JSON-able) is for programs.
+
+    ``vehicle`` and ``sysid`` are None where it concerns no vehicle. Kinds in use:
+    vehicle_discovered vehicle_lost vehicle_back armed disarmed mode landed system_status statustext reboot failsafe
+    command conflict link_up link_down route recorder
+    """
+
+    kind: str
+    vehicle: str | None
+    sysid: int | None
+    text: str
+    data: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,368 @@
+"""From messages to sections of the state: the only place where scaled integers, NED and FRD are read.
+
+A section is folded when somebody looks, from the last frame of each message it is made of. "Not known" markers of the
+protocol (65535, -1, INT_MAX, NaN ...) become None. Everything comes out JSON-able, in SI units, degrees and ENU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from skygcs.core.geo import wrap_deg_180
+from skygcs.core.vehicle.decoder import Decoder, Values
+
+Folded = dict[str, Any]
+
+GRAVITY_MPS2 = 9.80665
+
+FIX_NAMES = ("no_gps", "no_fix", "2d", "3d", "dgps", "rtk_float", "rtk_fixed", "static", "ppp")
+"""GPS_FIX_TYPE."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of the state: its name, the messages it is made of, and how. None: nothing to say.
+
+    ``combine``: the messages complete each other and all are handed in; otherwise they say the same, and only one is:
+    the first of them that is not much older than the others.
+    """
+
+    name: str
+    messages: tuple[str, ...]
+    fold: Callable[[Values, Decoder], Folded | None]
+    combine: bool = False
+
+
+def _number(value: float, digits: int = 3) -> float | None:
+    return round(value, digits) if math.isfinite(value) else None
+
+
+def _scaled(value: int, unknown: int, scale: float, digits: int) -> float | None:
+    return None if value == unknown else round(value * scale, digits)
+
+
+def _amps(centiamps: int) -> float | None:
+    """-1 is "not measured"; PX4 multiplies its own -1 A for that by 100."""
+    return None if centiamps in (-1, -100) else centiamps / 100
+
+
+def _numbers(values: tuple[float, ...], scale: float = 1.0, digits: int = 4) -> list[float | None]:
+    return [_number(v * scale, digits) for v in values]
+
+
+def _lat_lon(lat: int, lon: int) -> tuple[float | None, float | None]:
+    """Degrees; 0, 0 and INT_MAX are what autopilots send before they know."""
+    if (lat == 0 and lon == 0) or lat == 0x7FFFFFFF or lon == 0x7FFFFFFF:
+        return None, None
+    return lat / 1e7, lon / 1e7
+
+
+def fold_gps(v: Values, decoder: Decoder) -> Folded | None:
+    fix, lat, lon, alt, eph, epv, satellites, time_usec = v["GPS_RAW_INT"]
+    lat_deg, lon_deg = _lat_lon(lat, lon)
+    return {
+        "fix": FIX_NAMES[fix] if fix < len(FIX_NAMES) else f"fix_{fix}",
+        "fix_type": fix,
+        "satellites": None if satellites == 255 else satellites,
+        "hdop": _scaled(eph, 65535, 0.01, 2),
+        "vdop": _scaled(epv, 65535, 0.01, 2),
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+        "alt_amsl_m": None if lat_deg is None else alt / 1000,
+        "time_usec": time_usec,
+    }
+
+
+def fold_position(v: Values, decoder: Decoder) -> Folded | None:
+    """GLOBAL_POSITION_INT's velocity is north, east, **down** (cm/s): turned to ENU here and nowhere else."""
+    boot_ms, lat, lon, alt, rel, vx, vy, vz, hdg = v["GLOBAL_POSITION_INT"]
+    lat_deg, lon_deg = _lat_lon(lat, lon)
+    return {
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+        "alt_amsl_m": alt / 1000,
+        "alt_rel_m": rel / 1000,
+        "heading_deg": _scaled(hdg, 65535, 0.01, 2),
+        "vel_enu_mps": [vy / 100, vx / 100, -vz / 100],
+        "time_boot_s": boot_ms / 1000,
+    }
+
+
+def fold_local(v: Values, decoder: Decoder) -> Folded | None:
+    boot_ms, x, y, z, vx, vy, vz = v["LOCAL_POSITION_NED"]
+    return {
+        "pos_enu_m": _numbers((y, x, -z), digits=3),
+        "vel_enu_mps": _numbers((vy, vx, -vz), digits=3),
+        "time_boot_s": boot_ms / 1000,
+    }
+
+
+def fold_attitude(v: Values, decoder: Decoder) -> Folded | None:
+    """Angles of the body (FRD) against NED, as every autopilot shows them: yaw is the compass heading."""
+    if "ATTITUDE" in v:
+        boot_ms, roll, pitch, yaw, *rates = v["ATTITUDE"]
+        quaternion = quaternion_from_euler(roll, pitch, yaw)
+    else:
+        boot_ms, w, x, y, z, *rates = v["ATTITUDE_QUATERNION"]
+        quaternion = (w, x, y, z)
+        roll, pitch, yaw = euler_from_quaternion(w, x, y, z)
+    if not math.isfinite(roll + pitch + yaw):
+        return None
+    return {
+        "roll_deg": round(math.degrees(roll), 2),
+        "pitch_deg": round(math.degrees(pitch), 2),
+        "yaw_deg": round(wrap_deg_180(math.degrees(yaw)), 2),
+        "rates_dps": _numbers(tuple(rates), 180 / math.pi, 2),
+        "quaternion": _numbers(quaternion, digits=5),
+        "time_boot_s": boot_ms / 1000,
+    }
+
+
+def quaternion_from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """(w, x, y, z) of the rotation yaw, then pitch, then roll; radians."""
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+def euler_from_quaternion(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """(roll, pitch, yaw) in radians; the inverse of `quaternion_from_euler`."""
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return roll, pitch, yaw
+
+
+def fold_battery(v: Values, decoder: Decoder) -> Folded | None:
+    """SYS_STATUS speaks of the main battery; what it does not know is taken from BATTERY_STATUS of battery 0."""
+    volts = amps = percent = consumed = temperature = remaining_s = None
+    if "SYS_STATUS" in v:
+        millivolts, centiamps, left = v["SYS_STATUS"][4:7]
+        volts = _scaled(millivolts, 65535, 0.001, 3)
+        amps = _amps(centiamps)
+        percent = None if left < 0 else left
+    if "BATTERY_STATUS" in v and v["BATTERY_STATUS"][0] == 0:
+        _, centidegrees, centiamps, mah, left, seconds, cells = v["BATTERY_STATUS"]
+        known = [c for c in cells if c != 65535]
+        if volts is None and known:
+            volts = round(sum(known) / 1000, 3)
+        amps = _amps(centiamps) if amps is None else amps
+        percent = (None if left < 0 else left) if percent is None else percent
+        consumed = None if mah < 0 else mah
+        temperature = _scaled(centidegrees, 32767, 0.01, 2)
+        remaining_s = seconds or None
+    return {
+        "volts": volts,
+        "amps": amps,
+        "percent": percent,
+        "consumed_mah": consumed,
+        "temperature_degc": temperature,
+        "remaining_s": remaining_s,
+    }
+
+
+def fold_home(v: Values, decoder: Decoder) -> Folded | None:
+    lat_deg, lon_deg = _lat_lon(*v["HOME_POSITION"][:2])
+    if lat_deg is None:
+        return None
+    return {"lat_deg": lat_deg, "lon_deg": lon_deg, "alt_amsl_m": v["HOME_POSITION"][2] / 1000}
+
+
+def fold_ekf_origin(v: Values, decoder: Decoder) -> Folded | None:
+    lat_deg, lon_deg = _lat_lon(*v["GPS_GLOBAL_ORIGIN"][:2])
+    if lat_deg is None:
+        return None
+    return {"lat_deg": lat_deg, "lon_deg": lon_deg, "alt_amsl_m": v["GPS_GLOBAL_ORIGIN"][2] / 1000}
+
+
+ESTIMATE_NEEDED = 1 | 2 | 4 | 16 | 32
+"""Attitude, both velocities, absolute horizontal and vertical position: the same bits in both messages."""
+
+EKF_BAD = 128 | 1024 | 32768
+"""EKF_STATUS_REPORT: constant position mode, uninitialised, GPS glitch."""
+
+ESTIMATOR_BAD = 128 | 1024 | 2048
+"""ESTIMATOR_STATUS: constant position mode, GPS glitch, accelerometer error."""
+
+EKF_VARIANCE_LIMIT = 0.8
+"""ArduPilot's default of FS_EKF_THRESH."""
+
+
+def fold_estimator(v: Values, decoder: Decoder) -> Folded | None:
+    """``ok``: good enough to navigate by; ``ratios`` are innovations against their gates (1 = rejected)."""
+    accuracy: list[float | None] = [None, None]
+    if "EKF_STATUS_REPORT" in v:
+        flags, *ratios = v["EKF_STATUS_REPORT"]
+        names = decoder.bit_names("EKF_STATUS_FLAGS", flags, "EKF_")
+        bad, limit = EKF_BAD, EKF_VARIANCE_LIMIT
+    else:
+        flags, *ratios, horizontal, vertical = v["ESTIMATOR_STATUS"]
+        names = decoder.bit_names("ESTIMATOR_STATUS_FLAGS", flags, "ESTIMATOR_")
+        bad, limit = ESTIMATOR_BAD, 1.0
+        accuracy = [_number(horizontal, 2), _number(vertical, 2)]
+    sane = all(r < limit for r in ratios if math.isfinite(r))
+    return {
+        "flags": flags,
+        "ok": flags & ESTIMATE_NEEDED == ESTIMATE_NEEDED and not flags & bad and sane,
+        "names": names,
+        "ratios": dict(zip(("vel", "pos_horiz", "pos_vert", "mag"), _numbers(tuple(ratios), digits=3), strict=True)),
+        "accuracy_m": accuracy,
+    }
+
+
+def fold_sensors(v: Values, decoder: Decoder) -> Folded | None:
+    present, enabled, health, load, *_ = v["SYS_STATUS"]
+    enum, prefix = "MAV_SYS_STATUS_SENSOR", "MAV_SYS_STATUS_"
+    return {
+        "present": [_sensor(n) for n in decoder.bit_names(enum, present, prefix)],
+        "enabled": [_sensor(n) for n in decoder.bit_names(enum, enabled, prefix)],
+        "health": [_sensor(n) for n in decoder.bit_names(enum, health, prefix)],
+        "unhealthy": [_sensor(n) for n in decoder.bit_names(enum, enabled & present & ~health, prefix)],
+        "load_percent": round(load / 10, 1),
+    }
+
+
+def _sensor(name: str) -> str:
+    return name.removeprefix("sensor_")
+
+
+def fold_vfr(v: Values, decoder: Decoder) -> Folded | None:
+    airspeed, groundspeed, heading, throttle, alt, climb = v["VFR_HUD"]
+    return {
+        "airspeed_mps": _number(airspeed, 2),
+        "groundspeed_mps": _number(groundspeed, 2),
+        "heading_deg": heading,
+        "throttle_percent": throttle,
+        "alt_m": _number(alt, 2),
+        "climb_mps": _number(climb, 2),
+    }
+
+
+def fold_rc(v: Values, decoder: Decoder) -> Folded | None:
+    if "RC_CHANNELS" in v:
+        _, count, rssi, *channels = v["RC_CHANNELS"]
+        channels = channels[: min(count, len(channels))]
+    else:
+        _, rssi, *channels = v["RC_CHANNELS_RAW"]
+    return {
+        "channels": [None if c in (0, 65535) else c for c in channels],
+        "rssi": None if rssi == 255 else rssi,
+    }
+
+
+def fold_imu(v: Values, decoder: Decoder) -> Folded | None:
+    """Body axes (FRD). RAW_IMU carries the same units as SCALED_IMU on ArduPilot, its only sender here."""
+    pressure = temperature = None
+    if "HIGHRES_IMU" in v:
+        *axes, pressure_hpa, temperature_degc = v["HIGHRES_IMU"]
+        scales = (1.0, 1.0, 1.0)
+        pressure, temperature = _number(pressure_hpa, 2), _number(temperature_degc, 2)
+    else:
+        axes = list(v["SCALED_IMU"] if "SCALED_IMU" in v else v["RAW_IMU"])
+        scales = (GRAVITY_MPS2 / 1000, 1e-3, 1e-3)
+    accel, gyro, mag = (_numbers(tuple(axes[3 * n : 3 * n + 3]), scales[n]) for n in range(3))
+    return {
+        "accel_mps2": accel,
+        "gyro_radps": gyro,
+        "mag_gauss": mag,
+        "pressure_hpa": pressure,
+        "temperature_degc": temperature,
+    }
+
+
+def fold_servos(v: Values, decoder: Decoder) -> Folded | None:
+    return {"pwm_us": list(v["SERVO_OUTPUT_RAW"])}
+
+
+def fold_mission(v: Values, decoder: Decoder) -> Folded | None:
+    return {"seq": v["MISSION_CURRENT"][0]}
+
+
+def _target_common(frame: int, mask: int, vx: float, vy: float, vz: float, yaw: float) -> Folded:
+    return {
+        "frame": frame,
+        "type_mask": mask,
+        "vel_enu_mps": None if mask & 0x38 else _numbers((vy, vx, -vz), digits=2),
+        "yaw_deg": None if mask & 0x400 else _number(math.degrees(yaw), 1),
+    }
+
+
+def fold_target_global(v: Values, decoder: Decoder) -> Folded | None:
+    frame, mask, lat, lon, alt, vx, vy, vz, yaw = v["POSITION_TARGET_GLOBAL_INT"]
+    lat_deg, lon_deg = (None, None) if mask & 0x3 else _lat_lon(lat, lon)
+    return {
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+        "alt_m": None if mask & 0x4 else _number(alt, 2),
+        **_target_common(frame, mask, vx, vy, vz, yaw),
+    }
+
+
+def fold_target_local(v: Values, decoder: Decoder) -> Folded | None:
+    frame, mask, x, y, z, vx, vy, vz, yaw = v["POSITION_TARGET_LOCAL_NED"]
+    return {
+        "pos_enu_m": None if mask & 0x7 else _numbers((y, x, -z), digits=2),
+        **_target_common(frame, mask, vx, vy, vz, yaw),
+    }
+
+
+def fold_target_attitude(v: Values, decoder: Decoder) -> Folded | None:
+    quaternion, mask, thrust = v["ATTITUDE_TARGET"]
+    return {
+        "quaternion": None if mask & 0x80 else _numbers(tuple(quaternion)),
+        "thrust": _number(thrust),
+        "type_mask": mask,
+    }
+
+
+def fold_time(v: Values, decoder: Decoder) -> Folded | None:
+    unix_us, boot_ms = v["SYSTEM_TIME"]
+    return {"unix_s": unix_us / 1e6 if unix_us else None, "boot_s": boot_ms / 1000}
+
+
+def fold_high_latency(v: Values, decoder: Decoder) -> Folded | None:
+    _, _, _, flags, lat, lon, alt, heading, groundspeed, throttle, battery, wp_num = v["HIGH_LATENCY2"]
+    lat_deg, lon_deg = _lat_lon(lat, lon)
+    return {
+        "failures": decoder.bit_names("HL_FAILURE_FLAG", flags, "HL_FAILURE_FLAG_"),
+        "lat_deg": lat_deg,
+        "lon_deg": lon_deg,
+        "alt_amsl_m": alt,
+        "heading_deg": heading * 2,
+        "groundspeed_mps": groundspeed / 5,
+        "throttle_percent": throttle,
+        "battery_percent": None if battery < 0 else battery,
+        "mission_seq": wp_num,
+    }
+
+
+SECTIONS: tuple[Section, ...] = (
+    Section("gps", ("GPS_RAW_INT",), fold_gps),
+    Section("position", ("GLOBAL_POSITION_INT",), fold_position),
+    Section("local", ("LOCAL_POSITION_NED",), fold_local),
+    Section("attitude", ("ATTITUDE", "ATTITUDE_QUATERNION"), fold_attitude),
+    Section("battery", ("SYS_STATUS", "BATTERY_STATUS"), fold_battery, combine=True),
+    Section("home", ("HOME_POSITION",), fold_home),
+    Section("ekf_origin", ("GPS_GLOBAL_ORIGIN",), fold_ekf_origin),
+    Section("estimator", ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"), fold_estimator),
+    Section("sensors", ("SYS_STATUS",), fold_sensors),
+    Section("vfr", ("VFR_HUD",), fold_vfr),
+    Section("rc", ("RC_CHANNELS", "RC_CHANNELS_RAW"), fold_rc),
+    Section("imu", ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"), fold_imu),
+    Section("servos", ("SERVO_OUTPUT_RAW",), fold_servos),
+    Section("mission", ("MISSION_CURRENT",), fold_mission),
+    Section("target_global", ("POSITION_TARGET_GLOBAL_INT",), fold_target_global),
+    Section("target_local", ("POSITION_TARGET_LOCAL_NED",), fold_target_local),
+    Section("target_attitude", ("ATTITUDE_TARGET",), fold_target_attitude),
+    Section("time", ("SYSTEM_TIME",), fold_time),
+    Section("high_latency", ("HIGH_LATENCY2",), fold_high_latency),
+)

@@ -1,0 +1,342 @@
+"""Orders as people give them, checked: what skygcs refuses itself is here, what differs by autopilot is in `autopilot`.
+
+Every function returns the plan or raises RefusedError, whose text says why and, where one can, how to insist.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from skygcs.core.exchange.command import CommandSpec, Location
+from skygcs.core.geo import distance_m, geodetic_from_enu
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle import autopilot
+from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, Destination
+from skygcs.core.vehicle.plan import MessageAfter, Plan, Step
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+MAX_TAKEOFF_M = 500.0
+
+POSITION_FRESH_S = 10.0
+"""An older position is no base for a distance check or an altitude; the slowest stream profile sends 0.5 Hz."""
+
+MAX_RATE_HZ = 1000.0
+"""Faster than any autopilot streams."""
+
+GROUND_TYPES = frozenset({10, 11, 12, 46})
+"""Rovers, boats, submarines, legged: they go somewhere without being in the air."""
+
+LOCAL_FRAMES = frozenset({1, 4, 7, 8, 9, 12, 20, 21})
+MISSION_FRAME = 2
+INT32 = 1 << 31
+
+FORCE_HINT = "insist with force (--force)"
+
+
+def arm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
+    require_connected(vehicle, now)
+    return autopilot.arm(force=force)
+
+
+def disarm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
+    """A forced one is an emergency: it is sent even to a vehicle that is lost, and even if it flies."""
+    if not force:
+        require_connected(vehicle, now)
+        if vehicle.in_air(now):
+            raise RefusedError(f"it is in the air ({vehicle.landed(now)}) and would fall; {FORCE_HINT}")
+    return autopilot.disarm(force=force)
+
+
+def set_mode(vehicle: Vehicle, now: float, name: str) -> Plan:
+    require_connected(vehicle, now)
+    return autopilot.set_mode(vehicle, name)
+
+
+def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True) -> Plan:
+    require_connected(vehicle, now)
+    if not (math.isfinite(height_m) and 0 < height_m <= MAX_TAKEOFF_M):
+        raise RefusedError(f"a takeoff height of {height_m:g} m is not above 0 and at most {MAX_TAKEOFF_M:g} m")
+    if vehicle.in_air(now):
+        raise RefusedError("it is in the air already; use goto with a height")
+    if not vehicle.armed and not arm:
+        raise RefusedError("it is not armed, and the takeoff was to leave that alone")
+    position = _fresh_position(vehicle, now)
+    return autopilot.takeoff(vehicle, height_m, None if position is None else position[2])
+
+
+def land(vehicle: Vehicle, now: float) -> Plan:
+    require_connected(vehicle, now)
+    return autopilot.land(vehicle)
+
+
+def rtl(vehicle: Vehicle, now: float) -> Plan:
+    require_connected(vehicle, now)
+    return autopilot.rtl(vehicle)
+
+
+def hold(vehicle: Vehicle, now: float) -> Plan:
+    require_connected(vehicle, now)
+    return autopilot.hold(vehicle)
+
+
+def goto(
+    vehicle: Vehicle,
+    now: float,
+    *,
+    lat_deg: float | None = None,
+    lon_deg: float | None = None,
+    height_m: float | None = None,
+    enu_m: Sequence[float] | None = None,
+    yaw_deg: float | None = None,
+    limit_m: float,
+    force: bool = False,
+) -> Plan:
+    """To a place (lat, lon; ``height_m`` above this vehicle's home, None: as high as it is) or a point of the fleet's
+    frame (``enu_m``). ``force`` overrides the distance limit and the ground check, never an impossible coordinate."""
+    require_connected(vehicle, now)
+    ground = vehicle.type in GROUND_TYPES
+    if not vehicle.armed:
+        raise RefusedError("it is disarmed; take off first")
+    if not ground and vehicle.in_air(now) is False:
+        raise RefusedError("it is on the ground; take off first")
+    here = _fresh_position(vehicle, now)
+    home_amsl_m = vehicle.home_alt_amsl_m()
+    if here is None or home_amsl_m is None:
+        raise RefusedError("its position is not known (or older than 10 s), so the way cannot be checked")
+    if enu_m is not None:
+        if lat_deg is not None or lon_deg is not None or height_m is not None:
+            raise RefusedError("give either enu_m or lat_deg, lon_deg and height_m")
+        to = _from_enu(vehicle, enu_m, home_amsl_m)
+    else:
+        to = _from_geodetic(lat_deg, lon_deg, height_m, here, home_amsl_m)
+    if yaw_deg is not None:
+        _require_finite("yaw", yaw_deg)
+        to = replace(to, yaw_deg=yaw_deg)
+    if not force:
+        _check_reach(here, to, limit_m, ground=ground)
+    return autopilot.goto(vehicle, to)
+
+
+def reboot(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
+    require_connected(vehicle, now)
+    if vehicle.armed and not force:
+        raise RefusedError(f"it is armed; {FORCE_HINT}")
+    return autopilot.reboot(vehicle, force=force)
+
+
+def set_home(
+    vehicle: Vehicle,
+    now: float,
+    *,
+    lat_deg: float | None = None,
+    lon_deg: float | None = None,
+    alt_amsl_m: float | None = None,
+) -> Plan:
+    """Without arguments: where it is now. The altitude defaults to that of its home."""
+    require_connected(vehicle, now)
+    if lat_deg is None and lon_deg is None and alt_amsl_m is None:
+        return autopilot.set_home(None)
+    if lat_deg is None or lon_deg is None:
+        raise RefusedError("a home needs both latitude and longitude")
+    _check_coordinate(lat_deg, lon_deg)
+    alt = vehicle.home_alt_amsl_m() if alt_amsl_m is None else alt_amsl_m
+    if alt is None:
+        raise RefusedError("its home altitude is not known; give one")
+    _require_finite("altitude", alt)
+    return autopilot.set_home(Destination(lat_deg, lon_deg, alt, 0.0))
+
+
+def message_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int, rate_hz: float | None) -> Plan:
+    require_connected(vehicle, now)
+    if rate_hz is not None and not (math.isfinite(rate_hz) and 0 <= rate_hz <= MAX_RATE_HZ):
+        raise RefusedError(f"a rate of {rate_hz:g} Hz is not between 0 (off) and {MAX_RATE_HZ:g}")
+    return autopilot.message_interval(find_message(dialect, message)[0], rate_hz)
+
+
+def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
+    require_connected(vehicle, now)
+    msgid, name = find_message(dialect, message)
+    expect = MessageAfter(name, vehicle.count(name))
+    return Plan(
+        "request", (Step("request", CommandSpec(REQUEST_MESSAGE, (float(msgid),)), expect=expect),), f"{name} came"
+    )
+
+
+def request_stream(vehicle: Vehicle, now: float, dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
+    """REQUEST_DATA_STREAM; 0 stops it."""
+    require_connected(vehicle, now)
+    if not (math.isfinite(rate_hz) and 0 <= rate_hz <= MAX_RATE_HZ):
+        raise RefusedError(f"a rate of {rate_hz:g} Hz is not between 0 (off) and {MAX_RATE_HZ:g}")
+    values = {
+        "req_stream_id": stream_number(dialect, stream),
+        "req_message_rate": round(rate_hz),
+        "start_stop": int(rate_hz > 0),
+    }
+    step = Step("stream", message=("REQUEST_DATA_STREAM", values), expect_s=0)
+    return Plan("stream", (step,), "sent; a stream request has no acknowledgement, watch the rates")
+
+
+def stream_number(dialect: Dialect, stream: int | str) -> int:
+    """MAV_DATA_STREAM by name (``POSITION``, ``ALL``) or number."""
+    if isinstance(stream, int) or stream.isdigit():
+        if 0 <= int(stream) <= 255:
+            return int(stream)
+        raise RefusedError(f"stream {stream} is not between 0 and 255")
+    streams = {v.removeprefix("MAV_DATA_STREAM_"): k for k, v in dialect.enums.get("MAV_DATA_STREAM", {}).items()}
+    number = streams.get(stream.upper().removeprefix("MAV_DATA_STREAM_"))
+    if number is None:
+        raise RefusedError(f"no stream {stream!r}; there are {', '.join(n for n in streams if n != 'ENUM_END')}")
+    return number
+
+
+def raw_command(
+    vehicle: Vehicle,
+    now: float,
+    dialect: Dialect,
+    command: str | int,
+    params: Sequence[float | None],
+    *,
+    int_frame: int | str | None = None,
+    x: float | None = None,
+    y: float | None = None,
+    z: float | None = None,
+) -> Plan:
+    """Any MAV_CMD. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it goes as COMMAND_INT,
+    x and y in degrees for a global frame, metres for a local one, plain integers for MISSION."""
+    require_connected(vehicle, now)
+    number, name = find_command(dialect, command)
+    values = tuple(math.nan if p is None else float(p) for p in params)
+    most = 7 if int_frame is None else 4
+    if len(values) > most:
+        raise RefusedError(f"{name} was given {len(values)} parameters; there are {most}")
+    if int_frame is None:
+        if x is not None or y is not None or z is not None:
+            raise RefusedError("x, y and z belong to COMMAND_INT: give int_frame, or params 5 to 7")
+        spec = CommandSpec(number, values)
+    else:
+        frame = _frame_number(dialect, int_frame)
+        spec = CommandSpec(number, values, Location(frame, _scaled(frame, x), _scaled(frame, y), z or 0.0))
+    return Plan("command", (Step(name, spec),), f"{name} accepted")
+
+
+def find_message(dialect: Dialect, message: str | int) -> tuple[int, str]:
+    """(id, name) of a message of the dialect; a bare id may also be one it does not have."""
+    try:
+        info = dialect.find(message)
+    except KeyError as error:
+        if isinstance(message, int) and 0 <= message < 1 << 24:
+            return message, f"message {message}"
+        raise RefusedError(str(error.args[0])) from None
+    return info.msgid, info.name
+
+
+def find_command(dialect: Dialect, command: str | int) -> tuple[int, str]:
+    """(number, name) of a MAV_CMD, by name with or without MAV_CMD_, or by number (which needs no name)."""
+    names = dialect.enums.get("MAV_CMD", {})
+    if isinstance(command, int) or command.isdigit():
+        number = int(command)
+        if not 0 <= number <= 0xFFFF:
+            raise RefusedError(f"command {number} is not between 0 and 65535")
+        return number, names.get(number, f"MAV_CMD {number}").removeprefix("MAV_CMD_")
+    wanted = command.upper().removeprefix("MAV_CMD_")
+    for number, name in names.items():
+        if name.removeprefix("MAV_CMD_") == wanted:
+            return number, wanted
+
+    near = difflib.get_close_matches(wanted, [n.removeprefix("MAV_CMD_") for n in names.values()], n=3)
+    raise RefusedError(f"no command {command!r}" + (f"; did you mean {', '.join(near)}?" if near else ""))
+
+
+def require_connected(vehicle: Vehicle, now: float) -> None:
+    if not vehicle.connected:
+        age = vehicle.silence_s(now)
+        raise RefusedError("it is lost: " + ("no heartbeat yet" if age is None else f"no heartbeat for {age:.0f} s"))
+
+
+def _frame_number(dialect: Dialect, frame: int | str) -> int:
+    names = dialect.enums.get("MAV_FRAME", {})
+    if isinstance(frame, int) or frame.isdigit():
+        if 0 <= int(frame) <= 255:
+            return int(frame)
+        raise RefusedError(f"frame {frame} is not between 0 and 255")
+    wanted = frame.upper().removeprefix("MAV_FRAME_")
+    for number, name in names.items():
+        if name.removeprefix("MAV_FRAME_") == wanted:
+            return number
+    raise RefusedError(
+        f"no frame {frame!r}; there are {', '.join(n.removeprefix('MAV_FRAME_') for n in names.values())}"
+    )
+
+
+def _scaled(frame: int, value: float | None) -> int:
+    if value is None:
+        return 0
+    _require_finite("coordinate", value)
+    scaled = round(value * (1.0 if frame == MISSION_FRAME else 1e4 if frame in LOCAL_FRAMES else 1e7))
+    if not -INT32 <= scaled < INT32:
+        raise RefusedError(f"coordinate {value:g} does not fit in the message")
+    return scaled
+
+
+def _fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:
+    position, at = vehicle.section("position"), vehicle.section_at("position")
+    if position is None or at is None or position["lat_deg"] is None or now - at > POSITION_FRESH_S:
+        return None
+    return position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
+
+
+def _from_enu(vehicle: Vehicle, enu_m: Sequence[float], home_amsl_m: float) -> Destination:
+    if len(enu_m) != 3:
+        raise RefusedError(f"enu_m is east, north, up: three numbers, not {len(enu_m)}")
+    for value in enu_m:
+        _require_finite("ENU coordinate", value)
+    if vehicle.origin is None:
+        raise RefusedError("the fleet has no origin yet, so ENU means nothing; set [origin] or use lat and lon")
+    lat, lon, alt = geodetic_from_enu(enu_m[0], enu_m[1], enu_m[2], vehicle.origin)
+    _check_coordinate(lat, lon)
+    return Destination(lat, lon, alt, alt - home_amsl_m)
+
+
+def _from_geodetic(
+    lat_deg: float | None,
+    lon_deg: float | None,
+    height_m: float | None,
+    here: tuple[float, float, float],
+    home_amsl_m: float,
+) -> Destination:
+    if lat_deg is None and lon_deg is None:
+        if height_m is None:
+            raise RefusedError("say where to: lat_deg and lon_deg, a height_m, or enu_m")
+        lat_deg, lon_deg = here[:2]
+    if lat_deg is None or lon_deg is None:
+        raise RefusedError("a place needs both latitude and longitude")
+    _check_coordinate(lat_deg, lon_deg)
+    if height_m is None:
+        return Destination(lat_deg, lon_deg, here[2], here[2] - home_amsl_m)
+    _require_finite("height", height_m)
+    return Destination(lat_deg, lon_deg, home_amsl_m + height_m, height_m)
+
+
+def _check_coordinate(lat_deg: float, lon_deg: float) -> None:
+    """A coordinate of exactly 0 is a forgotten one: the seed's own script would have flown to 0, 0."""
+    if not (math.isfinite(lat_deg) and math.isfinite(lon_deg) and -90 <= lat_deg <= 90 and -180 <= lon_deg <= 180):
+        raise RefusedError(f"{lat_deg:g}, {lon_deg:g} is no place on earth (latitude -90..90, longitude -180..180)")
+    if lat_deg == 0 or lon_deg == 0:
+        raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
+
+
+def _check_reach(here: tuple[float, float, float], to: Destination, limit_m: float, *, ground: bool) -> None:
+    away = math.hypot(distance_m(here[0], here[1], to.lat_deg, to.lon_deg), to.alt_amsl_m - here[2])
+    if away > limit_m:
+        raise RefusedError(f"that is {away:.0f} m away, the limit is {limit_m:g} m; {FORCE_HINT}")
+    if to.height_m < 0 and not ground:
+        raise RefusedError(f"that is {-to.height_m:.1f} m below its home; {FORCE_HINT}")
+
+
+def _require_finite(what: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise RefusedError(f"{what} {value} is not a number to fly to")

@@ -1,0 +1,128 @@
+"""An order as data: the steps that carry it out, and by what state of the vehicle each is known to have worked.
+
+`autopilot` makes plans, the vehicle's actor runs them. A step is one command (or a message without acknowledgement);
+the next one begins when the step was accepted and, if ``expect_s`` is not 0, its expectation is met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from skygcs.core.exchange.command import CommandSpec
+from skygcs.core.geo import distance_m
+from skygcs.core.vehicle.vehicle import Vehicle
+
+VERIFY_S = 3.0
+"""The heartbeat that shows a change comes within a second; two more may be lost."""
+
+
+class Expectation(Protocol):
+    """A state of the vehicle that shows that an order has worked."""
+
+    def met(self, vehicle: Vehicle, now: float) -> bool: ...
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        """What it is instead, for a person: "still in POSCTL"."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ArmedIs:
+    armed: bool
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        return vehicle.armed is self.armed
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return "still armed" if vehicle.armed else "still disarmed"
+
+
+@dataclass(frozen=True, slots=True)
+class ModeIn:
+    """In one of these modes. ``or_disarmed``: a vehicle that stands on the ground may leave the mode at once."""
+
+    custom_modes: frozenset[int]
+    or_disarmed: bool = False
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        return vehicle.custom_mode in self.custom_modes or (self.or_disarmed and not vehicle.armed)
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return f"still in {vehicle.mode}"
+
+
+@dataclass(frozen=True, slots=True)
+class InAir:
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        return vehicle.in_air(now) is True
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return "still on the ground"
+
+
+@dataclass(frozen=True, slots=True)
+class MessageAfter:
+    """The message came after the order; ``count`` is how often it had come before."""
+
+    message: str
+    count: int
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        return vehicle.count(self.message) > self.count
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return f"no {self.message} came"
+
+
+TARGET_TOLERANCE_M = 2.0
+"""POSITION_TARGET_GLOBAL_INT repeats the target within its own rounding; metres are another target."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetNear:
+    """The vehicle says (POSITION_TARGET_GLOBAL_INT) that it flies to this place."""
+
+    lat_deg: float
+    lon_deg: float
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        target = vehicle.section("target_global")
+        if target is None or target["lat_deg"] is None:
+            return False
+        off = distance_m(self.lat_deg, self.lon_deg, target["lat_deg"], target["lon_deg"])
+        return off <= TARGET_TOLERANCE_M
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return "it does not say that it flies there"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """``command`` is acknowledged and repeated, ``message`` is sent once. Exactly one of them is given.
+
+    ``expect_s``: how long to wait for the expectation; 0 does not wait for it (it then only explains a lost ACK).
+    ``skip_if_met``: nothing is sent if the state is as wanted already. ``undo`` is carried out if a later step fails.
+    ``instead`` replaces the step if the vehicle answers that it does not support the command.
+    """
+
+    name: str
+    command: CommandSpec | None = None
+    message: tuple[str, Mapping[str, Any]] | None = None
+    expect: Expectation | None = None
+    expect_s: float = VERIFY_S
+    skip_if_met: bool = False
+    undo: Step | None = None
+    instead: tuple[Step, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """``done`` is the outcome's message when all steps have worked."""
+
+    order: str
+    steps: tuple[Step, ...]
+    done: str
+    emergency: bool = False
+    data: Mapping[str, Any] = field(default_factory=dict)

@@ -1,0 +1,465 @@
+"""One vehicle: what its frames have told, folded when somebody looks. Pure; the asyncio side is `VehicleActor`."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from skygcs.core.exchange.command import RESULT_NAMES, Ack
+from skygcs.core.geo import Origin, enu_from_geodetic
+from skygcs.core.mavlink import modes
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.boot import BootClock
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
+from skygcs.core.vehicle.fold import SECTIONS, Folded, Section
+from skygcs.core.vehicle.slots import Slot
+from skygcs.core.vehicle.state import (
+    ACTIVE,
+    AIRBORNE,
+    FAILSAFE_STATUS,
+    LANDED,
+    SEVERITY,
+    STANDBY,
+    SYSTEM_STATUS,
+    Part,
+    VehicleState,
+)
+from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
+
+DEFAULT_TIMEOUT_S = 5.0
+"""Heartbeats come at 1 Hz; over a multipoint radio several in a row are lost now and then (Skybrush uses 5 s too)."""
+
+HIGH_LATENCY_FACTOR = 4
+"""HIGH_LATENCY2 replaces the heartbeat and comes every 5 s: such a vehicle is given 20 s."""
+
+RATE_PERIOD_S = 1.0
+MAX_STATUS_TEXTS = 32
+LANDED_FRESH_S = 10.0
+"""An EXTENDED_SYS_STATE older than this says nothing about now; autopilots stream it at 0.5 to 1 Hz."""
+
+ALTERNATIVE_LAG_S = 2.0
+"""Of messages that say the same, the preferred one is taken unless it is this much older than the newest."""
+
+BOOT_TEXTS = ("ardupilot ready", "initialising ardupilot")
+"""What ArduPilot says once, at the end of its start. Its version banner is no sign: it answers every GCS with it."""
+
+BOOT_TEXT_MIN_UP_S = 30.0
+"""A boot text of a vehicle met, or rebooted, less than this ago belongs to the start already known."""
+
+HIGH_LATENCY2 = 235
+BOOT_TIME_MESSAGES = ("ATTITUDE", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
+
+Events = tuple[Event, ...]
+
+
+class Vehicle:
+    """State of one autopilot. `on_frame` for each of its frames, `tick` at 1 to 10 Hz; both return what happened.
+
+    ``origin`` may be set at any time: ENU positions are about it. ``last_ack`` is the newest COMMAND_ACK, whomever it
+    answers; the actor reads it when `on_frame` was given one.
+    """
+
+    def __init__(
+        self,
+        sysid: int,
+        compid: int,
+        dialect: Dialect,
+        *,
+        name: str | None = None,
+        groups: tuple[str, ...] = (),
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        decoder: Decoder | None = None,
+    ) -> None:
+        self.sysid = sysid
+        self.compid = compid
+        self.name = name or f"v{sysid}"
+        self.groups = groups
+        self.timeout_s = timeout_s
+        self.origin: Origin | None = None
+        self.connected = False
+        self.type = 0
+        self.autopilot = 0
+        self.base_mode = 0
+        self.custom_mode = 0
+        self.system_status = 0
+        self.firmware: str | None = None
+        self.last_ack: Ack | None = None
+        self.boot = BootClock()
+        self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
+        self.slots: dict[int, Slot] = {}
+        self._decoder = decoder or Decoder(dialect)
+        self._landed = "undefined"
+        self._high_latency_failures = 0
+        self._heard_at: float | None = None
+        self._heartbeat_payload = b""
+        self._lost_at: float | None = None
+        self._patience_s = timeout_s
+        self._known_since: float | None = None
+        self._rates_at: float | None = None
+        self._quarrel_told = False
+        self._assembler = StatusTextAssembler()
+        self._cache: dict[str, tuple[tuple[Frame, ...], Folded | None]] = {}
+        self._enu: tuple[Folded | None, Origin | None, list[float] | None] = (None, None, None)
+        ids = self._decoder.msgid
+        handlers: dict[str, Callable[[bytes, float], Events]] = {
+            "HEARTBEAT": self._on_heartbeat,
+            "STATUSTEXT": self._on_statustext,
+            "EXTENDED_SYS_STATE": self._on_extended_sys_state,
+            "SYSTEM_TIME": self._on_system_time,
+            "COMMAND_ACK": self._on_command_ack,
+            "AUTOPILOT_VERSION": self._on_autopilot_version,
+            "HIGH_LATENCY2": self._on_high_latency,
+        }
+        self._handlers = {ids[n]: handler for n, handler in handlers.items() if n in ids}
+
+    def on_frame(self, frame: Frame, now: float) -> Events:
+        """Note a frame of this vehicle. Hot: one dict lookup and three assignments for most of them. Never raises."""
+        slot = self.slots.get(frame.msgid)
+        if slot is None:
+            if frame.info is None:
+                return ()  # no CRC vouches for it: not even its id can be trusted
+            slot = self.slots[frame.msgid] = Slot(frame.info.name)
+        slot.frame = frame
+        slot.at = now
+        slot.count += 1
+        handler = self._handlers.get(frame.msgid)
+        return () if handler is None else handler(frame.payload, now)
+
+    def tick(self, now: float) -> Events:
+        """What time alone brings: a lost vehicle, rates, texts that will not be completed, a reboot told by clocks."""
+        events: list[Event] = []
+        for text in self._assembler.flush(now):
+            events += self._on_text(text)
+        if self.connected and self._heard_at is not None and now - self._heard_at > self._patience_s:
+            self.connected = False
+            self._lost_at = self._heard_at
+            age = now - self._heard_at
+            events.append(self._event("vehicle_lost", f"no heartbeat for {age:.1f} s", {"age_s": round(age, 1)}))
+        if self._rates_at is None:
+            self._rates_at = now
+        elif now - self._rates_at >= RATE_PERIOD_S:
+            for slot in self.slots.values():
+                slot.sample(now - self._rates_at)
+            self._rates_at = now
+            events += self._check_clocks(now)
+        return tuple(events)
+
+    @property
+    def key(self) -> int:
+        return self.sysid << 8 | self.compid
+
+    @property
+    def family(self) -> modes.Family:
+        return modes.family(self.autopilot)
+
+    @property
+    def armed(self) -> bool:
+        return bool(self.base_mode & modes.SAFETY_ARMED)
+
+    @property
+    def mode(self) -> str:
+        return modes.mode_name(self.autopilot, self.type, self.base_mode, self.custom_mode)
+
+    @property
+    def failsafe(self) -> bool:
+        return self.system_status in FAILSAFE_STATUS or self._high_latency_failures != 0
+
+    def silence_s(self, now: float) -> float | None:
+        """Time since the last heartbeat; None if there was none."""
+        return None if self._heard_at is None else now - self._heard_at
+
+    def landed(self, now: float) -> str:
+        """on_ground, in_air, takeoff, landing; what cannot be known is "undefined"."""
+        slot = self.slot("EXTENDED_SYS_STATE")
+        if slot is not None and now - slot.at <= LANDED_FRESH_S and self._landed != "undefined":
+            return self._landed
+        if not self.armed:
+            return "on_ground"
+        if self.family == "ardupilot" and self.system_status in (STANDBY, ACTIVE):
+            return "in_air" if self.system_status == ACTIVE else "on_ground"
+        return "undefined"
+
+    def in_air(self, now: float) -> bool | None:
+        """Whether it flies; None if nothing tells."""
+        landed = self.landed(now)
+        return None if landed == "undefined" else landed in AIRBORNE
+
+    def slot(self, message: str) -> Slot | None:
+        """The last frame of a message, its time and count; None if none came (or not since the last reboot)."""
+        slot = self.slots.get(self._decoder.msgid_of(message))
+        return slot if slot is not None and slot.frame is not None else None
+
+    def count(self, message: str) -> int:
+        """How often a message has come."""
+        slot = self.slots.get(self._decoder.msgid_of(message))
+        return 0 if slot is None else slot.count
+
+    def section(self, name: str) -> Folded | None:
+        """One section of the state, without its age. Do not change it: it is kept."""
+        return self._fold(_BY_NAME[name])[0]
+
+    def section_at(self, name: str) -> float | None:
+        """When the newest message of a section came."""
+        slots = self._slots_of(_BY_NAME[name])
+        return max(s.at for s in slots) if slots else None
+
+    def home_alt_amsl_m(self) -> float | None:
+        """What GLOBAL_POSITION_INT.relative_alt is relative to; HOME_POSITION only if there is no position."""
+        position = self.section("position")
+        if position is not None and position["lat_deg"] is not None:
+            return float(position["alt_amsl_m"] - position["alt_rel_m"])
+        home = self.section("home")
+        return None if home is None else float(home["alt_amsl_m"])
+
+    def snapshot(self, now: float, unix_now: float | None = None) -> VehicleState:
+        """The whole state. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
+        sections: dict[str, Part | None] = {}
+        for section in SECTIONS:
+            folded, at = self._fold(section)
+            sections[section.name] = None if folded is None else {**folded, "age_s": round(now - at, 3)}
+        position = sections["position"]
+        if position is not None:
+            position["enu_m"] = self.enu_m()
+        state: dict[str, Any] = {
+            "name": self.name,
+            "sysid": self.sysid,
+            "compid": self.compid,
+            "autopilot": self.family,
+            "type": self._enum_name("MAV_TYPE", self.type),
+            "firmware": self.firmware,
+            "groups": list(self.groups),
+            "connected": self.connected,
+            "last_heartbeat_age_s": _rounded(self.silence_s(now), 3),
+            "uptime_s": _rounded(self.boot.uptime_s(now), 1),
+            "clock_offset_s": self._clock_offset_s(now, unix_now),
+            "armed": self.armed,
+            "mode": self.mode,
+            "system_status": _name_of(SYSTEM_STATUS, self.system_status),
+            "landed": self.landed(now),
+            "failsafe": self.failsafe,
+            **sections,
+            "last_ack": self._ack_part(now),
+            "status_texts": [
+                {
+                    "severity": _name_of(SEVERITY, t.severity),
+                    "level": t.severity,
+                    "text": t.text,
+                    "age_s": round(now - t.at, 1),
+                }
+                for t in self.texts
+            ],
+            "messages": {
+                s.name: {"rate_hz": round(s.rate_hz, 2), "age_s": round(now - s.at, 3), "count": s.count}
+                for s in self.slots.values()
+            },
+            "links": {},
+        }
+        return state  # type: ignore[return-value]  # the keys of `VehicleState`; a test compares them
+
+    def enu_m(self) -> list[float] | None:
+        """Position about the fleet's origin; None without position or origin."""
+        position = self.section("position")
+        if position is None or self.origin is None or position["lat_deg"] is None:
+            return None
+        if self._enu[0] is not position or self._enu[1] is not self.origin:
+            enu = enu_from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"], self.origin)
+            self._enu = (position, self.origin, [round(c, 3) for c in enu])
+        return self._enu[2]
+
+    def _slots_of(self, section: Section) -> list[Slot]:
+        slots = [s for s in map(self.slot, section.messages) if s is not None]
+        if section.combine or len(slots) < 2:
+            return slots
+        newest = max(s.at for s in slots)
+        return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
+
+    def _fold(self, section: Section) -> tuple[Folded | None, float]:
+        slots = self._slots_of(section)
+        if not slots:
+            return None, 0.0
+        at = max(s.at for s in slots)
+        frames = tuple(s.frame for s in slots if s.frame is not None)
+        known = self._cache.get(section.name)
+        if known is not None and len(known[0]) == len(frames) and all(map(_same, known[0], frames)):
+            return known[1], at
+        values = {f.name: self._decoder.values(f.name, f.payload) for f in frames}
+        folded = section.fold(values, self._decoder)
+        self._cache[section.name] = (frames, folded)
+        return folded, at
+
+    def _event(self, kind: str, text: str, data: dict[str, Any] | None = None) -> Event:
+        return Event(kind, self.name, self.sysid, text, data or {})
+
+    def _on_heartbeat(self, payload: bytes, now: float) -> Events:
+        self._heard_at = now
+        self._patience_s = self.timeout_s
+        if payload == self._heartbeat_payload and self.connected:
+            return ()
+        self._heartbeat_payload = payload
+        vehicle_type, autopilot, base_mode, custom_mode, system_status = self._decoder.read["HEARTBEAT"](payload)
+        self._high_latency_failures = 0
+        return self._on_life(vehicle_type, autopilot, base_mode, custom_mode, system_status, now)
+
+    def _on_high_latency(self, payload: bytes, now: float) -> Events:
+        """It replaces the heartbeat on a satellite link; it has no armed bit, so that is left as it was."""
+        self._heard_at = now
+        self._patience_s = self.timeout_s * HIGH_LATENCY_FACTOR
+        self._heartbeat_payload = b""
+        vehicle_type, autopilot, custom_mode, failures, *_ = self._decoder.read["HIGH_LATENCY2"](payload)
+        if autopilot == modes.AUTOPILOT_PX4:
+            custom_mode <<= 16  # PX4 sends main and sub mode in the low and high byte
+        had = self.failsafe
+        self._high_latency_failures = failures
+        events = self._on_life(vehicle_type, autopilot, self.base_mode, custom_mode, self.system_status, now)
+        return events if self.failsafe == had else (*events, self._failsafe_event())
+
+    def _on_life(
+        self, vehicle_type: int, autopilot: int, base_mode: int, custom_mode: int, system_status: int, now: float
+    ) -> Events:
+        events: list[Event] = []
+        first = self._known_since is None
+        armed, mode, failsafe = self.armed, self.mode, self.failsafe
+        self.type, self.autopilot = vehicle_type, autopilot
+        self.base_mode, self.custom_mode, self.system_status = base_mode, custom_mode, system_status
+        if not self.connected:
+            self.connected = True
+            if first:
+                self._known_since = now
+                return ()  # that it is there at all is told by whoever made it
+            gone = now - (self._lost_at or now)
+            events.append(self._event("vehicle_back", f"back after {gone:.1f} s", {"gone_s": round(gone, 1)}))
+        if self.armed != armed:
+            kind = "armed" if self.armed else "disarmed"
+            events.append(self._event(kind, kind, {"mode": self.mode}))
+        if self.mode != mode:
+            events.append(self._event("mode", f"mode {self.mode}, was {mode}", {"mode": self.mode, "was": mode}))
+        if self.failsafe != failsafe:
+            events.append(self._failsafe_event())
+        return tuple(events)
+
+    def _failsafe_event(self) -> Event:
+        status = _name_of(SYSTEM_STATUS, self.system_status)
+        if not self.failsafe:
+            return self._event("failsafe", f"failsafe over, system status {status}", {"failsafe": False})
+        why = next((t.text for t in reversed(self.texts) if t.severity <= 4), None)
+        text = f"failsafe, system status {status}" + (f": {why}" if why else "")
+        return self._event("failsafe", text, {"failsafe": True, "system_status": status, "last_warning": why})
+
+    def _on_statustext(self, payload: bytes, now: float) -> Events:
+        severity, raw, text_id, chunk_seq = self._decoder.read["STATUSTEXT"](payload)
+        events: list[Event] = []
+        for text in self._assembler.on_text(severity, raw, text_id, chunk_seq, now):
+            events += self._on_text(text)
+        return tuple(events)
+
+    def _on_text(self, text: StatusText) -> list[Event]:
+        if not text.text:
+            return []
+        self.texts.append(text)
+        name = _name_of(SEVERITY, text.severity)
+        data = {"severity": name, "level": text.severity, "text": text.text}
+        events = [self._event("statustext", text.text, data)]
+        if self.firmware is None:
+            self.firmware = firmware_from_banner(text.text)
+        if text.text.lower().startswith(BOOT_TEXTS) and self._long_up(text.at):
+            self.boot.forget()
+            events.append(self._rebooted(text.at, f"rebooted: {text.text}"))
+        return events
+
+    def _long_up(self, now: float) -> bool:
+        uptime = self.boot.uptime_s(now)
+        since = now if self._known_since is None else self._known_since
+        return now - since > BOOT_TEXT_MIN_UP_S and (uptime is None or uptime > BOOT_TEXT_MIN_UP_S)
+
+    def _on_extended_sys_state(self, payload: bytes, now: float) -> Events:
+        (state,) = self._decoder.read["EXTENDED_SYS_STATE"](payload)
+        landed = _name_of(LANDED, state)
+        if landed == self._landed:
+            return ()
+        was, self._landed = self._landed, landed
+        if was == "undefined":
+            return ()
+        return (self._event("landed", landed.replace("_", " "), {"landed": landed, "was": was}),)
+
+    def _on_system_time(self, payload: bytes, now: float) -> Events:
+        _, boot_ms = self._decoder.read["SYSTEM_TIME"](payload)
+        return self._on_boot_ms(boot_ms, now)
+
+    def _on_command_ack(self, payload: bytes, now: float) -> Events:
+        self.last_ack = Ack(*self._decoder.read["COMMAND_ACK"](payload))
+        return ()
+
+    def _on_autopilot_version(self, payload: bytes, now: float) -> Events:
+        version, _ = self._decoder.read["AUTOPILOT_VERSION"](payload)
+        self.firmware = firmware_from_version(version) or self.firmware
+        return ()
+
+    def _check_clocks(self, now: float) -> Events:
+        """SYSTEM_TIME is not streamed by everybody; other messages carry the same clock."""
+        slots = [s for s in map(self.slot, BOOT_TIME_MESSAGES) if s is not None]
+        if not slots:
+            return ()
+        newest = max(slots, key=lambda s: s.at)
+        assert newest.frame is not None
+        return self._on_boot_ms(self._decoder.values(newest.name, newest.frame.payload)[0], newest.at)
+
+    def _on_boot_ms(self, boot_ms: int, now: float) -> Events:
+        if not self.boot.on_boot_ms(boot_ms, now):
+            return ()
+        if not self.boot.quarrel:
+            self._quarrel_told = False
+            return (self._rebooted(now, f"rebooted, up for {boot_ms / 1000:.1f} s"),)
+        if self._quarrel_told:
+            return ()
+        self._quarrel_told = True
+        return (self._event("conflict", f"two vehicles seem to share system id {self.sysid}", {"sysid": self.sysid}),)
+
+    def _rebooted(self, now: float, text: str) -> Event:
+        """What was known of the life before is no longer true, but for the heartbeat."""
+        self._known_since = now
+        self._landed = "undefined"
+        keep = self._decoder.msgid.get("HEARTBEAT")
+        for msgid, slot in self.slots.items():
+            if msgid != keep and slot.at < now:
+                slot.frame = None
+        return self._event("reboot", text, {})
+
+    def _ack_part(self, now: float) -> Part | None:
+        slot = self.slot("COMMAND_ACK")
+        if slot is None or self.last_ack is None:
+            return None
+        return {
+            "command": self._enum_name("MAV_CMD", self.last_ack.command),
+            "result": RESULT_NAMES.get(self.last_ack.result, str(self.last_ack.result)),
+            "age_s": round(now - slot.at, 3),
+        }
+
+    def _clock_offset_s(self, now: float, unix_now: float | None) -> float | None:
+        """The vehicle's clock minus ours, as of the last SYSTEM_TIME; the link's delay makes it look late."""
+        time, at = self._fold(_BY_NAME["time"])
+        if unix_now is None or time is None or time["unix_s"] is None:
+            return None
+        return round(float(time["unix_s"]) - (unix_now - (now - at)), 3)
+
+    def _enum_name(self, enum: str, value: int) -> str:
+        name = self._decoder.dialect.enums.get(enum, {}).get(value)
+        return str(value) if name is None else name.removeprefix(enum + "_")
+
+
+_BY_NAME = {section.name: section for section in SECTIONS}
+
+
+def _same(a: Frame, b: Frame) -> bool:
+    return a is b
+
+
+def _name_of(names: tuple[str, ...], value: int) -> str:
+    return names[value] if 0 <= value < len(names) else str(value)
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)

@@ -1,0 +1,293 @@
+"""Commands in flight to one vehicle: the asyncio side of `CommandExchange`, with one timer for all of them.
+
+At most one command of an id is in flight per vehicle, because a COMMAND_ACK names nothing but the id; the next one of
+the same id waits for its turn. If the one before has left acks outstanding (repeats, or a timeout), the next is held
+back for `LATE_ACK_S` after the last transmission, or until those acks came: a late ack must not pass for the new
+command's. An emergency waits for nobody; its outcome rests on the vehicle's state rather than on an ack.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from skygcs.core.airtime import Priority
+from skygcs.core.exchange.base import Effect, Report, Transmit
+from skygcs.core.exchange.command import (
+    EMERGENCY_TIMERS_S,
+    RETRY_TIMERS_S,
+    Ack,
+    CommandExchange,
+    CommandSpec,
+    Outcome,
+)
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+
+SendFn = Callable[[MessageInfo, Mapping[str, Any], int, int, Priority], bool]
+"""(message, field values, target sysid (0: every vehicle), target compid, priority) -> whether it was taken."""
+
+LATE_ACK_S = 1.5
+"""Two rounds of a nine-node multipoint radio at 64 kbit/s; later than that an ack is not expected any more."""
+
+MAX_WAITING = 8
+"""Commands of one id waiting for their turn; further ones are refused."""
+
+Check = Callable[[], bool]
+
+
+class Carrier:
+    """A broadcast frame that carries one command to many vehicles at once: their exchanges begin without sending."""
+
+    def __init__(self, spec: CommandSpec) -> None:
+        self.spec = spec
+        self.sent = False
+
+
+class _Line:
+    """All of one command id: who is in flight, who waits, and which acks may still come late."""
+
+    __slots__ = ("late", "lock", "quiet_until", "quieted", "waiting")
+
+    def __init__(self) -> None:
+        self.lock = asyncio.Lock()
+        self.waiting = 0
+        self.late = 0
+        self.quiet_until = 0.0
+        self.quieted = asyncio.Event()
+
+
+class _Running:
+    __slots__ = ("done", "exchange", "not_taken", "on_report", "priority", "satisfied")
+
+    def __init__(
+        self,
+        exchange: CommandExchange,
+        done: asyncio.Future[Outcome],
+        priority: Priority,
+        satisfied: Check | None,
+        on_report: Callable[[int | None], None] | None,
+    ) -> None:
+        self.exchange = exchange
+        self.done = done
+        self.priority = priority
+        self.satisfied = satisfied
+        self.on_report = on_report
+        self.not_taken = 0
+
+
+class Commander:
+    """Runs commands for one (sysid, compid). `on_ack`, `on_text` and `wake` are called by the actor as frames come."""
+
+    def __init__(
+        self,
+        target: tuple[int, int],
+        own: tuple[int, int],
+        dialect: Dialect,
+        send: SendFn,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.target = target
+        self.own = own
+        self.carrier: Carrier | None = None
+        self._dialect = dialect
+        self._send = send
+        self._loop = loop
+        self._lines: dict[int, _Line] = {}
+        self._running: dict[int, _Running] = {}
+        self._watches: list[tuple[Check, asyncio.Future[bool], float]] = []
+        self._timer: asyncio.TimerHandle | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames have to be shown to `wake`."""
+        return bool(self._watches)
+
+    @property
+    def commanding(self) -> bool:
+        return bool(self._running)
+
+    def in_flight(self, command: int) -> bool:
+        return command in self._running
+
+    async def run(
+        self,
+        spec: CommandSpec,
+        *,
+        emergency: bool = False,
+        satisfied: Check | None = None,
+        on_report: Callable[[int | None], None] | None = None,
+    ) -> Outcome:
+        """Send it and wait for its outcome. ``satisfied`` tells whether the state shows already what is wanted: then
+        a lost ack does not matter. Cancelling forgets the command; what was sent cannot be unsent."""
+        if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
+            return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
+        line = self._lines.setdefault(spec.command, _Line())
+        if emergency:
+            self._stop(spec.command, "cancelled", "an emergency order took its place")
+            return await self._exchange(line, spec, Priority.EMERGENCY, EMERGENCY_TIMERS_S, satisfied, on_report)
+        if line.waiting >= MAX_WAITING:
+            return Outcome(False, "refused", f"{line.waiting} commands of the same kind are waiting already")
+        line.waiting += 1
+        try:
+            await line.lock.acquire()
+        finally:
+            line.waiting -= 1
+        try:
+            await self._quiet(line)
+            if spec.command in self._running:
+                return Outcome(False, "refused", "an emergency order of the same kind is under way")
+            return await self._exchange(line, spec, Priority.COMMAND, RETRY_TIMERS_S, satisfied, on_report)
+        finally:
+            line.lock.release()
+
+    async def until(self, met: Check, timeout_s: float) -> bool:
+        """Wait until a state is seen; whether it was within the time."""
+        if met():
+            return True
+        future: asyncio.Future[bool] = self._loop.create_future()
+        watch = (met, future, self._loop.time() + timeout_s)
+        self._watches.append(watch)
+        self._arm_timer()
+        try:
+            return await future
+        finally:
+            self._watches.remove(watch)
+
+    def transmit(self, message: str, values: Mapping[str, Any], priority: Priority = Priority.COMMAND) -> bool:
+        """Send a message without acknowledgement to the vehicle. Raises KeyError if the dialect lacks it."""
+        sysid, compid = self.target
+        info = self._dialect.by_name[message]
+        return self._send(info, {**values, "target_system": sysid, "target_component": compid}, sysid, compid, priority)
+
+    def on_ack(self, ack: Ack, now: float) -> None:
+        """A COMMAND_ACK of this vehicle, whomever it answers."""
+        if not ack.is_for(*self.own):
+            return
+        running = self._running.get(ack.command)
+        if running is not None:
+            self._apply(running, running.exchange.on_ack(ack, now))
+            self._arm_timer()
+            return
+        line = self._lines.get(ack.command)
+        if line is not None and line.late:
+            line.late -= 1
+            if not line.late:
+                line.quieted.set()
+
+    def on_text(self, text: str) -> None:
+        for running in self._running.values():
+            running.exchange.on_text(text)
+
+    def wake(self) -> None:
+        """The vehicle's state may have changed."""
+        for met, future, _ in self._watches:
+            if not future.done() and met():
+                future.set_result(True)
+
+    def stop_all(self, result: str, message: str) -> None:
+        """The vehicle is lost or rebooted: nothing in flight will be answered. Emergencies go on."""
+        for command in [c for c, r in self._running.items() if r.priority is not Priority.EMERGENCY]:
+            self._stop(command, result, message)
+
+    def close(self) -> None:
+        """The daemon ends."""
+        for command in list(self._running):
+            self._stop(command, "cancelled", "skygcs is shutting down")
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    async def _quiet(self, line: _Line) -> None:
+        if not line.late:
+            return
+        wait_s = line.quiet_until - self._loop.time()
+        if wait_s > 0:
+            line.quieted.clear()
+            try:
+                async with asyncio.timeout(wait_s):
+                    await line.quieted.wait()
+            except TimeoutError:
+                pass
+        line.late = 0
+
+    async def _exchange(
+        self,
+        line: _Line,
+        spec: CommandSpec,
+        priority: Priority,
+        timers: tuple[float, ...],
+        satisfied: Check | None,
+        on_report: Callable[[int | None], None] | None,
+    ) -> Outcome:
+        exchange = CommandExchange(spec, timers)
+        if satisfied is not None and satisfied():
+            satisfied = None  # it tells nothing about this command
+        running = _Running(exchange, self._loop.create_future(), priority, satisfied, on_report)
+        self._running[spec.command] = running
+        now = self._loop.time()
+        carried = self.carrier is not None and not self.carrier.sent and self.carrier.spec == spec
+        self._apply(running, exchange.start(now, transmitted=carried))
+        self._arm_timer()
+        try:
+            outcome = await running.done
+        finally:
+            if self._running.get(spec.command) is running:
+                del self._running[spec.command]
+            line.late = exchange.outstanding
+            line.quiet_until = exchange.last_sent + LATE_ACK_S
+        overtaken = not outcome.ok and outcome.result != "cancelled" and exchange.attempts > 1
+        if overtaken and satisfied is not None and satisfied():
+            # the first transmission worked, its ack was lost, and the repeat was refused for having worked already
+            return Outcome(True, "accepted", "accepted", outcome.attempts, outcome.elapsed_s, outcome.status_texts)
+        if outcome.result == "timeout" and running.not_taken >= exchange.attempts:
+            return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)
+        return outcome
+
+    def _apply(self, running: _Running, effects: tuple[Effect, ...]) -> None:
+        for effect in effects:
+            if isinstance(effect, Transmit):
+                spec = running.exchange.spec
+                values = spec.values(*self.target, effect.attempt)
+                info = self._dialect.by_name[spec.message]
+                if not self._send(info, values, *self.target, running.priority):
+                    running.not_taken += 1
+            elif isinstance(effect, Report):
+                if running.on_report is not None:
+                    running.on_report(effect.percent)
+            elif not running.done.done():
+                assert running.exchange.outcome is not None
+                running.done.set_result(running.exchange.outcome)
+
+    def _stop(self, command: int, result: str, message: str) -> None:
+        running = self._running.get(command)
+        if running is not None:
+            self._apply(running, running.exchange.stop(self._loop.time(), result, message))
+
+    def _arm_timer(self) -> None:
+        deadlines = [r.exchange.deadline for r in self._running.values() if r.exchange.deadline is not None]
+        deadlines += [deadline for _, future, deadline in self._watches if not future.done()]
+        due = min(deadlines, default=None)
+        if self._timer is not None:
+            if due is not None and self._timer.when() == due:
+                return
+            self._timer.cancel()
+            self._timer = None
+        if due is not None:
+            self._timer = self._loop.call_at(due, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        for _, future, deadline in self._watches:
+            if now >= deadline and not future.done():
+                future.set_result(False)
+        for running in list(self._running.values()):
+            exchange = running.exchange
+            if exchange.deadline is None or now < exchange.deadline:
+                continue
+            if running.satisfied is not None and running.satisfied():
+                self._apply(running, exchange.stop(now, "accepted", "done, though no acknowledgement came"))
+            else:
+                self._apply(running, exchange.on_timer(now))
+        self._arm_timer()

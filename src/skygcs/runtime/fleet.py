@@ -1,0 +1,194 @@
+"""All vehicles: made by their heartbeats, named by the fleet file, told what to do one, some or all at once."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from skygcs.config.models import FleetConfig, VehicleConfig
+from skygcs.core.airtime import Priority
+from skygcs.core.exchange.command import CommandSpec, Outcome
+from skygcs.core.geo import Origin
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle import discovery, targets
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError, TargetError
+from skygcs.runtime.commander import Carrier, SendFn
+from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
+
+__all__ = ["Fleet", "OnEvent", "SendFn"]
+
+MAX_VEHICLES = 250
+"""System ids 1..250 by convention; more can only be noise or a forged stream of heartbeats."""
+
+ORDERS = frozenset(
+    {
+        "arm",
+        "disarm",
+        "set_mode",
+        "takeoff",
+        "land",
+        "rtl",
+        "hold",
+        "goto",
+        "reboot",
+        "set_home",
+        "set_message_interval",
+        "request_stream",
+        "request_message",
+        "command",
+    }
+)
+"""Methods of VehicleActor that `command_all` runs."""
+
+BROADCAST = frozenset({"disarm", "land", "rtl", "hold"})
+"""Orders for all that go out as one frame. They all end a flight: a broadcast also reaches vehicles that are not heard
+from, so it must never be one that starts anything; an arming is sent to each by itself."""
+
+
+class Fleet:
+    """`on_frame` for every good frame from a link, `tick` at 1 to 10 Hz. ``vehicles`` is keyed sysid << 8 | compid."""
+
+    def __init__(
+        self,
+        config: FleetConfig,
+        dialect: Dialect,
+        send: SendFn,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self.config = config
+        self.vehicles: dict[int, VehicleActor] = {}
+        self.refused_vehicles = 0
+        self.origin: Origin | None = None
+        if config.origin is not None:
+            self.origin = Origin(config.origin.lat_deg, config.origin.lon_deg, config.origin.alt_amsl_m)
+        self._dialect = dialect
+        self._send = send
+        self._loop = loop
+        self._on_event = on_event
+        self._decoder = Decoder(dialect)
+        self._configs = {c.sysid: c for c in config.vehicle_configs()}
+
+    def on_frame(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
+        """Hot: one dict lookup for the frames of vehicles, one comparison for all others. Never raises."""
+        actor = self.vehicles.get(key)
+        if actor is not None:
+            actor.on_frame(frame, channel_label, now)
+        elif frame.msgid == discovery.HEARTBEAT and discovery.discovers(frame):
+            self._discover(key, frame, channel_label, now)
+
+    def tick(self, now: float) -> None:
+        for actor in self.vehicles.values():
+            actor.tick(now)
+
+    def close(self) -> None:
+        """End all orders in flight as cancelled."""
+        for actor in self.vehicles.values():
+            actor.close()
+
+    def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
+        """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
+        return targets.select(expression, self.vehicles.values())
+
+    def find(self, expression: str | int) -> VehicleActor:
+        """Exactly one vehicle. Raises TargetError."""
+        found = self.resolve(expression)
+        if len(found) != 1:
+            raise TargetError(f"{expression!r} names {len(found)} vehicles; one is wanted")
+        return found[0]
+
+    def set_origin(self, origin: Origin | None) -> None:
+        """The world frame of the whole fleet, from now on."""
+        self.origin = origin
+        for actor in self.vehicles.values():
+            actor.set_origin(origin)
+
+    async def command_all(
+        self, expression: str | int | Sequence[str | int], order: str, /, *args: Any, **arguments: Any
+    ) -> dict[str, Outcome]:
+        """Run one order (a method of VehicleActor) on every vehicle meant, at once; the outcome of each by name.
+
+        Raises TargetError before anything is sent. An order for all that one frame can carry goes out as a broadcast;
+        each vehicle's answer is still collected, and who did not answer is sent its own.
+        """
+        if order not in ORDERS:
+            raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
+        actors = self.resolve(expression)
+        carrier = self._carrier(actors, order, arguments)
+        for actor in actors:
+            actor.commander.carrier = carrier
+        tasks: dict[str, asyncio.Task[Outcome]] = {}
+        async with asyncio.TaskGroup() as group:
+            for actor in actors:
+                method = getattr(actor, order)
+                tasks[actor.name] = group.create_task(method(*args, **arguments), name=f"{order} {actor.name}")
+            if carrier is not None:
+                await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
+                self._broadcast(carrier, actors, emergency=order == "disarm" and bool(arguments.get("force")))
+        return {name: task.result() for name, task in tasks.items()}
+
+    def _carrier(self, actors: list[VehicleActor], order: str, arguments: dict[str, Any]) -> Carrier | None:
+        """A broadcast, if all vehicles are meant, none refuses, and all would be sent the very same."""
+        if order not in BROADCAST or len(actors) < 2 or len(actors) != len(self.vehicles):
+            return None
+        specs: set[CommandSpec] = set()
+        for actor in actors:
+            plan = actor.plan(order, **arguments)
+            if plan is None or len(plan.steps) != 1 or plan.steps[0].command is None:
+                return None
+            specs.add(plan.steps[0].command)
+        return Carrier(specs.pop()) if len(specs) == 1 else None
+
+    def _broadcast(self, carrier: Carrier, actors: list[VehicleActor], *, emergency: bool) -> None:
+        carrier.sent = True
+        for actor in actors:
+            actor.commander.carrier = None
+        info = self._dialect.by_name[carrier.spec.message]
+        priority = Priority.EMERGENCY if emergency else Priority.COMMAND
+        self._send(info, carrier.spec.values(0, 0, 0), 0, 0, priority)
+
+    def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
+        if len(self.vehicles) >= MAX_VEHICLES:
+            self.refused_vehicles += 1
+            if self.refused_vehicles == 1:
+                text = f"more than {MAX_VEHICLES} vehicles: {frame.sysid}/{frame.compid} and later ones are ignored"
+                self._on_event(Event("conflict", None, frame.sysid, text, {"limit": MAX_VEHICLES}))
+            return
+        config = self._config_of(frame.sysid, frame.compid)
+        daemon = self.config.daemon
+        vehicle = Vehicle(
+            frame.sysid,
+            frame.compid,
+            self._dialect,
+            name=config.name,
+            groups=config.groups,
+            timeout_s=daemon.vehicle_timeout_s,
+            decoder=self._decoder,
+        )
+        vehicle.origin = self.origin
+        actor = VehicleActor(
+            vehicle, config, (daemon.sysid, daemon.compid), self._dialect, self._send, self._loop, self._on_event
+        )
+        self.vehicles[key] = actor
+        actor.on_frame(frame, channel_label, now)
+        kind = vehicle.snapshot(now)["type"]
+        data = {"compid": frame.compid, "autopilot": vehicle.family, "type": kind, "link": channel_label}
+        text = f"{vehicle.family} {kind.lower()}, system {frame.sysid}, {vehicle.mode}, over {channel_label}"
+        self._on_event(Event("vehicle_discovered", config.name, frame.sysid, text, data))
+        if config.autopilot is not None and config.autopilot != vehicle.family:
+            text = f"the fleet file says {config.autopilot}, its heartbeat says {vehicle.family}"
+            data = {"expected": config.autopilot, "autopilot": vehicle.family}
+            self._on_event(Event("conflict", config.name, frame.sysid, text, data))
+
+    def _config_of(self, sysid: int, compid: int) -> VehicleConfig:
+        """Names are unique: a second autopilot of one system gets its component id behind the name."""
+        config = self._configs.get(sysid) or self.config.default_vehicle(sysid)
+        taken = {actor.name for actor in self.vehicles.values()}
+        if config.name in taken:
+            config = config.model_copy(update={"name": f"{config.name}-{compid}"})
+        return config

@@ -1,0 +1,374 @@
+"""The asyncio side of one vehicle: it is given orders, carries out their plans and tells how each ended.
+
+Every order answers with one Outcome and never raises for what the vehicle or skygcs refuses. Orders are safe to cancel.
+A newer order that moves the vehicle takes the place of an older one that is still in the making: a takeoff that waits
+for its arming goes no further once a landing is ordered.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from skygcs.config.models import VehicleConfig
+from skygcs.core.airtime import Priority
+from skygcs.core.exchange.command import Outcome
+from skygcs.core.geo import Origin
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle import orders
+from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.plan import Plan, Step
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from skygcs.runtime.commander import Commander, SendFn
+
+COMMAND_ACK = 77
+
+MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot"})
+"""Orders that take the place of what is still going on."""
+
+ARM_RETRY_S = 1.0
+"""ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
+
+IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
+"""When, after it was met or rebooted, a vehicle is asked for what nobody streams: its version and its home."""
+
+IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
+
+OnEvent = Callable[[Event], None]
+Planner = Callable[[float], Plan]
+
+
+class VehicleActor:
+    """One vehicle of the fleet. `on_frame` and `tick` are the fleet's; the coroutines are orders."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        config: VehicleConfig,
+        own: tuple[int, int],
+        dialect: Dialect,
+        send: SendFn,
+        loop: asyncio.AbstractEventLoop,
+        on_event: OnEvent,
+    ) -> None:
+        self.vehicle = vehicle
+        self.config = config
+        self.commander = Commander((vehicle.sysid, vehicle.compid), own, dialect, send, loop)
+        self.channel = ""
+        """Label of the channel its last heartbeat came over."""
+        self._dialect = dialect
+        self._loop = loop
+        self._on_event = on_event
+        self._order = 0
+        self._identified = 0
+        self._identify_from: float | None = None
+
+    @property
+    def name(self) -> str:
+        return self.vehicle.name
+
+    @property
+    def sysid(self) -> int:
+        return self.vehicle.sysid
+
+    @property
+    def compid(self) -> int:
+        return self.vehicle.compid
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        return self.vehicle.groups
+
+    def state(self, now: float) -> dict[str, Any]:
+        """Snapshot for people and programs (`core.vehicle.state`)."""
+        return dict(self.vehicle.snapshot(now, time.time()))
+
+    def latest(self, message: str | int) -> dict[str, Any] | None:
+        """The last one of a message, whole: its fields, age, rate and count; None if none has come.
+
+        Raises RefusedError for a name the dialect lacks.
+        """
+        msgid, _ = orders.find_message(self._dialect, message)
+        slot = self.vehicle.slots.get(msgid)
+        if slot is None or slot.frame is None:
+            return None
+        return {
+            "name": slot.name,
+            "fields": {name: _json_able(value) for name, value in slot.frame.fields().items()},
+            "age_s": round(self._loop.time() - slot.at, 3),
+            "rate_hz": round(slot.rate_hz, 2),
+            "count": slot.count,
+        }
+
+    def set_origin(self, origin: Origin | None) -> None:
+        """The fleet's world frame from now on."""
+        self.vehicle.origin = origin
+
+    def on_frame(self, frame: Frame, channel: str, now: float) -> None:
+        """One frame of this vehicle. Hot; never raises."""
+        events = self.vehicle.on_frame(frame, now)
+        commander = self.commander
+        if events:
+            self._publish(events, now)
+        if frame.msgid == COMMAND_ACK and self.vehicle.last_ack is not None:
+            commander.on_ack(self.vehicle.last_ack, now)
+        if frame.msgid == 0:
+            self.channel = channel
+        if commander.busy:
+            commander.wake()
+
+    def tick(self, now: float) -> None:
+        """Once to ten times a second."""
+        events = self.vehicle.tick(now)
+        if events:
+            self._publish(events, now)
+        if self._identified < len(IDENTIFY_AT_S):
+            self._identify(now)
+
+    def close(self) -> None:
+        self.commander.close()
+
+    async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
+        """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over."""
+        started = self._loop.time()
+        before, attempts = self._order, 0
+        while True:
+            tried_at = self._loop.time()
+            outcome = await self._run(lambda now: orders.arm(self.vehicle, now, force=force))
+            attempts += outcome.attempts
+            outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
+            over = tried_at + ARM_RETRY_S > started + wait_s or self._order != before
+            if over or outcome.ok or outcome.result in ("refused", "unsupported", "lost", "cancelled"):
+                return outcome
+            await asyncio.sleep(max(0.0, tried_at + ARM_RETRY_S - self._loop.time()))
+
+    async def disarm(self, *, force: bool = False) -> Outcome:
+        """``force`` stops the motors even in the air, and even if the vehicle is lost: emergency priority."""
+        return await self._run(lambda now: orders.disarm(self.vehicle, now, force=force))
+
+    async def set_mode(self, name: str) -> Outcome:
+        return await self._run(lambda now: orders.set_mode(self.vehicle, now, name))
+
+    async def takeoff(self, height_m: float | None = None, *, arm: bool = True) -> Outcome:
+        """To a height above where it stands; None: the fleet file's takeoff_height_m. Arms first unless told not to."""
+        height = self.config.takeoff_height_m if height_m is None else height_m
+        return await self._run(lambda now: orders.takeoff(self.vehicle, now, height, arm=arm))
+
+    async def land(self) -> Outcome:
+        return await self._run(lambda now: orders.land(self.vehicle, now))
+
+    async def rtl(self) -> Outcome:
+        return await self._run(lambda now: orders.rtl(self.vehicle, now))
+
+    async def hold(self) -> Outcome:
+        return await self._run(lambda now: orders.hold(self.vehicle, now))
+
+    async def goto(
+        self,
+        *,
+        lat_deg: float | None = None,
+        lon_deg: float | None = None,
+        height_m: float | None = None,
+        enu_m: Sequence[float] | None = None,
+        yaw_deg: float | None = None,
+        force: bool = False,
+    ) -> Outcome:
+        """See `orders.goto`."""
+        return await self._run(
+            lambda now: orders.goto(
+                self.vehicle,
+                now,
+                lat_deg=lat_deg,
+                lon_deg=lon_deg,
+                height_m=height_m,
+                enu_m=enu_m,
+                yaw_deg=yaw_deg,
+                limit_m=self.config.goto_limit_m,
+                force=force,
+            )
+        )
+
+    async def reboot(self, *, force: bool = False) -> Outcome:
+        return await self._run(lambda now: orders.reboot(self.vehicle, now, force=force))
+
+    async def set_home(
+        self, *, lat_deg: float | None = None, lon_deg: float | None = None, alt_amsl_m: float | None = None
+    ) -> Outcome:
+        """Without arguments: where it is now."""
+        return await self._run(
+            lambda now: orders.set_home(self.vehicle, now, lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=alt_amsl_m)
+        )
+
+    async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
+        """0 turns it off, None goes back to the vehicle's own rate."""
+        return await self._run(lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz))
+
+    async def request_message(self, message: str | int) -> Outcome:
+        """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
+        return await self._run(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
+
+    async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
+        """REQUEST_DATA_STREAM, the old way; nothing acknowledges it."""
+        return await self._run(lambda now: orders.request_stream(self.vehicle, now, self._dialect, stream, rate_hz))
+
+    async def command(
+        self,
+        command: str | int,
+        params: Sequence[float | None] = (),
+        *,
+        int_frame: int | str | None = None,
+        x: float | None = None,
+        y: float | None = None,
+        z: float | None = None,
+    ) -> Outcome:
+        """Any command; see `orders.raw_command`."""
+        return await self._run(
+            lambda now: orders.raw_command(
+                self.vehicle, now, self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z
+            )
+        )
+
+    def plan(self, order: str, *, force: bool = False) -> Plan | None:
+        """What one of the orders disarm, land, rtl, hold would do now; None if it would be refused."""
+        now = self._loop.time()
+        try:
+            if order == "disarm":
+                return orders.disarm(self.vehicle, now, force=force)
+            return {"land": orders.land, "rtl": orders.rtl, "hold": orders.hold}[order](self.vehicle, now)
+        except RefusedError:
+            return None
+
+    async def _run(self, planner: Planner) -> Outcome:
+        try:
+            plan = planner(self._loop.time())
+        except RefusedError as error:
+            return self._told("order", Outcome(False, "refused", f"refused: {error}"))
+        return self._told(plan.order, await self.execute(plan))
+
+    async def execute(self, plan: Plan) -> Outcome:
+        """Carry out a plan; what was done is undone if a later step fails and knows how."""
+        if plan.order in MOVING:
+            self._order += 1
+        order, started = self._order, self._loop.time()
+        attempts, texts = 0, []
+        done: list[Step] = []
+        queue = list(plan.steps)
+        while queue:
+            step = queue.pop(0)
+            if step.skip_if_met and step.expect is not None and step.expect.met(self.vehicle, self._loop.time()):
+                continue
+            outcome = await self._step(step, plan, order)
+            attempts += outcome.attempts
+            texts += [t for t in outcome.status_texts if t not in texts]
+            if outcome.result == "unsupported" and step.instead:
+                queue = list(step.instead) + queue
+                continue
+            if not outcome.ok:
+                message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
+                if order == self._order:
+                    message += await self._undo(done, plan)
+                return replace(
+                    outcome,
+                    message=message,
+                    attempts=attempts,
+                    elapsed_s=self._loop.time() - started,
+                    status_texts=tuple(texts),
+                )
+            done.append(step)
+            if queue and order != self._order:
+                return Outcome(
+                    False,
+                    "cancelled",
+                    f"a newer order took its place after {step.name!r}",
+                    attempts,
+                    self._loop.time() - started,
+                    tuple(texts),
+                )
+        return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
+
+    async def _step(self, step: Step, plan: Plan, order: int) -> Outcome:
+        expect = step.expect
+        met = None if expect is None else lambda: expect.met(self.vehicle, self._loop.time())
+        if step.message is not None:
+            name, values = step.message
+            if name not in self._dialect.by_name:
+                return Outcome(False, "refused", f"dialect {self._dialect.name} has no {name}")
+            if not self.commander.transmit(name, values):
+                return Outcome(False, "lost", "could not be sent: no link leads to it")
+            return Outcome(True, "accepted", "sent", 1)
+        assert step.command is not None
+        outcome = await self.commander.run(
+            step.command,
+            emergency=plan.emergency,
+            satisfied=met,
+            on_report=lambda percent: self._report(plan.order, percent),
+        )
+        if not outcome.ok or met is None or expect is None or step.expect_s == 0:
+            return outcome
+        if await self.commander.until(lambda: met() or self._order != order, step.expect_s):
+            return outcome
+        unmet = expect.unmet(self.vehicle, self._loop.time())
+        return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
+
+    async def _undo(self, done: list[Step], plan: Plan) -> str:
+        """Undo the steps that were really carried out, last first; what to add to the message."""
+        told = ""
+        for step in reversed(done):
+            if step.undo is None:
+                continue
+            outcome = await self._step(step.undo, plan, self._order)
+            told += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
+        return told
+
+    def _told(self, order: str, outcome: Outcome) -> Outcome:
+        data = {"order": order, **outcome.as_dict()}
+        self._on_event(Event("command", self.name, self.sysid, f"{order}: {outcome.message}", data))
+        return outcome
+
+    def _report(self, order: str, percent: int | None) -> None:
+        how_far = "" if percent is None else f" {percent} %"
+        data = {"order": order, "result": "in_progress", "percent": percent}
+        self._on_event(Event("command", self.name, self.sysid, f"{order}: in progress{how_far}", data))
+
+    def _publish(self, events: tuple[Event, ...], now: float) -> None:
+        for event in events:
+            if event.kind == "statustext":
+                self.commander.on_text(event.text)
+            elif event.kind == "vehicle_lost":
+                self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
+            elif event.kind == "reboot":
+                self.commander.stop_all("lost", "the vehicle rebooted")
+                self._identified = 0
+                self._identify_from = now
+            self._on_event(event)
+
+    def _identify(self, now: float) -> None:
+        """Ask for the firmware version and home; fire and forget, a few times, never beside an order of that kind."""
+        if self._identify_from is None:
+            self._identify_from = now
+        if now - self._identify_from < IDENTIFY_AT_S[self._identified] or not self.vehicle.connected:
+            return
+        self._identified += 1
+        if self.commander.in_flight(REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
+            return
+        for message in IDENTIFY_WITH:
+            info = self._dialect.by_name.get(message)
+            if info is not None and self.vehicle.slot(message) is None:
+                values = {"command": REQUEST_MESSAGE, "param1": float(info.msgid)}
+                self.commander.transmit("COMMAND_LONG", values, Priority.EXCHANGE)
+
+
+def _json_able(value: Any) -> Any:
+    """NaN and infinity have no JSON; they mean "not known"."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, list):
+        return [_json_able(v) for v in value]
+    return value
