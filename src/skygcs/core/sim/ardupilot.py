@@ -1,0 +1,373 @@
+"""ArduCopter as a ground station sees it (4.5): modes, arming checks, refusals, GUIDED, streams by SRx groups.
+
+disarmed --arm--> armed on ground --GUIDED + NAV_TAKEOFF--> in air --LAND/RTL--> touch --2 s--> disarmed
+armed on ground for DISARM_DELAY: disarmed
+GUIDED: flies to the last position target; a velocity target lasts GUID_TIMEOUT, then it stops
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import isfinite, radians
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.sim import protocol as m
+from skygcs.core.sim.chance import Chance
+from skygcs.core.sim.commands import Command
+from skygcs.core.sim.copter_setup import (
+    GUIDED_FLAG_MODES,
+    NEEDS_POSITION,
+    NO_ARMING_MODES,
+    STREAM_GROUPS,
+    CopterMode,
+    copter_params,
+)
+from skygcs.core.sim.kinematics import Limits, LocalFrame
+from skygcs.core.sim.params import Params
+from skygcs.core.sim.plan import Follow, GoTo, Land, Leg, Wait
+from skygcs.core.sim.requests import common_command
+from skygcs.core.sim.targets import is_altitude, is_position, setpoint_of, up_of
+from skygcs.core.sim.vehicle import Home, SimVehicle
+
+FORCE = 21196
+"""Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
+
+PREARM_EVERY_S = 30.0
+"""Failing pre-arm checks are told this often."""
+
+BOOT_TEXTS = ("ArduCopter V4.5.7 (skygcs01)", "Frame: QUAD/X", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
+"""Ground stations read the firmware and its version from the first."""
+
+
+class CopterVehicle(SimVehicle):
+    """An ArduCopter quadrotor."""
+
+    autopilot = m.MAV_AUTOPILOT_ARDUPILOTMEGA
+    vtol_state = m.MAV_VTOL_STATE_MC
+    ready_after_s = 7.0
+    landed_after_s = 2.0
+    spool_up_s = 2.0
+    default_rates_hz = {"HEARTBEAT": 1.0}  # noqa: RUF012  a constant; the SR1_ parameters say the rest
+    sysid_param = "SYSID_THISMAV"
+    unknown_message_result = m.MAV_RESULT_FAILED
+    armed_reboot_result = m.MAV_RESULT_FAILED
+    named_param_index = 65535
+    low_battery_percent = 20.0
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        sysid: int,
+        where: LocalFrame,
+        *,
+        chance: Chance,
+        now: float = 0.0,
+        unix_us: int = 0,
+        heading_deg: float = 0.0,
+    ) -> None:
+        params = Params(copter_params(sysid), bytewise=False)
+        super().__init__(
+            dialect, where, params=params, chance=chance, now=now, unix_us=unix_us, heading_deg=heading_deg
+        )
+
+    # -- what it says of itself
+
+    @property
+    def base_mode(self) -> int:
+        flags = (
+            m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | m.MAV_MODE_FLAG_STABILIZE_ENABLED
+            | m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        )
+        if self.mode in GUIDED_FLAG_MODES:
+            flags |= m.MAV_MODE_FLAG_GUIDED_ENABLED
+        return flags | (m.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+
+    @property
+    def system_status(self) -> int:
+        if self.failsafe:
+            return m.MAV_STATE_CRITICAL
+        return m.MAV_STATE_STANDBY if self.landed else m.MAV_STATE_ACTIVE
+
+    @property
+    def version(self) -> dict[str, Any]:
+        return {
+            "capabilities": m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+            | m.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+            | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | m.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+            | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
+            "flight_sw_version": 4 << 24 | 5 << 16 | 7 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "board_version": 140 << 16,
+            "flight_custom_version": list(b"skygcs01"),
+            "uid": 0x4150430000000000 | self.sysid,
+        }
+
+    def limits(self) -> Limits:
+        p = self.params
+        return Limits(
+            speed_mps=self._speed_mps or p["WPNAV_SPEED"] / 100,
+            accel_mps2=p["WPNAV_ACCEL"] / 100,
+            climb_mps=p["WPNAV_SPEED_UP"] / 100,
+            descent_mps=p["WPNAV_SPEED_DN"] / 100,
+            yaw_rate_radps=radians(60),
+        ).bounded()
+
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm now, None if it would."""
+        if self.faults.refuse_arming:
+            return self.faults.refuse_arming
+        if self.params["ARMING_CHECK"] and not self.position_ok:
+            return "Need Position Estimate"
+        return None
+
+    # -- life
+
+    def on_boot(self, now: float) -> None:
+        self.mode: int = CopterMode.STABILIZE
+        self.failsafe = False
+        self._speed_mps = 0.0
+        self._target_at = now
+        self._velocity_target = False
+        self._prearm_at = now + 3.0
+        for stream, (param, _) in STREAM_GROUPS.items():
+            self._set_group(stream, self.params[param], now)
+        for i, text in enumerate(BOOT_TEXTS):
+            self.later(now + 0.3 + 0.4 * i, partial(self.tx.say, m.MAV_SEVERITY_INFO, text))
+
+    def on_ready(self, now: float) -> None:
+        self.tx.say(m.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
+        self.tx.say(m.MAV_SEVERITY_INFO, "EKF3 IMU0 is using GPS")
+        self.send_soon("GPS_GLOBAL_ORIGIN")
+
+    def on_tick(self, now: float) -> None:
+        if not self.armed and now >= self._prearm_at:
+            self._prearm_at = now + PREARM_EVERY_S
+            self._tell_prearm()
+        if self.taking_off and self.plan.arrived:
+            self.taking_off = False
+        if self._velocity_target and now - self._target_at > self.params["GUID_TIMEOUT"]:
+            self._velocity_target = False
+            if self.mode == CopterMode.GUIDED:
+                self.hold_here()
+        delay = self.params["DISARM_DELAY"]
+        if self.armed and self.landed and not self.taking_off and delay > 0:
+            since = max(self.armed_at, self.landed_at)
+            if now - since >= delay:
+                self._disarm()
+
+    def _tell_prearm(self) -> None:
+        refusal = self.arming_refusal()
+        if refusal is not None:
+            self.tx.say(m.MAV_SEVERITY_CRITICAL, f"PreArm: {refusal}")
+
+    def _disarm(self) -> None:
+        self.disarm()
+        self.failsafe = False
+        self.tx.say(m.MAV_SEVERITY_INFO, "Disarming motors")
+
+    def on_takeoff(self, now: float) -> None:
+        return  # ArduCopter says nothing
+
+    def on_landed(self, now: float) -> None:
+        if self.mode in (CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL) and self.armed:
+            self._disarm()
+
+    def on_position_lost(self, now: float) -> None:
+        if self.mode in NEEDS_POSITION:
+            self.tx.say(m.MAV_SEVERITY_CRITICAL, "EKF Failsafe: changed to LAND Mode")
+            self._enter(CopterMode.LAND)
+            self.failsafe = True
+
+    def on_low_battery(self) -> None:
+        volts, used = self.battery.volts, self.battery.used_mah
+        self.tx.say(m.MAV_SEVERITY_WARNING, f"Battery 1 is low {volts:.1f}V used {used:.0f} mAh")
+
+    # -- modes
+
+    def _try_mode(self, number: int) -> bool:
+        """Change the mode if ArduCopter would; a disarmed vehicle takes any mode it has."""
+        if number not in CopterMode._value2member_map_:
+            self.tx.say(m.MAV_SEVERITY_WARNING, f"No such mode {number}")
+            return False
+        mode = CopterMode(number)
+        reason = ""
+        if self.armed and mode != self.mode:
+            if mode == CopterMode.AUTO:
+                reason = "no mission"
+            elif mode in NEEDS_POSITION and not self.position_ok:
+                reason = "requires position"
+        if reason:
+            self.tx.say(m.MAV_SEVERITY_WARNING, f"Mode change to {mode.name} failed: {reason}")
+            return False
+        self._enter(mode)
+        return True
+
+    def _enter(self, mode: CopterMode) -> None:
+        if mode == self.mode:
+            return
+        self.mode = mode
+        self.failsafe = False
+        self.taking_off = False
+        self._velocity_target = False
+        self.send_soon("HEARTBEAT")  # a mode change is told at once
+        motion = self.motion
+        if mode == CopterMode.LAND:
+            self.plan.fly(Land(motion.east_m, motion.north_m, self.params["LAND_SPEED"] / 100))
+        elif mode in (CopterMode.RTL, CopterMode.SMART_RTL) and not self.landed and self.home is not None:
+            home, p = self.home, self.params
+            up = max(motion.up_m, home.up_m + p["RTL_ALT"] / 100)
+            legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up), GoTo(home.east_m, home.north_m, up)]
+            legs.append(Wait(p["RTL_LOIT_TIME"] / 1000))
+            final = p["RTL_ALT_FINAL"] / 100
+            if final > 0:
+                legs.append(GoTo(home.east_m, home.north_m, home.up_m + final))
+            else:
+                legs.append(Land(home.east_m, home.north_m, p["LAND_SPEED"] / 100))
+            self.plan.fly(*legs)
+        else:
+            self.hold_here()
+
+    def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
+        self._try_mode(custom_mode)  # SET_MODE is not acknowledged
+
+    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        if self.mode != CopterMode.GUIDED or name == "SET_ATTITUDE_TARGET":
+            return
+        setpoint = setpoint_of(self, name, fields, any_bit=True)
+        if setpoint is None or self.landed or self.taking_off:
+            return  # on the ground only NAV_TAKEOFF lifts it, and nothing interrupts that
+        self._target_at = now
+        self._velocity_target = setpoint.pos_enu_m[0] is None
+        self.plan.fly(Follow(setpoint))
+
+    # -- streams
+
+    def on_data_stream(self, stream: int, rate_hz: float, now: float) -> None:
+        for group in STREAM_GROUPS:  # the SR1_ parameters stay: after a reboot the rates are theirs again
+            if stream in (group, m.MAV_DATA_STREAM_ALL):
+                self._set_group(group, rate_hz, now)
+
+    def on_param(self, name: str, now: float) -> None:
+        if name == self.sysid_param:
+            self.sysid = self.tx.sysid = self.sysid_of_params()
+        for stream, (param, _) in STREAM_GROUPS.items():
+            if param == name:
+                self._set_group(stream, self.params[param], now)
+
+    def _set_group(self, stream: int, rate_hz: float, now: float) -> None:
+        for name in STREAM_GROUPS[stream][1]:
+            self.streams.set_default(name, min(rate_hz, 50.0), now)
+
+    # -- commands
+
+    def command(self, c: Command, now: float) -> int | None:
+        match c.id:
+            case m.MAV_CMD_COMPONENT_ARM_DISARM:
+                return self._command_arm(c, now)
+            case m.MAV_CMD_DO_SET_MODE:
+                if not (isfinite(c.p1) and isfinite(c.p2) and int(c.p1) & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
+                    return m.MAV_RESULT_DENIED
+                return self._accepted_if(self._try_mode(int(c.p2)))
+            case m.MAV_CMD_NAV_TAKEOFF:
+                return self._command_takeoff(c)
+            case m.MAV_CMD_NAV_LAND:
+                return self._accepted_if(self._try_mode(CopterMode.LAND))
+            case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return self._accepted_if(self._try_mode(CopterMode.RTL))
+            case m.MAV_CMD_DO_REPOSITION:
+                return self._command_reposition(c)
+            case m.MAV_CMD_DO_CHANGE_SPEED:
+                self._speed_mps = c.p2 if c.p2 > 0 else 0.0
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_CONDITION_YAW:
+                return self._command_yaw(c)
+            case m.MAV_CMD_DO_SET_HOME:
+                return self._command_home(c)
+            case m.MAV_CMD_RUN_PREARM_CHECKS:
+                if self.armed:
+                    return m.MAV_RESULT_TEMPORARILY_REJECTED
+                self._tell_prearm()
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_MISSION_START:
+                return m.MAV_RESULT_FAILED  # no mission on board
+            case _:
+                return common_command(self, c, now)
+
+    @staticmethod
+    def _accepted_if(ok: bool) -> int:
+        return m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_FAILED
+
+    def _command_arm(self, c: Command, now: float) -> int:
+        if c.p1 not in (0.0, 1.0):
+            return m.MAV_RESULT_UNSUPPORTED
+        forced = round(c.p2) == FORCE if isfinite(c.p2) else False
+        if c.p1 == 0.0:
+            if self.armed and not self.landed and not forced:
+                return m.MAV_RESULT_FAILED
+            if self.armed:
+                self._disarm()
+            return m.MAV_RESULT_ACCEPTED
+        if self.armed:
+            return m.MAV_RESULT_ACCEPTED
+        refusal = "Mode not armable" if self.mode in NO_ARMING_MODES else None
+        if not forced:
+            refusal = refusal or self.arming_refusal()
+        if refusal is not None:
+            self.tx.say(m.MAV_SEVERITY_CRITICAL, f"Arm: {refusal}")
+            return m.MAV_RESULT_FAILED
+        self.arm(now)
+        self.tx.say(m.MAV_SEVERITY_INFO, "Arming motors")
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_takeoff(self, c: Command) -> int:
+        if c.frame not in (None, m.MAV_FRAME_GLOBAL_RELATIVE_ALT):
+            return m.MAV_RESULT_DENIED
+        ready = self.mode == CopterMode.GUIDED and self.armed and self.landed
+        if not ready or not is_altitude(c.p7) or c.p7 <= self.height_m():
+            return m.MAV_RESULT_FAILED
+        home_up = self.home.up_m if self.home else 0.0
+        self.plan.fly(GoTo(self.motion.east_m, self.motion.north_m, home_up + c.p7))
+        self.taking_off = True
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_reposition(self, c: Command) -> int:
+        change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+        if self.mode != CopterMode.GUIDED and not change_mode:
+            return m.MAV_RESULT_DENIED
+        # a COMMAND_LONG has no frame: heights are above home
+        up = up_of(self, m.MAV_FRAME_GLOBAL_RELATIVE_ALT if c.frame is None else c.frame, c.p7)
+        if up is None or not is_position(c.lat_deg, c.lon_deg):
+            return m.MAV_RESULT_DENIED
+        if self.mode != CopterMode.GUIDED and not self._try_mode(CopterMode.GUIDED):
+            return m.MAV_RESULT_FAILED
+        if not self.landed:
+            self.taking_off = self._velocity_target = False
+            self.plan.fly(GoTo(*self.where.to_local(c.lat_deg, c.lon_deg), up))
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_yaw(self, c: Command) -> int:
+        if not 0 <= c.p1 <= 360 or c.p4 not in (0.0, 1.0):
+            return m.MAV_RESULT_FAILED
+        leg = self.plan.leg
+        if self.mode == CopterMode.GUIDED and isinstance(leg, GoTo):
+            yaw = radians(c.p1)
+            if c.p4 == 1.0:
+                yaw = self.motion.yaw_rad + (yaw if c.p3 >= 0 else -yaw)
+            self.plan.fly(GoTo(leg.east_m, leg.north_m, leg.up_m, yaw_rad=yaw))
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_home(self, c: Command) -> int:
+        if c.p1 == 1 or (c.p5 == 0 and c.p6 == 0 and c.p7 == 0):
+            if not self.position_ok:
+                return m.MAV_RESULT_FAILED
+            self.set_home_here()
+            return m.MAV_RESULT_ACCEPTED
+        up = up_of(self, m.MAV_FRAME_GLOBAL if c.frame is None else c.frame, c.p7)
+        if up is None or not is_position(c.lat_deg, c.lon_deg):
+            return m.MAV_RESULT_DENIED
+        self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), up))
+        return m.MAV_RESULT_ACCEPTED

@@ -1,0 +1,379 @@
+"""PX4 as a ground station sees it (1.16 multicopter): navigation modes, arming rules, refusals, failsafes.
+
+disarmed --arm--> armed on ground --TAKEOFF/OFFBOARD--> in air --LAND/RTL/touch--> landed --2 s--> disarmed
+armed on ground, not taken off for COM_DISARM_PRFLT: disarmed
+OFFBOARD: entered only with setpoints at 2 Hz or more for 1 s; without one for COM_OF_LOSS_T: LOITER, failsafe
+TAKEOFF at its height, or disarmed after landing: LOITER
+"""
+
+from __future__ import annotations
+
+from math import isfinite, radians
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.sim import protocol as m
+from skygcs.core.sim.chance import Chance
+from skygcs.core.sim.commands import Command
+from skygcs.core.sim.kinematics import Limits, LocalFrame
+from skygcs.core.sim.params import Params
+from skygcs.core.sim.plan import Follow, GoTo, Land, Leg, Wait
+from skygcs.core.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_mode, px4_params
+from skygcs.core.sim.requests import common_command
+from skygcs.core.sim.targets import is_altitude, is_position, setpoint_of
+from skygcs.core.sim.vehicle import Home, SimVehicle
+
+FORCE = 21196
+"""Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
+
+OFFBOARD_GAP_S = 0.5
+"""Setpoints farther apart are slower than 2 Hz."""
+
+OFFBOARD_STREAM_S = 1.0
+"""The stream must have lasted this long before OFFBOARD is entered."""
+
+RTL_NEAR_M = 10.0
+"""RTL_MIN_DIST: closer to home than this a return climbs no higher than RTL_DESCEND_ALT."""
+
+
+class Px4Vehicle(SimVehicle):
+    """A PX4 quadrotor without a transmitter, as the lab flies it under a ground station."""
+
+    autopilot = m.MAV_AUTOPILOT_PX4
+    ready_after_s = 4.0
+    landed_after_s = 1.0
+    spool_up_s = 1.0
+    default_rates_hz = PX4_RATES_HZ
+    sysid_param = "MAV_SYS_ID"
+    unknown_message_result = m.MAV_RESULT_DENIED
+    armed_reboot_result = m.MAV_RESULT_DENIED
+    named_param_index = None
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        sysid: int,
+        where: LocalFrame,
+        *,
+        chance: Chance,
+        now: float = 0.0,
+        unix_us: int = 0,
+        heading_deg: float = 0.0,
+    ) -> None:
+        params = Params(px4_params(sysid), bytewise=True)
+        super().__init__(
+            dialect, where, params=params, chance=chance, now=now, unix_us=unix_us, heading_deg=heading_deg
+        )
+
+    # -- what it says of itself
+
+    @property
+    def base_mode(self) -> int:
+        flags = m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        if self.mode in MANUAL_MODES:
+            flags |= m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        if self.mode != Px4Mode.ACRO:
+            flags |= m.MAV_MODE_FLAG_STABILIZE_ENABLED
+        if self.mode >> 16 & 0xFF == Px4Mode.LOITER >> 16 & 0xFF:
+            flags |= m.MAV_MODE_FLAG_AUTO_ENABLED | m.MAV_MODE_FLAG_GUIDED_ENABLED
+        return flags | (m.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+
+    @property
+    def system_status(self) -> int:
+        if self.failsafe:
+            return m.MAV_STATE_CRITICAL
+        return m.MAV_STATE_ACTIVE if self.armed else m.MAV_STATE_STANDBY
+
+    @property
+    def version(self) -> dict[str, Any]:
+        return {
+            "capabilities": m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+            | m.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+            | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | m.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+            | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
+            "flight_sw_version": 1 << 24 | 16 << 16 | 0 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "os_sw_version": 11 << 24 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "board_version": 0x38,
+            "flight_custom_version": list(b"skygcs01"),
+            "uid": 0x5058340000000000 | self.sysid,
+        }
+
+    def limits(self) -> Limits:
+        p = self.params
+        return Limits(
+            speed_mps=self._cruise_mps or p["MPC_XY_CRUISE"],
+            accel_mps2=p["MPC_ACC_HOR"],
+            climb_mps=p["MPC_Z_V_AUTO_UP"],
+            descent_mps=p["MPC_Z_V_AUTO_DN"],
+            yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
+        ).bounded()
+
+    @property
+    def low_battery_percent(self) -> float:
+        return 100 * self.params["BAT_LOW_THR"]
+
+    def say_event(self, severity: int, text: str) -> None:
+        """PX4 marks texts that are also sent as events by a trailing tab."""
+        self.tx.say(severity, text + "\t")
+
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm now, None if it would."""
+        if self.faults.refuse_arming:
+            return self.faults.refuse_arming
+        if not self.position_ok:
+            return "Preflight Fail: position estimate not ready"
+        if self.battery.percent <= self.low_battery_percent:
+            return "Preflight Fail: low battery"
+        if self.mode in MANUAL_MODES:
+            return "Preflight Fail: no manual control input"
+        if self.mode in NO_ARMING_MODES:
+            return "Arming denied: switch to another mode first"
+        return None
+
+    # -- life
+
+    def on_boot(self, now: float) -> None:
+        self.mode: int = Px4Mode.LOITER
+        self.failsafe = False
+        self._cruise_mps = 0.0
+        self._setpoint_at = -1e9
+        self._stream_since = now
+        self._told_ready = False
+
+    def on_ready(self, now: float) -> None:
+        self.say_event(m.MAV_SEVERITY_INFO, "Ready for takeoff!")
+
+    def on_tick(self, now: float) -> None:
+        if self.mode == Px4Mode.TAKEOFF and self.plan.arrived and not self.landed:
+            self.mode = Px4Mode.LOITER
+            self.taking_off = False
+        if self.mode == Px4Mode.OFFBOARD and now - self._setpoint_at > self.params["COM_OF_LOSS_T"]:
+            self.say_event(m.MAV_SEVERITY_CRITICAL, "Failsafe activated: no offboard signal, holding")
+            self._enter(Px4Mode.LOITER, now)
+            self.failsafe = True
+        if self.armed and self.landed:
+            self._auto_disarm(now)
+
+    def _auto_disarm(self, now: float) -> None:
+        if self.flown_since_arming:
+            delay, since, text = self.params["COM_DISARM_LAND"], self.landed_at, "Disarmed by landing"
+        else:
+            delay, since = self.params["COM_DISARM_PRFLT"], self.armed_at
+            text = "Disarmed by auto preflight disarming"
+        if delay > 0 and now - since >= delay:
+            self._disarm(text)
+
+    def _disarm(self, text: str) -> None:
+        self.disarm()
+        self.failsafe = False
+        self.say_event(m.MAV_SEVERITY_INFO, text)
+        if self.mode in (Px4Mode.LAND, Px4Mode.RTL, Px4Mode.TAKEOFF, Px4Mode.PRECLAND):
+            self.mode = Px4Mode.LOITER
+
+    def on_takeoff(self, now: float) -> None:
+        self.say_event(m.MAV_SEVERITY_INFO, "Takeoff detected")
+
+    def on_landed(self, now: float) -> None:
+        self.say_event(m.MAV_SEVERITY_INFO, "Landing detected")
+
+    def on_position_lost(self, now: float) -> None:
+        self.say_event(m.MAV_SEVERITY_CRITICAL, "Failsafe activated: position lost, landing")
+        self._enter(Px4Mode.LAND, now)
+        self.failsafe = True
+
+    def on_low_battery(self) -> None:
+        self.say_event(m.MAV_SEVERITY_WARNING, "Low battery level, return advised")
+
+    # -- modes
+
+    def _try_mode(self, mode: int, now: float) -> bool:
+        """Change the mode if PX4 would."""
+        if not self._may_enter(mode, now):
+            name = Px4Mode(mode).name if mode in Px4Mode._value2member_map_ else "unknown"
+            self.say_event(m.MAV_SEVERITY_CRITICAL, f"Switching to {name} is currently not possible")
+            return False
+        self._enter(mode, now)
+        return True
+
+    def _may_enter(self, mode: int, now: float) -> bool:
+        if mode not in Px4Mode._value2member_map_ or mode in (Px4Mode.MISSION, Px4Mode.READY):
+            return False  # no mission on board
+        if mode == Px4Mode.OFFBOARD:
+            fresh = now - self._setpoint_at <= OFFBOARD_GAP_S
+            return fresh and now - self._stream_since >= OFFBOARD_STREAM_S
+        if self.armed and mode in MANUAL_MODES:
+            return False  # no transmitter
+        return not self.armed or self.position_ok or mode == Px4Mode.LAND
+
+    def _enter(self, mode: int, now: float) -> None:
+        if mode == self.mode and mode not in (Px4Mode.LOITER, Px4Mode.TAKEOFF):
+            return
+        self._set_mode(mode)
+        motion = self.motion
+        if mode == Px4Mode.TAKEOFF:
+            home_up = self.home.up_m if self.home else motion.up_m
+            self._take_off_to(home_up + self.params["MIS_TAKEOFF_ALT"], None)
+        elif mode in (Px4Mode.LAND, Px4Mode.PRECLAND):
+            self.say_event(m.MAV_SEVERITY_INFO, "Landing at current position")
+            self.plan.fly(Land(motion.east_m, motion.north_m, self.params["MPC_LAND_SPEED"]))
+        elif mode == Px4Mode.RTL:
+            self._return()
+        else:
+            self.hold_here()
+
+    def _set_mode(self, mode: int) -> None:
+        self.mode = mode
+        self.failsafe = False
+        self.taking_off = False
+
+    def _take_off_to(self, up_m: float, goal: tuple[float, float] | None) -> None:
+        motion = self.motion
+        if up_m <= motion.up_m + 0.1:
+            self.say_event(m.MAV_SEVERITY_CRITICAL, "Already higher than takeoff altitude")
+            up_m = motion.up_m
+        legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up_m, climb_mps=self.params["MPC_TKO_SPEED"])]
+        if goal is not None:
+            legs.append(GoTo(*goal, up_m))
+        self.taking_off = True
+        self.plan.fly(*legs)
+
+    def _return(self) -> None:
+        if self.landed or self.home is None:
+            return
+        motion, home, p = self.motion, self.home, self.params
+        near = motion.distance_m(home.east_m, home.north_m, motion.up_m) < RTL_NEAR_M
+        return_up = home.up_m + (p["RTL_DESCEND_ALT"] if near else p["RTL_RETURN_ALT"])
+        up = max(motion.up_m, return_up)
+        self.say_event(m.MAV_SEVERITY_INFO, f"RTL: start return at {round(up - home.up_m)} m above home")
+        self.plan.fly(
+            GoTo(motion.east_m, motion.north_m, up),
+            GoTo(home.east_m, home.north_m, up),
+            Wait(max(0.0, p["RTL_LAND_DELAY"])),
+            Land(home.east_m, home.north_m, p["MPC_LAND_SPEED"]),
+        )
+
+    def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
+        ok = self._try_mode(custom_mode, now)
+        result = m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_TEMPORARILY_REJECTED
+        self.tx.acknowledge(m.MAV_CMD_DO_SET_MODE, result, sender)
+
+    def on_data_stream(self, stream: int, rate_hz: float, now: float) -> None:
+        return  # PX4 knows SET_MESSAGE_INTERVAL only
+
+    def on_param(self, name: str, now: float) -> None:
+        return  # read where they are used; MAV_SYS_ID at the next boot
+
+    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        if now - self._setpoint_at > OFFBOARD_GAP_S:
+            self._stream_since = now
+        self._setpoint_at = now
+        if self.mode != Px4Mode.OFFBOARD:
+            return
+        setpoint = None
+        if name.startswith("SET_POSITION_TARGET_"):
+            setpoint = setpoint_of(self, name, fields, any_bit=False)
+        if setpoint is not None:
+            self.plan.fly(Follow(setpoint))
+
+    # -- commands
+
+    def command(self, c: Command, now: float) -> int | None:
+        match c.id:
+            case m.MAV_CMD_COMPONENT_ARM_DISARM:
+                return self._command_arm(c, now)
+            case m.MAV_CMD_DO_SET_MODE:
+                return self._command_mode(c, now)
+            case m.MAV_CMD_NAV_TAKEOFF:
+                return self._command_takeoff(c, now)
+            case m.MAV_CMD_NAV_LAND:
+                return self._accepted_if(self._try_mode(Px4Mode.LAND, now))
+            case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return self._accepted_if(self._try_mode(Px4Mode.RTL, now))
+            case m.MAV_CMD_MISSION_START:
+                return self._accepted_if(self._try_mode(Px4Mode.MISSION, now))
+            case m.MAV_CMD_DO_REPOSITION:
+                return self._command_reposition(c, now)
+            case m.MAV_CMD_DO_CHANGE_SPEED:
+                self._cruise_mps = c.p2 if c.p2 > 0 else 0.0
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_DO_SET_HOME:
+                return self._command_home(c)
+            case _:
+                return common_command(self, c, now)
+
+    @staticmethod
+    def _accepted_if(ok: bool) -> int:
+        return m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_TEMPORARILY_REJECTED
+
+    def _command_arm(self, c: Command, now: float) -> int:
+        if c.p1 not in (0.0, 1.0):
+            return m.MAV_RESULT_UNSUPPORTED
+        forced = round(c.p2) == FORCE if isfinite(c.p2) else False
+        if c.p1 == 0.0:
+            if self.armed and not self.landed and not forced:
+                self.say_event(m.MAV_SEVERITY_CRITICAL, "Disarming denied: not landed")
+                return m.MAV_RESULT_TEMPORARILY_REJECTED
+            if self.armed:
+                self._disarm("Disarmed by external command")
+            return m.MAV_RESULT_ACCEPTED
+        if self.armed:
+            return m.MAV_RESULT_ACCEPTED
+        refusal = None if forced else self.arming_refusal()
+        if refusal is not None:
+            self.say_event(m.MAV_SEVERITY_CRITICAL, "Arming denied: Resolve system health failures first")
+            self.say_event(m.MAV_SEVERITY_CRITICAL, refusal)
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        self.arm(now)
+        if self.mode == Px4Mode.TAKEOFF and self.plan.leg is None:
+            self._enter(Px4Mode.TAKEOFF, now)
+        self.say_event(m.MAV_SEVERITY_INFO, "Armed by external command")
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_mode(self, c: Command, now: float) -> int:
+        if not all(isfinite(p) and 0 <= p < 256 for p in (c.p1, c.p2, c.p3)):
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        if not int(c.p1) & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        result = self._accepted_if(self._try_mode(px4_mode(int(c.p2), int(c.p3)), now))
+        # commander and navigator both answer: a real PX4 acknowledges DO_SET_MODE twice
+        self.tx.acknowledge(c.id, result, c.sender)
+        return result
+
+    def _command_takeoff(self, c: Command, now: float) -> int:
+        if not self._may_enter(Px4Mode.TAKEOFF, now):
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        self._set_mode(Px4Mode.TAKEOFF)
+        # AMSL whatever the frame says; a position that is given is flown to, 0/0 as well
+        home_up = self.home.up_m if self.home else 0.0
+        up = c.p7 - self.where.alt_amsl_m if is_altitude(c.p7) else home_up + self.params["MIS_TAKEOFF_ALT"]
+        goal = self.where.to_local(c.lat_deg, c.lon_deg) if is_position(c.lat_deg, c.lon_deg) else None
+        self._take_off_to(up, goal)
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_reposition(self, c: Command, now: float) -> int:
+        change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+        if change_mode and not self._try_mode(Px4Mode.LOITER, now):
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        if self.mode == Px4Mode.LOITER and not self.landed:
+            motion = self.motion
+            east, north = motion.east_m, motion.north_m
+            if is_position(c.lat_deg, c.lon_deg):
+                east, north = self.where.to_local(c.lat_deg, c.lon_deg)
+            up = c.p7 - self.where.alt_amsl_m if is_altitude(c.p7) else motion.up_m
+            self._cruise_mps = c.p1 if c.p1 > 0 else 0.0
+            self.plan.fly(GoTo(east, north, up, yaw_rad=c.p4 if isfinite(c.p4) else None))
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_home(self, c: Command) -> int:
+        if c.p1 == 1:
+            if not self.position_ok:
+                return m.MAV_RESULT_TEMPORARILY_REJECTED
+            self.set_home_here()
+            return m.MAV_RESULT_ACCEPTED
+        if not (is_position(c.lat_deg, c.lon_deg) and is_altitude(c.p7)):
+            return m.MAV_RESULT_DENIED
+        self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), c.p7 - self.where.alt_amsl_m))
+        return m.MAV_RESULT_ACCEPTED

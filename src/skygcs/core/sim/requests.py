@@ -1,0 +1,270 @@
+"""What a ground station can ask of either firmware: commands common to both, parameters, missions, clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from skygcs.core.sim import protocol as m
+from skygcs.core.sim.commands import Command, from_int, from_long
+from skygcs.core.sim.streams import NEVER
+
+if TYPE_CHECKING:
+    from skygcs.core.sim.vehicle import SimVehicle
+
+Fields = dict[str, Any]
+Sender = tuple[int, int]
+
+CALIBRATION_S = 3.0
+"""A gyro calibration."""
+
+PROGRESS_EVERY_S = 0.5
+
+PARAMS_PER_TICK = 2
+"""100 a second: the rate of a list over USB; a telemetry port is slower."""
+
+MIN_INTERVAL_US = 20_000
+"""A tick: faster streams are sent at this rate."""
+
+MAX_INTERVAL_US = 60_000_000
+"""ArduPilot's longest."""
+
+INDEX_UNKNOWN = 65535
+"""PARAM_VALUE.param_index of an answer to a request by name (ArduPilot)."""
+
+
+@dataclass(slots=True)
+class Calibration:
+    """A running PREFLIGHT_CALIBRATION, who asked for it, and when it says next how far it is."""
+
+    sender: Sender
+    began: float
+    next_report: float
+
+
+def handle(v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float) -> None:
+    """Answer one message addressed to this vehicle or to all."""
+    if name in ("COMMAND_LONG", "COMMAND_INT"):
+        command = from_long(fields, sender) if name == "COMMAND_LONG" else from_int(fields, sender)
+        result = v.command(command, now)
+        if result is not None:
+            v.tx.acknowledge(command.id, result, sender)
+        return
+    handler = _HANDLERS.get(name)
+    if handler is not None:
+        handler(v, fields, sender, now)
+    elif name.startswith("SET_POSITION_TARGET_") or name == "SET_ATTITUDE_TARGET":
+        v.on_setpoint(name, fields, now)
+
+
+def step(v: SimVehicle, now: float) -> None:
+    """What goes on over many ticks: a parameter list, a calibration."""
+    for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
+        _send_param(v, v.param_queue.pop(0))
+    running = v.calibration
+    if running is None:
+        return
+    if now - running.began >= CALIBRATION_S:
+        v.calibration = None
+        v.tx.acknowledge(m.MAV_CMD_PREFLIGHT_CALIBRATION, m.MAV_RESULT_ACCEPTED, running.sender)
+    elif now >= running.next_report:
+        running.next_report += PROGRESS_EVERY_S
+        done = round(100 * (now - running.began) / CALIBRATION_S)
+        v.tx.acknowledge(m.MAV_CMD_PREFLIGHT_CALIBRATION, m.MAV_RESULT_IN_PROGRESS, running.sender, done)
+
+
+# -- commands
+
+
+def common_command(v: SimVehicle, c: Command, now: float) -> int | None:
+    """Result of a command both firmwares treat alike; UNSUPPORTED for all others; None: answered later."""
+    handler = _COMMANDS.get(c.id)
+    return m.MAV_RESULT_UNSUPPORTED if handler is None else handler(v, c, now)
+
+
+def _message_name(v: SimVehicle, msgid: float) -> str | None:
+    info = v.dialect.messages.get(int(msgid)) if isfinite(msgid) else None
+    return info.name if info is not None and v.streams.knows(info.name) else None
+
+
+def _set_interval(v: SimVehicle, c: Command, now: float) -> int:
+    name = _message_name(v, c.p1)
+    if name is None or not isfinite(c.p2):
+        return m.MAV_RESULT_FAILED
+    if c.p2 < 0:
+        interval: float | None = NEVER
+    else:
+        interval = min(max(c.p2, MIN_INTERVAL_US), MAX_INTERVAL_US) / 1e6 if c.p2 > 0 else None
+    v.streams.set_interval(name, interval, now)
+    return m.MAV_RESULT_ACCEPTED
+
+
+def _get_interval(v: SimVehicle, c: Command, now: float) -> int:
+    name = _message_name(v, c.p1)
+    if name is None:
+        v.tx.send("MESSAGE_INTERVAL", {"message_id": int(c.p1) & 0xFFFF if isfinite(c.p1) else 0, "interval_us": 0})
+        return m.MAV_RESULT_FAILED
+    interval = v.streams.interval(name)
+    interval_us = -1 if interval == NEVER else round(interval * 1e6)
+    v.tx.send("MESSAGE_INTERVAL", {"message_id": int(c.p1), "interval_us": interval_us})
+    return m.MAV_RESULT_ACCEPTED
+
+
+def _request_message(v: SimVehicle, c: Command, now: float) -> int:
+    name = _message_name(v, c.p1)
+    if name is None:
+        return v.unknown_message_result
+    v.send_soon(name)
+    return m.MAV_RESULT_ACCEPTED
+
+
+def _request_fixed(name: str) -> Callable[[SimVehicle, Command, float], int]:
+    def handler(v: SimVehicle, c: Command, now: float) -> int:
+        v.send_soon(name)
+        return m.MAV_RESULT_ACCEPTED
+
+    return handler
+
+
+def _calibrate(v: SimVehicle, c: Command, now: float) -> int | None:
+    if v.armed:
+        return m.MAV_RESULT_DENIED
+    if v.calibration is not None:  # asked again because the first answer was lost, or by somebody else
+        own = v.calibration.sender == c.sender
+        return m.MAV_RESULT_IN_PROGRESS if own else m.MAV_RESULT_TEMPORARILY_REJECTED
+    if not any((c.p1, c.p2, c.p3, c.p4, c.p5, c.p6, c.p7)):
+        return m.MAV_RESULT_ACCEPTED  # all zero: stop calibrating; none runs
+    v.calibration = Calibration(c.sender, now, now + PROGRESS_EVERY_S)
+    return m.MAV_RESULT_IN_PROGRESS
+
+
+def _reboot(v: SimVehicle, c: Command, now: float) -> int | None:
+    if c.p1 != 1:
+        return m.MAV_RESULT_UNSUPPORTED
+    if v.armed:
+        return v.armed_reboot_result
+    v.tx.acknowledge(c.id, m.MAV_RESULT_ACCEPTED, c.sender)
+    v.reboot(now)
+    return None
+
+
+_COMMANDS: Mapping[int, Callable[[SimVehicle, Command, float], int | None]] = {
+    m.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
+    m.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
+    m.MAV_CMD_REQUEST_MESSAGE: _request_message,
+    m.MAV_CMD_REQUEST_PROTOCOL_VERSION: _request_fixed("PROTOCOL_VERSION"),
+    m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: _request_fixed("AUTOPILOT_VERSION"),
+    m.MAV_CMD_GET_HOME_POSITION: _request_fixed("HOME_POSITION"),
+    m.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
+    m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+}
+
+
+def _command_cancel(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if fields["command"] == m.MAV_CMD_PREFLIGHT_CALIBRATION and v.calibration is not None:
+        asked = v.calibration.sender
+        v.calibration = None
+        v.tx.acknowledge(m.MAV_CMD_PREFLIGHT_CALIBRATION, m.MAV_RESULT_CANCELLED, asked)
+
+
+# -- parameters
+
+
+def _send_param(v: SimVehicle, index: int, reported_index: int | None = None) -> None:
+    param = v.params.at(index)
+    if param is not None:
+        v.tx.send(
+            "PARAM_VALUE",
+            {
+                "param_id": param.name,
+                "param_value": v.params.encode(param),
+                "param_type": param.type,
+                "param_count": len(v.params),
+                "param_index": index if reported_index is None else reported_index,
+            },
+        )
+
+
+def _param_list(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    v.param_queue = list(range(len(v.params)))
+
+
+def _param_read(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    index = int(fields["param_index"])
+    if index >= 0:
+        _send_param(v, index)
+        return
+    found = v.params.find(fields["param_id"])
+    if found is not None:
+        _send_param(v, found[0], v.named_param_index)
+
+
+def _param_set(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    param = v.params.set(fields["param_id"], fields["param_value"])
+    found = v.params.find(fields["param_id"])
+    if param is not None and found is not None:
+        _send_param(v, found[0], v.named_param_index)
+        v.on_param(param.name, now)
+
+
+# -- missions: none on board
+
+
+def _mission_list(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    v.tx.send("MISSION_COUNT", _to(sender) | {"count": 0, "mission_type": fields["mission_type"]})
+
+
+def _mission_refuse(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    v.tx.send("MISSION_ACK", _to(sender) | {"type": m.MAV_MISSION_UNSUPPORTED, "mission_type": fields["mission_type"]})
+
+
+def _mission_clear(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    v.tx.send("MISSION_ACK", _to(sender) | {"type": m.MAV_MISSION_ACCEPTED, "mission_type": fields["mission_type"]})
+
+
+def _to(sender: Sender) -> Fields:
+    return {"target_system": sender[0], "target_component": sender[1]}
+
+
+# -- clocks, streams, modes
+
+
+def _ping(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if fields["target_system"] == 0 and fields["target_component"] == 0:  # else it is an answer
+        v.tx.send("PING", _to(sender) | {"time_usec": fields["time_usec"], "seq": fields["seq"]})
+
+
+def _timesync(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if fields["tc1"] == 0:
+        answer = {"tc1": round((now - v.boot_at) * 1e9), "ts1": fields["ts1"]}
+        info = v.dialect.by_name["TIMESYNC"]
+        if info.target_system_offset >= 0:
+            answer |= _to(sender)
+        v.tx.send("TIMESYNC", answer)
+
+
+def _data_stream(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    rate_hz = float(fields["req_message_rate"]) if fields["start_stop"] else 0.0
+    v.on_data_stream(int(fields["req_stream_id"]), rate_hz, now)
+
+
+def _set_mode(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if fields["base_mode"] & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        v.on_set_mode_message(int(fields["custom_mode"]), sender, now)
+
+
+_HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
+    "COMMAND_CANCEL": _command_cancel,
+    "PARAM_REQUEST_LIST": _param_list,
+    "PARAM_REQUEST_READ": _param_read,
+    "PARAM_SET": _param_set,
+    "MISSION_REQUEST_LIST": _mission_list,
+    "MISSION_COUNT": _mission_refuse,
+    "MISSION_CLEAR_ALL": _mission_clear,
+    "PING": _ping,
+    "TIMESYNC": _timesync,
+    "REQUEST_DATA_STREAM": _data_stream,
+    "SET_MODE": _set_mode,
+}

@@ -1,0 +1,88 @@
+"""The sending side of a simulated vehicle: encodes its frames with its own sequence number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.sim import protocol as m
+from skygcs.core.sim.chance import Chance
+
+TEXT_BYTES = 50
+"""STATUSTEXT.text; longer ones are sent in chunks."""
+
+
+@dataclass(slots=True)
+class Faults:
+    """What a test can break. Everything off by default; may be changed at any time."""
+
+    refuse_arming: str = ""
+    """The reason given for refusing to arm."""
+    ack_loss: float = 0.0
+    """Fraction of COMMAND_ACKs that are never sent."""
+    gps_lost: bool = False
+    mute: bool = False
+    """The vehicle lives on and hears, but nothing it sends arrives (its sequence number goes on)."""
+
+
+class Transmitter:
+    """Collects the frames of one vehicle until `take`."""
+
+    def __init__(self, dialect: Dialect, chance: Chance, faults: Faults) -> None:
+        self.sysid = 0
+        self._dialect = dialect
+        self._chance = chance
+        self._faults = faults
+        self._out: list[bytes] = []
+        self._texts: list[tuple[int, str]] = []
+        self._seq = 0
+        self._text_id = 0
+
+    def restart(self, sysid: int) -> None:
+        """The vehicle boots: its sequence starts anew, what it was about to say is forgotten."""
+        self.sysid = sysid
+        self._texts.clear()
+        self._seq = 0
+        self._text_id = 0
+
+    def send(self, name: str, fields: Mapping[str, Any]) -> None:
+        """One message now. A message the dialect lacks is not sent."""
+        info = self._dialect.by_name.get(name)
+        if info is None:
+            return
+        raw = encode(info, fields, sysid=self.sysid, compid=m.MAV_COMP_ID_AUTOPILOT1, seq=self._seq)
+        self._seq = (self._seq + 1) & 0xFF
+        if not self._faults.mute:
+            self._out.append(raw)
+
+    def acknowledge(self, command: int, result: int, target: tuple[int, int], progress: int = 0) -> None:
+        if self._chance.happens(self._faults.ack_loss):
+            return
+        fields = {"command": command, "result": result, "progress": progress}
+        self.send("COMMAND_ACK", {**fields, "target_system": target[0], "target_component": target[1]})
+
+    def say(self, severity: int, text: str) -> None:
+        """A STATUSTEXT with the next `flush`: texts follow the acknowledgement they explain, as in the firmwares."""
+        self._texts.append((severity, text))
+
+    def flush(self) -> None:
+        texts, self._texts = self._texts, []
+        for severity, text in texts:
+            self._send_text(severity, text.encode())
+
+    def take(self) -> list[bytes]:
+        """The frames since the last call."""
+        out, self._out = self._out, []
+        return out
+
+    def _send_text(self, severity: int, text: bytes) -> None:
+        if len(text) <= TEXT_BYTES:
+            self.send("STATUSTEXT", {"severity": severity, "text": text})
+            return
+        self._text_id += 1
+        for chunk_seq, at in enumerate(range(0, len(text), TEXT_BYTES)):
+            part = text[at : at + TEXT_BYTES]
+            self.send("STATUSTEXT", {"severity": severity, "text": part, "id": self._text_id, "chunk_seq": chunk_seq})

@@ -1,0 +1,380 @@
+"""A simulated vehicle: what PX4 and ArduCopter have in common. `px4` and `ardupilot` hold their differences.
+
+Pure: frames go in through `on_frame`, come out of `step`; time is an argument, chance is seeded. What happens is
+worked out on a fixed grid of TICK_S, so that it does not depend on how often `step` is called.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import radians
+from typing import Any, Final
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.sim import protocol as m
+from skygcs.core.sim import requests, telemetry
+from skygcs.core.sim.battery import Battery
+from skygcs.core.sim.chance import Chance
+from skygcs.core.sim.commands import Command
+from skygcs.core.sim.kinematics import Limits, LocalFrame, Motion
+from skygcs.core.sim.params import Params
+from skygcs.core.sim.plan import GoTo, Plan
+from skygcs.core.sim.streams import Streams
+from skygcs.core.sim.transmitter import Faults, Transmitter
+
+TICK_S = 0.02
+"""50 Hz: the fastest stream a ground station asks a radio link for, and 2 cm of flight at 1 m/s."""
+
+MAX_CATCH_UP_S = 60.0
+"""A `step` after a longer pause (a suspended laptop) skips what is older: 3000 ticks take a tenth of a second."""
+
+REBOOT_S = 2.0
+"""Silence of a rebooting autopilot."""
+
+FLYING_ABOVE_M = 0.15
+"""Higher than this is taken off."""
+
+GPS_FAILSAFE_S = 5.0
+"""In the air without GPS for longer than this: the autopilot lands where it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    east_m: float
+    north_m: float
+    up_m: float
+
+
+class SimVehicle(ABC):
+    """One vehicle, component 1 of the system its parameters name.
+
+    It boots at ``now``; ``unix_us`` is the wall clock of that moment.
+
+    Feed every received frame to `on_frame` (it ignores what is not for it) and call `step` often; each returned
+    frame is one datagram or one write. After `on_frame`, the answers come out of the next `step`.
+    """
+
+    autopilot: int
+    vtol_state: int = m.MAV_VTOL_STATE_UNDEFINED
+    default_rates_hz: Mapping[str, float]
+    sysid_param: str
+    ready_after_s: float
+    """From boot until the position estimate is good enough to arm."""
+    landed_after_s: float
+    """From touching the ground until the vehicle believes it."""
+    spool_up_s: float
+    """From arming until the motors can lift."""
+    unknown_message_result: int
+    """Answer to REQUEST_MESSAGE for a message it does not have."""
+    armed_reboot_result: int
+    named_param_index: int | None
+    """param_index of an answer to a request by name; None: the parameter's own."""
+    mode: int
+    """HEARTBEAT.custom_mode."""
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        where: LocalFrame,
+        *,
+        params: Params,
+        chance: Chance,
+        now: float = 0.0,
+        unix_us: int = 0,
+        heading_deg: float = 0.0,
+    ) -> None:
+        self.dialect = dialect
+        self.compid: Final = m.MAV_COMP_ID_AUTOPILOT1
+        self.where = where
+        self.params = params
+        self.chance = chance
+        self.faults = Faults()
+        self.tx = Transmitter(dialect, chance, self.faults)
+        self.motion = Motion(radians(heading_deg))
+        self.battery = Battery()
+        self.plan = Plan()
+        self._unix_offset_us = unix_us - now * 1e6
+        self._clock = now
+        self.home: Home | None = None
+        self._boot(now)
+
+    # -- what differs between the firmwares
+
+    @property
+    @abstractmethod
+    def base_mode(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def system_status(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def version(self) -> dict[str, Any]:
+        """Fields of AUTOPILOT_VERSION."""
+
+    @property
+    @abstractmethod
+    def low_battery_percent(self) -> float: ...
+
+    @abstractmethod
+    def limits(self) -> Limits:
+        """Speeds as the parameters say."""
+
+    @abstractmethod
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm now, None if it would."""
+
+    @abstractmethod
+    def command(self, c: Command, now: float) -> int | None:
+        """Carry out a command; its MAV_RESULT, or None if it was answered already."""
+
+    @abstractmethod
+    def on_boot(self, now: float) -> None:
+        """Set the first mode and schedule the boot texts."""
+
+    @abstractmethod
+    def on_ready(self, now: float) -> None:
+        """The position estimate has become good."""
+
+    @abstractmethod
+    def on_tick(self, now: float) -> None:
+        """Mode logic of one tick, before the vehicle moves."""
+
+    @abstractmethod
+    def on_takeoff(self, now: float) -> None: ...
+
+    @abstractmethod
+    def on_landed(self, now: float) -> None: ...
+
+    @abstractmethod
+    def on_position_lost(self, now: float) -> None:
+        """In the air without a position for GPS_FAILSAFE_S."""
+
+    @abstractmethod
+    def on_low_battery(self) -> None: ...
+
+    @abstractmethod
+    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        """A SET_POSITION_TARGET_* or SET_ATTITUDE_TARGET for us."""
+
+    @abstractmethod
+    def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
+        """The deprecated SET_MODE (11)."""
+
+    @abstractmethod
+    def on_data_stream(self, stream: int, rate_hz: float, now: float) -> None:
+        """REQUEST_DATA_STREAM."""
+
+    @abstractmethod
+    def on_param(self, name: str, now: float) -> None:
+        """A parameter was set."""
+
+    # -- in and out
+
+    def on_frame(self, frame: Frame, now: float) -> None:
+        """Take one received frame; answers come with the next `step`. Never raises on what a sender can do wrong."""
+        if now < self.boot_at or frame.info is None or (frame.sysid, frame.compid) == (self.sysid, self.compid):
+            return
+        system, component = frame.target()
+        if system not in (0, self.sysid) or component not in (0, self.compid):
+            return
+        requests.handle(self, frame.info.name, frame.fields(), (frame.sysid, frame.compid), now)
+        self._flush()
+
+    def step(self, now: float) -> list[bytes]:
+        """Live on until ``now``; the frames that were due, in order."""
+        if now - self._clock > MAX_CATCH_UP_S:
+            self._clock = now - MAX_CATCH_UP_S
+        while self._clock + TICK_S <= now + 1e-9:
+            self._clock += TICK_S
+            self._tick(self._clock)
+        return self.tx.take()
+
+    def send_message(self, name: str, now: float) -> bool:
+        """Send a telemetry message built from the present state; False if this vehicle has none of this name."""
+        builder = self.builders.get(name)
+        if builder is None or name not in self.dialect.by_name:
+            return False
+        fields = builder(self, now)
+        if fields is not None:
+            self.tx.send(name, fields)
+        return True
+
+    def send_soon(self, name: str) -> None:
+        """Send this message after the answer that is being worked out."""
+        self._requested.append(name)
+
+    def later(self, at: float, what: Callable[[], None]) -> None:
+        """Do this at that time, unless the vehicle reboots before."""
+        self._later.append((at, what))
+        self._later.sort(key=lambda entry: entry[0])
+
+    # -- state others read
+
+    @property
+    def boot_ms(self) -> int:
+        return max(0, round((self._clock - self.boot_at) * 1000))
+
+    @property
+    def unix_us(self) -> int:
+        return max(0, round(self._unix_offset_us + self._clock * 1e6))
+
+    @property
+    def position_ok(self) -> bool:
+        """GPS is there and the estimator has converged on it."""
+        return not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s
+
+    @property
+    def gps_ok(self) -> bool:
+        """A fix comes at half the time the estimator needs."""
+        return not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s / 2
+
+    @property
+    def landed_state(self) -> int:
+        if self.landed:
+            return m.MAV_LANDED_STATE_ON_GROUND
+        if self.plan.landing:
+            return m.MAV_LANDED_STATE_LANDING
+        return m.MAV_LANDED_STATE_TAKEOFF if self.taking_off else m.MAV_LANDED_STATE_IN_AIR
+
+    def sysid_of_params(self) -> int:
+        """What the parameter says; 1 if that is no system id."""
+        sysid = int(self.params[self.sysid_param])
+        return sysid if 1 <= sysid <= 255 else 1
+
+    def height_m(self) -> float:
+        """Above home."""
+        return self.motion.up_m - (self.home.up_m if self.home else 0.0)
+
+    # -- orders both firmwares carry out alike
+
+    def arm(self, now: float) -> None:
+        self.armed = True
+        self.armed_at = now
+        self.flown_since_arming = False
+        self.set_home_here()
+
+    def disarm(self) -> None:
+        self.armed = False
+        self.taking_off = False
+        self.plan.fly()
+
+    def hold_here(self) -> None:
+        """Stop and stay; on the ground: stay there."""
+        if self.landed:
+            self.plan.fly()
+        else:
+            self.plan.fly(GoTo(self.motion.east_m, self.motion.north_m, self.motion.up_m))
+
+    def set_home_here(self) -> None:
+        if self.position_ok:
+            self.set_home(Home(self.motion.east_m, self.motion.north_m, self.motion.up_m))
+
+    def set_home(self, home: Home) -> None:
+        self.home = home
+        self.send_soon("HOME_POSITION")
+
+    def reboot(self, now: float) -> None:
+        """Off at once, back after REBOOT_S; the parameters stay."""
+        self._flush()
+        self.disarm()
+        self._later.clear()
+        self.boot_at = now + REBOOT_S
+        self._rebooting = True
+
+    # -- the inside
+
+    def _boot(self, now: float) -> None:
+        self.boot_at = now
+        self._rebooting = False
+        self.sysid = self.sysid_of_params()
+        self.tx.restart(self.sysid)
+        self._requested: list[str] = []
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._ready_s = self.ready_after_s * (1 + self.chance.spread(0.2))
+        self._gps_since = now
+        self._was_ready = False
+        self._battery_low = False
+        self.armed = False
+        self.armed_at = now
+        self.landed = True
+        self.taking_off = False
+        self._touched_at: float | None = None
+        self.landed_at = now
+        self.flown_since_arming = False
+        self.home = None
+        self.calibration: requests.Calibration | None = None
+        self.param_queue: list[int] = []
+        self.builders = telemetry.builders_of(self.autopilot)
+        self.streams = Streams(
+            (n for n in self.builders if n in self.dialect.by_name), self.default_rates_hz, self.chance, now
+        )
+        self.plan.fly()
+        self.on_boot(now)
+
+    def _tick(self, now: float) -> None:
+        if now < self.boot_at:
+            return
+        if self._rebooting:
+            self._boot(now)
+        while self._later and self._later[0][0] <= now:
+            self._later.pop(0)[1]()
+        self._watch_position(now)
+        self._watch_battery()
+        self.on_tick(now)
+        self._move(now)
+        requests.step(self, now)
+        for name in self.streams.due(now):
+            self.send_message(name, now)
+        self._flush()
+
+    def _watch_position(self, now: float) -> None:
+        if self.position_ok:
+            self._gps_since = now
+            if not self._was_ready:
+                self._was_ready = True
+                self.set_home_here()
+                self.on_ready(now)
+        elif self._was_ready and not self.landed and now - self._gps_since > GPS_FAILSAFE_S:
+            self._was_ready = False
+            self.on_position_lost(now)
+
+    def _watch_battery(self) -> None:
+        low = self.battery.percent <= self.low_battery_percent
+        if low and not self._battery_low:
+            self.on_low_battery()
+        self._battery_low = low
+
+    def _move(self, now: float) -> None:
+        motion = self.motion
+        setpoint, limits = self.plan.step(motion, self.limits(), now)
+        lifts = self.armed and setpoint is not None and now - self.armed_at >= self.spool_up_s
+        if self.landed and self.plan.landing:
+            lifts = False
+        motion.step(TICK_S, setpoint if lifts else None, limits)
+        flying = not motion.on_ground
+        self.battery.step(TICK_S, flying=flying, climb_mps=motion.vel_u_mps)
+        if self.landed:
+            if motion.up_m > FLYING_ABOVE_M:
+                self.landed = False
+                self.flown_since_arming = True
+                self._touched_at = None
+                self.on_takeoff(now)
+        elif flying:
+            self._touched_at = None
+        elif self._touched_at is None:
+            self._touched_at = now
+        elif now - self._touched_at >= self.landed_after_s:
+            self.landed = True
+            self.landed_at = now
+            self.on_landed(now)
+
+    def _flush(self) -> None:
+        self.tx.flush()
+        requested, self._requested = self._requested, []
+        for name in requested:
+            self.send_message(name, self._clock)
