@@ -1,0 +1,79 @@
+"""What the shell proposes after TAB: vehicles and messages of the running daemon, if it answers quickly."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import typer
+
+from skygcs.cli.connection import client
+from skygcs.errors import SkygcsError
+
+PATIENCE_S = 0.5
+"""A person waits at the prompt."""
+
+
+def targets(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Names, groups and "all"; after a comma, the next part of the list."""
+    states = _ask(ctx, "vehicles.list") or []
+    words = {"all": None} | {s["name"]: None for s in states} | {g: None for s in states for g in s["groups"]}
+    before, comma, last = incomplete.rpartition(",")
+    return [before + comma + word for word in words if word.startswith(last)]
+
+
+def messages(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Message names of the daemon's dialect, in any case."""
+    found = _ask(ctx, "messages.list") or []
+    return [m["name"] for m in found if m["name"].upper().startswith(incomplete.upper())]
+
+
+def links(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Names of the links."""
+    return [link["name"] for link in _ask(ctx, "links.list") or [] if link["name"].startswith(incomplete)]
+
+
+def methods(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Method names."""
+    document = _ask(ctx, "rpc.discover") or {"methods": []}
+    return [m["name"] for m in document["methods"] if m["name"].startswith(incomplete)]
+
+
+def modes(_: typer.Context, incomplete: str) -> list[str]:
+    """The flight modes people use most; any other may be typed."""
+    return [mode for mode in COMMON_MODES if mode.startswith(incomplete.upper())]
+
+
+COMMON_MODES = (
+    "AUTO.LAND",
+    "AUTO.LOITER",
+    "AUTO.MISSION",
+    "AUTO.RTL",
+    "AUTO.TAKEOFF",
+    "ALTCTL",
+    "POSCTL",
+    "OFFBOARD",
+    "MANUAL",
+    "STABILIZED",
+    "ALT_HOLD",
+    "AUTO",
+    "BRAKE",
+    "GUIDED",
+    "LAND",
+    "LOITER",
+    "POSHOLD",
+    "RTL",
+    "SMART_RTL",
+    "STABILIZE",
+)
+
+
+def _ask(ctx: typer.Context, method: str) -> Any:
+    async def ask() -> Any:
+        async with asyncio.timeout(PATIENCE_S), client(ctx.find_root().params.get("socket")) as gcs:
+            return await gcs.call(method)
+
+    try:
+        return asyncio.run(ask())
+    except (SkygcsError, OSError, TimeoutError):
+        return None

@@ -1,0 +1,115 @@
+"""`skygcs-cli`: everything one does with a running daemon, and offline tools.
+
+Exit codes: 0 done, 1 refused or failed, 2 usage, 3 daemon not reachable. Contract: docs/reference/cli.md.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from skygcs import __version__
+from skygcs.cli import orders, reading
+from skygcs.cli.connection import run_offline
+from skygcs.cli.options import Json
+from skygcs.cli.wires import links, messages
+from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
+
+GLOBAL_OPTIONS = ("--socket", "--token-file")
+
+
+class _Anywhere(TyperGroup):
+    """Takes the global options wherever they stand: after the command is where people type them."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, hoisted(args))
+
+
+def hoisted(args: list[str]) -> list[str]:
+    """The same arguments with the global options and their values first; what follows "--" is left alone."""
+    first: list[str] = []
+    rest: list[str] = []
+    left = iter(args)
+    for arg in left:
+        if arg == "--":
+            rest += [arg, *left]
+        elif arg in GLOBAL_OPTIONS:
+            first += [arg, *(value for _, value in zip(range(1), left, strict=False))]
+        elif arg.startswith(tuple(f"{option}=" for option in GLOBAL_OPTIONS)):
+            first.append(arg)
+        else:
+            rest.append(arg)
+    return first + rest
+
+
+app = typer.Typer(
+    name="skygcs-cli",
+    cls=_Anywhere,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Look at and command the vehicles of a running skygcs daemon.",
+    epilog="Exit codes: 0 done, 1 refused or failed (any vehicle), 2 usage, 3 daemon not reachable.",
+)
+tlog = typer.Typer(help="Offline: look into tlog files and raw captures.", no_args_is_help=True)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"skygcs {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    socket: Annotated[
+        str | None,
+        typer.Option(
+            "--socket", metavar="PATH", help="The daemon's socket, or tcp://HOST:PORT.", envvar=SOCKET_VARIABLE
+        ),
+    ] = None,
+    token_file: Annotated[
+        str | None,
+        typer.Option("--token-file", metavar="FILE", help="The token, for tcp://.", envvar=TOKEN_FILE_VARIABLE),
+    ] = None,
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it.")] = False,
+) -> None:
+    # the options are the variables' spelling for one call: everything below looks at these only
+    if socket is not None:
+        os.environ[SOCKET_VARIABLE] = socket
+    if token_file is not None:
+        os.environ[TOKEN_FILE_VARIABLE] = token_file
+
+
+@tlog.command("info")
+def _tlog_info(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A tlog, or bytes as they came from a link.")],
+    dialect: Annotated[
+        str | None, typer.Option("--dialect", metavar="NAME", help="Default: all of pymavlink's, and PX4's own.")
+    ] = None,
+    json_output: Json = False,
+) -> None:
+    """Count a file's records, messages, sources and vehicles."""
+
+    def command() -> int:
+        from skygcs.cli.tlog import tlog_info
+
+        return tlog_info(Path(file), json_output, dialect)
+
+    run_offline(command)
+
+
+reading.add_to(app)
+orders.add_to(app)
+app.add_typer(messages, name="message", rich_help_panel="Looking")
+app.add_typer(links, name="links", rich_help_panel="Looking")
+app.add_typer(tlog, name="tlog", rich_help_panel="Looking")
+
+
+def main() -> None:
+    """Entry point of `skygcs-cli`."""
+    app(prog_name="skygcs-cli")

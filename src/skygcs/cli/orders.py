@@ -1,0 +1,207 @@
+"""Commands that make vehicles do something: one line per vehicle says what became of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from skygcs.cli import completion
+from skygcs.cli.connection import Exit, run, waiting
+from skygcs.cli.options import Json, Targets
+from skygcs.cli.render import outcome_lines
+from skygcs.cli.values import NUMBERS, name_or_id, parse_number, parse_unset_number
+from skygcs.rpc.client import Client
+
+
+def order(method: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
+    """Send it, wait for every vehicle's outcome, print them, exit 0 if all of them are good."""
+
+    async def command(gcs: Client) -> int:
+        async with waiting(f"{method} {targets}"):
+            answer = await gcs.call(f"vehicles.{method}", targets=targets, **params)
+        outcomes: dict[str, dict[str, Any]] = answer["outcomes"]
+        if json_output:
+            typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
+        else:
+            for line in outcome_lines(outcomes):
+                typer.echo(line)
+        return Exit.DONE if all(o["ok"] for o in outcomes.values()) else Exit.FAILED
+
+    run(command)
+
+
+def arm(
+    targets: Targets,
+    force: Annotated[bool, typer.Option("--force", help="Skip the autopilot's own checks.")] = False,
+    wait: Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying for S seconds.", min=0)] = 0.0,
+    json_output: Json = False,
+) -> None:
+    """Arm."""
+    order("arm", targets, json_output, force=force, wait_s=wait)
+
+
+def disarm(
+    targets: Targets,
+    force: Annotated[bool, typer.Option("--force", help="Also in flight: the vehicle falls.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Disarm."""
+    order("disarm", targets, json_output, force=force)
+
+
+def takeoff(
+    targets: Targets,
+    height: Annotated[
+        float | None,
+        typer.Argument(metavar="[HEIGHT]", help="Metres above the ground; default: the fleet file's."),
+    ] = None,
+    arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
+    json_output: Json = False,
+) -> None:
+    """Take off, arming first."""
+    order("takeoff", targets, json_output, height_m=height, arm=arm_first)
+
+
+def land(targets: Targets, json_output: Json = False) -> None:
+    """Land where it is."""
+    order("land", targets, json_output)
+
+
+def rtl(targets: Targets, json_output: Json = False) -> None:
+    """Return to launch and land there."""
+    order("rtl", targets, json_output)
+
+
+def hold(targets: Targets, json_output: Json = False) -> None:
+    """Stop and hold position."""
+    order("hold", targets, json_output)
+
+
+Place = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[LAT LON [HEIGHT]]", help="Degrees; metres above home, default as it is.", show_default=False
+    ),
+]
+
+
+def goto(
+    targets: Targets,
+    place: Place = None,
+    enu: Annotated[
+        str | None, typer.Option("--enu", metavar="E,N,U", help="Metres east, north, up of the fleet's origin.")
+    ] = None,
+    yaw: Annotated[float | None, typer.Option("--yaw", metavar="DEG", help="Heading, clockwise from north.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Although it is farther than the limit.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Fly to a place: `goto alpha 43.78 -79.46 10`, `goto all --enu 5,-3,10`."""
+    params: dict[str, Any] = {"yaw_deg": yaw, "force": force}
+    numbers = _numbers(place, ("LAT", "LON", "HEIGHT"))
+    if enu is not None:
+        if numbers:
+            raise typer.BadParameter("give either LAT LON [HEIGHT] or --enu, not both")
+        parts = enu.split(",")
+        if len(parts) != 3:
+            raise typer.BadParameter(f"--enu: {enu!r} is not of the form E,N,U")
+        params["enu_m"] = [parse_number(part, "--enu") for part in parts]
+    elif len(numbers) < 2:
+        raise typer.BadParameter("give LAT LON [HEIGHT], or --enu E,N,U")
+    params |= dict(zip(("lat_deg", "lon_deg", "height_m"), numbers, strict=False))
+    order("goto", targets, json_output, **params)
+
+
+def _numbers(texts: list[str] | None, labels: tuple[str, ...]) -> list[float]:
+    """At most as many numbers as there are labels. Raises BadParameter, for unknown options, too."""
+    given = texts or []
+    for text in given:
+        if text.startswith("--"):
+            raise typer.BadParameter(f"no such option: {text}")
+    if len(given) > len(labels):
+        raise typer.BadParameter(f"{len(given)} numbers given; there are {' '.join(labels)}")
+    return [parse_number(text, label) for text, label in zip(given, labels, strict=False)]
+
+
+def mode(
+    targets: Targets,
+    mode_name: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODE", help="AUTO.LOITER (PX4), GUIDED (ArduCopter), …", autocompletion=completion.modes
+        ),
+    ],
+    json_output: Json = False,
+) -> None:
+    """Set the flight mode by the autopilot's own name."""
+    order("mode", targets, json_output, mode=mode_name)
+
+
+def reboot(
+    targets: Targets,
+    force: Annotated[bool, typer.Option("--force", help="Although it is armed.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Reboot the autopilot."""
+    order("reboot", targets, json_output, force=force)
+
+
+def home(
+    targets: Targets,
+    place: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[LAT LON ALT]", help="Degrees; metres above mean sea level.", show_default=False),
+    ] = None,
+    json_output: Json = False,
+) -> None:
+    """Set home: where it stands, or a place."""
+    numbers = _numbers(place, ("LAT", "LON", "ALT"))
+    if len(numbers) not in (0, 3):
+        raise typer.BadParameter("give LAT LON ALT, or nothing: home is where it stands")
+    params = dict(zip(("lat_deg", "lon_deg", "alt_amsl_m"), numbers, strict=False))
+    order("set_home", targets, json_output, **params)
+
+
+def interval(
+    targets: Targets,
+    message: Annotated[str, typer.Argument(metavar="MESSAGE", autocompletion=completion.messages, help="Name or id.")],
+    rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it, -1 is the default.")],
+    json_output: Json = False,
+) -> None:
+    """Ask for one message at a rate."""
+    order("interval", targets, json_output, message=name_or_id(message), rate_hz=rate_hz)
+
+
+def stream(
+    targets: Targets,
+    name: Annotated[str, typer.Argument(metavar="STREAM", help="MAV_DATA_STREAM: POSITION, EXTRA1, … or number.")],
+    rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it.")],
+    json_output: Json = False,
+) -> None:
+    """Ask for a group of messages at a rate (older ArduPilot)."""
+    order("stream", targets, json_output, stream=name_or_id(name), rate_hz=rate_hz)
+
+
+def command(
+    targets: Targets,
+    name: Annotated[str, typer.Argument(metavar="COMMAND", help="MAV_CMD by name or number: DO_SET_SERVO, 183.")],
+    params: Annotated[
+        list[str] | None, typer.Argument(metavar="[PARAM1 … PARAM7]", help="Numbers; nan or - is unset.")
+    ] = None,
+    json_output: Json = False,
+) -> None:
+    """Send any MAV_CMD and wait for its acknowledgement."""
+    numbers = [parse_unset_number(p, f"PARAM{i}") for i, p in enumerate(params or [], 1)]
+    order("command", targets, json_output, command=name_or_id(name), params=numbers)
+
+
+def add_to(app: typer.Typer) -> None:
+    """All orders, in the order of a flight."""
+    functions: tuple[Callable[..., None], ...] = (arm, takeoff, goto, hold, mode, rtl, land, disarm)
+    further: tuple[Callable[..., None], ...] = (reboot, home, interval, stream, command)
+    with_numbers = (takeoff, goto, home, interval, stream, command)
+    for function in (*functions, *further):
+        settings = dict(NUMBERS) if function in with_numbers else {}
+        app.command(rich_help_panel="Orders", context_settings=settings)(function)

@@ -1,0 +1,179 @@
+"""Commands that show: status, watch, events, and the interface itself."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any
+
+import typer
+
+from skygcs.cli import completion, render
+from skygcs.cli.connection import Exit, run, waiting
+from skygcs.cli.options import Json, OptionalTargets
+from skygcs.rpc.client import Client
+
+SCREEN_HZ = 4.0
+"""How often a live table is drawn anew."""
+
+
+def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
+    """Show every vehicle, or some."""
+
+    async def command(gcs: Client) -> None:
+        states = await gcs.vehicles(targets)
+        if json_output:
+            typer.echo(json.dumps(states, indent=2))
+        elif states:
+            render.console().print(render.status_table(states))
+        else:
+            typer.echo("no vehicle heard yet (skygcs-cli links shows what arrives)")
+
+    run(command)
+
+
+def watch(
+    targets: OptionalTargets = "all",
+    rate_hz: Annotated[float, typer.Option("--rate", metavar="HZ", help="Updates per second, at most 20.")] = 2.0,
+    fields: Annotated[
+        str,
+        typer.Option(
+            "--fields", "--telemetry", metavar="F,F,…", help="Only these: position.alt_rel_m,battery.volts, …"
+        ),
+    ] = "",
+    count: Annotated[int, typer.Option("--count", metavar="N", help="End after so many updates.", min=1)] = sys.maxsize,
+    json_output: Json = False,
+) -> None:
+    """Show vehicles as they change, until Ctrl-C. On a pipe or with --json: one line per update."""
+    wanted = [f.strip() for f in fields.split(",") if f.strip()]
+    sections = sorted({f.split(".")[0] for f in wanted} | {"connected"}) if wanted else None
+
+    async def command(gcs: Client) -> None:
+        updates = gcs.telemetry(targets, rate_hz=rate_hz, sections=sections)
+        if json_output or not sys.stdout.isatty():
+            seen = 0
+            async for state in updates:
+                typer.echo(json.dumps(state) if json_output else _line(state, wanted))
+                seen += 1
+                if seen >= count:
+                    return
+        else:
+            await _live(gcs, updates, wanted, count)
+
+    run(command)
+
+
+async def _live(gcs: Client, updates: Any, fields: Sequence[str], count: int) -> None:
+    from rich.live import Live
+
+    states: dict[str, dict[str, Any]] = {}
+    seen = 0
+    screen = render.console()
+    with Live("waiting for vehicles …", console=screen, auto_refresh=False, vertical_overflow="crop") as live:
+        drawn_at = 0.0
+        loop_time = asyncio.get_running_loop().time
+        async for state in updates:
+            states[state["name"]] = state
+            seen += 1
+            if loop_time() - drawn_at >= 1 / SCREEN_HZ or seen >= count or len(states) == seen:
+                drawn_at = loop_time()
+                ordered = sorted(states.values(), key=lambda s: int(s["sysid"]))
+                live.update(render.status_table(ordered, fields), refresh=True)
+            if seen >= count:
+                return
+
+
+def _line(state: dict[str, Any], fields: Sequence[str]) -> str:
+    if fields:
+        return f"{state['name']} " + " ".join(f"{f}={render.field_text(state, f)}" for f in fields)
+    return "  ".join(cell for cell in render.status_cells(state) if cell)
+
+
+def events(
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on with what happens, until Ctrl-C.")] = False,
+    limit: Annotated[int, typer.Option("--limit", "-n", metavar="N", help="So many past ones.", min=0)] = 20,
+    kind: Annotated[list[str] | None, typer.Option("--kind", help="Only these kinds (may be repeated).")] = None,
+    json_output: Json = False,
+) -> None:
+    """Show what happened: found and lost vehicles, arming, modes, texts, links."""
+
+    def show(event: dict[str, Any]) -> None:
+        typer.echo(json.dumps(event) if json_output else render.event_line(event))
+
+    async def command(gcs: Client) -> None:
+        news = gcs.events(kinds=kind) if follow else None
+        if limit:
+            past = await gcs.call("events.recent", limit=10000 if kind else limit)
+            for event in [e for e in past if not kind or e["kind"] in kind][-limit:]:
+                show(event)
+        if news is not None:
+            async for event in news:
+                show(event)
+                sys.stdout.flush()
+
+    run(command)
+
+
+def call(
+    method: Annotated[str, typer.Argument(metavar="METHOD", autocompletion=completion.methods, help="Any RPC method.")],
+    params: Annotated[str, typer.Argument(metavar="[JSON]", help="Its parameters, an object.")] = "{}",
+) -> None:
+    """Call any method and print the result as JSON; `discover` lists them."""
+    try:
+        given = json.loads(params)
+    except ValueError as error:
+        raise typer.BadParameter(f"not JSON: {error}") from None
+    if not isinstance(given, dict):
+        raise typer.BadParameter('parameters are a JSON object: {"targets": "all"}')
+
+    async def command(gcs: Client) -> int:
+        async with waiting(method):
+            result = await gcs.call(method, **given)
+        typer.echo(json.dumps(result, indent=2))
+        outcomes = result.get("outcomes") if isinstance(result, dict) else None
+        good = not isinstance(outcomes, dict) or all(o.get("ok") for o in outcomes.values())
+        return Exit.DONE if good else Exit.FAILED
+
+    run(command)
+
+
+def discover(json_output: Json = False) -> None:
+    """List the RPC methods; --json gives the OpenRPC document."""
+
+    async def command(gcs: Client) -> None:
+        document = await gcs.call("rpc.discover")
+        if json_output:
+            typer.echo(json.dumps(document, indent=2))
+            return
+        for method in document["methods"]:
+            params = ", ".join(p["name"] if p["required"] else f"[{p['name']}]" for p in method["params"])
+            typer.echo(f"{method['name']:<20} {params}")
+            typer.echo(f"{'':<20} {method['summary']}")
+
+    run(command)
+
+
+def info(json_output: Json = False) -> None:
+    """Show the daemon itself: version, ids, dialect, recorder."""
+
+    async def command(gcs: Client) -> None:
+        answer = {"daemon": await gcs.call("daemon.info"), "recorder": await gcs.call("recorder.status")}
+        if json_output:
+            typer.echo(json.dumps(answer, indent=2))
+            return
+        for section, values in answer.items():
+            for key, value in values.items():
+                typer.echo(f"{section}.{key:<16} {value}")
+
+    run(command)
+
+
+def add_to(app: typer.Typer) -> None:
+    looking: tuple[Callable[..., None], ...] = (status, watch, events, info)
+    for function in looking:
+        app.command(rich_help_panel="Looking")(function)
+    programming: tuple[Callable[..., None], ...] = (call, discover)
+    for function in programming:
+        app.command(rich_help_panel="Programming")(function)

@@ -1,0 +1,242 @@
+"""What people see: states, outcomes, links and events as text. rich is imported only where a table is drawn."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+State = Mapping[str, Any]
+
+PIPE_WIDTH = 250
+"""Columns where there is no terminal: nothing is cut."""
+
+LOW_BATTERY_PERCENT = 25
+STATUS_COLUMNS = (
+    "name",
+    "id",
+    "autopilot",
+    "mode",
+    "armed",
+    "alt",
+    "battery",
+    "gps",
+    "link",
+    "loss",
+    "age",
+    "last text",
+)
+LINK_COLUMNS = (
+    "link",
+    "type",
+    "role",
+    "state",
+    "peer",
+    "rx",
+    "tx",
+    "dropped",
+    "bad crc",
+    "unknown",
+    "noise",
+    "sources",
+)
+
+
+def console() -> Console:
+    from rich.console import Console
+
+    return Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=PIPE_WIDTH)
+
+
+def status_cells(state: State) -> tuple[str, ...]:
+    """One vehicle in the columns of STATUS_COLUMNS, without any markup."""
+    battery, gps, position = (state.get(k) or {} for k in ("battery", "gps", "position"))
+    links: Mapping[str, Any] = state.get("links") or {}
+    best = min(links, key=lambda name: _number(links[name].get("loss_ratio"), 1.0), default=None)
+    texts: Sequence[Mapping[str, Any]] = state.get("status_texts") or ()
+    newest = min(texts, key=lambda t: _number(t.get("age_s"), 0.0), default=None)
+    return (
+        str(state["name"]),
+        str(state["sysid"]),
+        " ".join(filter(None, (state.get("autopilot"), state.get("firmware")))),
+        state.get("mode") or "?",
+        armed_word(state),
+        _altitude(position, state.get("landed")),
+        " ".join(filter(None, (_unit(battery.get("percent"), "%", 0), _unit(battery.get("volts"), "V", 1)))),
+        " ".join(filter(None, (gps.get("fix"), _unit(gps.get("satellites"), "sat", 0)))),
+        best or "",
+        percent(links[best].get("loss_ratio")) if best is not None else "",
+        age_word(state),
+        f"{newest['text']} ({duration(newest.get('age_s'))} ago)" if newest is not None else "",
+    )
+
+
+def armed_word(state: State) -> str:
+    """Armed or not, and what is worse than either."""
+    armed = {True: "ARMED", False: "no", None: "?"}[state.get("armed")]
+    return f"{armed} FAILSAFE" if state.get("failsafe") else armed
+
+
+def age_word(state: State) -> str:
+    """How long ago it was heard; "lost" if that is too long."""
+    age = duration(state.get("last_heartbeat_age_s"))
+    return age if state.get("connected") else f"lost {age}"
+
+
+def status_table(states: Iterable[State], fields: Sequence[str] = ()) -> Table:
+    """All vehicles; with ``fields`` (dotted paths) only the name and these."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("name", *fields) if fields else STATUS_COLUMNS:
+        right = column in ("id", "alt", "loss", "age")
+        table.add_column(column, justify="right" if right else "left", no_wrap=column != "last text")
+    for state in states:
+        cells = (str(state["name"]), *(field_text(state, f) for f in fields)) if fields else status_cells(state)
+        styles = [""] * len(cells) if fields else _styles(state)
+        row = [Text(cell, style=style) for cell, style in zip(cells, styles, strict=True)]
+        table.add_row(*row, style="dim" if state.get("connected") is False else None)
+    return table
+
+
+def field_text(state: State, path: str) -> str:
+    """The value at a dotted path ("position.alt_rel_m", "imu.accel_mps2.2") as text; "-" where nothing is known."""
+    value: Any = state
+    for part in path.split("."):
+        if isinstance(value, Mapping):
+            value = value.get(part)
+        elif isinstance(value, list) and part.isdigit() and int(part) < len(value):
+            value = value[int(part)]
+        else:
+            return "-"
+    return _plain(value)
+
+
+def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """One line per vehicle: whether it is done, and how or why not."""
+    width = max((len(name) for name in outcomes), default=0)
+    lines = []
+    for name, outcome in outcomes.items():
+        word = "ok  " if outcome["ok"] else "FAIL"
+        notes = [f"{outcome['elapsed_s']:.1f} s"]
+        if outcome.get("attempts", 1) > 1:
+            notes.append(f"{outcome['attempts']} attempts")
+        message = outcome["message"] or outcome["result"]
+        extra = [t for t in outcome.get("status_texts") or () if t not in message]
+        lines.append(f"{word} {name:<{width}}  {message} ({', '.join(notes)})")
+        lines += [f"     {'':<{width}}  {text}" for text in extra]
+    return lines
+
+
+def event_line(event: Mapping[str, Any]) -> str:
+    """Local time, kind, text; and how many were lost before it."""
+    clock = time.strftime("%H:%M:%S", time.localtime(event["time_unix_s"]))
+    vehicle = event.get("vehicle")
+    text = str(event["text"])
+    if vehicle and vehicle not in text:
+        text = f"{vehicle}: {text}"
+    lost = f"  [{event['dropped']} events lost before this one]" if event.get("dropped") else ""
+    return f"{clock} {event['kind']:<18} {text}{lost}"
+
+
+def message_line(message: Mapping[str, Any]) -> str:
+    """Source, name and every field of one message."""
+    source = message.get("vehicle") or f"{message.get('sysid')}/{message.get('compid')}"
+    fields = " ".join(f"{k}={_plain(v)}" for k, v in message["fields"].items())
+    lost = f"  [{message['dropped']} lost before this one]" if message.get("dropped") else ""
+    return f"{source} {message['name']} {fields}{lost}"
+
+
+def links_table(links: Iterable[Mapping[str, Any]]) -> Table:
+    """A row per channel; a link without channels has one row of its own."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in LINK_COLUMNS:
+        table.add_column(column, no_wrap=column not in ("peer", "sources"))
+    for link in links:
+        state = str(link.get("state", "?"))
+        since = link.get("since_s")
+        state_text = f"{state} {duration(since)}" if since is not None else state
+        if state != "up" and link.get("last_error"):
+            state_text += f": {link['last_error']}"
+        head = (str(link["name"]), str(link.get("type", "")), str(link.get("role", "")), state_text)
+        rows = [_channel_cells(channel) for channel in link.get("channels") or ()] or [("",) * 8]
+        for i, row in enumerate(rows):
+            table.add_row(*(head if i == 0 else ("",) * 4), *row, style="red" if state == "down" else None)
+    return table
+
+
+def _channel_cells(channel: Mapping[str, Any]) -> tuple[str, ...]:
+    counters: Mapping[str, Any] = channel.get("counters") or channel
+    sources = channel.get("sources") or {}
+    heard = (f"{name} {percent(s.get('loss_ratio'))}" for name, s in list(sources.items())[:8])
+    more = f" +{len(sources) - 8}" if len(sources) > 8 else ""
+    keys = ("rx_frames", "tx_frames", "tx_dropped", "bad_crc", "unknown")
+    noise = _unit(counters.get("skipped_bytes"), "B", 0)
+    return (str(channel.get("peer", "")), *(_plain(counters.get(k)) for k in keys), noise, ", ".join(heard) + more)
+
+
+def duration(seconds: object) -> str:
+    """ "0.4 s", "12 s", "5 min", "3 h"; "?" if unknown."""
+    if not isinstance(seconds, int | float):
+        return "?"
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.0f} h"
+
+
+def percent(ratio: object) -> str:
+    return f"{100 * ratio:.1f} %" if isinstance(ratio, int | float) else ""
+
+
+def _altitude(position: Mapping[str, Any], landed: object) -> str:
+    altitude = _unit(position.get("alt_rel_m"), "m", 1)
+    return f"{altitude or '?'} ground" if landed == "on_ground" else altitude
+
+
+def _styles(state: State) -> list[str]:
+    styles = dict.fromkeys(STATUS_COLUMNS, "")
+    if state.get("armed"):
+        styles["armed"] = "bold yellow"
+    if state.get("failsafe"):
+        styles["armed"] = "bold red"
+    if not state.get("connected"):
+        styles["age"] = "bold red"
+    charge = (state.get("battery") or {}).get("percent")
+    if isinstance(charge, int | float) and charge <= LOW_BATTERY_PERCENT:
+        styles["battery"] = "bold red"
+    if ((state.get("gps") or {}).get("fix_type") or 0) < 3:
+        styles["gps"] = "yellow"
+    return list(styles.values())
+
+
+def _plain(value: object) -> str:
+    match value:
+        case None:
+            return "-"
+        case bool():
+            return str(value).lower()
+        case float():
+            return f"{value:.7g}"
+        case list():
+            return "[" + ", ".join(_plain(v) for v in value) + "]"
+        case Mapping():
+            return " ".join(f"{k}={_plain(v)}" for k, v in value.items())
+    return str(value)
+
+
+def _unit(value: object, unit: str, digits: int) -> str:
+    return f"{value:.{digits}f} {unit}" if isinstance(value, int | float) else ""
+
+
+def _number(value: object, default: float) -> float:
+    return float(value) if isinstance(value, int | float) else default

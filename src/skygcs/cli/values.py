@@ -1,0 +1,81 @@
+"""What people type for values: numbers, lists, words; and what tells a negative number from an option."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import typer
+
+NUMBERS = {"ignore_unknown_options": True}
+"""Context settings of commands whose arguments may be negative: "-79.2" is no option there."""
+
+_WORDS: dict[str, Any] = {"true": True, "false": False, "null": None, "none": None, "nan": None}
+
+
+def parse_value(text: str) -> Any:
+    """A number (also 0x…), true, false, null or nan (both null), a list "1,2,3" or "[1,2,3]", JSON, or the text."""
+    word = text.strip()
+    if word.lower() in _WORDS:
+        return _WORDS[word.lower()]
+    for parse in (_integer, float, _json):
+        try:
+            value = parse(word)
+        except ValueError:
+            continue
+        return None if value != value or value in (float("inf"), float("-inf")) else value
+    if "," in word and not word.startswith(("{", "[", '"')):
+        parts = [parse_value(part) for part in word.split(",")]
+        if not any(isinstance(part, str) for part in parts):
+            return parts
+    return text
+
+
+def parse_pairs(pairs: list[str]) -> dict[str, Any]:
+    """ "a=1" "b=x" as {"a": 1, "b": "x"}; dots make nested tables. Raises BadParameter."""
+    result: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not key:
+            raise typer.BadParameter(f"{pair!r} is not of the form name=value")
+        *tables, last = key.split(".")
+        table = result
+        for name in tables:
+            table = table.setdefault(name, {})
+            if not isinstance(table, dict):
+                raise typer.BadParameter(f"{pair!r}: {name} has a value already")
+        if last in table:
+            raise typer.BadParameter(f"{key} is given twice")
+        table[last] = parse_value(value)
+    return result
+
+
+def parse_number(text: str, what: str) -> float:
+    """Raises BadParameter naming ``what``."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{what}: {text!r} is not a number") from None
+    if value != value or value in (float("inf"), float("-inf")):
+        raise typer.BadParameter(f"{what}: {text!r} is not a finite number")
+    return value
+
+
+def parse_unset_number(text: str, what: str) -> float | None:
+    """A number, or None for "nan", "null" or "-": not set."""
+    return None if text.lower() in ("nan", "null", "-") else parse_number(text, what)
+
+
+def name_or_id(text: str) -> str | int:
+    """ "33" is an id, everything else a name."""
+    return int(text) if text.isdigit() else text
+
+
+def _integer(text: str) -> int:
+    return int(text, 16) if text.lower().startswith("0x") else int(text)
+
+
+def _json(text: str) -> Any:
+    if not text.startswith(("[", "{", '"')):
+        raise ValueError
+    return json.loads(text)

@@ -1,0 +1,167 @@
+"""Commands about what goes over the wire: messages and links."""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from skygcs.cli import completion, render
+from skygcs.cli.connection import run
+from skygcs.cli.options import Json, LinkName, MessageName
+from skygcs.cli.values import NUMBERS, name_or_id, parse_pairs
+from skygcs.rpc.client import Client
+
+messages = typer.Typer(help="Watch, send and look up any message of the dialect.", no_args_is_help=True)
+links = typer.Typer(help="List, add, change and remove links.", invoke_without_command=True)
+
+
+@messages.command("watch")
+def watch_messages(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME …]", help="Names or ids; none: all.", autocompletion=completion.messages),
+    ] = None,
+    targets: Annotated[
+        str, typer.Option("--from", metavar="TARGETS", help="Only from these.", autocompletion=completion.targets)
+    ] = "all",
+    rate_hz: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="At most so many of each name and source.")
+    ] = None,
+    count: Annotated[int, typer.Option("--count", metavar="N", help="End after so many.", min=1)] = sys.maxsize,
+    json_output: Json = False,
+) -> None:
+    """Print messages as they come, until Ctrl-C."""
+    wanted = [name_or_id(name) for name in names or ()]
+
+    async def command(gcs: Client) -> None:
+        seen = 0
+        async for message in gcs.messages(*wanted, targets=targets, rate_hz=rate_hz):
+            typer.echo(json.dumps(message) if json_output else render.message_line(message))
+            sys.stdout.flush()
+            seen += 1
+            if seen >= count:
+                return
+
+    run(command)
+
+
+@messages.command("send", context_settings=dict(NUMBERS))
+def send_message(
+    name: MessageName,
+    fields: Annotated[list[str] | None, typer.Argument(metavar="[FIELD=VALUE …]", help="Others are 0.")] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            "--to", metavar="TARGET", help="One vehicle; default: everyone.", autocompletion=completion.targets
+        ),
+    ] = None,
+    link: Annotated[
+        str | None, typer.Option("--link", metavar="LINK", help="On this link only.", autocompletion=completion.links)
+    ] = None,
+    json_output: Json = False,
+) -> None:
+    """Send one message: `message send UTIAS quat=1,0,0,0 pos=0,0,1.5`. Enum names are values, too."""
+    values = parse_pairs(fields or [])
+
+    async def command(gcs: Client) -> None:
+        answer = await gcs.call("messages.send", name=name_or_id(name), fields=values, target=target, link=link)
+        if json_output:
+            typer.echo(json.dumps(answer, indent=2))
+        else:
+            typer.echo("sent" + (f" on {', '.join(map(str, answer['links']))}" if answer.get("links") else ""))
+
+    run(command)
+
+
+@messages.command("last")
+def last_message(
+    target: Annotated[str, typer.Argument(metavar="TARGET", help="One vehicle.", autocompletion=completion.targets)],
+    name: MessageName,
+    json_output: Json = False,
+) -> None:
+    """Show the last message of one name from one vehicle."""
+
+    async def command(gcs: Client) -> int:
+        answer = await gcs.call("messages.latest", target=target, name=name_or_id(name))
+        if json_output:
+            typer.echo(json.dumps(answer, indent=2))
+        elif answer is not None:
+            typer.echo(f"{answer['name']}, {render.duration(answer['age_s'])} ago")
+            for field, value in answer["fields"].items():
+                typer.echo(f"  {field:<24} {json.dumps(value)}")
+        else:
+            typer.echo(f"{target} has not sent {name} yet", err=True)
+        return answer is None
+
+    run(command)
+
+
+@messages.command("list")
+def list_messages(
+    part: Annotated[str, typer.Argument(metavar="[PART]", help="Only names with this in them.")] = "",
+    json_output: Json = False,
+) -> None:
+    """List the dialect's messages and their fields."""
+
+    async def command(gcs: Client) -> None:
+        found = [m for m in await gcs.call("messages.list") if part.upper() in m["name"].upper()]
+        if json_output:
+            typer.echo(json.dumps(found, indent=2))
+            return
+        for message in found:
+            fields = ", ".join(f"{f['name']} {f['type']}" for f in message["fields"])
+            typer.echo(f"{message['id']:>5} {message['name']}: {fields}")
+
+    run(command)
+
+
+@links.callback()
+def links_default(ctx: typer.Context, json_output: Json = False) -> None:
+    """List, add, change and remove links; alone it lists them."""
+    if ctx.invoked_subcommand is None:
+        _links("links.list", json_output)
+
+
+@links.command("list")
+def list_links(json_output: Json = False) -> None:
+    """Show every link and channel with its counters."""
+    _links("links.list", json_output)
+
+
+PAIRS = Annotated[
+    list[str], typer.Argument(metavar="KEY=VALUE …", help="As in the fleet file: type=udp_server port=14550.")
+]
+
+
+@links.command("add")
+def add_link(name: LinkName, pairs: PAIRS, json_output: Json = False) -> None:
+    """Add a link until the daemon ends: `links add qgc type=udp_client host=10.0.0.5 port=14550`."""
+    _links("links.add", json_output, name=name, link=parse_pairs(pairs))
+
+
+@links.command("change")
+def change_link(name: LinkName, pairs: PAIRS, json_output: Json = False) -> None:
+    """Close a link and open it again with these settings (all of them; nothing is kept)."""
+    _links("links.change", json_output, name=name, link=parse_pairs(pairs))
+
+
+@links.command("remove")
+def remove_link(name: LinkName, json_output: Json = False) -> None:
+    """Close a link and forget it."""
+    _links("links.remove", json_output, name=name)
+
+
+def _links(method: str, json_output: bool, **params: Any) -> NoReturn:
+    async def command(gcs: Client) -> None:
+        answer = await gcs.call(method, **params)
+        if json_output:
+            typer.echo(json.dumps(answer, indent=2))
+        elif answer:
+            render.console().print(render.links_table(answer))
+        else:
+            typer.echo("no links; add one: skygcs-cli links add NAME type=udp_server port=14550")
+
+    run(command)
