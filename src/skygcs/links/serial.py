@@ -48,9 +48,9 @@ class SerialLink(Link):
         if not self._rates:
             raise LinkError(f"serial {self.config.device}: the list of baud rates is empty")
         port = self._port = self._open_port()
+        fd = port.fileno()
         try:
-            fd = port.fileno()
-            channel = StreamChannel(
+            self._channel = StreamChannel(
                 self,
                 self.config.device,
                 fd,
@@ -58,10 +58,10 @@ class SerialLink(Link):
                 outstanding=partial(_bytes_outstanding, fd),
                 bytes_per_s=self.baud / BITS_PER_BYTE,
             )
+            self.host.attach(self._channel)
         except BaseException:
             await self.close()
             raise
-        self._channel = channel
         if len(self._rates) > 1:
             first = self._rates.index(self.baud)
             following = cycle(self._rates[first + 1 :] + self._rates[: first + 1])
@@ -155,7 +155,7 @@ def _explain(error: Exception, device: str, baud: int) -> str:
             return f"permission denied; {_who_may(device)}"
         case errno.EAGAIN | errno.EBUSY:
             return "in use by another program; stop that one first (sudo fuser -v " + device + " shows it)"
-        case errno.ENOTTY:
+        case errno.ENOTTY | errno.EISDIR:
             return "not a serial port"
         case _ if isinstance(error, ValueError):
             return f"the driver does not do {baud} baud; choose another rate"

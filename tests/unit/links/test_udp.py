@@ -11,12 +11,12 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import pytest
-from support.hosts import RecordingHost, heartbeat, open_descriptors, own, text, until
-from support.loops import on_every_loop
 
 from skygcs.config import models
 from skygcs.errors import LinkError
 from skygcs.links.udp import UdpBroadcastLink, UdpClientLink, UdpServerLink
+from support.hosts import RecordingHost, heartbeat, open_descriptors, own, text, until
+from support.loops import on_every_loop
 
 
 @contextmanager
@@ -245,7 +245,7 @@ async def test_a_host_name_and_ipv6_are_listened_on() -> None:
 
 @on_every_loop
 async def test_an_address_this_machine_does_not_have_is_explained() -> None:
-    with pytest.raises(LinkError, match="this machine has no address 192.0.2.1"):
+    with pytest.raises(LinkError, match=r"this machine has no address 192\.0\.2\.1"):
         await server(RecordingHost(), host="192.0.2.1")
 
 
