@@ -224,8 +224,8 @@ class VehicleActor:
         params: Sequence[float | None] = (),
         *,
         int_frame: int | str | None = None,
-        x: float | None = None,
-        y: float | None = None,
+        x: int | None = None,
+        y: int | None = None,
         z: float | None = None,
     ) -> Outcome:
         """Any command; see `orders.raw_command`."""

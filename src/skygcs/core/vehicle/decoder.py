@@ -107,20 +107,13 @@ class Decoder:
 
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
-        self.msgid: dict[str, int] = {}
         self.read: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
-        for name, fields in FIELDS.items():
+        """Readers of the scalar fields; a message that this dialect cannot give is not among them."""
+        for name in FIELDS.keys() | ARRAYS.keys():
             info = dialect.by_name.get(name)
-            if info is None:
-                continue
-            present = {f.name for f in info.fields}
-            if present.issuperset(fields):
-                self.msgid[name] = info.msgid
+            fields = FIELDS.get(name, ())
+            if info is not None and {f.name for f in info.fields}.issuperset((*fields, *ARRAYS.get(name, ()))):
                 self.read[name] = info.reader(*fields)
-        for name, fields in ARRAYS.items():
-            info = dialect.by_name.get(name)
-            if info is not None and {f.name for f in info.fields}.issuperset(fields):
-                self.msgid[name] = info.msgid
 
     def msgid_of(self, message: str) -> int:
         """Id of a message of the dialect; -1 if it has none of that name."""
@@ -128,14 +121,15 @@ class Decoder:
         return -1 if info is None else info.msgid
 
     def values(self, name: str, payload: bytes) -> tuple[Any, ...]:
-        """The fields of `FIELDS`, then the arrays of the message, in order."""
+        """The fields of `FIELDS`, then the arrays of the message, in order; () if this dialect cannot give them."""
         read = self.read.get(name)
-        scalars = read(payload) if read is not None else ()
+        if read is None:
+            return ()
         arrays = ARRAYS.get(name)
         if arrays is None:
-            return scalars
+            return read(payload)
         fields = self.dialect.by_name[name].unpack(payload)
-        return (*scalars, *(fields[a] for a in arrays))
+        return (*read(payload), *(fields[a] for a in arrays))
 
     def bit_names(self, enum: str, bits: int, prefix: str) -> list[str]:
         """Names of the set bits, lower case, without the prefix; unnamed bits as ``bit_N``."""

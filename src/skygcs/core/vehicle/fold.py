@@ -103,19 +103,24 @@ def fold_local(v: Values, decoder: Decoder) -> Folded | None:
 def fold_attitude(v: Values, decoder: Decoder) -> Folded | None:
     """Angles of the body (FRD) against NED, as every autopilot shows them: yaw is the compass heading."""
     if "ATTITUDE" in v:
-        boot_ms, roll, pitch, yaw, *rates = v["ATTITUDE"]
+        boot_ms, *angles = v["ATTITUDE"][:4]
+        rates = v["ATTITUDE"][4:]
+        if not all(map(math.isfinite, angles)):
+            return None
+        roll, pitch, yaw = angles
         quaternion = quaternion_from_euler(roll, pitch, yaw)
     else:
-        boot_ms, w, x, y, z, *rates = v["ATTITUDE_QUATERNION"]
-        quaternion = (w, x, y, z)
-        roll, pitch, yaw = euler_from_quaternion(w, x, y, z)
-    if not math.isfinite(roll + pitch + yaw):
-        return None
+        boot_ms, *parts = v["ATTITUDE_QUATERNION"][:5]
+        rates = v["ATTITUDE_QUATERNION"][5:]
+        if not all(abs(part) <= 2.0 for part in parts):  # also false for NaN
+            return None
+        quaternion = (parts[0], parts[1], parts[2], parts[3])
+        roll, pitch, yaw = euler_from_quaternion(*quaternion)
     return {
         "roll_deg": round(math.degrees(roll), 2),
         "pitch_deg": round(math.degrees(pitch), 2),
         "yaw_deg": round(wrap_deg_180(math.degrees(yaw)), 2),
-        "rates_dps": _numbers(tuple(rates), 180 / math.pi, 2),
+        "rates_dps": _numbers(rates, 180 / math.pi, 2),
         "quaternion": _numbers(quaternion, digits=5),
         "time_boot_s": boot_ms / 1000,
     }

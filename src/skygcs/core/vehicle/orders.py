@@ -30,8 +30,6 @@ MAX_RATE_HZ = 1000.0
 GROUND_TYPES = frozenset({10, 11, 12, 46})
 """Rovers, boats, submarines, legged: they go somewhere without being in the air."""
 
-LOCAL_FRAMES = frozenset({1, 4, 7, 8, 9, 12, 20, 21})
-MISSION_FRAME = 2
 INT32 = 1 << 31
 
 FORCE_HINT = "insist with force (--force)"
@@ -201,12 +199,12 @@ def raw_command(
     params: Sequence[float | None],
     *,
     int_frame: int | str | None = None,
-    x: float | None = None,
-    y: float | None = None,
+    x: int | None = None,
+    y: int | None = None,
     z: float | None = None,
 ) -> Plan:
     """Any MAV_CMD. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it goes as COMMAND_INT,
-    x and y in degrees for a global frame, metres for a local one, plain integers for MISSION."""
+    x and y as on the wire: degrees * 1e7 in a global frame, metres * 1e4 in a local one."""
     require_connected(vehicle, now)
     number, name = find_command(dialect, command)
     values = tuple(math.nan if p is None else float(p) for p in params)
@@ -219,7 +217,7 @@ def raw_command(
         spec = CommandSpec(number, values)
     else:
         frame = _frame_number(dialect, int_frame)
-        spec = CommandSpec(number, values, Location(frame, _scaled(frame, x), _scaled(frame, y), z or 0.0))
+        spec = CommandSpec(number, values, Location(frame, _int32("x", x), _int32("y", y), z or 0.0))
     return Plan("command", (Step(name, spec),), f"{name} accepted")
 
 
@@ -272,14 +270,11 @@ def _frame_number(dialect: Dialect, frame: int | str) -> int:
     )
 
 
-def _scaled(frame: int, value: float | None) -> int:
-    if value is None:
-        return 0
-    _require_finite("coordinate", value)
-    scaled = round(value * (1.0 if frame == MISSION_FRAME else 1e4 if frame in LOCAL_FRAMES else 1e7))
-    if not -INT32 <= scaled < INT32:
-        raise RefusedError(f"coordinate {value:g} does not fit in the message")
-    return scaled
+def _int32(name: str, value: int | None) -> int:
+    value = 0 if value is None else value
+    if not -INT32 <= value < INT32:
+        raise RefusedError(f"{name} {value} does not fit in 32 bits")
+    return value
 
 
 def _fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:

@@ -33,6 +33,12 @@ AIRBORNE = frozenset({"in_air", "takeoff", "landing"})
 SEVERITY = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 """MAV_SEVERITY."""
 
+
+def name_of(names: tuple[str, ...], value: int) -> str:
+    """Name of an enum value; one that the table does not have shows its number."""
+    return names[value] if 0 <= value < len(names) else str(value)
+
+
 Part = dict[str, Any]
 """One section; see `fold` for its keys, plus ``age_s``."""
 

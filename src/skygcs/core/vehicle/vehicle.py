@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from skygcs.core.exchange.command import RESULT_NAMES, Ack
+from skygcs.core.exchange.command import Ack
 from skygcs.core.geo import Origin, enu_from_geodetic
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
@@ -15,8 +15,9 @@ from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
-from skygcs.core.vehicle.fold import SECTIONS, Folded, Section
-from skygcs.core.vehicle.slots import Slot
+from skygcs.core.vehicle.fold import Folded
+from skygcs.core.vehicle.readings import Readings, Slot
+from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.state import (
     ACTIVE,
     AIRBORNE,
@@ -25,8 +26,8 @@ from skygcs.core.vehicle.state import (
     SEVERITY,
     STANDBY,
     SYSTEM_STATUS,
-    Part,
     VehicleState,
+    name_of,
 )
 from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
 
@@ -41,16 +42,12 @@ MAX_STATUS_TEXTS = 32
 LANDED_FRESH_S = 10.0
 """An EXTENDED_SYS_STATE older than this says nothing about now; autopilots stream it at 0.5 to 1 Hz."""
 
-ALTERNATIVE_LAG_S = 2.0
-"""Of messages that say the same, the preferred one is taken unless it is this much older than the newest."""
-
 BOOT_TEXTS = ("ardupilot ready", "initialising ardupilot")
 """What ArduPilot says once, at the end of its start. Its version banner is no sign: it answers every GCS with it."""
 
 BOOT_TEXT_MIN_UP_S = 30.0
 """A boot text of a vehicle met, or rebooted, less than this ago belongs to the start already known."""
 
-HIGH_LATENCY2 = 235
 BOOT_TIME_MESSAGES = ("ATTITUDE", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 
 Events = tuple[Event, ...]
@@ -90,8 +87,9 @@ class Vehicle:
         self.last_ack: Ack | None = None
         self.boot = BootClock()
         self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
-        self.slots: dict[int, Slot] = {}
         self._decoder = decoder or Decoder(dialect)
+        self.readings = Readings(self._decoder)
+        self.slots = self.readings.slots
         self._landed = "undefined"
         self._high_latency_failures = 0
         self._heard_at: float | None = None
@@ -102,9 +100,7 @@ class Vehicle:
         self._rates_at: float | None = None
         self._quarrel_told = False
         self._assembler = StatusTextAssembler()
-        self._cache: dict[str, tuple[tuple[Frame, ...], Folded | None]] = {}
         self._enu: tuple[Folded | None, Origin | None, list[float] | None] = (None, None, None)
-        ids = self._decoder.msgid
         handlers: dict[str, Callable[[bytes, float], Events]] = {
             "HEARTBEAT": self._on_heartbeat,
             "STATUSTEXT": self._on_statustext,
@@ -114,7 +110,8 @@ class Vehicle:
             "AUTOPILOT_VERSION": self._on_autopilot_version,
             "HIGH_LATENCY2": self._on_high_latency,
         }
-        self._handlers = {ids[n]: handler for n, handler in handlers.items() if n in ids}
+        able = self._decoder.read
+        self._handlers = {self._decoder.msgid_of(n): handler for n, handler in handlers.items() if n in able}
 
     def on_frame(self, frame: Frame, now: float) -> Events:
         """Note a frame of this vehicle. Hot: one dict lookup and three assignments for most of them. Never raises."""
@@ -142,8 +139,7 @@ class Vehicle:
         if self._rates_at is None:
             self._rates_at = now
         elif now - self._rates_at >= RATE_PERIOD_S:
-            for slot in self.slots.values():
-                slot.sample(now - self._rates_at)
+            self.readings.sample(now - self._rates_at)
             self._rates_at = now
             events += self._check_clocks(now)
         return tuple(events)
@@ -189,9 +185,8 @@ class Vehicle:
         return None if landed == "undefined" else landed in AIRBORNE
 
     def slot(self, message: str) -> Slot | None:
-        """The last frame of a message, its time and count; None if none came (or not since the last reboot)."""
-        slot = self.slots.get(self._decoder.msgid_of(message))
-        return slot if slot is not None and slot.frame is not None else None
+        """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
+        return self.readings.slot(message)
 
     def count(self, message: str) -> int:
         """How often a message has come."""
@@ -199,13 +194,13 @@ class Vehicle:
         return 0 if slot is None else slot.count
 
     def section(self, name: str) -> Folded | None:
-        """One section of the state, without its age. Do not change it: it is kept."""
-        return self._fold(_BY_NAME[name])[0]
+        """One section of the state, without its age. It is kept: do not change it."""
+        return self.readings.section(name)[0]
 
     def section_at(self, name: str) -> float | None:
         """When the newest message of a section came."""
-        slots = self._slots_of(_BY_NAME[name])
-        return max(s.at for s in slots) if slots else None
+        folded, at = self.readings.section(name)
+        return None if folded is None else at
 
     def home_alt_amsl_m(self) -> float | None:
         """What GLOBAL_POSITION_INT.relative_alt is relative to; HOME_POSITION only if there is no position."""
@@ -217,48 +212,19 @@ class Vehicle:
 
     def snapshot(self, now: float, unix_now: float | None = None) -> VehicleState:
         """The whole state. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
-        sections: dict[str, Part | None] = {}
-        for section in SECTIONS:
-            folded, at = self._fold(section)
-            sections[section.name] = None if folded is None else {**folded, "age_s": round(now - at, 3)}
-        position = sections["position"]
-        if position is not None:
-            position["enu_m"] = self.enu_m()
-        state: dict[str, Any] = {
-            "name": self.name,
-            "sysid": self.sysid,
-            "compid": self.compid,
-            "autopilot": self.family,
-            "type": self._enum_name("MAV_TYPE", self.type),
-            "firmware": self.firmware,
-            "groups": list(self.groups),
-            "connected": self.connected,
-            "last_heartbeat_age_s": _rounded(self.silence_s(now), 3),
-            "uptime_s": _rounded(self.boot.uptime_s(now), 1),
-            "clock_offset_s": self._clock_offset_s(now, unix_now),
-            "armed": self.armed,
-            "mode": self.mode,
-            "system_status": _name_of(SYSTEM_STATUS, self.system_status),
-            "landed": self.landed(now),
-            "failsafe": self.failsafe,
-            **sections,
-            "last_ack": self._ack_part(now),
-            "status_texts": [
-                {
-                    "severity": _name_of(SEVERITY, t.severity),
-                    "level": t.severity,
-                    "text": t.text,
-                    "age_s": round(now - t.at, 1),
-                }
-                for t in self.texts
-            ],
-            "messages": {
-                s.name: {"rate_hz": round(s.rate_hz, 2), "age_s": round(now - s.at, 3), "count": s.count}
-                for s in self.slots.values()
-            },
-            "links": {},
-        }
-        return state  # type: ignore[return-value]  # the keys of `VehicleState`; a test compares them
+        return take_snapshot(self, now, unix_now)
+
+    def clock_offset_s(self, now: float, unix_now: float) -> float | None:
+        """The vehicle's clock minus ours, as of the last SYSTEM_TIME; the link's delay makes it look late."""
+        time, at = self.readings.section("time")
+        if time is None or time["unix_s"] is None:
+            return None
+        return round(float(time["unix_s"]) - (unix_now - (now - at)), 3)
+
+    def enum_name(self, enum: str, value: int) -> str:
+        """Name of an entry of one of the dialect's enums without the enum's own; the number if it has none."""
+        name = self._decoder.dialect.enums.get(enum, {}).get(value)
+        return str(value) if name is None else name.removeprefix(enum + "_")
 
     def enu_m(self) -> list[float] | None:
         """Position about the fleet's origin; None without position or origin."""
@@ -269,27 +235,6 @@ class Vehicle:
             enu = enu_from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"], self.origin)
             self._enu = (position, self.origin, [round(c, 3) for c in enu])
         return self._enu[2]
-
-    def _slots_of(self, section: Section) -> list[Slot]:
-        slots = [s for s in map(self.slot, section.messages) if s is not None]
-        if section.combine or len(slots) < 2:
-            return slots
-        newest = max(s.at for s in slots)
-        return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
-
-    def _fold(self, section: Section) -> tuple[Folded | None, float]:
-        slots = self._slots_of(section)
-        if not slots:
-            return None, 0.0
-        at = max(s.at for s in slots)
-        frames = tuple(s.frame for s in slots if s.frame is not None)
-        known = self._cache.get(section.name)
-        if known is not None and len(known[0]) == len(frames) and all(map(_same, known[0], frames)):
-            return known[1], at
-        values = {f.name: self._decoder.values(f.name, f.payload) for f in frames}
-        folded = section.fold(values, self._decoder)
-        self._cache[section.name] = (frames, folded)
-        return folded, at
 
     def _event(self, kind: str, text: str, data: dict[str, Any] | None = None) -> Event:
         return Event(kind, self.name, self.sysid, text, data or {})
@@ -342,7 +287,7 @@ class Vehicle:
         return tuple(events)
 
     def _failsafe_event(self) -> Event:
-        status = _name_of(SYSTEM_STATUS, self.system_status)
+        status = name_of(SYSTEM_STATUS, self.system_status)
         if not self.failsafe:
             return self._event("failsafe", f"failsafe over, system status {status}", {"failsafe": False})
         why = next((t.text for t in reversed(self.texts) if t.severity <= 4), None)
@@ -360,7 +305,7 @@ class Vehicle:
         if not text.text:
             return []
         self.texts.append(text)
-        name = _name_of(SEVERITY, text.severity)
+        name = name_of(SEVERITY, text.severity)
         data = {"severity": name, "level": text.severity, "text": text.text}
         events = [self._event("statustext", text.text, data)]
         if self.firmware is None:
@@ -377,7 +322,7 @@ class Vehicle:
 
     def _on_extended_sys_state(self, payload: bytes, now: float) -> Events:
         (state,) = self._decoder.read["EXTENDED_SYS_STATE"](payload)
-        landed = _name_of(LANDED, state)
+        landed = name_of(LANDED, state)
         if landed == self._landed:
             return ()
         was, self._landed = self._landed, landed
@@ -400,12 +345,11 @@ class Vehicle:
 
     def _check_clocks(self, now: float) -> Events:
         """SYSTEM_TIME is not streamed by everybody; other messages carry the same clock."""
-        slots = [s for s in map(self.slot, BOOT_TIME_MESSAGES) if s is not None]
-        if not slots:
+        newest = self.readings.newest(BOOT_TIME_MESSAGES)
+        if newest is None or newest.frame is None:
             return ()
-        newest = max(slots, key=lambda s: s.at)
-        assert newest.frame is not None
-        return self._on_boot_ms(self._decoder.values(newest.name, newest.frame.payload)[0], newest.at)
+        values = self._decoder.values(newest.name, newest.frame.payload)
+        return self._on_boot_ms(values[0], newest.at) if values else ()
 
     def _on_boot_ms(self, boot_ms: int, now: float) -> Events:
         if not self.boot.on_boot_ms(boot_ms, now):
@@ -422,44 +366,5 @@ class Vehicle:
         """What was known of the life before is no longer true, but for the heartbeat."""
         self._known_since = now
         self._landed = "undefined"
-        keep = self._decoder.msgid.get("HEARTBEAT")
-        for msgid, slot in self.slots.items():
-            if msgid != keep and slot.at < now:
-                slot.frame = None
+        self.readings.forget_before(now, keep="HEARTBEAT")
         return self._event("reboot", text, {})
-
-    def _ack_part(self, now: float) -> Part | None:
-        slot = self.slot("COMMAND_ACK")
-        if slot is None or self.last_ack is None:
-            return None
-        return {
-            "command": self._enum_name("MAV_CMD", self.last_ack.command),
-            "result": RESULT_NAMES.get(self.last_ack.result, str(self.last_ack.result)),
-            "age_s": round(now - slot.at, 3),
-        }
-
-    def _clock_offset_s(self, now: float, unix_now: float | None) -> float | None:
-        """The vehicle's clock minus ours, as of the last SYSTEM_TIME; the link's delay makes it look late."""
-        time, at = self._fold(_BY_NAME["time"])
-        if unix_now is None or time is None or time["unix_s"] is None:
-            return None
-        return round(float(time["unix_s"]) - (unix_now - (now - at)), 3)
-
-    def _enum_name(self, enum: str, value: int) -> str:
-        name = self._decoder.dialect.enums.get(enum, {}).get(value)
-        return str(value) if name is None else name.removeprefix(enum + "_")
-
-
-_BY_NAME = {section.name: section for section in SECTIONS}
-
-
-def _same(a: Frame, b: Frame) -> bool:
-    return a is b
-
-
-def _name_of(names: tuple[str, ...], value: int) -> str:
-    return names[value] if 0 <= value < len(names) else str(value)
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None else round(value, digits)

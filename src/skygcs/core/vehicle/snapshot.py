@@ -1,0 +1,66 @@
+"""Putting the whole state of a vehicle together for somebody to look at."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from skygcs.core.exchange.command import RESULT_NAMES
+from skygcs.core.vehicle.state import SEVERITY, SYSTEM_STATUS, Part, VehicleState, name_of
+
+if TYPE_CHECKING:
+    from skygcs.core.vehicle.vehicle import Vehicle
+
+
+def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> VehicleState:
+    """See `Vehicle.snapshot`."""
+    sections = vehicle.readings.sections(now)
+    position = sections["position"]
+    if position is not None:
+        position["enu_m"] = vehicle.enu_m()
+    state: dict[str, Any] = {
+        "name": vehicle.name,
+        "sysid": vehicle.sysid,
+        "compid": vehicle.compid,
+        "autopilot": vehicle.family,
+        "type": vehicle.enum_name("MAV_TYPE", vehicle.type),
+        "firmware": vehicle.firmware,
+        "groups": list(vehicle.groups),
+        "connected": vehicle.connected,
+        "last_heartbeat_age_s": _rounded(vehicle.silence_s(now), 3),
+        "uptime_s": _rounded(vehicle.boot.uptime_s(now), 1),
+        "clock_offset_s": None if unix_now is None else vehicle.clock_offset_s(now, unix_now),
+        "armed": vehicle.armed,
+        "mode": vehicle.mode,
+        "system_status": name_of(SYSTEM_STATUS, vehicle.system_status),
+        "landed": vehicle.landed(now),
+        "failsafe": vehicle.failsafe,
+        **sections,
+        "last_ack": _last_ack(vehicle, now),
+        "status_texts": [
+            {
+                "severity": name_of(SEVERITY, text.severity),
+                "level": text.severity,
+                "text": text.text,
+                "age_s": round(now - text.at, 1),
+            }
+            for text in vehicle.texts
+        ],
+        "messages": vehicle.readings.rates(now),
+        "links": {},
+    }
+    return state  # type: ignore[return-value]  # the keys of `VehicleState`; a test compares them
+
+
+def _last_ack(vehicle: Vehicle, now: float) -> Part | None:
+    slot = vehicle.slot("COMMAND_ACK")
+    if slot is None or vehicle.last_ack is None:
+        return None
+    return {
+        "command": vehicle.enum_name("MAV_CMD", vehicle.last_ack.command),
+        "result": RESULT_NAMES.get(vehicle.last_ack.result, str(vehicle.last_ack.result)),
+        "age_s": round(now - slot.at, 3),
+    }
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None else round(value, digits)
