@@ -135,6 +135,9 @@ class CopterVehicle(SimVehicle):
         self._prearm_at = now + 3.0
         for stream, (param, _) in STREAM_GROUPS.items():
             self._set_group(stream, self.params[param], now)
+        self._tell_banner(now)
+
+    def _tell_banner(self, now: float) -> None:
         for i, text in enumerate(BOOT_TEXTS):
             self.later(now + 0.3 + 0.4 * i, partial(self.tx.say, m.MAV_SEVERITY_INFO, text))
 
@@ -291,6 +294,9 @@ class CopterVehicle(SimVehicle):
                 if self.armed:
                     return m.MAV_RESULT_TEMPORARILY_REJECTED
                 self._tell_prearm()
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_DO_SEND_BANNER:
+                self._tell_banner(now)
                 return m.MAV_RESULT_ACCEPTED
             case m.MAV_CMD_MISSION_START:
                 return m.MAV_RESULT_FAILED  # no mission on board

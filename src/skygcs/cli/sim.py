@@ -1,0 +1,151 @@
+"""`skygcs sim`: simulated vehicles as a process of their own, over UDP, TCP or a pseudo-terminal."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import time
+from collections.abc import Sequence
+
+from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort
+from skygcs.config.dialects import load_dialect
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.sim import protocol as m
+from skygcs.core.sim.chance import Chance
+from skygcs.core.sim.fleet import make_vehicles
+from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.sim.radio import SimRadio
+from skygcs.core.sim.vehicle import TICK_S, SimVehicle
+from skygcs.errors import LinkError
+
+SIM_DIALECT = "ardupilotmega"
+
+MAX_SPEEDUP = 100.0
+
+SHORTEST_TICK_S = 0.005
+"""Of real time: with a speedup the vehicles take several of their ticks at one of ours."""
+
+
+def run_sim(
+    *,
+    px4: int,
+    ardupilot: int,
+    first_sysid: int,
+    udp: str | None = None,
+    tcp: str | None = None,
+    pty: str | None = None,
+    separate_ports: bool = False,
+    home: str = "43.7806,-79.4653,180",
+    seed: int = 1,
+    speedup: float = 1.0,
+    radio: bool = True,
+) -> int:
+    """Run simulated vehicles until SIGINT or SIGTERM; the exit code. Says on stdout how to reach each.
+
+    ``udp`` HOST:PORT is sent to, all vehicles from one socket or, with ``separate_ports``, each from its own.
+    ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
+    its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
+    behind a radio, which with ``radio`` reports RADIO_STATUS. ``home`` is LAT,LON,AMSL[,HEADING].
+    Raises LinkError, one line for a person, for what cannot be understood or opened.
+    """
+    if not 0 < speedup <= MAX_SPEEDUP:
+        raise LinkError(f"speedup {speedup:g}: must be above 0 and at most {MAX_SPEEDUP:g}")
+    if sum(way is not None for way in (udp, tcp, pty)) != 1:
+        raise LinkError("one of --udp, --tcp and --pty is needed")
+    where, heading_deg = _parse_home(home)
+    dialect = load_dialect(SIM_DIALECT)
+    try:
+        vehicles = make_vehicles(
+            dialect,
+            px4=px4,
+            ardupilot=ardupilot,
+            first_sysid=first_sysid,
+            home=where,
+            heading_deg=heading_deg,
+            seed=seed,
+            unix_us=int(time.time() * 1e6),
+        )
+    except ValueError as error:
+        raise LinkError(str(error)) from None
+    if not vehicles:
+        raise LinkError("no vehicles: --px4 and --ardupilot are both 0")
+    clock = SimClock(speedup)
+    groups = [[v] for v in vehicles] if separate_ports and pty is None else [vehicles]
+    ports: list[SimPort] = []
+    for i, group in enumerate(groups):
+        if udp is not None:
+            ports.append(UdpPort(group, dialect, clock, _parse_address("--udp", udp)))
+        elif tcp is not None:
+            host, number = _parse_address("--tcp", tcp)
+            ports.append(TcpPort(group, dialect, clock, (host, number + i if number else 0)))
+        elif pty is not None:
+            ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None))
+    from skygcs.cli.serve import run_loop  # not above: it is the one that imports us
+
+    return run_loop(_serve(ports, clock, speedup))
+
+
+def _radio(dialect: Dialect, seed: int) -> SimRadio:
+    return SimRadio(dialect, Chance(seed))
+
+
+def _parse_home(text: str) -> tuple[LocalFrame, float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+        lat_deg, lon_deg, alt_amsl_m = numbers[:3]
+        heading_deg = numbers[3] if len(numbers) == 4 else 0.0
+    except ValueError:
+        raise LinkError(f"--home {text!r}: write LAT,LON,AMSL or LAT,LON,AMSL,HEADING") from None
+    if len(numbers) > 4 or not (abs(lat_deg) < 90 and abs(lon_deg) <= 180 and abs(alt_amsl_m) < 10_000):
+        raise LinkError(f"--home {text!r}: not a place on Earth (degrees, degrees, metres)")
+    return LocalFrame(lat_deg, lon_deg, alt_amsl_m), heading_deg
+
+
+def _parse_address(option: str, text: str) -> tuple[str, int]:
+    host, colon, port = text.rpartition(":")
+    if not colon or not port.isdigit() or int(port) > 65535:
+        raise LinkError(f"{option} {text!r}: write HOST:PORT")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
+def describe(vehicle: SimVehicle) -> str:
+    firmware = "PX4" if vehicle.autopilot == m.MAV_AUTOPILOT_PX4 else "ArduCopter"
+    return f"vehicle {vehicle.sysid}: {firmware} quadrotor"
+
+
+async def _serve(ports: Sequence[SimPort], clock: SimClock, speedup: float) -> int:
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stop.set)
+    clock.start()
+    try:
+        for port in ports:
+            reach = await port.open()
+            for vehicle in port.fleet.vehicles:
+                print(f"{describe(vehicle)}, {reach}", flush=True)
+        await _tick_until(stop, ports, max(TICK_S / speedup, SHORTEST_TICK_S))
+    finally:
+        for port in ports:
+            port.close()
+    return 0
+
+
+async def _tick_until(stop: asyncio.Event, ports: Sequence[SimPort], period_s: float) -> None:
+    loop = asyncio.get_running_loop()
+    deadline = loop.time()
+    timer: asyncio.Handle | None = None
+
+    def tick() -> None:
+        nonlocal deadline, timer
+        for port in ports:
+            port.pump()
+        deadline = max(deadline + period_s, loop.time())
+        timer = loop.call_at(deadline, tick)
+
+    timer = loop.call_soon(tick)
+    try:
+        await stop.wait()
+    finally:
+        if timer is not None:
+            timer.cancel()

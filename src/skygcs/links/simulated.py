@@ -1,0 +1,139 @@
+"""Simulated vehicles behind one channel of the daemon, as behind a multipoint radio: no sockets, the same bytes.
+
+They live on the loop's clock, so that in virtual time a flight of minutes takes milliseconds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Hashable
+
+from skygcs.config import models
+from skygcs.config.dialects import load_dialect
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.sim.fleet import SimFleet, make_vehicles
+from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.sim.vehicle import TICK_S, SimVehicle
+from skygcs.errors import LinkError
+from skygcs.links.base import Channel, Link, LinkHost, Outgoing
+
+SIM_DIALECT = "ardupilotmega"
+"""What the vehicles speak, whatever the daemon's dialect is: it has all of PX4's telemetry sent here as well."""
+
+
+class SimulatedChannel(Channel):
+    """The way to all simulated vehicles. What is sent reaches them at once, their answers come from the loop."""
+
+    def __init__(self, link: SimulatedVehiclesLink) -> None:
+        super().__init__(link, f"{len(link.vehicles)} simulated vehicles")
+        self._vehicles: SimulatedVehiclesLink | None = link
+
+    def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
+        if self._vehicles is None:
+            self.tx_dropped += 1
+            return False
+        raw = self.encode(outgoing)
+        self.tx_frames += 1
+        self.tx_bytes += len(raw)
+        self._vehicles.uplink(raw)
+        return True
+
+    def close(self) -> None:
+        """Nothing is sent after this. Idempotent."""
+        self._vehicles = None
+
+
+class SimulatedVehiclesLink(Link):
+    """``vehicles`` are there from the first `open` on and live on while the link is closed, as real ones do."""
+
+    config: models.SimulatedLink
+
+    def __init__(self, config: models.SimulatedLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__(config, host, loop)
+        self._fleet = SimFleet([])
+        self._uplink: FrameParser | None = None
+        self._channel: SimulatedChannel | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._next_tick = 0.0
+        self._answering = False
+
+    @property
+    def vehicles(self) -> list[SimVehicle]:
+        """The simulated vehicles, PX4s first; for looking at them and for setting faults."""
+        return self._fleet.vehicles
+
+    @property
+    def channels(self) -> list[Channel]:
+        return [] if self._channel is None else [self._channel]
+
+    async def open(self) -> None:
+        if self._channel is not None:
+            return
+        if self._uplink is None:
+            self._power_up()
+        self._channel = SimulatedChannel(self)
+        self.host.attach(self._channel)
+        self._next_tick = self.loop.time()
+        self._tick()
+
+    async def close(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        if self._channel is not None:
+            channel, self._channel = self._channel, None
+            channel.close()
+            self.host.detach(channel, "closed")
+
+    def uplink(self, raw: bytes) -> None:
+        """Bytes from the channel to the vehicles."""
+        assert self._uplink is not None
+        now = self.loop.time()
+        for frame in self._uplink.feed_datagram(raw):
+            self._fleet.on_frame(frame, now)
+        if not self._answering:
+            self._answering = True
+            # not from within the host's own send: it may be amid routing a frame
+            self.loop.call_soon(self._answer)
+
+    def _power_up(self) -> None:
+        config = self.config
+        dialect = load_dialect(SIM_DIALECT)
+        try:
+            vehicles = make_vehicles(
+                dialect,
+                px4=config.px4,
+                ardupilot=config.ardupilot,
+                first_sysid=config.first_sysid,
+                home=LocalFrame(config.lat_deg, config.lon_deg, config.alt_amsl_m),
+                seed=config.seed,
+                now=self.loop.time(),
+                unix_us=int(time.time() * 1e6),
+            )
+        except ValueError as error:
+            raise LinkError(f"simulated {self.name}: {error}") from None
+        self._fleet = SimFleet(vehicles)
+        self._uplink = FrameParser(dialect)
+
+    def _answer(self) -> None:
+        self._answering = False
+        self._deliver()
+
+    def _tick(self) -> None:
+        self._deliver()
+        now = self.loop.time()
+        # absolute deadlines; after a stall the vehicles catch up in one step, the timer does not
+        self._next_tick = max(self._next_tick + TICK_S, now)
+        self._timer = self.loop.call_at(self._next_tick, self._tick)
+
+    def _deliver(self) -> None:
+        channel = self._channel
+        if channel is None:
+            return
+        now = self.loop.time()
+        sent = self._fleet.step(now)
+        frames = channel.parser.feed(b"".join(sent)) if sent else []
+        if frames:
+            self.host.on_frames(channel, frames, now)
