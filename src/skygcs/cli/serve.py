@@ -164,12 +164,12 @@ def run_loop(main_coroutine: Coroutine[Any, Any, int]) -> int:
         with asyncio.Runner(loop_factory=factory) as runner:
             return runner.run(main_coroutine)
     except BaseExceptionGroup as group:
-        ours = group.subgroup(SkygcsError)
-        if ours is None:
+        first: BaseException | None = group.subgroup(SkygcsError)
+        while isinstance(first, BaseExceptionGroup):
+            first = first.exceptions[0]
+        if first is None:
             raise
-        while isinstance(ours, BaseExceptionGroup):
-            ours = ours.exceptions[0]
-        raise ours from None
+        raise first from None
 
 
 def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
@@ -201,7 +201,7 @@ def _demo(args: argparse.Namespace) -> int:
     from skygcs.cli.demo import demo
 
     configure_logging(quiet=True)
-    return run_loop(demo(stay=args.stay, socket=args.socket, log_dir=args.log_dir))
+    return run_loop(demo(stay=args.stay, socket=args.socket, log_dir=args.log_dir.resolve()))
 
 
 def _sim(args: argparse.Namespace) -> int:

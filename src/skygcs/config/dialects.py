@@ -15,6 +15,7 @@ import json
 import os
 import re
 import tempfile
+from collections.abc import Sequence
 from importlib import metadata, util
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,7 @@ PX4_EXTRAS = "px4-extras"
 """Shipped file with the messages PX4 sends that pymavlink's XML lacks."""
 
 _INCLUDE = re.compile(rb"<include>\s*([^<]+?)\s*</include>")
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
 
 def shipped_dialects_dir() -> Path:
@@ -62,7 +64,7 @@ def default_cache_dir() -> Path:
 
 
 def load_dialect(
-    name_or_path: str | list[str], *, base_dir: Path | None = None, cache_dir: Path | None = None
+    name_or_path: str | Sequence[str], *, base_dir: Path | None = None, cache_dir: Path | None = None
 ) -> Dialect:
     """The dialect of that name (pymavlink's or shipped) or XML path; a list merges several, first ones win.
 
@@ -77,7 +79,7 @@ def load_dialect(
         digest.update(path.name.encode() + b"\0" + content + b"\0")
     label = "+".join(root.stem for root in roots)
     cache = (cache_dir or default_cache_dir()) / f"{label}-{digest.hexdigest()[:24]}.json"
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, IndexError):
+    with contextlib.suppress(OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return Dialect.from_table(json.loads(cache.read_bytes()))
     dialect = _generate(label, [path for path, _ in sources])
     _store(cache, dialect)
@@ -95,7 +97,7 @@ def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
         if not path.is_absolute() and base_dir is not None:
             path = base_dir / path
         if not path.is_file():
-            raise DialectError(str(path), None, "no such dialect file")
+            raise DialectError(str(path), None, "is a folder" if path.is_dir() else "no such dialect file")
         return path
     for folder in (shipped_dialects_dir(), packaged_dialects_dir()):
         path = folder / f"{name_or_path}.xml"
@@ -108,32 +110,33 @@ def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
 
 
 def _collect(roots: list[Path]) -> list[tuple[Path, bytes]]:
-    """Every file that takes part, roots first, each once; includes are looked for beside the file, then packaged."""
-    found: list[tuple[Path, bytes]] = []
-    seen: set[Path] = set()
-    queue = [(root, 0) for root in roots]
-    while queue:
-        path, depth = queue.pop(0)
+    """Every file that takes part, each once, an including one before what it includes. Raises DialectError."""
+    found: dict[Path, tuple[Path, bytes]] = {}
+
+    def visit(path: Path, chain: tuple[Path, ...]) -> None:
         real = path.resolve()
-        if real in seen:
-            continue
-        seen.add(real)
+        if real in found:
+            return
         try:
             content = path.read_bytes()
         except OSError as error:
             raise DialectError(str(path), None, f"cannot be read: {error.strerror}") from None
-        found.append((path, content))
-        for match in _INCLUDE.finditer(_without_comments(content)):
-            line = content.count(b"\n", 0, max(content.find(match.group(0)), 0)) + 1
-            if depth >= MAX_INCLUDE_DEPTH:
-                raise DialectError(str(path), line, f"includes nest deeper than {MAX_INCLUDE_DEPTH}")
+        found[real] = (path, content)
+        chain = (*chain, real)
+        visible = _COMMENT.sub(lambda m: b"\n" * m.group().count(b"\n"), content)  # keeps the lines
+        for match in _INCLUDE.finditer(visible):
+            line = visible.count(b"\n", 0, match.start()) + 1
             name = match.group(1).decode("utf-8", "replace")
-            queue.append((_resolve_include(path, line, name), depth + 1))
-    return found
+            if len(chain) > MAX_INCLUDE_DEPTH:
+                raise DialectError(str(path), line, f"includes nest deeper than {MAX_INCLUDE_DEPTH}")
+            included = _resolve_include(path, line, name)
+            if included.resolve() in chain:
+                raise DialectError(str(path), line, f"includes {name}, which includes this file again")
+            visit(included, chain)
 
-
-def _without_comments(content: bytes) -> bytes:
-    return re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL)
+    for root in roots:
+        visit(root, ())
+    return list(found.values())
 
 
 def _resolve_include(including: Path, line: int, name: str) -> Path:
@@ -213,9 +216,9 @@ def _validate(path: Path) -> None:
     from lxml import etree
 
     try:
-        document = etree.parse(str(path))
+        document = etree.parse(str(path), etree.XMLParser(resolve_entities=False, no_network=True))
     except etree.XMLSyntaxError as error:
-        raise DialectError(str(path), error.lineno, str(error.msg).split(", line ")[0]) from None
+        raise DialectError(str(path), error.lineno or 1, str(error.msg).split(", line ")[0]) from None
     schema_path = _pymavlink_dir() / "generator" / "mavschema.xsd"
     tree = etree.parse(str(schema_path))
     for element in tree.iterfind('{*}attribute[@name="units"]'):

@@ -92,7 +92,7 @@ class Hub:
         self.channels: dict[int, Channel] = {}
         self.faults = 0
         self._config = config
-        self._dialect = dialect
+        self.dialect = dialect
         self._loop = loop
         self._own = (own.sysid, own.compid)
         self._on_vehicle_frame = on_vehicle_frame
@@ -107,14 +107,14 @@ class Hub:
 
     def new_parser(self, config: LinkConfig) -> FrameParser:
         """A parser for one channel."""
-        return FrameParser(self._dialect, pass_bad_crc=self._config.daemon.bad_crc == "pass")
+        return FrameParser(self.dialect, pass_bad_crc=self._config.daemon.bad_crc == "pass")
 
     def attach(self, channel: Channel) -> None:
         """The channel may be routed to from now on; gives it its id."""
         channel.id = self._next_id
         self._next_id += 1
         self.channels[channel.id] = channel
-        self.router.open(channel.id, channel_policy(channel.config, self._dialect))
+        self.router.open(channel.id, channel_policy(channel.config, self.dialect))
 
     def detach(self, channel: Channel, reason: str) -> None:
         """The channel is gone, with its routes. Idempotent."""

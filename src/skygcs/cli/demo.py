@@ -1,0 +1,273 @@
+"""`skygcs demo`: the daemon and three simulated vehicles, flown over the JSON-RPC socket like any client would.
+
+Two PX4 and one ArduCopter behind one simulated radio; a live table; a tlog; a summary. `--stay` keeps it up.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import os
+import tempfile
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from skygcs.cli.render import status_table
+from skygcs.cli.serve import EXIT_FAILED, EXIT_OK, serve_until_signal
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import DaemonConfig, FleetConfig, OriginConfig, SimulatedLink, UdpClientLink, VehicleEntry
+from skygcs.daemon import Daemon
+from skygcs.errors import SkygcsError
+from skygcs.rpc.address import default_socket_path
+from skygcs.rpc.client import Client, connect
+
+HOME = OriginConfig(lat_deg=43.7806, lon_deg=-79.4653, alt_amsl_m=180.0)
+"""UTIAS, Toronto: where the lab flew."""
+
+QGC_PORT = 14550
+"""Where QGroundControl listens by default; with --stay it sees the three vehicles without any set-up."""
+
+DISCOVERY_S = 20.0
+ARMING_S = 30.0
+"""A simulated ArduCopter refuses to arm until its estimator has converged, as a real one does."""
+
+ARRIVAL_M = 1.0
+LEG_S = 40.0
+TARGETS_ENU_M = {"alpha": (12.0, 0.0, 6.0), "bravo": (0.0, 12.0, 8.0), "charlie": (-12.0, 0.0, 10.0)}
+"""Where each vehicle is sent; it takes off to the height of its target first, so that none crosses another."""
+REFRESH_S = 0.25
+
+
+@dataclass
+class Flight:
+    """What one vehicle did, for the summary."""
+
+    max_height_m: float = 0.0
+    flown_m: float = 0.0
+    modes: list[str] = field(default_factory=list)
+    last_enu_m: tuple[float, float, float] | None = None
+
+    def on_state(self, state: dict[str, Any]) -> None:
+        mode = state.get("mode")
+        if mode and (not self.modes or self.modes[-1] != mode):
+            self.modes.append(mode)
+        position = state.get("position") or {}
+        height = position.get("alt_rel_m")
+        if height is not None:
+            self.max_height_m = max(self.max_height_m, height)
+        enu = position.get("enu_m")
+        if enu is not None:
+            here = (enu[0], enu[1], enu[2])
+            if self.last_enu_m is not None and state.get("armed"):
+                self.flown_m += math.dist(here, self.last_enu_m)
+            self.last_enu_m = here
+
+
+class Demo:
+    """The script: what is ordered in which order, and what is seen meanwhile."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self.states: dict[str, dict[str, Any]] = {}
+        self.flights: dict[str, Flight] = {}
+        self.step = "starting"
+        self.log: list[str] = []
+        self.failed = False
+
+    async def fly(self, gcs: Client) -> None:
+        """Every order of the demo. Sets ``failed`` if any vehicle did not do what was asked."""
+        watching = asyncio.create_task(self._watch(gcs), name="demo telemetry")
+        try:
+            self._say("waiting for three vehicles")
+            await self._until(lambda: len(self.states) >= len(TARGETS_ENU_M), DISCOVERY_S)
+            self._say("arming all (ArduCopter needs its estimator first)")
+            await self._order(gcs, "vehicles.arm", targets="all", wait_s=ARMING_S)
+            for name, (_, _, height_m) in TARGETS_ENU_M.items():
+                self._say(f"take-off of {name} to {height_m:g} m")
+                await self._order(gcs, "vehicles.takeoff", targets=name, height_m=height_m)
+            await self._until(self._all_up, LEG_S)
+            for name, enu_m in TARGETS_ENU_M.items():
+                self._say(f"{name} goes to {enu_m[0]:+g} m east, {enu_m[1]:+g} m north, {enu_m[2]:g} m up")
+                await self._order(gcs, "vehicles.goto", targets=name, enu_m=list(enu_m))
+            await self._until(self._all_arrived, LEG_S)
+            self._say("hold")
+            await self._order(gcs, "vehicles.hold", targets="all")
+            self._say("charlie lands where it is, the others return")
+            await self._order(gcs, "vehicles.land", targets="charlie")
+            await self._order(gcs, "vehicles.rtl", targets="alpha,bravo")
+            await self._until(lambda: not any(s.get("armed") for s in self.states.values()), 2 * LEG_S)
+            self._say("all landed and disarmed")
+        finally:
+            watching.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await watching
+
+    async def _watch(self, gcs: Client) -> None:
+        async for state in gcs.telemetry("all", rate_hz=1 / REFRESH_S):
+            self.states[state["name"]] = state
+            self.flights.setdefault(state["name"], Flight()).on_state(state)
+
+    async def _order(self, gcs: Client, method: str, **params: Any) -> None:
+        answer = await gcs.call(method, **params)
+        for name, outcome in answer["outcomes"].items():
+            if not outcome["ok"]:
+                self.failed = True
+                self.log.append(f"{name}: {method.split('.')[1]} {outcome['message']}")
+
+    async def _until(self, condition: Any, limit_s: float) -> None:
+        """Wait until the condition holds; give up after the limit and say so."""
+        loop = asyncio.get_running_loop()
+        deadline = loop.time() + limit_s
+        while not condition():
+            if loop.time() > deadline:
+                self.failed = True
+                self.log.append(f"gave up after {limit_s:g} s: {self.step}")
+                return
+            await asyncio.sleep(REFRESH_S)
+
+    def _height(self, name: str) -> float:
+        position = self.states.get(name, {}).get("position") or {}
+        return float(position.get("alt_rel_m") or 0.0)
+
+    def _all_up(self) -> bool:
+        return all(self._height(name) > target[2] - ARRIVAL_M for name, target in TARGETS_ENU_M.items())
+
+    def _all_arrived(self) -> bool:
+        for name, target in TARGETS_ENU_M.items():
+            enu = (self.states.get(name, {}).get("position") or {}).get("enu_m")
+            if enu is None or math.dist(enu, target) > ARRIVAL_M:
+                return False
+        return True
+
+    def _say(self, step: str) -> None:
+        self.step = step
+        self.log.append(step)
+        if not self.console.is_terminal:
+            self.console.print(step)
+
+    def view(self) -> Table:
+        """The live table."""
+        grid = Table.grid()
+        grid.add_row(f"[bold]skygcs demo[/bold]  {self.step}")
+        grid.add_row(status_table(list(self.states.values())))
+        return grid
+
+
+def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool) -> FleetConfig:
+    """Three simulated vehicles behind one radio, and the port where QGroundControl listens."""
+    links: dict[str, Any] = {
+        "radio": SimulatedLink(
+            name="radio",
+            role="radio",
+            px4=2,
+            ardupilot=1,
+            lat_deg=HOME.lat_deg,
+            lon_deg=HOME.lon_deg,
+            alt_amsl_m=HOME.alt_amsl_m,
+        )
+    }
+    if for_qgc:
+        links["qgc"] = UdpClientLink(name="qgc", role="gcs", host="127.0.0.1", port=QGC_PORT)
+    return FleetConfig(
+        daemon=DaemonConfig(socket=socket, log_dir=log_dir),
+        origin=HOME,
+        links=links,
+        vehicles={
+            "alpha": VehicleEntry(sysid=1, autopilot="px4"),
+            "bravo": VehicleEntry(sysid=2, autopilot="px4"),
+            "charlie": VehicleEntry(sysid=3, autopilot="ardupilot"),
+        },
+    )
+
+
+@contextlib.asynccontextmanager
+async def _running(daemon: Daemon) -> AsyncIterator[None]:
+    serving = asyncio.create_task(serve_until_signal(daemon), name="daemon")
+    ready = asyncio.create_task(daemon.ready.wait(), name="daemon ready")
+    await asyncio.wait({serving, ready}, return_when=asyncio.FIRST_COMPLETED)
+    ready.cancel()
+    try:
+        if not serving.done():
+            yield
+    finally:
+        daemon.stop()
+        await serving
+
+
+async def demo(*, stay: bool, socket: Path | None, log_dir: Path) -> int:
+    """Run the demo; 0 if every vehicle did what was asked."""
+    console = Console()
+    dialect = load_dialect(FleetConfig().dialect)
+    with tempfile.TemporaryDirectory(prefix="skygcs-demo-") as scratch:
+        # A demo that ends by itself must not take the place of a daemon that flies; one that stays is for skygcs-cli.
+        path = socket or (default_socket_path() if stay else Path(scratch) / "skygcs.sock")
+        daemon = Daemon(demo_config(path, log_dir, for_qgc=stay), dialect, source="demo")
+        script = Demo(console)
+        async with _running(daemon):
+            await _show_flight(script, daemon, console)
+            _summarise(script, daemon, console)
+            if stay and not daemon.stopping:
+                console.print("\nStill up. Try:  skygcs-cli status   skygcs-cli takeoff all 5   (Ctrl-C ends it)")
+                await daemon.stopped()
+    return EXIT_FAILED if script.failed else EXIT_OK
+
+
+async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:
+    """Fly, drawing meanwhile; a signal to the daemon ends the flight script too."""
+
+    async def fly() -> None:
+        async with connect(daemon.socket_path) as gcs:
+            await script.fly(gcs)
+
+    flying = asyncio.create_task(fly(), name="demo flight")
+    stopped = asyncio.create_task(daemon.stopped(), name="demo stopped")
+    try:
+        with (
+            Live(script.view(), console=console, refresh_per_second=4, transient=False)
+            if console.is_terminal
+            else (contextlib.nullcontext()) as live
+        ):
+            while not flying.done() and not stopped.done():
+                await asyncio.wait({flying, stopped}, timeout=REFRESH_S, return_when=asyncio.FIRST_COMPLETED)
+                if live is not None:
+                    live.update(script.view())
+        if flying.done():
+            await flying
+    except SkygcsError as error:
+        script.failed = True
+        console.print(f"[red]{error}[/red]")
+    finally:
+        for task in (flying, stopped):
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError, SkygcsError):
+                await task
+
+
+def _summarise(script: Demo, daemon: Daemon, console: Console) -> None:
+    table = Table(title="What happened")
+    for column in ("vehicle", "autopilot", "highest", "flown", "modes"):
+        table.add_column(column)
+    for name, flight in sorted(script.flights.items()):
+        state = script.states[name]
+        table.add_row(
+            name,
+            str(state.get("autopilot")),
+            f"{flight.max_height_m:.1f} m",
+            f"{flight.flown_m:.0f} m",
+            " > ".join(flight.modes),
+        )
+    console.print(table)
+    for line in script.log:
+        if script.failed:
+            console.print(f"  {line}")
+    recorded = daemon.recorder_status()
+    if recorded.get("file"):
+        console.print(f"tlog: {os.path.relpath(recorded['file'])}  (skygcs-cli tlog info FILE reads it)")
+    console.print("[red]Something went wrong, see above.[/red]" if script.failed else "[green]All done.[/green]")
