@@ -8,7 +8,7 @@ import select
 import socket
 from collections import Counter
 from collections.abc import Coroutine
-from typing import Any
+from typing import Any, cast
 
 import structlog
 
@@ -100,7 +100,7 @@ class Session(asyncio.Protocol):
     # -- asyncio.Protocol
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
+        transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
         hub = self._hub
         self._transport = transport
         transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
