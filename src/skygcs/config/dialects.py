@@ -20,7 +20,7 @@ from importlib import metadata, util
 from pathlib import Path
 from typing import Any
 
-from skygcs.core.mavlink.dialect import ABSENT, Dialect, FieldInfo, MessageInfo
+from skygcs.core.mavlink.dialect import ABSENT, MAX_PAYLOAD_BYTES, Dialect, FieldInfo, MessageInfo
 from skygcs.errors import DialectError
 
 TABLE_FORMAT = 1
@@ -33,6 +33,9 @@ PX4_EXTRAS = "px4-extras"
 """Shipped file with the messages PX4 sends that pymavlink's XML lacks."""
 
 _INCLUDE = re.compile(rb"<include>\s*([^<]+?)\s*</include>")
+_ENCODINGS = frozenset({"UTF-8", "UTF8", "ASCII", "US-ASCII", "ISO-8859-1"})
+"""In these a tag is its ASCII bytes, which the search for includes relies on."""
+
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 
 
@@ -81,7 +84,7 @@ def load_dialect(
     cache = (cache_dir or default_cache_dir()) / f"{label}-{digest.hexdigest()[:24]}.json"
     with contextlib.suppress(OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return Dialect.from_table(json.loads(cache.read_bytes()))
-    dialect = _generate(label, [path for path, _ in sources])
+    dialect = _generate(label, sources)
     _store(cache, dialect)
     return dialect
 
@@ -150,21 +153,18 @@ def _resolve_include(including: Path, line: int, name: str) -> Path:
     raise DialectError(str(including), line, f"includes {name}, which is neither beside it nor packaged with pymavlink")
 
 
-def _generate(label: str, paths: list[Path]) -> Dialect:
-    parsed = []
-    for path in paths:
-        _validate(path)
-        parsed.append((path, _parse(path)))
+def _generate(label: str, sources: list[tuple[Path, bytes]]) -> Dialect:
     messages: dict[int, MessageInfo] = {}
-    origin: dict[int, tuple[Path, Any]] = {}
+    origin: dict[int | str, tuple[Path, Any]] = {}
     enums: dict[str, dict[int, str]] = {}
-    for path, xml in parsed:
+    for path, content in sources:
+        _validate(path, content)
+        xml = _parse(path)
         bitmasks = {e.name for e in xml.enum if e.bitmask}
         for message in xml.message:
-            if message.id in origin:
-                _check_redefinition(path, message, *origin[message.id])
+            if _is_known(path, message, origin):
                 continue
-            origin[message.id] = (path, message)
+            origin[message.id] = origin[message.name] = (path, message)
             messages[message.id] = _message_info(message, bitmasks)
         for enum in xml.enum:
             entries = enums.setdefault(enum.name, {})
@@ -173,15 +173,21 @@ def _generate(label: str, paths: list[Path]) -> Dialect:
     return Dialect(label, messages.values(), enums)
 
 
-def _check_redefinition(path: Path, message: Any, first_path: Path, first: Any) -> None:
-    """The same message twice (the same file reached two ways, or copied) is fine; two meanings of one id are not."""
-    same = first.name == message.name and first.crc_extra == message.crc_extra
-    if not same:
+def _is_known(path: Path, message: Any, origin: dict[int | str, tuple[Path, Any]]) -> bool:
+    """The same message again (a copied file) is fine; two meanings of one id or of one name are not."""
+    for key in (message.id, message.name):
+        if key not in origin:
+            continue
+        first_path, first = origin[key]
+        if (first.id, first.name, first.crc_extra) == (message.id, message.name, message.crc_extra):
+            return True
         raise DialectError(
             str(first_path),
             first.linenumber,
-            f"message id {message.id} ({first.name}) is already {message.name} in {path.name}:{message.linenumber}",
+            f"{first.name} (id {first.id}) is in conflict with {message.name} (id {message.id}) in "
+            f"{path.name}:{message.linenumber}",
         )
+    return False
 
 
 def _message_info(message: Any, bitmasks: set[str]) -> MessageInfo:
@@ -211,14 +217,20 @@ def _message_info(message: Any, bitmasks: set[str]) -> MessageInfo:
     )
 
 
-def _validate(path: Path) -> None:
+def _validate(path: Path, content: bytes) -> None:
     """Against the schema pymavlink ships (mavschema.xsd): syntax, tags, attributes, types, each with its line."""
     from lxml import etree
 
+    parser = etree.XMLParser(resolve_entities=False, no_network=True)
     try:
-        document = etree.parse(str(path), etree.XMLParser(resolve_entities=False, no_network=True))
+        document = etree.parse(io.BytesIO(content), parser)
     except etree.XMLSyntaxError as error:
         raise DialectError(str(path), error.lineno or 1, str(error.msg).split(", line ")[0]) from None
+    encoding = document.docinfo.encoding or "UTF-8"
+    if encoding.upper() not in _ENCODINGS:
+        raise DialectError(str(path), 1, f"is written in {encoding}; save it as UTF-8")
+    if document.docinfo.doctype:
+        raise DialectError(str(path), 1, "has a DOCTYPE; a dialect needs none, and entities are not resolved")
     schema_path = _pymavlink_dir() / "generator" / "mavschema.xsd"
     tree = etree.parse(str(schema_path))
     for element in tree.iterfind('{*}attribute[@name="units"]'):
@@ -226,7 +238,26 @@ def _validate(path: Path) -> None:
     schema = etree.XMLSchema(tree)
     if not schema.validate(document):
         first = schema.error_log[0]
-        raise DialectError(str(path), first.line, str(first.message))
+        raise DialectError(str(path), first.line, _schema_text(str(first.message)))
+    for field in document.iter("field"):
+        size = re.search(r"\[([0-9]+)\]", field.get("type"))
+        if size is not None and (len(size[1]) > 3 or not 1 <= int(size[1]) <= MAX_PAYLOAD_BYTES):
+            text = f"{field.get('name')} is an array of {size[1]}; it may have 1 to {MAX_PAYLOAD_BYTES} items"
+            raise DialectError(str(path), field.sourceline, text)
+
+
+def _schema_text(message: str) -> str:
+    """The validator names the last pattern it tried, which is no help: say what a type or name may be instead."""
+    found = re.match(r"Element '(\w+)', attribute '(\w+)': .*The value '([^']*)'", message)
+    wanted = {
+        "type": "a type is float, double, char or [u]int8_t to [u]int64_t, as an array with [n]",
+        "name": "a name has letters, digits and _ only",
+        "id": "an id is a whole number from 0 to 16777215",
+        "value": "a value is a whole number (also 0x.., 0b.., 2**n)",
+    }
+    if found is None or found[2] not in wanted:
+        return message
+    return f"{found[1]} has {found[2]} '{found[3]}': {wanted[found[2]]}"
 
 
 def _parse(path: Path) -> Any:
@@ -264,12 +295,9 @@ def _check_messages(path: Path, xml: Any) -> None:
             seen[key] = message
         if not 0 <= message.id < 1 << 24:
             raise DialectError(str(path), message.linenumber, f"message id {message.id} is not in 0..16777215")
-        if message.wire_length > 255:
-            raise DialectError(
-                str(path),
-                message.linenumber,
-                f"{message.name} has {message.wire_length} bytes; a payload has at most 255",
-            )
+        if message.wire_length > MAX_PAYLOAD_BYTES:
+            text = f"{message.name} has {message.wire_length} bytes; a payload has at most {MAX_PAYLOAD_BYTES}"
+            raise DialectError(str(path), message.linenumber, text)
         fields = [f.name for f in message.fields]
         for field in fields:
             if fields.count(field) > 1:

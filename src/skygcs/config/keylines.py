@@ -30,7 +30,8 @@ def key_lines(text: str) -> dict[KeyPath, int]:
             statement = line.strip()
             if statement.startswith("["):
                 table = _header(statement)
-                lines.setdefault(table, number)
+                for length in range(1, len(table) + 1):
+                    lines.setdefault(table[:length], number)
                 continue
             key = _keys(statement.partition("#")[0]) if "=" in statement else ()
             for length in range(1, len(key) + 1):
