@@ -25,7 +25,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
     table: KeyPath = ()
     depth = 0
     quote = ""
-    for number, line in enumerate(text.splitlines(), start=1):
+    for number, line in enumerate(text.split("\n"), start=1):
         if not quote and not depth:
             statement = line.strip()
             if statement.startswith("["):
@@ -33,7 +33,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
                 for length in range(1, len(table) + 1):
                     lines.setdefault(table[:length], number)
                 continue
-            key = _keys(statement.partition("#")[0]) if "=" in statement else ()
+            key = _key(statement) if "=" in statement and not statement.startswith("#") else ()
             for length in range(1, len(key) + 1):
                 lines.setdefault(table + key[:length], number)
         depth, quote = _continues(line, depth, quote)
@@ -49,25 +49,34 @@ def line_of(path: KeyPath, lines: dict[KeyPath, int]) -> int | None:
 
 
 def _header(statement: str) -> KeyPath:
-    inner = statement.split("#")[0].strip() if '"' not in statement and "'" not in statement else statement
-    keys = _keys(inner.strip("[] \t") + " =")
-    return keys
+    try:
+        return _path(statement)
+    except tomllib.TOMLDecodeError:  # not a header after all: no line is better than no fleet file
+        return ()
 
 
-def _keys(statement: str) -> KeyPath:
-    """The dotted key in front of '=', by tomllib itself: quoted parts and escapes are its business."""
+def _key(statement: str) -> KeyPath:
+    """The dotted key in front of '='."""
     for end in [m.start() for m in re.finditer("=", statement)]:
         try:
-            node: object = tomllib.loads(f"{statement[:end]} = 0")
+            return _path(f"{statement[:end]} = 0")
         except tomllib.TOMLDecodeError:
             continue  # this '=' stands inside a quoted key
-        path: list[str | int] = []
-        while isinstance(node, dict):
-            key = next(iter(node))
-            path.append(key)
-            node = node[key]
-        return tuple(path)
     return ()
+
+
+def _path(statement: str) -> KeyPath:
+    """The key path of a table header or of ``key = 0``, by tomllib itself: quotes and escapes are its business."""
+    node: object = tomllib.loads(statement)
+    path: list[str | int] = []
+    while True:
+        if isinstance(node, list):  # [[header]]
+            node = node[0]
+        if not isinstance(node, dict) or not node:
+            return tuple(path)
+        key = next(iter(node))
+        path.append(key)
+        node = node[key]
 
 
 def _continues(line: str, depth: int, quote: str) -> tuple[int, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 import json
+import os
 import re
 import tomllib
 from collections.abc import Iterable
@@ -294,7 +295,7 @@ def _with_paths(config: FleetConfig, folder: Path) -> FleetConfig:
     """Every path absolute: relative ones begin at the fleet file's folder, ~ is the user's home."""
 
     def absolute(path: Path) -> Path:
-        return folder / path.expanduser()
+        return Path(os.path.normpath(folder / path.expanduser()))
 
     daemon = config.daemon
     paths = {
