@@ -123,13 +123,19 @@ class Fleet:
         for actor in actors:
             actor.commander.carrier = carrier
         tasks: dict[str, asyncio.Task[Outcome]] = {}
-        async with asyncio.TaskGroup() as group:
+        try:
+            async with asyncio.TaskGroup() as group:
+                for actor in actors:
+                    method = getattr(actor, order)
+                    tasks[actor.name] = group.create_task(method(*args, **arguments), name=f"{order} {actor.name}")
+                if carrier is not None:
+                    await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
+                    emergency = order == "disarm" and bool(arguments.get("force"))
+                    self._broadcast(carrier, Priority.EMERGENCY if emergency else Priority.COMMAND)
+        finally:
             for actor in actors:
-                method = getattr(actor, order)
-                tasks[actor.name] = group.create_task(method(*args, **arguments), name=f"{order} {actor.name}")
-            if carrier is not None:
-                await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
-                self._broadcast(carrier, actors, emergency=order == "disarm" and bool(arguments.get("force")))
+                if actor.commander.carrier is carrier:
+                    actor.commander.carrier = None
         return {name: task.result() for name, task in tasks.items()}
 
     def _carrier(self, actors: list[VehicleActor], order: str, arguments: dict[str, Any]) -> Carrier | None:
@@ -144,12 +150,9 @@ class Fleet:
             specs.add(plan.steps[0].command)
         return Carrier(specs.pop()) if len(specs) == 1 else None
 
-    def _broadcast(self, carrier: Carrier, actors: list[VehicleActor], *, emergency: bool) -> None:
+    def _broadcast(self, carrier: Carrier, priority: Priority) -> None:
         carrier.sent = True
-        for actor in actors:
-            actor.commander.carrier = None
         info = self._dialect.by_name[carrier.spec.message]
-        priority = Priority.EMERGENCY if emergency else Priority.COMMAND
         self._send(info, carrier.spec.values(0, 0, 0), 0, 0, priority)
 
     def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:

@@ -141,34 +141,34 @@ class VehicleActor:
         before, attempts = self._order, 0
         while True:
             tried_at = self._loop.time()
-            outcome = await self._run(lambda now: orders.arm(self.vehicle, now, force=force))
+            outcome = await self._attempt(lambda now: orders.arm(self.vehicle, now, force=force))
             attempts += outcome.attempts
             outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
             over = tried_at + ARM_RETRY_S > started + wait_s or self._order != before
             if over or outcome.ok or outcome.result in ("refused", "unsupported", "lost", "cancelled"):
-                return outcome
+                return self._told("arm", outcome)
             await asyncio.sleep(max(0.0, tried_at + ARM_RETRY_S - self._loop.time()))
 
     async def disarm(self, *, force: bool = False) -> Outcome:
         """``force`` stops the motors even in the air, and even if the vehicle is lost: emergency priority."""
-        return await self._run(lambda now: orders.disarm(self.vehicle, now, force=force))
+        return await self._run("disarm", lambda now: orders.disarm(self.vehicle, now, force=force))
 
     async def set_mode(self, name: str) -> Outcome:
-        return await self._run(lambda now: orders.set_mode(self.vehicle, now, name))
+        return await self._run("mode", lambda now: orders.set_mode(self.vehicle, now, name))
 
     async def takeoff(self, height_m: float | None = None, *, arm: bool = True) -> Outcome:
         """To a height above where it stands; None: the fleet file's takeoff_height_m. Arms first unless told not to."""
         height = self.config.takeoff_height_m if height_m is None else height_m
-        return await self._run(lambda now: orders.takeoff(self.vehicle, now, height, arm=arm))
+        return await self._run("takeoff", lambda now: orders.takeoff(self.vehicle, now, height, arm=arm))
 
     async def land(self) -> Outcome:
-        return await self._run(lambda now: orders.land(self.vehicle, now))
+        return await self._run("land", lambda now: orders.land(self.vehicle, now))
 
     async def rtl(self) -> Outcome:
-        return await self._run(lambda now: orders.rtl(self.vehicle, now))
+        return await self._run("rtl", lambda now: orders.rtl(self.vehicle, now))
 
     async def hold(self) -> Outcome:
-        return await self._run(lambda now: orders.hold(self.vehicle, now))
+        return await self._run("hold", lambda now: orders.hold(self.vehicle, now))
 
     async def goto(
         self,
@@ -182,6 +182,7 @@ class VehicleActor:
     ) -> Outcome:
         """See `orders.goto`."""
         return await self._run(
+            "goto",
             lambda now: orders.goto(
                 self.vehicle,
                 now,
@@ -192,31 +193,36 @@ class VehicleActor:
                 yaw_deg=yaw_deg,
                 limit_m=self.config.goto_limit_m,
                 force=force,
-            )
+            ),
         )
 
     async def reboot(self, *, force: bool = False) -> Outcome:
-        return await self._run(lambda now: orders.reboot(self.vehicle, now, force=force))
+        return await self._run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
 
     async def set_home(
         self, *, lat_deg: float | None = None, lon_deg: float | None = None, alt_amsl_m: float | None = None
     ) -> Outcome:
         """Without arguments: where it is now."""
         return await self._run(
-            lambda now: orders.set_home(self.vehicle, now, lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=alt_amsl_m)
+            "home",
+            lambda now: orders.set_home(self.vehicle, now, lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=alt_amsl_m),
         )
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
         """0 turns it off, None goes back to the vehicle's own rate."""
-        return await self._run(lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz))
+        return await self._run(
+            "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
+        )
 
     async def request_message(self, message: str | int) -> Outcome:
         """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
-        return await self._run(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
+        return await self._run("request", lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
 
     async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
         """REQUEST_DATA_STREAM, the old way; nothing acknowledges it."""
-        return await self._run(lambda now: orders.request_stream(self.vehicle, now, self._dialect, stream, rate_hz))
+        return await self._run(
+            "stream", lambda now: orders.request_stream(self.vehicle, now, self._dialect, stream, rate_hz)
+        )
 
     async def command(
         self,
@@ -230,9 +236,10 @@ class VehicleActor:
     ) -> Outcome:
         """Any command; see `orders.raw_command`."""
         return await self._run(
+            "command",
             lambda now: orders.raw_command(
                 self.vehicle, now, self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z
-            )
+            ),
         )
 
     def plan(self, order: str, *, force: bool = False) -> Plan | None:
@@ -245,12 +252,15 @@ class VehicleActor:
         except RefusedError:
             return None
 
-    async def _run(self, planner: Planner) -> Outcome:
+    async def _run(self, order: str, planner: Planner) -> Outcome:
+        return self._told(order, await self._attempt(planner))
+
+    async def _attempt(self, planner: Planner) -> Outcome:
         try:
             plan = planner(self._loop.time())
         except RefusedError as error:
-            return self._told("order", Outcome(False, "refused", f"refused: {error}"))
-        return self._told(plan.order, await self.execute(plan))
+            return Outcome(False, "refused", f"refused: {error}")
+        return await self.execute(plan)
 
     async def execute(self, plan: Plan) -> Outcome:
         """Carry out a plan; what was done is undone if a later step fails and knows how."""

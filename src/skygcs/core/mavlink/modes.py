@@ -54,16 +54,10 @@ _PX4_SUB = {
 
 _PX4_ALIASES = {
     "HOLD": "AUTO.LOITER",
-    "LOITER": "AUTO.LOITER",
-    "MISSION": "AUTO.MISSION",
-    "RTL": "AUTO.RTL",
     "RETURN": "AUTO.RTL",
-    "LAND": "AUTO.LAND",
-    "TAKEOFF": "AUTO.TAKEOFF",
     "FOLLOWME": "AUTO.FOLLOW_TARGET",
     "ALTITUDE": "ALTCTL",
     "POSITION": "POSCTL",
-    "ORBIT": "POSCTL.ORBIT",
     "STABILIZE": "STABILIZED",
 }
 """What QGroundControl and MAVSDK call some of them."""
@@ -97,6 +91,7 @@ _COPTER = {
     26: "AUTOROTATE",
     27: "AUTO_RTL",
     28: "TURTLE",
+    29: "RATE_ACRO",
 }
 """8 and 10 are of ArduCopter 3.x; they are shown, and refused by newer firmware itself."""
 
@@ -125,13 +120,14 @@ _PLANE = {
     22: "QAUTOTUNE",
     23: "QACRO",
     24: "THERMAL",
-    25: "LOITER_ALT_QLAND",
+    25: "LOITERALTQLAND",
     26: "AUTOLAND",
 }
 
 _ROVER = {
     0: "MANUAL",
     1: "ACRO",
+    2: "LEARNING",
     3: "STEERING",
     4: "HOLD",
     5: "LOITER",
@@ -162,7 +158,7 @@ _SUB = {
 
 _TRACKER = {0: "MANUAL", 1: "STOP", 2: "SCAN", 3: "SERVO_TEST", 4: "GUIDED", 10: "AUTO", 16: "INITIALISING"}
 
-_BLIMP = {0: "LAND", 1: "MANUAL", 2: "VELOCITY", 3: "LOITER", 4: "RTL"}
+_BLIMP = {0: "LAND", 1: "MANUAL", 2: "VELOCITY", 3: "LOITER", 4: "RTL", 5: "AUTO", 6: "HOLD"}
 
 _COPTER_TYPES = frozenset({2, 3, 4, 13, 14, 15, 29, 35, 43})
 _PLANE_TYPES = frozenset({1, 16, 17, 19, 20, 21, 22, 23, 24, 25, 28, 47})
@@ -223,7 +219,7 @@ def px4_custom_mode(name: str) -> int:
     key = _folded(name)
     key = _folded(_PX4_ALIASES.get(key, key))
     for (main, sub), known in _PX4_SUB.items():
-        if _folded(known) == key:
+        if key in (_folded(known), _folded(known.partition(".")[2])):  # AUTO.LAND, or LAND for short
             return main << 16 | sub << 24
     for main, known in _PX4_MAIN.items():
         if main != PX4_MAIN_AUTO and _folded(known) == key:

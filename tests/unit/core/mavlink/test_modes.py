@@ -1,0 +1,120 @@
+from __future__ import annotations
+
+import pytest
+from pymavlink import mavutil
+
+from skygcs.core.mavlink import modes
+from support.vehicles import flight_dialect
+
+SEED_MODES = (
+    "AUTO.PRECLAND",
+    "AUTO.FOLLOW_TARGET",
+    "AUTO.RTGS",
+    "AUTO.LAND",
+    "AUTO.RTL",
+    "AUTO.MISSION",
+    "RATTITUDE",
+    "AUTO.LOITER",
+    "STABILIZED",
+    "AUTO.TAKEOFF",
+    "OFFBOARD",
+    "POSCTL",
+    "ALTCTL",
+    "AUTO.READY",
+    "ACRO",
+    "MANUAL",
+)
+
+
+@pytest.mark.parametrize("name", SEED_MODES)
+def test_every_mode_of_the_seed_goes_to_a_number_and_back(name: str) -> None:
+    assert modes.px4_mode_name(modes.px4_custom_mode(name)) == name
+
+
+def test_every_px4_mode_goes_to_a_number_and_back() -> None:
+    names = modes.mode_names(modes.AUTOPILOT_PX4, 2)
+    assert len(names) == len(set(names)) >= 25
+    for name in names:
+        assert modes.px4_mode_name(modes.px4_custom_mode(name)) == name
+
+
+def test_px4_numbers_are_those_seen_on_the_wire() -> None:
+    assert modes.px4_mode_name(50593792) == "AUTO.LOITER"
+    assert modes.px4_mode_name(33816576) == "AUTO.TAKEOFF"
+    assert modes.px4_mode_name(100925440) == "AUTO.LAND"
+    assert modes.px4_mode_name(393216) == "OFFBOARD"
+
+
+def test_px4_modes_agree_with_pymavlinks_table() -> None:
+    ours = {"LOITER": "AUTO.LOITER", "MISSION": "AUTO.MISSION", "RTL": "AUTO.RTL", "LAND": "AUTO.LAND"}
+    ours |= {"TAKEOFF": "AUTO.TAKEOFF", "FOLLOWME": "AUTO.FOLLOW_TARGET", "RTGS": "AUTO.RTGS"}
+    for name, (_, main, sub) in mavutil.px4_map.items():
+        assert modes.px4_custom_mode(ours.get(name, name)) == main << 16 | sub << 24, name
+        assert modes.px4_custom_mode(name) == main << 16 | sub << 24, name
+
+
+def test_arducopter_modes_agree_with_pymavlinks_table_and_the_dialects_enum() -> None:
+    for number, name in mavutil.mode_mapping_acm.items():
+        assert modes.copter_mode_name(number) == name
+        assert modes.copter_mode_number(name) == number
+    for number, entry in flight_dialect().enums["COPTER_MODE"].items():
+        assert modes.copter_mode_name(number) == entry.removeprefix("COPTER_MODE_")
+
+
+@pytest.mark.parametrize(
+    ("kind", "table"),
+    [
+        (1, mavutil.mode_mapping_apm),
+        (10, mavutil.mode_mapping_rover),
+        (12, mavutil.mode_mapping_sub),
+        (7, mavutil.mode_mapping_blimp),
+    ],
+)
+def test_other_ardupilot_vehicles_agree_with_pymavlinks_tables(kind: int, table: dict[int, str]) -> None:
+    for number, name in table.items():
+        assert modes.ardupilot_mode_name(kind, number) == name
+
+
+@pytest.mark.parametrize(
+    ("kind", "enum"), [(1, "PLANE_MODE"), (10, "ROVER_MODE"), (12, "SUB_MODE"), (5, "TRACKER_MODE")]
+)
+def test_every_mode_of_other_ardupilot_vehicles_has_a_name_of_its_own(kind: int, enum: str) -> None:
+    numbers = flight_dialect().enums[enum]
+    names = [modes.ardupilot_mode_name(kind, number) for number in numbers]
+    assert len(set(names)) == len(numbers)
+    assert not [n for n in names if n.startswith("UNKNOWN")]
+    for number, name in zip(numbers, names, strict=True):
+        assert modes.mode_number(modes.AUTOPILOT_ARDUPILOT, kind, name) == number
+
+
+@pytest.mark.parametrize("written", ["auto.loiter", "AUTO_LOITER", "Auto-Loiter", "autoloiter", "hold", "LOITER"])
+def test_names_are_found_however_they_are_written(written: str) -> None:
+    assert modes.px4_custom_mode(written) == 50593792
+
+
+def test_the_same_number_has_another_name_on_a_plane() -> None:
+    assert modes.mode_name(modes.AUTOPILOT_ARDUPILOT, 2, 1, 4) == "GUIDED"
+    assert modes.mode_name(modes.AUTOPILOT_ARDUPILOT, 1, 1, 4) == "ACRO"
+    assert modes.mode_name(modes.AUTOPILOT_ARDUPILOT, 10, 1, 4) == "HOLD"
+
+
+def test_an_unknown_name_is_refused_with_near_ones() -> None:
+    with pytest.raises(KeyError, match=r"no mode 'AUTO.LOTIER'.*AUTO\.LOITER"):
+        modes.px4_custom_mode("AUTO.LOTIER")
+    with pytest.raises(KeyError, match="STABILIZE, ACRO"):
+        modes.copter_mode_number("xyzzy")
+    with pytest.raises(KeyError):
+        modes.px4_custom_mode("AUTO")
+
+
+def test_unknown_numbers_show_themselves() -> None:
+    assert modes.px4_mode_name(99 << 16) == "UNKNOWN(99.0)"
+    assert modes.px4_mode_name(4 << 16 | 77 << 24) == "UNKNOWN(4.77)"
+    assert modes.copter_mode_name(12) == "UNKNOWN(12)"
+
+
+def test_a_generic_autopilot_is_named_by_its_flags_and_takes_no_mode_names() -> None:
+    assert modes.mode_name(0, 2, 0x04, 7) == "AUTO"
+    assert modes.mode_name(0, 2, 0x40, 7) == "MANUAL"
+    with pytest.raises(KeyError):
+        modes.mode_number(0, 2, "AUTO")

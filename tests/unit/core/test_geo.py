@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymap3d.vincenty import vdist
+
+from skygcs.core import geo
+from skygcs.core.geo import Origin
+
+TORONTO = Origin(43.7806, -79.4653, 180.0)
+
+places = st.tuples(st.floats(-85, 85), st.floats(-179.9, 179.9), st.floats(-100, 5000))
+offsets = st.tuples(*[st.floats(-20_000, 20_000)] * 2, st.floats(-500, 3000))
+
+
+def ecef_enu(lat: float, lon: float, alt: float, origin: Origin) -> tuple[float, float, float]:
+    """The textbook way, written out: WGS84 to ECEF, difference, rotation."""
+    a, f = 6378137.0, 1 / 298.257223563
+    e2 = f * (2 - f)
+
+    def ecef(lat: float, lon: float, alt: float) -> tuple[float, float, float]:
+        p, q = math.radians(lat), math.radians(lon)
+        n = a / math.sqrt(1 - e2 * math.sin(p) ** 2)
+        r = (n + alt) * math.cos(p)
+        return r * math.cos(q), r * math.sin(q), (n * (1 - e2) + alt) * math.sin(p)
+
+    d = [u - v for u, v in zip(ecef(lat, lon, alt), ecef(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m))]  # noqa: B905
+    p, q = math.radians(origin.lat_deg), math.radians(origin.lon_deg)
+    sp, cp, sq, cq = math.sin(p), math.cos(p), math.sin(q), math.cos(q)
+    east = -sq * d[0] + cq * d[1]
+    north = -sp * cq * d[0] - sp * sq * d[1] + cp * d[2]
+    return east, north, cp * cq * d[0] + cp * sq * d[1] + sp * d[2]
+
+
+@given(places, offsets)
+def test_enu_is_the_rotated_ecef_difference_and_has_an_inverse(
+    place: tuple[float, float, float], offset: tuple[float, float, float]
+) -> None:
+    origin = Origin(*place)
+    lat, lon, alt = geo.geodetic_from_enu(*offset, origin)
+    assert geo.enu_from_geodetic(lat, lon, alt, origin) == pytest.approx(offset, abs=1e-4)
+    assert ecef_enu(lat, lon, alt, origin) == pytest.approx(offset, abs=1e-3)
+
+
+def test_axes_point_east_north_up() -> None:
+    at = TORONTO
+    east = geo.enu_from_geodetic(at.lat_deg, at.lon_deg + 1e-3, at.alt_amsl_m, at)
+    north = geo.enu_from_geodetic(at.lat_deg + 1e-3, at.lon_deg, at.alt_amsl_m, at)
+    up = geo.enu_from_geodetic(at.lat_deg, at.lon_deg, at.alt_amsl_m + 7, at)
+    assert east == pytest.approx((80.5, 0, 0), abs=0.1)
+    assert north == pytest.approx((0, 111.1, 0), abs=0.1)
+    assert up == pytest.approx((0, 0, 7), abs=1e-6)
+
+
+def test_a_degree_has_its_published_length() -> None:
+    """Lengths of a degree on WGS84 (NGA): at the equator 110574.3 m and 111319.5 m, at 45 degrees 111131.7, 78846.8."""
+    equator, middle = Origin(0, 10, 0), Origin(45, 10, 0)
+    step = 1e-3
+    assert geo.enu_from_geodetic(step, 10, 0, equator)[1] / step == pytest.approx(110574.3, abs=1)
+    assert geo.enu_from_geodetic(0, 10 + step, 0, equator)[0] / step == pytest.approx(111319.5, abs=1)
+    assert geo.enu_from_geodetic(45 + step, 10, 0, middle)[1] / step == pytest.approx(111131.7, abs=2)
+    assert geo.enu_from_geodetic(45, 10 + step, 0, middle)[0] / step == pytest.approx(78846.8, abs=1)
+
+
+@given(st.floats(-85, 85), st.floats(-179, 179), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
+def test_distance_is_within_its_promise_of_vincentys(lat: float, lon: float, dlat: float, dlon: float) -> None:
+    true, _ = vdist(lat, lon, lat + dlat, lon + dlon)
+    assert geo.distance_m(lat, lon, lat + dlat, lon + dlon) == pytest.approx(float(true), rel=0.006, abs=0.01)
+
+
+def test_distance_goes_the_short_way_over_the_date_line() -> None:
+    assert geo.distance_m(0, 179.9995, 0, -179.9995) == pytest.approx(111.2, abs=1)
+
+
+@given(st.floats(-1e6, 1e6))
+def test_wrapping_keeps_the_direction_and_stays_in_range(angle: float) -> None:
+    full, half = geo.wrap_deg_360(angle), geo.wrap_deg_180(angle)
+    assert 0 <= full < 360
+    assert -180 <= half < 180
+    for wrapped in (full, half):
+        assert math.cos(math.radians(wrapped)) == pytest.approx(math.cos(math.radians(angle)), abs=1e-6)
+        assert math.sin(math.radians(wrapped)) == pytest.approx(math.sin(math.radians(angle)), abs=1e-6)
+
+
+@pytest.mark.parametrize(("heading", "yaw"), [(0, 90), (90, 0), (180, -90), (270, -180), (45, 45)])
+def test_compass_and_enu_yaw_turn_into_each_other(heading: float, yaw: float) -> None:
+    assert geo.yaw_enu_from_heading_deg(heading) == pytest.approx(yaw)
+    assert geo.heading_from_yaw_enu_deg(yaw) == pytest.approx(heading)
