@@ -19,7 +19,7 @@ from typing import Any
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
-from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
+from skygcs.errors import ConfigError, LinkError, TargetError
 from skygcs.rpc.server import RpcServer
 
 NAMES = ("alpha", "bravo", "carol")
@@ -80,7 +80,7 @@ class FakeVehicle:
 
     async def set_mode(self, name: str) -> FakeOutcome:
         if name == "NONSENSE":
-            raise RefusedError(f"{self.autopilot} has no mode NONSENSE; it has: HOLD, LAND")
+            return FakeOutcome(False, "refused", f"refused: {self.autopilot} has no mode NONSENSE", attempts=0)
         self.mode = name
         return await self._order("set_mode", name=name)
 
@@ -108,6 +108,9 @@ class FakeVehicle:
     async def set_message_interval(self, message: str | int, rate_hz: float) -> FakeOutcome:
         return await self._order("set_message_interval", message=message, rate_hz=rate_hz)
 
+    async def request_message(self, message: str | int) -> FakeOutcome:
+        return await self._order("request_message", message=message)
+
     async def request_stream(self, stream: int | str, rate_hz: float) -> FakeOutcome:
         return await self._order("request_stream", stream=stream, rate_hz=rate_hz)
 
@@ -117,7 +120,13 @@ class FakeVehicle:
     def latest(self, message_name: str) -> dict[str, Any] | None:
         if message_name != "ATTITUDE":
             return None
-        return {"name": "ATTITUDE", "fields": {"roll": math.nan, "pitch": 0.1, "yaw": 1.5}, "age_s": 0.2}
+        return {
+            "name": "ATTITUDE",
+            "fields": {"roll": math.nan, "pitch": 0.1, "yaw": 1.5},
+            "age_s": 0.2,
+            "rate_hz": 4.0,
+            "count": 7,
+        }
 
     def state(self, now: float) -> dict[str, Any]:
         self.states_made += 1
@@ -181,13 +190,27 @@ class FakeVehicle:
             "imu": None,
             "status_texts": [
                 {
-                    "severity": "WARNING",
+                    "severity": "warning",
+                    "level": 4,
                     "text": "PreArm: Throttle too high" if self.sysid == 3 else "Ready",
                     "age_s": 12.0,
                 }
             ],
             "messages": {"HEARTBEAT": {"rate_hz": 1.0, "age_s": 0.4, "count": 321}},
-            "links": {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}},
+            "links": {},
+            **dict.fromkeys(
+                (
+                    "ekf_origin",
+                    "servos",
+                    "mission",
+                    "target_global",
+                    "target_local",
+                    "target_attitude",
+                    "time",
+                    "high_latency",
+                    "last_ack",
+                )
+            ),
         }
 
 
@@ -208,6 +231,11 @@ class FakeFleet:
                 )
             found.update({v.sysid: v for v in matching})
         return list(found.values())
+
+    async def command_all(self, targets: str | list[str], order: str, /, **arguments: Any) -> dict[str, FakeOutcome]:
+        vehicles = self.resolve(targets)
+        done = await asyncio.gather(*(getattr(v, order)(**arguments) for v in vehicles))
+        return dict(zip((v.name for v in vehicles), done, strict=True))
 
     @staticmethod
     def _matches(vehicle: FakeVehicle, part: str) -> bool:
@@ -246,6 +274,9 @@ class FakeDaemon:
     def info(self) -> dict[str, Any]:
         return {"version": "0.1.0", "pid": 1, "uptime_s": 12.5, "sysid": 255, "compid": 25, "dialect": "common"}
 
+    def link_quality(self, key: int) -> dict[str, Any]:
+        return {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
+
     def links_status(self) -> list[dict[str, Any]]:
         return [
             {
@@ -258,17 +289,15 @@ class FakeDaemon:
                 "channels": [
                     {
                         "peer": link.get("device", "127.0.0.1:14550"),
-                        "counters": {
-                            "rx_frames": 1200,
-                            "rx_bytes": 48000,
-                            "tx_frames": 30,
-                            "tx_bytes": 900,
-                            "tx_dropped": 0,
-                            "good": 1200,
-                            "bad_crc": 3,
-                            "unknown": 1,
-                            "skipped_bytes": 57,
-                        },
+                        "rx_frames": 1200,
+                        "rx_bytes": 48000,
+                        "tx_frames": 30,
+                        "tx_bytes": 900,
+                        "tx_dropped": 0,
+                        "good": 1200,
+                        "bad_crc": 3,
+                        "unknown": 1,
+                        "skipped_bytes": 57,
                         "sources": {"1/1": {"frames": 1200, "bytes": 48000, "lost": 12, "loss_ratio": 0.0099}},
                     }
                 ],
@@ -300,7 +329,7 @@ class FakeDaemon:
 
     def send_message(self, name: str, fields: dict[str, Any], target: str | None, link: str | None) -> dict[str, Any]:
         self.sent.append((name, fields, target, link))
-        return {"sent": True, "links": [link or "radio"]}
+        return {"sent": 0 if link == "dead" else 1, "message": name}
 
     def subscribe_events(self, callback: Callable[[Mapping[str, Any]], None]) -> Callable[[], None]:
         self._on_event.append(callback)
@@ -319,7 +348,14 @@ class FakeDaemon:
         return len(self._on_event) + len(self._on_frame)
 
     def emit(self, kind: str, vehicle: str | None, text: str, **data: Any) -> None:
-        event = {"time_unix_s": time.time(), "kind": kind, "vehicle": vehicle, "text": text, "data": data}
+        event = {
+            "time_unix_s": time.time(),
+            "kind": kind,
+            "vehicle": vehicle,
+            "sysid": None,
+            "text": text,
+            "data": data,
+        }
         self.events.append(event)
         for callback in list(self._on_event):
             callback(event)

@@ -167,10 +167,11 @@ def home(
 def interval(
     targets: Targets,
     message: Annotated[str, typer.Argument(metavar="MESSAGE", autocompletion=completion.messages, help="Name or id.")],
-    rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it, -1 is the default.")],
+    rate: Annotated[str, typer.Argument(metavar="HZ", help="Per second; 0 stops it; default: its own rate.")],
     json_output: Json = False,
 ) -> None:
-    """Ask for one message at a rate."""
+    """Ask for one message at a rate: `interval all ATTITUDE 10`, `interval 1 ATTITUDE default`."""
+    rate_hz = None if rate == "default" else parse_number(rate, "HZ")
     order("interval", targets, json_output, message=name_or_id(message), rate_hz=rate_hz)
 
 
@@ -190,11 +191,20 @@ def command(
     params: Annotated[
         list[str] | None, typer.Argument(metavar="[PARAM1 … PARAM7]", help="Numbers; nan or - is unset.")
     ] = None,
+    frame: Annotated[
+        str | None, typer.Option("--frame", metavar="MAV_FRAME", help="As COMMAND_INT, with --x, --y, --z.")
+    ] = None,
+    x: Annotated[int | None, typer.Option("--x", help="As on the wire: latitude * 1e7.")] = None,
+    y: Annotated[int | None, typer.Option("--y", help="As on the wire: longitude * 1e7.")] = None,
+    z: Annotated[float | None, typer.Option("--z", help="Metres.")] = None,
     json_output: Json = False,
 ) -> None:
     """Send any MAV_CMD and wait for its acknowledgement."""
     numbers = [parse_unset_number(p, f"PARAM{i}") for i, p in enumerate(params or [], 1)]
-    order("command", targets, json_output, command=name_or_id(name), params=numbers)
+    more: dict[str, Any] = {}
+    if frame is not None:
+        more = {"int_frame": name_or_id(frame), "x": x, "y": y, "z": z}
+    order("command", targets, json_output, command=name_or_id(name), params=numbers, **more)
 
 
 def add_to(app: typer.Typer) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from skygcs.cli import completion, render
-from skygcs.cli.connection import run
+from skygcs.cli.connection import Exit, run
 from skygcs.cli.options import Json, LinkName, MessageName
 from skygcs.cli.values import NUMBERS, name_or_id, parse_pairs
 from skygcs.rpc.client import Client
@@ -54,9 +54,7 @@ def send_message(
     fields: Annotated[list[str] | None, typer.Argument(metavar="[FIELD=VALUE …]", help="Others are 0.")] = None,
     target: Annotated[
         str | None,
-        typer.Option(
-            "--to", metavar="TARGET", help="One vehicle; default: everyone.", autocompletion=completion.targets
-        ),
+        typer.Option("--to", metavar="TARGETS", help="Vehicles; default: everyone.", autocompletion=completion.targets),
     ] = None,
     link: Annotated[
         str | None, typer.Option("--link", metavar="LINK", help="On this link only.", autocompletion=completion.links)
@@ -66,12 +64,15 @@ def send_message(
     """Send one message: `message send UTIAS quat=1,0,0,0 pos=0,0,1.5`. Enum names are values, too."""
     values = parse_pairs(fields or [])
 
-    async def command(gcs: Client) -> None:
+    async def command(gcs: Client) -> int:
         answer = await gcs.call("messages.send", name=name_or_id(name), fields=values, target=target, link=link)
         if json_output:
             typer.echo(json.dumps(answer, indent=2))
+        elif answer["sent"]:
+            typer.echo(f"sent {answer['message']} ({answer['sent']} times)")
         else:
-            typer.echo("sent" + (f" on {', '.join(map(str, answer['links']))}" if answer.get("links") else ""))
+            typer.echo(f"{answer['message']} was not sent: the link has nobody to send it to", err=True)
+        return Exit.DONE if answer["sent"] else Exit.FAILED
 
     run(command)
 
@@ -144,7 +145,7 @@ def add_link(name: LinkName, pairs: PAIRS, json_output: Json = False) -> None:
 
 @links.command("change")
 def change_link(name: LinkName, pairs: PAIRS, json_output: Json = False) -> None:
-    """Close a link and open it again with these settings (all of them; nothing is kept)."""
+    """Close a link and open it again with these keys changed."""
     _links("links.change", json_output, name=name, link=parse_pairs(pairs))
 
 

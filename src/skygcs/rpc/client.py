@@ -20,8 +20,8 @@ import asyncio
 import json
 import math
 import os
-from collections.abc import Callable, Sequence
-from typing import Any, Self
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self, cast
 
 from skygcs.errors import DaemonUnreachable, RpcError
 from skygcs.rpc.address import client_address
@@ -159,9 +159,10 @@ class Client:
         plain = [None if p is None or math.isnan(p) else p for p in params]
         return await self._order("command", targets, command=command, params=plain, **more)
 
-    async def send(self, name: str | int, *, target: str | int | None = None, **fields: Any) -> Any:
-        """One message of the dialect, to a vehicle or (without target) to everyone."""
-        return await self.call("messages.send", name=name, fields=fields, target=target)
+    async def send(self, name: str | int, fields: Mapping[str, Any], *, target: Targets | None = None) -> Any:
+        """One message of the dialect, to some vehicles or (without target) to everyone. None is NaN."""
+        to = None if target is None else _plain(target)
+        return await self.call("messages.send", name=name, fields=dict(fields), target=to)
 
     # -- subscriptions
 
@@ -274,7 +275,7 @@ class _Wire(asyncio.Protocol):
         self._refused: RpcError | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
+        transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
         self.transport = transport
 
     def data_received(self, data: bytes) -> None:

@@ -49,7 +49,7 @@ class LimitExceeded(SkygcsError):
     """A client wants more than one client gets; the text names the limit."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Method(Generic[C]):
     """One method: its handler gets the session's context and checked parameters, and answers.
 

@@ -5,23 +5,17 @@ A function's docstring is the method's description in `rpc.discover` and docs/re
 
 from __future__ import annotations
 
-import asyncio
 import functools
-from collections.abc import Awaitable, Callable
 from itertools import islice
 from typing import Any, Protocol
 
-import structlog
-
-from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.errors import RefusedError, TargetError
+from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
+from skygcs.errors import TargetError
 from skygcs.rpc import dispatch, openrpc
 from skygcs.rpc import models as m
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.ports import Daemon, JsonObject, OutcomeLike, Vehicle, resolve
+from skygcs.rpc.ports import Daemon, JsonObject, Vehicle, resolve, state_of
 from skygcs.rpc.subscriptions import find_message
-
-_log = structlog.get_logger(__name__)
 
 
 class Context(Protocol):
@@ -40,87 +34,85 @@ def daemon_info(context: Context, _: m.NoParams) -> JsonObject:
 
 def vehicles_list(context: Context, params: m.ListParams) -> list[JsonObject]:
     """The state of some or all vehicles, by system id."""
-    now = context.daemon.now()
-    return [vehicle.state(now) for vehicle in resolve(context.daemon, params.targets)]
+    daemon = context.daemon
+    return [state_of(daemon, vehicle) for vehicle in resolve(daemon, params.targets)]
 
 
 def vehicles_get(context: Context, params: m.TargetParams) -> JsonObject:
     """The state of one vehicle."""
-    return _one(context.daemon, params.target).state(context.daemon.now())
+    return state_of(context.daemon, _one(context.daemon, params.target))
 
 
 async def vehicles_arm(context: Context, params: m.ArmParams) -> JsonObject:
     """Arm."""
-    return await _order(context, params, lambda v: v.arm(force=params.force, wait_s=params.wait_s))
+    return await _order(context, "arm", params)
 
 
 async def vehicles_disarm(context: Context, params: m.DisarmParams) -> JsonObject:
     """Disarm; in flight only with force."""
-    return await _order(context, params, lambda v: v.disarm(force=params.force))
+    return await _order(context, "disarm", params)
 
 
 async def vehicles_mode(context: Context, params: m.ModeParams) -> JsonObject:
     """Set the flight mode by the autopilot's own name for it."""
-    return await _order(context, params, lambda v: v.set_mode(params.mode))
+    return await _outcomes(context, params.targets, "set_mode", name=params.mode)
 
 
 async def vehicles_takeoff(context: Context, params: m.TakeoffParams) -> JsonObject:
     """Take off to a height above the ground it stands on."""
-    return await _order(context, params, lambda v: v.takeoff(params.height_m, arm=params.arm))
+    return await _order(context, "takeoff", params)
 
 
 async def vehicles_land(context: Context, params: m.TargetsParams) -> JsonObject:
     """Land where it is."""
-    return await _order(context, params, lambda v: v.land())
+    return await _order(context, "land", params)
 
 
 async def vehicles_rtl(context: Context, params: m.TargetsParams) -> JsonObject:
     """Return to launch and land there."""
-    return await _order(context, params, lambda v: v.rtl())
+    return await _order(context, "rtl", params)
 
 
 async def vehicles_hold(context: Context, params: m.TargetsParams) -> JsonObject:
     """Stop and hold position."""
-    return await _order(context, params, lambda v: v.hold())
+    return await _order(context, "hold", params)
 
 
 async def vehicles_goto(context: Context, params: m.GotoParams) -> JsonObject:
     """Fly to a place, given in degrees and height above home or in metres about the fleet's origin."""
-    place: dict[str, Any] = params.model_dump(exclude={"targets"})
-    return await _order(context, params, lambda v: v.goto(**place))
+    return await _order(context, "goto", params)
 
 
 async def vehicles_reboot(context: Context, params: m.RebootParams) -> JsonObject:
     """Reboot the autopilot; armed only with force."""
-    return await _order(context, params, lambda v: v.reboot(force=params.force))
+    return await _order(context, "reboot", params)
 
 
 async def vehicles_set_home(context: Context, params: m.SetHomeParams) -> JsonObject:
     """Set the autopilot's home: a place, or (without one) where it stands."""
-    place: dict[str, Any] = params.model_dump(exclude={"targets"})
-    return await _order(context, params, lambda v: v.set_home(**place))
+    return await _order(context, "set_home", params)
 
 
 async def vehicles_interval(context: Context, params: m.IntervalParams) -> JsonObject:
     """Ask for one message at a rate (SET_MESSAGE_INTERVAL)."""
-    info = find_message(context.daemon.dialect, params.message, "message")
-    return await _order(context, params, lambda v: v.set_message_interval(info.name, params.rate_hz))
+    find_message(context.daemon.dialect, params.message, "message")
+    return await _order(context, "set_message_interval", params)
+
+
+async def vehicles_request(context: Context, params: m.RequestParams) -> JsonObject:
+    """Ask for one message once; it is there (messages.latest) when the outcome is good."""
+    find_message(context.daemon.dialect, params.message, "message")
+    return await _order(context, "request_message", params)
 
 
 async def vehicles_stream(context: Context, params: m.StreamParams) -> JsonObject:
     """Ask for a group of messages at a rate (REQUEST_DATA_STREAM)."""
-    return await _order(context, params, lambda v: v.request_stream(params.stream, params.rate_hz))
+    return await _order(context, "request_stream", params)
 
 
 async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObject:
     """Send any MAV_CMD and wait for its acknowledgement."""
-    return await _order(
-        context,
-        params,
-        lambda v: v.command(
-            params.command, params.params, int_frame=params.int_frame, x=params.x, y=params.y, z=params.z
-        ),
-    )
+    return await _order(context, "command", params)
 
 
 def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | None:
@@ -132,9 +124,8 @@ def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | No
 def messages_send(context: Context, params: m.SendParams) -> JsonObject:
     """Send any message of the dialect, checked field by field, to one vehicle, one link or everyone."""
     info = find_message(context.daemon.dialect, params.name, "name")
-    fields = _checked_fields(info, params.fields)
-    target = None if params.target is None else str(_one(context.daemon, params.target).sysid)
-    return context.daemon.send_message(info.name, fields, target, params.link)
+    fields = _checked_fields(context.daemon.dialect, info, params.fields)
+    return context.daemon.send_message(info.name, fields, params.target, params.link)
 
 
 def messages_list(context: Context, _: m.NoParams) -> list[JsonObject]:
@@ -208,36 +199,15 @@ def _document() -> JsonObject:
     return openrpc.document(METHODS.values())
 
 
-async def _order(
-    context: Context, params: m.TargetsParams, order: Callable[[Vehicle], Awaitable[OutcomeLike]]
-) -> JsonObject:
-    """The same order to every target at the same time; one outcome each, whatever happens to the others."""
-    vehicles = resolve(context.daemon, params.targets)
-    if not vehicles:
-        raise TargetError("no vehicle has been heard yet")
-    outcomes = await asyncio.gather(*(_outcome(v, order) for v in vehicles))
-    return {"outcomes": dict(zip((v.name for v in vehicles), outcomes, strict=True))}
+async def _order(context: Context, order: str, params: m.TargetsParams) -> JsonObject:
+    """An order whose arguments are the parameters."""
+    return await _outcomes(context, params.targets, order, **params.model_dump(exclude={"targets"}))
 
 
-async def _outcome(vehicle: Vehicle, order: Callable[[Vehicle], Awaitable[OutcomeLike]]) -> JsonObject:
-    try:
-        return (await order(vehicle)).as_dict()
-    except RefusedError as error:
-        return _no_attempt("refused", str(error))
-    except Exception as error:  # one vehicle's fault is not the others'
-        _log.error("order failed", vehicle=vehicle.name, exc_info=error)
-        return _no_attempt("failed", "failed inside the daemon; its log says why")
-
-
-def _no_attempt(result: str, message: str) -> JsonObject:
-    return {
-        "ok": False,
-        "result": result,
-        "message": message,
-        "attempts": 0,
-        "elapsed_s": 0.0,
-        "status_texts": [],
-    }
+async def _outcomes(context: Context, targets: str | list[str], order: str, **arguments: Any) -> JsonObject:
+    """The same order to every target at the same time, and what became of it on each."""
+    outcomes = await context.daemon.fleet.command_all(targets, order, **arguments)
+    return {"outcomes": {name: outcome.as_dict() for name, outcome in outcomes.items()}}
 
 
 def _one(daemon: Daemon, target: str) -> Vehicle:
@@ -248,28 +218,37 @@ def _one(daemon: Daemon, target: str) -> Vehicle:
     return vehicles[0]
 
 
-def _checked_fields(info: MessageInfo, fields: JsonObject) -> JsonObject:
+def _checked_fields(dialect: Dialect, info: MessageInfo, fields: JsonObject) -> JsonObject:
     """Fields as the dialect packs them; every wrong one is told, not only the first."""
-    types = {f.name: f.type for f in info.fields}
+    by_name = {f.name: f for f in info.fields}
     problems: list[tuple[str, str]] = []
     result: JsonObject = {}
     for name, value in fields.items():
-        if types.get(name) in ("float", "double"):
-            value = _null_to_nan(value)
+        field = by_name.get(name)
         try:
-            info.pack({name: value})
+            result[name] = value if field is None else _field_value(dialect, field, value)
+            info.pack({name: result[name]})
         except ValueError as error:
             problems.append((f"fields.{name}"[:100], str(error)))
-        result[name] = value
     if problems:
         raise InvalidParams(*problems)
     return result
 
 
-def _null_to_nan(value: object) -> object:
-    if value is None:
-        return float("nan")
-    return [_null_to_nan(v) for v in value] if isinstance(value, list) else value
+def _field_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
+    """JSON's null as NaN, digits as text where the field is text, enum entries ("A" or "A|B") by their value."""
+    if isinstance(value, list):
+        return [_field_value(dialect, field, v) for v in value]
+    if field.type in ("float", "double"):
+        return float("nan") if value is None else value
+    if field.type == "char":
+        return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    if isinstance(value, str) and field.enum:
+        try:
+            return sum(dialect.enum_value(field.enum, part.strip()) for part in set(value.split("|")))
+        except KeyError as error:
+            raise ValueError(error.args[0]) from None
+    return value
 
 
 def _describe(info: MessageInfo) -> JsonObject:
@@ -300,10 +279,17 @@ METHODS: dict[str, Method[Context]] = {
         Method("vehicles.reboot", m.RebootParams, vehicles_reboot, m.Outcomes, _ORDER),
         Method("vehicles.set_home", m.SetHomeParams, vehicles_set_home, m.Outcomes, _ORDER),
         Method("vehicles.interval", m.IntervalParams, vehicles_interval, m.Outcomes, _ORDER),
+        Method("vehicles.request", m.RequestParams, vehicles_request, m.Outcomes, _ORDER),
         Method("vehicles.stream", m.StreamParams, vehicles_stream, m.Outcomes, _ORDER),
         Method("vehicles.command", m.CommandParams, vehicles_command, m.Outcomes, _ORDER),
         Method("messages.latest", m.LatestParams, messages_latest, m.MessageReading | None, _ORDER),
-        Method("messages.send", m.SendParams, messages_send, dict[str, Any], (*_ORDER, dispatch.LINK_ERROR)),
+        Method(
+            "messages.send",
+            m.SendParams,
+            messages_send,
+            dict[str, Any],
+            (*_ORDER, dispatch.REFUSED, dispatch.LINK_ERROR),
+        ),
         Method("messages.list", m.NoParams, messages_list, list[m.MessageType]),
         Method("links.list", m.NoParams, links_list, list[dict[str, Any]]),
         Method("links.add", m.LinkParams, links_add, list[dict[str, Any]], _LINK),

@@ -55,7 +55,6 @@ Enu = Annotated[
     Field(min_length=3, max_length=3, description="[east, north, up] in metres from the fleet's origin."),
 ]
 LinkName = Annotated[str, Field(min_length=1, max_length=64, description="The link's name.")]
-Hz = Annotated[float, Field(description="Messages per second; 0 stops it, -1 is the autopilot's default.", ge=-1)]
 
 
 class Params(BaseModel):
@@ -137,7 +136,13 @@ class SetHomeParams(TargetsParams):
 
 class IntervalParams(TargetsParams):
     message: MessageName
-    rate_hz: Hz
+    rate_hz: float | None = Field(
+        ge=0, le=1000, description="Messages per second; 0 stops it, null is the autopilot's own rate."
+    )
+
+
+class RequestParams(TargetsParams):
+    message: MessageName
 
 
 class StreamParams(TargetsParams):
@@ -150,9 +155,9 @@ class CommandParams(TargetsParams):
     params: list[float | None] = Field(
         default_factory=list, max_length=7, description="param1 to param7; null is NaN (unset), missing ones are 0."
     )
-    int_frame: int | None = Field(None, ge=0, le=255, description="Send COMMAND_INT with this MAV_FRAME.")
-    x: int | None = Field(None, description="COMMAND_INT's x (latitude in 1e-7 degrees).")
-    y: int | None = Field(None, description="COMMAND_INT's y (longitude in 1e-7 degrees).")
+    int_frame: NameOrId | None = Field(None, description="Send COMMAND_INT with this MAV_FRAME, by name or number.")
+    x: int | None = Field(None, description="COMMAND_INT's x as on the wire (latitude in 1e-7 degrees).")
+    y: int | None = Field(None, description="COMMAND_INT's y as on the wire (longitude in 1e-7 degrees).")
     z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
 
 
@@ -165,7 +170,7 @@ class SendParams(Params):
     fields: dict[str, Any] = Field(
         default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."
     )
-    target: Target | None = Field(None, description="Vehicle to address; its ids are filled in.")
+    target: Targets | None = Field(None, description="Vehicles to send it to, each with its ids filled in.")
     link: str | None = Field(None, description="Send on this link only.")
 
 
@@ -242,8 +247,13 @@ class Outcomes(Result):
     outcomes: dict[str, Outcome] = Field(description="By vehicle name.")
 
 
+Part = dict[str, Any] | None
+"""A section of the state; null until a message has told of it. ``age_s`` is the time since then."""
+
+
 class StatusText(Result):
-    severity: str | int
+    severity: str
+    level: int
     text: str
     age_s: float
 
@@ -267,26 +277,35 @@ class VehicleState(Result):
     system_status: str | None
     landed: str | None
     failsafe: bool | None
-    gps: dict[str, Any] | None = Field(
-        description="fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, age_s"
+    gps: Part = Field(description="fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec")
+    position: Part = Field(
+        description="lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps, enu_m, time_boot_s"
     )
-    position: dict[str, Any] | None = Field(
-        description="lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps, enu_m, age_s"
+    local: Part = Field(description="The autopilot's own frame, turned to ENU: pos_enu_m, vel_enu_mps, time_boot_s")
+    attitude: Part = Field(
+        description="roll_deg, pitch_deg, yaw_deg (clockwise from north), rates_dps, quaternion (w, x, y, z)"
     )
-    local: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, age_s")
-    attitude: dict[str, Any] | None = Field(
-        description="roll_deg, pitch_deg, yaw_deg, rates_dps, quaternion (w, x, y, z), age_s"
-    )
-    battery: dict[str, Any] | None = Field(description="volts, amps, percent, age_s")
-    home: dict[str, Any] | None = Field(description="lat_deg, lon_deg, alt_amsl_m, age_s")
-    estimator: dict[str, Any] | None = Field(description="flags, ok, names, age_s")
-    sensors: dict[str, Any] | None = Field(description="present, enabled, health: lists of names; age_s")
-    vfr: dict[str, Any] | None = Field(description="airspeed_mps, groundspeed_mps, throttle_percent, climb_mps, age_s")
-    rc: dict[str, Any] | None = Field(description="channels, rssi, age_s")
-    imu: dict[str, Any] | None = Field(description="accel_mps2, gyro_radps, mag and more, age_s")
+    battery: Part = Field(description="volts, amps, percent, consumed_mah, temperature_degc, remaining_s")
+    home: Part = Field(description="The autopilot's home: lat_deg, lon_deg, alt_amsl_m")
+    ekf_origin: Part = Field(description="The autopilot's local origin: lat_deg, lon_deg, alt_amsl_m")
+    estimator: Part = Field(description="flags, ok (good enough to navigate by), names, ratios, accuracy_m")
+    sensors: Part = Field(description="present, enabled, health, unhealthy: lists of names; load_percent")
+    vfr: Part = Field(description="airspeed_mps, groundspeed_mps, heading_deg, throttle_percent, alt_m, climb_mps")
+    rc: Part = Field(description="channels, rssi")
+    imu: Part = Field(description="accel_mps2, gyro_radps, mag_gauss, pressure_hpa, temperature_degc")
+    servos: Part = Field(description="pwm_us")
+    mission: Part = Field(description="seq")
+    target_global: Part = Field(description="Where the autopilot says it goes: lat_deg, lon_deg, alt_m and more")
+    target_local: Part = Field(description="The same in its local frame: pos_enu_m, vel_enu_mps, yaw_deg")
+    target_attitude: Part = Field(description="quaternion, thrust, type_mask")
+    time: Part = Field(description="unix_s, boot_s")
+    high_latency: Part = Field(description="HIGH_LATENCY2: position, battery, failures in one message")
+    last_ack: Part = Field(description="The last COMMAND_ACK")
     status_texts: list[StatusText]
     messages: dict[str, Any] = Field(description="By message name: rate_hz, age_s, count.")
-    links: dict[str, Any] = Field(description="By link: loss_ratio, bytes_per_s.")
+    links: dict[str, Any] = Field(
+        description="By link: frames, bytes, lost, loss_ratio, frames_per_s, bytes_per_s, age_s."
+    )
 
 
 class Subscription(Result):
@@ -299,6 +318,8 @@ class MessageReading(Result):
     name: str
     fields: dict[str, Any]
     age_s: float
+    rate_hz: float
+    count: int
 
 
 class MessageType(Result):
@@ -313,5 +334,6 @@ class Event(Result):
     time_unix_s: float
     kind: str
     vehicle: str | None
+    sysid: int | None
     text: str
     data: dict[str, Any]

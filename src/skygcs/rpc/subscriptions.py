@@ -10,7 +10,7 @@ import asyncio
 
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.rpc.dispatch import InvalidParams
-from skygcs.rpc.models import SubscribeParams
+from skygcs.rpc.models import SubscribeParams, VehicleState
 from skygcs.rpc.notices import EventFeed, EventSubscription, MessageFeed, MessageSubscription
 from skygcs.rpc.ports import Daemon, Sink
 from skygcs.rpc.telemetry import TelemetryFeed, TelemetrySubscription
@@ -35,6 +35,7 @@ class Feeds:
         texts = frozenset(str(name) for name in params.names or ())
         match params.topic:
             case "telemetry":
+                _check_sections(texts)
                 rate_hz = params.rate_hz or DEFAULT_TELEMETRY_HZ
                 telemetry = TelemetrySubscription(sink, number, params.targets, rate_hz, texts)
                 self._telemetry.add(telemetry)
@@ -68,6 +69,13 @@ class Feeds:
         self._telemetry.close()
         self._events.close()
         self._messages.close()
+
+
+def _check_sections(names: frozenset[str]) -> None:
+    unknown = sorted(names - VehicleState.model_fields.keys())
+    if unknown:
+        there_is = ", ".join(VehicleState.model_fields)
+        raise InvalidParams(("names", f"a vehicle's state has no {', '.join(unknown)[:80]}; it has: {there_is}"))
 
 
 def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:

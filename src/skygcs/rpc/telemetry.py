@@ -9,7 +9,7 @@ import structlog
 from pydantic_core import to_json
 
 from skygcs.errors import TargetError
-from skygcs.rpc.ports import Daemon, Sink, Vehicle, resolve
+from skygcs.rpc.ports import Daemon, Sink, Vehicle, resolve, state_of
 
 GRID_S = 0.05
 """All telemetry goes out on one grid of 20 Hz, so that every subscriber of a tick shares the encoded state."""
@@ -156,7 +156,7 @@ class TelemetryFeed:
         body = self._encoded.get((key, names))
         if body is None:
             try:
-                state = vehicle.state(self._daemon.now())
+                state = state_of(self._daemon, vehicle)
                 if names:
                     state = {k: v for k, v in state.items() if k in names or k in ("name", "sysid")}
                 body = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":' + to_json(state, inf_nan_mode="null")

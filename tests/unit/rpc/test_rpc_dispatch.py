@@ -1,0 +1,210 @@
+"""JSON-RPC 2.0 itself, without sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import Field
+
+from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, Reply, parse
+from skygcs.rpc.models import NoParams, Params
+
+
+class PairParams(Params):
+    first: int
+    second: float = Field(2.0, gt=0)
+
+
+class Calls:
+    def __init__(self) -> None:
+        self.made: list[PairParams] = []
+
+
+def pair(calls: Calls, params: PairParams) -> list[float]:
+    calls.made.append(params)
+    return [params.first, params.second]
+
+
+async def slow_pair(calls: Calls, params: PairParams) -> list[float]:
+    await asyncio.sleep(0)
+    return pair(calls, params)
+
+
+def raising(error: Exception) -> Method[Calls]:
+    def fail(calls: Calls, params: NoParams) -> None:
+        raise error
+
+    return Method("fail", NoParams, fail)
+
+
+DISPATCHER = Dispatcher[Calls](
+    {"pair": Method("pair", PairParams, pair), "slow": Method("slow", PairParams, slow_pair)}
+)
+
+
+def finished(reply: Reply) -> bytes | None:
+    """Drive a reply to its end without a loop: `slow_pair` only yields once."""
+    if reply is None or isinstance(reply, bytes):
+        return reply
+    while True:
+        try:
+            reply.send(None)
+        except StopIteration as end:
+            return bytes(end.value)
+
+
+def ask(request: object, dispatcher: Dispatcher[Calls] = DISPATCHER) -> Any:
+    """The decoded answer, None for none."""
+    reply = finished(dispatcher.start(Calls(), request))
+    assert b"\n" not in (reply or b"")
+    return json.loads(reply) if reply else None
+
+
+def request(method: str = "pair", params: Any = None, request_id: Any = 1) -> dict[str, Any]:
+    return {"jsonrpc": "2.0", "id": request_id, "method": method, "params": params}
+
+
+@pytest.mark.parametrize("method", ["pair", "slow"])
+def test_result_comes_with_the_requests_id(method: str) -> None:
+    for request_id in (1, "x", 2.5, None, 10**40, "\x00\u2028é"):
+        assert ask(request(method, {"first": 3}, request_id)) == {
+            "jsonrpc": "2.0",
+            "id": request_id,
+            "result": [3, 2.0],
+        }
+
+
+@pytest.mark.parametrize("method", ["pair", "slow"])
+def test_parameters_may_be_given_by_position(method: str) -> None:
+    assert ask(request(method, [3, 4]))["result"] == [3, 4.0]
+
+
+@pytest.mark.parametrize("method", ["pair", "slow", "nonsense"])
+def test_notification_is_carried_out_and_never_answered(method: str) -> None:
+    calls = Calls()
+    for params in ({"first": 3}, {"wrong": 1}, 7):
+        reply = DISPATCHER.start(calls, {"jsonrpc": "2.0", "method": method, "params": params})
+        assert not finished(reply)
+    assert len(calls.made) == (method != "nonsense")
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        1,
+        "x",
+        None,
+        [],
+        {},
+        {"jsonrpc": "2.0"},
+        {"jsonrpc": "2.0", "method": 1, "id": 1},
+        {"jsonrpc": "1.0", "method": "pair", "id": 1},
+        {"method": "pair", "id": 1},
+        {"jsonrpc": "2.0", "method": "pair", "id": True},
+        {"jsonrpc": "2.0", "method": "pair", "id": [1]},
+        {"jsonrpc": "2.0", "method": "pair", "id": {}},
+    ],
+)
+def test_what_is_no_request_is_an_invalid_request(bad: object) -> None:
+    answer = ask(bad)
+    assert answer["error"]["code"] == -32600
+    assert answer["id"] == (
+        bad.get("id") if isinstance(bad, dict) and bad.get("id") is not True and bad.get("id") == 1 else None
+    )
+
+
+def test_unknown_method_is_named_with_what_is_close() -> None:
+    answer = ask(request("pear"))
+    assert answer["error"]["code"] == -32601
+    assert "pear" in answer["error"]["message"] and "did you mean pair" in answer["error"]["message"]
+    assert len(ask(request("x" * 100_000))["error"]["message"]) < 300
+
+
+def test_every_wrong_parameter_is_told_in_words() -> None:
+    answer = ask(request(params={"frist": 1, "second": -3}))
+    assert answer["error"]["code"] == -32602
+    problems = {p["param"]: p["problem"] for p in answer["error"]["data"]["problems"]}
+    assert problems == {
+        "first": "is missing",
+        "frist": "no such parameter; did you mean first?",
+        "second": "should be greater than 0 (got -3)",
+    }
+    assert all(param in answer["error"]["message"] for param in problems)
+    assert "pydantic" not in json.dumps(answer)
+
+
+@pytest.mark.parametrize("params", [7, "x", True, [1, 2, 3], {"first": "1"}, {"first": True}, {"first": 1.5}])
+def test_parameters_of_the_wrong_shape_or_type_are_refused(params: Any) -> None:
+    assert ask(request(params=params))["error"]["code"] == -32602
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (TargetError("no vehicle 7"), -32001),
+        (RefusedError("too far"), -32002),
+        (LinkError("no link x"), -32003),
+        (LimitExceeded("too many"), -32005),
+        (InvalidParams(("name", "unknown")), -32602),
+        (ConfigError("links.x", ["links.x.port: is missing"]), -32602),
+    ],
+)
+def test_errors_raised_on_purpose_keep_their_text(error: Exception, code: int) -> None:
+    answer = ask(request("fail"), Dispatcher({"fail": raising(error)}))
+    assert answer["error"]["code"] == code
+    assert str(error).splitlines()[-1].strip() in answer["error"]["message"]
+
+
+def test_a_bug_is_answered_without_its_text_or_traceback() -> None:
+    answer = ask(request("fail"), Dispatcher({"fail": raising(ZeroDivisionError("secret"))}))
+    assert answer["error"]["code"] == -32603
+    assert "secret" not in json.dumps(answer) and "Traceback" not in json.dumps(answer)
+
+
+def test_a_result_that_json_cannot_carry_is_an_internal_error() -> None:
+    method = Method[Calls]("odd", NoParams, lambda calls, params: object())
+    assert ask(request("odd"), Dispatcher({"odd": method}))["error"]["code"] == -32603
+
+
+def test_nan_and_infinity_are_null_in_results() -> None:
+    method = Method[Calls]("odd", NoParams, lambda calls, params: [math.nan, math.inf, -math.inf, 1.5])
+    assert ask(request("odd"), Dispatcher({"odd": method}))["result"] == [None, None, None, 1.5]
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"{", b'{"a":NaN}', b"[" * 100_000, b"9" * 5000, b"\xff\xfe", b'"\\ud800"', b"[1,]", b"nul", b"{}{}"]
+)
+def test_what_is_not_json_is_a_value_error_with_a_text(line: bytes) -> None:
+    with pytest.raises(ValueError, match=r"\w"):
+        parse(line)
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=12,
+)
+near_requests = st.fixed_dictionaries(
+    {},
+    optional={
+        "jsonrpc": st.just("2.0") | json_values,
+        "id": json_values,
+        "method": st.sampled_from(["pair", "slow", "nonsense"]) | json_values,
+        "params": st.fixed_dictionaries({"first": st.integers()}) | json_values,
+    },
+)
+
+
+@given(json_values | near_requests)
+def test_any_json_gets_a_valid_answer_or_none(value: Any) -> None:
+    answer = ask(value)
+    if answer is not None:
+        assert answer["jsonrpc"] == "2.0" and "id" in answer
+        assert ("result" in answer) != ("error" in answer)

@@ -1,0 +1,454 @@
+"""The server over real sockets, against a fake daemon: what clients get, and what bad clients cannot do to others."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import stat
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from skygcs.errors import LinkError
+from skygcs.rpc import session
+from skygcs.rpc.server import RpcServer
+from support.fake_daemon import FakeDaemon, FakeOutcome
+
+PATIENCE_S = 10.0
+"""Of every read: far more than any answer takes."""
+
+
+class Peer:
+    """A client that can also say what no client should."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+
+    def send(self, *lines: object) -> None:
+        for line in lines:
+            raw = line if isinstance(line, bytes) else json.dumps(line).encode()
+            self.writer.write(raw + b"\n")
+
+    async def answer(self) -> Any:
+        """The next line; None at the end."""
+        line = await asyncio.wait_for(self.reader.readline(), PATIENCE_S)
+        return json.loads(line) if line else None
+
+    async def call(self, method: str, **params: Any) -> Any:
+        self.send({"jsonrpc": "2.0", "id": "c", "method": method, "params": params})
+        while True:
+            answer = await self.answer()
+            if answer is None or answer.get("id") == "c":
+                return answer
+
+    async def close(self) -> None:
+        self.writer.close()
+        with contextlib.suppress(ConnectionError):
+            await self.writer.wait_closed()
+
+
+class Bench:
+    """A server and its clients."""
+
+    def __init__(self, daemon: FakeDaemon, server: RpcServer) -> None:
+        self.daemon, self.server = daemon, server
+        self.peers: list[Peer] = []
+
+    async def connect(self) -> Peer:
+        path = os.fspath(self.server.socket_path)
+        peer = Peer(*await asyncio.open_unix_connection(path, limit=64 << 20))
+        self.peers.append(peer)
+        return peer
+
+    async def connect_tcp(self) -> Peer:
+        assert self.server.tcp_address is not None
+        peer = Peer(*await asyncio.open_connection(*self.server.tcp_address))
+        self.peers.append(peer)
+        return peer
+
+    async def until(self, condition: Any) -> None:
+        async with asyncio.timeout(PATIENCE_S):
+            while not condition():  # noqa: ASYNC110 - nothing announces what happens inside the server
+                await asyncio.sleep(0.005)
+
+
+@pytest.fixture
+async def bench(tmp_path: Path) -> AsyncIterator[Bench]:
+    daemon = FakeDaemon()
+    server = RpcServer(daemon, tmp_path / "run" / "s.sock", tcp_port=0, token="open sesame")
+    await server.start()
+    bench = Bench(daemon, server)
+    yield bench
+    for peer in bench.peers:
+        await peer.close()
+    await server.close()
+
+
+def arm(request_id: object = 1, targets: str = "all") -> dict[str, Any]:
+    return {"jsonrpc": "2.0", "id": request_id, "method": "vehicles.arm", "params": {"targets": targets}}
+
+
+async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench) -> None:
+    peer = await bench.connect()
+    alpha = bench.daemon.vehicle("alpha")
+    place = {"lat_deg": 43.0, "lon_deg": -79.0, "height_m": 5.0, "enu_m": None, "yaw_deg": None, "force": False}
+    orders: list[tuple[str, dict[str, Any], tuple[str, dict[str, Any]]]] = [
+        ("arm", {"force": True, "wait_s": 2.5}, ("arm", {"force": True, "wait_s": 2.5})),
+        ("disarm", {}, ("disarm", {"force": False})),
+        ("mode", {"mode": "LAND"}, ("set_mode", {"name": "LAND"})),
+        ("takeoff", {"height_m": 3}, ("takeoff", {"height_m": 3.0, "arm": True})),
+        ("land", {}, ("land", {})),
+        ("rtl", {}, ("rtl", {})),
+        ("hold", {}, ("hold", {})),
+        ("goto", {"lat_deg": 43, "lon_deg": -79, "height_m": 5}, ("goto", place)),
+        ("reboot", {"force": True}, ("reboot", {"force": True})),
+        ("set_home", {}, ("set_home", {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None})),
+        (
+            "interval",
+            {"message": "ATTITUDE", "rate_hz": None},
+            ("set_message_interval", {"message": "ATTITUDE", "rate_hz": None}),
+        ),
+        ("request", {"message": 30}, ("request_message", {"message": 30})),
+        ("stream", {"stream": "ALL", "rate_hz": 4}, ("request_stream", {"stream": "ALL", "rate_hz": 4.0})),
+        (
+            "command",
+            {"command": 183, "params": [1, None]},
+            ("command", {"command": 183, "params": [1.0, None], "int_frame": None, "x": None, "y": None, "z": None}),
+        ),
+    ]
+    for method, params, expected in orders:
+        answer = await peer.call(f"vehicles.{method}", targets="alpha", **params)
+        assert answer["result"]["outcomes"]["alpha"]["ok"] is True, answer
+        assert alpha.orders[-1] == expected
+    assert bench.daemon.vehicle("bravo").orders == []
+
+
+async def test_each_vehicle_has_its_own_outcome(bench: Bench) -> None:
+    peer = await bench.connect()
+    bench.daemon.vehicle("carol").outcome = FakeOutcome(False, "denied", "denied: Arm: Throttle too high")
+    outcomes = (await peer.call("vehicles.arm", targets=["1", 3]))["result"]["outcomes"]
+    assert {name: o["ok"] for name, o in outcomes.items()} == {"alpha": True, "carol": False}
+    assert outcomes["carol"]["message"] == "denied: Arm: Throttle too high"
+
+
+async def test_reading_methods_answer(bench: Bench) -> None:
+    peer = await bench.connect()
+    for method in ("daemon.info", "links.list", "router.stats", "events.recent", "recorder.status", "messages.list"):
+        assert "result" in await peer.call(method), method
+    states = (await peer.call("vehicles.list"))["result"]
+    assert [s["name"] for s in states] == ["alpha", "bravo", "carol"]
+    assert states[0]["gps"]["vdop"] is None  # NaN in the snapshot
+    assert states[0]["links"]["radio"]["loss_ratio"] == 0.013
+    assert (await peer.call("vehicles.get", target=2))["result"]["name"] == "bravo"
+    assert (await peer.call("vehicles.get", target="all"))["error"]["code"] == -32001
+    assert (await peer.call("vehicles.get", target="nobody"))["error"]["code"] == -32001
+    assert (await peer.call("messages.latest", target=1, name="attitude"))["result"]["fields"]["roll"] is None
+    bench.daemon.fleet.vehicles.clear()
+    assert (await peer.call("vehicles.list"))["result"] == []
+
+
+async def test_links_are_changed_at_run_time_and_mistakes_are_told(bench: Bench) -> None:
+    peer = await bench.connect()
+    added = await peer.call("links.add", name="qgc", link={"type": "udp_client", "host": "::1", "port": 14550})
+    assert [link["name"] for link in added["result"]] == ["radio", "qgc"]
+    again = await peer.call("links.add", name="qgc", link={"type": "udp_client"})
+    assert again["error"]["code"] == -32003
+    wrong = await peer.call("links.add", name="x", link={})
+    assert wrong["error"]["code"] == -32602 and "links.x.port: is missing" in wrong["error"]["message"]
+    assert [link["name"] for link in (await peer.call("links.remove", name="qgc"))["result"]] == ["radio"]
+
+
+async def test_a_message_is_checked_field_by_field_before_it_is_sent(bench: Bench) -> None:
+    peer = await bench.connect()
+    bad = await peer.call("messages.send", name="ATTITUDE", fields={"rol": 1, "yaw": "north"})
+    assert {p["param"] for p in bad["error"]["data"]["problems"]} == {"fields.rol", "fields.yaw"}
+    assert (await peer.call("messages.send", name="NONSENSE"))["error"]["code"] == -32602
+    fields = {"type": "MAV_TYPE_GCS", "base_mode": "MAV_MODE_FLAG_SAFETY_ARMED|MAV_MODE_FLAG_TEST_ENABLED"}
+    assert "result" in await peer.call("messages.send", name="heartbeat", fields=fields, target="alpha")
+    assert bench.daemon.sent[-1] == ("HEARTBEAT", {"type": 6, "base_mode": 130}, "alpha", None)
+    await peer.call("messages.send", name="STATUSTEXT", fields={"text": 123}, link="radio")
+    assert bench.daemon.sent[-1] == ("STATUSTEXT", {"text": "123"}, None, "radio")
+    await peer.call("messages.send", name="ATTITUDE", fields={"roll": None})
+    assert bench.daemon.sent[-1][1]["roll"] != bench.daemon.sent[-1][1]["roll"]  # NaN
+    wrong = await peer.call("messages.send", name="HEARTBEAT", fields={"type": "MAV_TYPE_CAR"})
+    assert "MAV_TYPE_CAR" in wrong["error"]["message"]
+    assert len(bench.daemon.sent) == 3
+
+
+async def test_a_batch_is_answered_as_one_without_its_notifications(bench: Bench) -> None:
+    peer = await bench.connect()
+    info = {"jsonrpc": "2.0", "method": "daemon.info"}
+    peer.send([{**info, "id": 1}, info, 5, arm(2), {**arm(3), "id": "x"}, {"jsonrpc": "2.0", "id": 4, "method": "no"}])
+    answers = await peer.answer()
+    assert [a["id"] for a in answers] == [1, None, 2, "x", 4]
+    assert [a.get("error", {}).get("code") for a in answers] == [None, -32600, None, None, -32601]
+    peer.send([info, info], [], [info] * (session.MAX_BATCH + 1))
+    assert (await peer.answer())["error"]["code"] == -32600
+    assert (await peer.answer())["error"]["code"] == -32005
+
+
+async def test_garbage_is_answered_and_the_next_request_works(bench: Bench) -> None:
+    peer = await bench.connect()
+    peer.send(b"{", b"\xff\xfe\x00", b"[" * 50_000, b"", b"   ", b"null", {"id": 1})
+    codes = [(await peer.answer())["error"]["code"] for _ in range(5)]
+    assert codes == [-32700, -32700, -32700, -32600, -32600]
+    assert "result" in await peer.call("daemon.info")
+
+
+async def test_a_line_that_is_too_long_is_skipped_and_nothing_is_kept_of_it(bench: Bench) -> None:
+    peer = await bench.connect()
+    for _ in range(5):
+        peer.writer.write(b"x" * session.MAX_LINE_BYTES)
+        await peer.writer.drain()
+    peer.send(b"the end of the line")
+    assert "at most" in (await peer.answer())["error"]["message"]
+    assert "result" in await peer.call("daemon.info")
+    assert bench.server.stats()["lines_too_long"] == 1
+
+
+async def test_a_request_may_come_byte_by_byte_and_many_at_once(bench: Bench) -> None:
+    peer = await bench.connect()
+    for byte in json.dumps(arm(7)).encode() + b"\r\n":
+        peer.writer.write(bytes([byte]))
+        await peer.writer.drain()
+    assert (await peer.answer())["id"] == 7
+    peer.send(*({"jsonrpc": "2.0", "id": i, "method": "daemon.info"} for i in range(1000)))
+    assert [(await peer.answer())["id"] for _ in range(1000)] == list(range(1000))
+
+
+async def test_slow_orders_do_not_hold_up_quick_answers(bench: Bench) -> None:
+    peer = await bench.connect()
+    bench.daemon.vehicle("alpha").delay_s = 0.2
+    peer.send(arm("slow", "alpha"), {"jsonrpc": "2.0", "id": "quick", "method": "daemon.info"})
+    assert [(await peer.answer())["id"] for _ in range(2)] == ["quick", "slow"]
+
+
+async def test_calls_in_flight_are_limited_per_client_only(bench: Bench) -> None:
+    greedy, other = await bench.connect(), await bench.connect()
+    alpha = bench.daemon.vehicle("alpha")
+    alpha.delay_s = 30.0
+    greedy.send(*(arm(i, "alpha") for i in range(session.MAX_IN_FLIGHT + 1)))
+    answer = await greedy.answer()
+    assert answer["id"] == session.MAX_IN_FLIGHT and answer["error"]["code"] == -32005
+    assert (await other.call("vehicles.arm", targets="bravo"))["result"]["outcomes"]["bravo"]["ok"]
+    await greedy.close()
+    await bench.until(lambda: alpha.cancelled == session.MAX_IN_FLIGHT)
+
+
+async def test_what_a_vanished_client_waits_for_is_cancelled(bench: Bench) -> None:
+    peer = await bench.connect()
+    alpha = bench.daemon.vehicle("alpha")
+    alpha.delay_s = 30.0
+    peer.send(arm(1, "alpha"), [arm(2, "alpha"), arm(3, "alpha")])
+    await bench.until(lambda: len(alpha.orders) == 3)
+    peer.writer.transport.abort()
+    await bench.until(lambda: alpha.cancelled == 3)
+    assert bench.server.stats()["sessions"] == 0
+
+
+async def test_a_client_that_only_stops_sending_is_still_answered(bench: Bench) -> None:
+    peer = await bench.connect()
+    bench.daemon.vehicle("alpha").delay_s = 0.05
+    peer.writer.write(json.dumps(arm(1, "alpha")).encode())  # no newline: the end of file ends the line
+    peer.writer.write_eof()
+    assert (await peer.answer())["result"]["outcomes"]["alpha"]["ok"]
+    assert await peer.answer() is None
+
+
+async def test_a_client_that_never_reads_is_stopped_without_growing_the_daemon(bench: Bench) -> None:
+    lazy, other = await bench.connect(), await bench.connect()
+    lazy.writer.transport.set_write_buffer_limits(high=0)
+    lazy.reader._transport.pause_reading()  # type: ignore[union-attr]
+    request = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "messages.list"}).encode() + b"\n"
+
+    async def flood() -> None:
+        while True:
+            lazy.writer.write(request * 100)
+            await lazy.writer.drain()
+
+    flooding = asyncio.create_task(flood())
+    for _ in range(20):
+        assert "result" in await other.call("daemon.info")
+        await asyncio.sleep(0.01)
+    assert not flooding.done()  # it waits: the daemon reads no more of its requests
+    sessions = bench.server._hub.sessions  # type: ignore[union-attr]
+    unread = max(s._transport.get_write_buffer_size() for s in sessions)  # type: ignore[union-attr]
+    assert 0 < unread < session.MAX_OUTPUT_BYTES
+    assert max(len(s._buffer) for s in sessions) < session.MAX_LINE_BYTES
+    flooding.cancel()
+    lazy.writer.transport.abort()
+
+
+async def test_a_client_whose_unread_replies_exceed_the_bound_is_closed(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "MAX_OUTPUT_BYTES", 300_000)
+    lazy = await bench.connect()
+    lazy.reader._transport.pause_reading()  # type: ignore[union-attr]
+    bench.daemon.vehicle("alpha").delay_s = 0.05
+    lazy.send(*({"jsonrpc": "2.0", "id": i, "method": "messages.list"} for i in range(20)))
+    await bench.until(lambda: bench.server.stats().get("closed_unread"))
+    assert bench.server.stats()["sessions"] == 0
+
+
+async def test_the_replies_of_one_batch_are_bounded(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "MAX_OUTPUT_BYTES", 1_000_000)
+    peer = await bench.connect()
+    peer.send([{"jsonrpc": "2.0", "id": i, "method": "messages.list"} for i in range(20)])
+    answers = await peer.answer()
+    assert len(answers) == 20
+    assert "result" in answers[0] and answers[-1]["error"]["code"] == -32005
+
+
+async def test_sessions_are_limited_and_a_free_place_is_given_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "MAX_SESSIONS", 2)
+    first, second = await bench.connect(), await bench.connect()
+    assert await first.call("daemon.info") and await second.call("daemon.info")
+    third = await bench.connect()
+    assert "too many clients" in (await third.answer())["error"]["message"]
+    assert await third.answer() is None
+    await first.close()
+    await bench.until(lambda: bench.server.stats()["sessions"] == 1)
+    assert "result" in await (await bench.connect()).call("daemon.info")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.binary(max_size=200), max_size=10), st.booleans())
+async def test_no_bytes_disturb_another_client(tmp_path_factory: Any, chunks: list[bytes], abrupt: bool) -> None:
+    server = RpcServer(FakeDaemon(), tmp_path_factory.mktemp("s") / "s.sock")
+    await server.start()
+    bench = Bench(FakeDaemon(), server)
+    try:
+        bad, good = await bench.connect(), await bench.connect()
+        for chunk in chunks:
+            bad.writer.write(chunk)
+            assert "result" in await good.call("daemon.info")
+        if abrupt:
+            bad.writer.transport.abort()
+        assert "result" in await good.call("vehicles.arm", targets="all")
+    finally:
+        for peer in bench.peers:
+            await peer.close()
+        await server.close()
+
+
+# -- the socket
+
+
+def test_a_token_is_needed_for_tcp(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="token"):
+        RpcServer(FakeDaemon(), tmp_path / "s", tcp_port=0)
+
+
+async def test_the_socket_is_private_and_removed_at_the_end(bench: Bench) -> None:
+    path = bench.server.socket_path
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+    await bench.server.close()
+    assert not path.exists()
+    await bench.server.close()
+
+
+async def test_a_dead_daemons_socket_is_replaced_and_a_living_ones_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    dead = socket.socket(socket.AF_UNIX)
+    dead.bind(os.fspath(path))
+    dead.close()
+    first, second = RpcServer(FakeDaemon(), path), RpcServer(FakeDaemon(), path)
+    await first.start()
+    with pytest.raises(LinkError, match="another skygcs daemon listens"):
+        await second.start()
+    peer = Peer(*await asyncio.open_unix_connection(os.fspath(path)))
+    assert "result" in await peer.call("daemon.info")
+    await peer.close()
+    await first.close()
+    await second.start()
+    await second.close()
+
+
+async def test_another_programs_listening_socket_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(os.fspath(path))
+        other.listen(1)
+        with pytest.raises(LinkError, match="another"):
+            await RpcServer(FakeDaemon(), path).start()
+    assert path.exists()
+
+
+@pytest.mark.parametrize("make", [Path.touch, Path.mkdir])
+async def test_what_is_no_socket_is_never_removed(tmp_path: Path, make: Any) -> None:
+    path = tmp_path / "precious"
+    make(path)
+    with pytest.raises(LinkError, match="not a socket"):
+        await RpcServer(FakeDaemon(), path).start()
+    assert path.exists()
+
+
+async def test_a_path_that_cannot_be_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match="at most 107 bytes"):
+        await RpcServer(FakeDaemon(), tmp_path / ("x" * 120)).start()
+    (tmp_path / "file").touch()
+    with pytest.raises(LinkError, match="cannot make the socket"):
+        await RpcServer(FakeDaemon(), tmp_path / "file" / "s.sock").start()
+
+
+# -- TCP
+
+
+async def test_tcp_answers_after_the_right_token(bench: Bench) -> None:
+    peer = await bench.connect_tcp()
+    assert (await peer.call("auth", token="open sesame"))["result"] == {"ok": True}
+    assert "result" in await peer.call("daemon.info")
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        {"jsonrpc": "2.0", "id": 1, "method": "auth", "params": {"token": "open sesam"}},
+        {"jsonrpc": "2.0", "id": 1, "method": "auth", "params": {"token": ""}},
+        {"jsonrpc": "2.0", "id": 1, "method": "auth", "params": {"token": 7}},
+        {"jsonrpc": "2.0", "id": 1, "method": "auth", "params": []},
+        {"jsonrpc": "2.0", "id": 1, "method": "auth"},
+        arm(),
+        [arm()],
+        b"GET / HTTP/1.1",
+        b"open sesame",
+        b"x" * 5000,
+    ],
+)
+async def test_tcp_does_nothing_for_a_client_without_the_token(bench: Bench, first: object) -> None:
+    peer = await bench.connect_tcp()
+    peer.send(first, arm())
+    answers = []
+    try:
+        while (answer := await peer.answer()) is not None:
+            answers.append(answer)
+    except ConnectionError:
+        pass
+    assert len(answers) <= 1 and all("error" in a for a in answers)
+    assert bench.daemon.vehicle("alpha").orders == []
+
+
+async def test_clients_without_token_do_not_use_up_the_places(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "MAX_UNAUTHENTICATED", 2)
+    silent = [await bench.connect_tcp() for _ in range(2)]
+    await bench.until(lambda: bench.server.stats()["sessions"] == 2)
+    assert "too many" in (await (await bench.connect_tcp()).answer())["error"]["message"]
+    assert (await silent[0].call("auth", token="open sesame"))["result"] == {"ok": True}
+    assert "result" in await (await bench.connect()).call("daemon.info")
+
+
+async def test_a_silent_tcp_client_is_closed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(session, "AUTH_TIMEOUT_S", 0.02)
+    peer = await bench.connect_tcp()
+    assert await peer.answer() is None
