@@ -323,7 +323,7 @@ class Px4Vehicle(SimVehicle):
             return m.MAV_RESULT_ACCEPTED
         refusal = None if forced else self.arming_refusal()
         if refusal is not None:
-            self.say_event(m.MAV_SEVERITY_CRITICAL, "Arming denied: Resolve system health failures first")
+            self.say_event(m.MAV_SEVERITY_CRITICAL, "Arming denied: preflight checks failed")
             self.say_event(m.MAV_SEVERITY_CRITICAL, refusal)
             return m.MAV_RESULT_TEMPORARILY_REJECTED
         self.arm(now)

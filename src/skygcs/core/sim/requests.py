@@ -122,6 +122,8 @@ def _request_message(v: SimVehicle, c: Command, now: float) -> int:
 
 def _request_fixed(name: str) -> Callable[[SimVehicle, Command, float], int]:
     def handler(v: SimVehicle, c: Command, now: float) -> int:
+        if not v.streams.knows(name):  # the dialect lacks it
+            return m.MAV_RESULT_UNSUPPORTED
         v.send_soon(name)
         return m.MAV_RESULT_ACCEPTED
 
@@ -135,7 +137,7 @@ def _calibrate(v: SimVehicle, c: Command, now: float) -> int | None:
         own = v.calibration.sender == c.sender
         return m.MAV_RESULT_IN_PROGRESS if own else m.MAV_RESULT_TEMPORARILY_REJECTED
     if not any((c.p1, c.p2, c.p3, c.p4, c.p5, c.p6, c.p7)):
-        return m.MAV_RESULT_ACCEPTED  # all zero: stop calibrating; none runs
+        return m.MAV_RESULT_ACCEPTED  # nothing to calibrate
     v.calibration = Calibration(c.sender, now, now + PROGRESS_EVERY_S)
     return m.MAV_RESULT_IN_PROGRESS
 
@@ -160,13 +162,6 @@ _COMMANDS: Mapping[int, Callable[[SimVehicle, Command, float], int | None]] = {
     m.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
     m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
 }
-
-
-def _command_cancel(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
-    if fields["command"] == m.MAV_CMD_PREFLIGHT_CALIBRATION and v.calibration is not None:
-        asked = v.calibration.sender
-        v.calibration = None
-        v.tx.acknowledge(m.MAV_CMD_PREFLIGHT_CALIBRATION, m.MAV_RESULT_CANCELLED, asked)
 
 
 # -- parameters
@@ -256,7 +251,6 @@ def _set_mode(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None
 
 
 _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
-    "COMMAND_CANCEL": _command_cancel,
     "PARAM_REQUEST_LIST": _param_list,
     "PARAM_REQUEST_READ": _param_read,
     "PARAM_SET": _param_set,
