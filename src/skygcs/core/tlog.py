@@ -23,6 +23,9 @@ CLOCK_STEP_US = 24 * 3600 * 1_000_000
 """Two neighbouring records whose times are farther apart than a day: the clock was set, a byte was damaged, or it is
 another flight appended to the same file. Never a part of the flight's duration."""
 
+_REAL_TIMES_US = range(946_684_800_000_000, 4_102_444_800_000_000)
+"""The years 2000 to 2099: a time in here was written by a clock that was set; noise has one of 5,000 chances."""
+
 _WINDOW_BYTES = 65536
 _SNIFF_BYTES = 16 << 20
 """How far `sniff` looks for the first frame."""
@@ -134,19 +137,21 @@ class RecordReader:
         return Record(unix_us, self._elapsed_us / 1e6, raw, frame, verdict, at)
 
     def _in_place(self, unix_us: int, end: int) -> bool:
-        """Whether a record of about the same time follows at ``end``; at the end of the file, whether one went before.
+        """Whether a record follows at ``end``; at the end of the file, whether one went before.
 
-        Without the time, noise would make a bad record of every 16 kB.
+        Its time must be near this one's, or both real: without that, noise would make a bad record of every 16 kB.
         """
         data = self._data
-        size = len(data)
-        if end + TIME_BYTES >= size:
-            near = self._last_us
+        if end + TIME_BYTES >= len(data):
+            other = self._last_us
         elif data[end + TIME_BYTES] in (MAGIC_V2, MAGIC_V1):
-            near = int.from_bytes(data[end : end + TIME_BYTES], "big")
+            other = int.from_bytes(data[end : end + TIME_BYTES], "big")
         else:
             return False
-        return near is None or -CLOCK_STEP_US < unix_us - near < CLOCK_STEP_US
+        if other is None:
+            return unix_us in _REAL_TIMES_US
+        near = -CLOCK_STEP_US < unix_us - other < CLOCK_STEP_US
+        return near or (unix_us in _REAL_TIMES_US and other in _REAL_TIMES_US)
 
 
 def iter_records(data: ByteSource, dialect: Dialect) -> RecordReader:
