@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import pytest
+
+from skygcs.core.vehicle.boot import JITTER_MS, WRAP_MS, BootClock
+
+
+def test_a_clock_that_goes_back_is_a_reboot_told_once() -> None:
+    clock = BootClock()
+    assert not clock.on_boot_ms(500_000, 0.0)
+    assert not clock.on_boot_ms(501_000, 1.0)
+    assert clock.on_boot_ms(2_000, 20.0)
+    assert not clock.on_boot_ms(3_000, 21.0)
+    assert clock.uptime_s(22.0) == pytest.approx(4.0)
+
+
+def test_frames_out_of_order_are_no_reboot() -> None:
+    clock = BootClock()
+    clock.on_boot_ms(500_000, 0.0)
+    assert not clock.on_boot_ms(500_000 - JITTER_MS, 0.1)
+    assert clock.uptime_s(0.0) == pytest.approx(500.0)
+    assert not clock.on_boot_ms(501_000, 1.0)
+
+
+def test_the_32_bit_wrap_is_no_reboot() -> None:
+    clock = BootClock()
+    clock.on_boot_ms(WRAP_MS - 500, 0.0)
+    assert not clock.on_boot_ms(500, 1.0)
+    assert not clock.on_boot_ms(1500, 2.0)
+
+
+def test_two_vehicles_under_one_id_are_told_from_reboots() -> None:
+    clock = BootClock()
+    clock.on_boot_ms(500_000, 0.0)
+    told = []
+    for n in range(1, 10):
+        told.append(clock.on_boot_ms(10_000 + n, 2.0 * n - 1))
+        clock.on_boot_ms(500_000 + n, 2.0 * n)
+    assert all(told)
+    assert clock.quarrel
+
+
+def test_reboots_far_apart_are_no_quarrel() -> None:
+    clock = BootClock()
+    for n in range(6):
+        clock.on_boot_ms(100_000, 100.0 * n)
+        clock.on_boot_ms(1_000, 100.0 * n + 50)
+    assert not clock.quarrel
+
+
+def test_uptime_is_unknown_until_told() -> None:
+    assert BootClock().uptime_s(5.0) is None

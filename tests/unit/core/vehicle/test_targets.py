@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.vehicle.targets import MAX_PARTS, select
+from skygcs.errors import TargetError
+
+
+@dataclass(frozen=True)
+class Named:
+    sysid: int
+    name: str
+    groups: tuple[str, ...] = ()
+    compid: int = 1
+
+
+FLEET = [
+    Named(3, "charlie", ("red",)),
+    Named(1, "alpha", ("red", "lead")),
+    Named(2, "bravo"),
+    Named(9, "v9"),
+    Named(5, "echo", ("blue",)),
+]
+
+
+def sysids(expression: str | int | list[str | int]) -> list[int]:
+    return [v.sysid for v in select(expression, FLEET)]
+
+
+@pytest.mark.parametrize(
+    ("expression", "expected"),
+    [
+        ("1", [1]),
+        (1, [1]),
+        ("1,3", [1, 3]),
+        ("3, 1 ,1", [1, 3]),
+        ("2-5", [2, 3, 5]),
+        ("2 - 5", [2, 3, 5]),
+        ("alpha", [1]),
+        ("red", [1, 3]),
+        ("all", [1, 2, 3, 5, 9]),
+        ("red,5,8-10", [1, 3, 5, 9]),
+        (["bravo", "9"], [2, 9]),
+        (["alpha,echo", 3], [1, 3, 5]),
+        (["all", "alpha"], [1, 2, 3, 5, 9]),
+        ("v9", [9]),
+    ],
+)
+def test_expressions_name_vehicles_by_system_id_each_once(
+    expression: str | int | list[str | int], expected: list[int]
+) -> None:
+    assert sysids(expression) == expected
+
+
+@pytest.mark.parametrize("bad", ["7", "delta", "6-8", "red,7", "ALL", "-1", "1.5"])
+def test_a_part_that_names_none_is_named_with_what_there_is(bad: str) -> None:
+    with pytest.raises(TargetError) as caught:
+        sysids(bad)
+    part = bad.split(",")[-1]
+    assert repr(part) in str(caught.value)
+    assert "1 (alpha), 2 (bravo), 3 (charlie), 5 (echo), 9" in str(caught.value)
+    assert "groups: blue, lead, red" in str(caught.value)
+
+
+def test_a_backward_range_says_what_was_meant() -> None:
+    with pytest.raises(TargetError, match="2-5"):
+        sysids("5-2")
+
+
+@pytest.mark.parametrize("empty", ["", ",", " , ", []])
+def test_nothing_is_not_everything(empty: str | list[str | int]) -> None:
+    with pytest.raises(TargetError, match="no target"):
+        sysids(empty)
+
+
+def test_all_of_nobody_is_an_error() -> None:
+    with pytest.raises(TargetError, match="no vehicle has been heard yet"):
+        select("all", [])
+
+
+def test_a_name_comes_before_a_group_of_the_same_name() -> None:
+    fleet = [Named(1, "red"), Named(2, "b", ("red",))]
+    assert [v.sysid for v in select("red", fleet)] == [1]
+
+
+def test_both_autopilots_of_one_system_are_meant_by_its_number() -> None:
+    fleet = [Named(1, "a"), Named(1, "a-2", compid=2)]
+    assert [v.name for v in select("1", fleet)] == ["a", "a-2"]
+
+
+def test_a_forged_list_is_bounded() -> None:
+    with pytest.raises(TargetError, match="at most"):
+        sysids(",".join(["1"] * (MAX_PARTS + 1)))
+
+
+@given(st.text(alphabet="0123456789,- abclr*", max_size=30))
+def test_any_expression_gives_vehicles_in_order_or_a_target_error(expression: str) -> None:
+    try:
+        found = sysids(expression)
+    except TargetError as error:
+        assert str(error)
+    else:
+        assert found and found == sorted(set(found))
+
+
+@given(st.lists(st.sampled_from(["1", "2-3", "alpha", "red", "9", "echo"]), min_size=1))
+def test_a_mixture_is_the_union_of_its_parts(parts: list[str]) -> None:
+    union: set[int] = set()
+    for part in parts:
+        union |= set(sysids(part))
+    assert set(sysids(",".join(parts))) == union
