@@ -346,6 +346,33 @@ async def test_cancelling_or_closing_while_connecting_leaves_nothing_open(monkey
 
 
 @on_every_loop
+async def test_a_connection_made_just_after_close_is_dropped() -> None:
+    loop = asyncio.get_running_loop()
+    late = loop.create_future()
+
+    class LateConnect:
+        def __getattr__(self, name: str) -> Any:
+            return getattr(loop, name)
+
+        async def sock_connect(self, sock: socket.socket, address: Any) -> None:
+            await loop.sock_connect(sock, address)
+            await late
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        host = RecordingHost()
+        link = client(host, listener.getsockname()[1])
+        link.loop = LateConnect()  # type: ignore[assignment]  # a loop but for the connecting
+        before = open_descriptors()
+        opening = asyncio.ensure_future(link.open())
+        await asyncio.sleep(0.02)
+        await link.close()
+        late.set_result(None)
+        with pytest.raises(LinkError, match="closed while it was being opened"):
+            await opening
+        assert open_descriptors() == before and host.channels == []
+
+
+@on_every_loop
 async def test_the_supervisor_connects_again_when_the_server_is_back() -> None:
     host = RecordingHost()
     events: list[Event] = []
