@@ -16,23 +16,23 @@ from pathlib import Path
 from typing import Any
 
 import structlog
-from pydantic import TypeAdapter, ValidationError
 
 from skygcs import __version__
-from skygcs.config.models import AnyLink, FleetConfig, LinkConfig
+from skygcs.config.loader import parse_link
+from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.routing import RouteNote
 from skygcs.core.vehicle.events import Event
-from skygcs.errors import LinkError, RefusedError
+from skygcs.errors import ConfigError, LinkError, RefusedError
 from skygcs.links.base import Channel
 from skygcs.links.factory import make_link
 from skygcs.links.supervisor import LinkSupervisor
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.hub import Hub, channel_policy
+from skygcs.runtime.hub import Hub
 from skygcs.runtime.recorder import Recorder
 
 MAX_EVENTS = 1000
@@ -269,14 +269,9 @@ class Daemon:
 
     def _checked_link(self, name: str, link: Mapping[str, Any]) -> LinkConfig:
         try:
-            config: LinkConfig = TypeAdapter(AnyLink).validate_python({**link, "name": name})
-            channel_policy(config, self.dialect)
-        except ValidationError as error:
-            problems = "; ".join(f"{'.'.join(map(str, e['loc'][1:]))}: {e['msg']}" for e in error.errors())
-            raise LinkError(f"link {name}: {problems}") from None
-        except KeyError as error:
-            raise LinkError(f"link {name}: {error.args[0]}") from None
-        return config
+            return parse_link(name, dict(link), self.dialect)
+        except ConfigError as error:
+            raise LinkError(str(error)) from None
 
     async def add_link(self, name: str, link: Mapping[str, Any]) -> None:
         """Open a further link. Raises LinkError if the name is taken or the description is wrong."""
@@ -290,7 +285,8 @@ class Daemon:
         if name not in self._links:
             raise LinkError(f"no link {name!r}; there are: {', '.join(self._links) or 'none'}")
         old = self._links[name][0].link.config
-        merged = {**old.model_dump(mode="python"), **link} if link.get("type", old.type) == old.type else dict(link)
+        same_type = link.get("type", old.type) == old.type
+        merged = {**old.model_dump(mode="json", exclude_unset=True), "type": old.type, **link} if same_type else dict(link)
         config = self._checked_link(name, merged)
         await self._stop_link(name)
         self._start_link(name, config)

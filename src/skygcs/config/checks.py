@@ -79,6 +79,16 @@ def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[
     return problems
 
 
+def stream_problems(config: FleetConfig, dialect: Dialect) -> list[Problem]:
+    """Messages in a ``streams`` key that the dialect does not have: nobody could be asked for them."""
+    return [
+        Problem((*path, "streams", message), text)
+        for path, settings in _settings(config)
+        for message in settings.streams or {}
+        if (text := _message_problem(message, dialect))
+    ]
+
+
 def _message_problem(message: str | int, dialect: Dialect) -> str | None:
     if isinstance(message, int) or message.isdecimal():
         return None if 0 <= int(message) <= MAX_MSGID else f"{message} is no message id (0 to {MAX_MSGID})"
@@ -121,13 +131,18 @@ def _name_problem(name: str) -> str | None:
 
 
 def _group_keys(config: FleetConfig) -> Iterator[tuple[KeyPath, str]]:
-    sections: list[tuple[KeyPath, VehicleSettings]] = [(("defaults",), config.defaults)]
-    sections += [(("types", name), settings) for name, settings in config.types.items()]
-    sections += [(("vehicles", name), entry) for name, entry in config.vehicles.items()]
-    for path, settings in sections:
+    for path, settings in _settings(config):
         groups = (settings.group,) if isinstance(settings.group, str) else settings.group or ()
         for group in groups:
             yield (*path, "group"), group
+
+
+def _settings(config: FleetConfig) -> list[tuple[KeyPath, VehicleSettings]]:
+    """Every table that may say something of vehicles."""
+    sections: list[tuple[KeyPath, VehicleSettings]] = [(("defaults",), config.defaults)]
+    sections += [(("types", name), settings) for name, settings in config.types.items()]
+    sections += [(("vehicles", name), entry) for name, entry in config.vehicles.items()]
+    return sections
 
 
 def _vehicle_sysids(config: FleetConfig) -> Iterator[Problem]:

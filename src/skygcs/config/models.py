@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from skygcs.core.streams import DEFAULT_RATES_HZ
+
 Sysid = Annotated[int, Field(ge=1, le=255)]
 Compid = Annotated[int, Field(ge=1, le=255)]
 Port = Annotated[int, Field(ge=0, le=65535)]
@@ -203,6 +205,8 @@ class VehicleSettings(Model):
     group: str | tuple[str, ...] | None = None
     takeoff_height_m: Annotated[float, Field(gt=0, le=500)] | None = None
     goto_limit_m: Annotated[float, Field(gt=0)] | None = None
+    streams: dict[str, Annotated[float, Field(ge=0, le=400)]] | None = None
+    """Hz per message to ask the vehicle for where it does not come by itself; {} asks for nothing."""
 
 
 class VehicleEntry(VehicleSettings):
@@ -222,6 +226,7 @@ class VehicleConfig(Model):
     takeoff_height_m: float = 2.5
     """The seed's take-off height."""
     goto_limit_m: float = 1000.0
+    streams: dict[str, float] = Field(default_factory=lambda: dict(DEFAULT_RATES_HZ))
 
 
 class OriginConfig(Model):
@@ -267,7 +272,7 @@ class FleetConfig(Model):
         merged: dict[str, Any] = {"goto_limit_m": self.daemon.goto_limit_m}
         groups: list[str] = []
         for layer in layers:
-            for key in ("autopilot", "takeoff_height_m", "goto_limit_m"):
+            for key in ("autopilot", "takeoff_height_m", "goto_limit_m", "streams"):
                 value = getattr(layer, key)
                 if value is not None:
                     merged[key] = value

@@ -20,6 +20,16 @@ DEFAULT_RATES_HZ: Mapping[str, float] = {
 """The nav profile of field-notes 10.2 (200 B/s per vehicle: fourteen on half of 57600 baud), the landed state and the
 clock (11 B/s more)."""
 
+STREAM_GROUPS: Mapping[str, int] = {
+    "GLOBAL_POSITION_INT": 6,
+    "ATTITUDE": 10,
+    "SYS_STATUS": 2,
+    "GPS_RAW_INT": 2,
+    "SYSTEM_TIME": 12,
+}
+"""MAV_DATA_STREAM of each message on ArduPilot (GCS_MAVLink stream tables): for firmware that knows no
+SET_MESSAGE_INTERVAL."""
+
 GRACE_S = 2.0
 """After a vehicle is met its own streams have this long to show themselves."""
 

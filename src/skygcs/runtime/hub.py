@@ -32,11 +32,16 @@ _DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN)
 def channel_policy(config: LinkConfig, dialect: Dialect) -> ChannelPolicy:
     """The routing policy of a link's channels. Raises KeyError for a message name the dialect does not have."""
 
+    def msgid(name: MessageName) -> int:
+        if isinstance(name, int) or name.isdecimal():
+            return int(name)  # an id the dialect does not have may be filtered, too
+        return dialect.find(name).msgid
+
     def msgids(names: tuple[MessageName, ...]) -> frozenset[int]:
-        return frozenset(dialect.find(n).msgid if isinstance(n, str) else n for n in names)
+        return frozenset(msgid(n) for n in names)
 
     def rates(named: Mapping[str, float]) -> dict[int, float]:
-        return {dialect.find(n).msgid: hz for n, hz in named.items() if n != "*"}
+        return {msgid(n): hz for n, hz in named.items() if n != "*"}
 
     unknown = config.forward_unknown
     return ChannelPolicy(

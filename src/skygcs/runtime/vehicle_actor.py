@@ -8,6 +8,7 @@ for its arming goes no further once a landing is ordered.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -20,6 +21,7 @@ from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.streams import STREAM_GROUPS, StreamKeeper
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
 from skygcs.core.vehicle.events import Event
@@ -69,6 +71,8 @@ class VehicleActor:
         self._order = 0
         self._identified = 0
         self._identify_from: float | None = None
+        self._keeper = StreamKeeper({n: r for n, r in config.streams.items() if n in dialect.by_name})
+        self._asking: asyncio.Task[None] | None = None
 
     @property
     def name(self) -> str:
@@ -131,8 +135,12 @@ class VehicleActor:
             self._publish(events, now)
         if self._identified < len(IDENTIFY_AT_S):
             self._identify(now)
+        if self._asking is None and self.vehicle.connected:
+            self._keep_streams(now)
 
     def close(self) -> None:
+        if self._asking is not None:
+            self._asking.cancel()
         self.commander.close()
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
@@ -209,7 +217,9 @@ class VehicleActor:
         )
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
-        """0 turns it off, None goes back to the vehicle's own rate."""
+        """0 turns it off, None goes back to the vehicle's own rate. From then on the rate is the caller's to keep."""
+        with contextlib.suppress(RefusedError):
+            self._keeper.refuse(orders.find_message(self._dialect, message)[1])
         return await self._run(
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
         )
@@ -357,7 +367,36 @@ class VehicleActor:
                 self.commander.stop_all("lost", "the vehicle rebooted")
                 self._identified = 0
                 self._identify_from = now
+                self._keeper.restart()
             self._on_event(event)
+
+    def _keep_streams(self, now: float) -> None:
+        """Ask for the next wanted message that does not come, in a task of its own: the answer takes a while."""
+        due = self._keeper.due(now, self._last_at)
+        if due is not None:
+            self._asking = self._loop.create_task(self._ask_for(*due), name=f"{self.name} asks for {due[0]}")
+            self._asking.add_done_callback(self._asked)
+
+    def _asked(self, task: asyncio.Task[None]) -> None:
+        self._asking = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._on_event(Event("fault", self.name, self.sysid, f"asking for a message failed: {error!r}", {}))
+
+    async def _ask_for(self, message: str, rate_hz: float) -> None:
+        outcome = await self._attempt(
+            lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
+        )
+        if outcome.result not in ("unsupported", "denied", "failed"):
+            return
+        self._keeper.refuse(message)
+        group = STREAM_GROUPS.get(message)
+        if outcome.result == "unsupported" and group is not None and self.vehicle.family == "ardupilot":
+            rate_hz = max(1.0, rate_hz)  # whole Hz in REQUEST_DATA_STREAM
+            await self._attempt(lambda now: orders.request_stream(self.vehicle, now, self._dialect, group, rate_hz))
+
+    def _last_at(self, message: str) -> float | None:
+        slot = self.vehicle.slot(message)
+        return slot.at if slot is not None and slot.frame is not None else None
 
     def _identify(self, now: float) -> None:
         """Ask for the firmware version and home; fire and forget, a few times, never beside an order of that kind."""
