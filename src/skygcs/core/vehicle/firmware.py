@@ -7,7 +7,9 @@ import re
 _STAGES = ((255, ""), (192, "-rc"), (128, "-beta"), (64, "-alpha"), (0, "-dev"))
 """FIRMWARE_VERSION_TYPE, lowest value of each."""
 
-_BANNER = re.compile(r"^(?:Ardu\w+|AP\w+(?::\w+)?|Blimp|Rover|AntennaTracker) V(\d+\.\d+\.\d+(?:-?[a-z]+\d*)?)\b", re.ASCII)
+_BANNER = re.compile(
+    r"^(?:Ardu\w+|AP\w+(?::\w+)?|Blimp|Rover|AntennaTracker) V(\d+\.\d+\.\d+(?:-?[a-z]+\d*)?)\b", re.ASCII
+)
 
 
 def firmware_from_version(flight_sw_version: int) -> str | None:

@@ -1,0 +1,382 @@
+from __future__ import annotations
+
+import asyncio
+import json
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.config.models import FleetConfig
+from skygcs.core.airtime import Priority
+from skygcs.core.geo import Origin
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.vehicle.events import Event
+from skygcs.errors import RefusedError, TargetError
+from skygcs.runtime.fleet import MAX_VEHICLES, Fleet
+from support.vehicles import (
+    ARDUPILOT,
+    CAPTURE,
+    HOME,
+    PX4,
+    PX4_LOITER,
+    Ground,
+    ScriptedVehicle,
+    Sent,
+    Voice,
+    accept_everything,
+    flight_dialect,
+)
+
+PUBLIC = Path(__file__).parents[4] / "shared" / "data" / "public" / "tlog"
+
+
+def tlog(path: Path) -> Iterator[tuple[float, Frame]]:
+    """(seconds, frame) of a tlog, told by the frames' own lengths."""
+    data, parser, at = path.read_bytes(), FrameParser(flight_dialect()), 0
+    while at + 11 < len(data):
+        (stamp,) = struct.unpack_from(">Q", data, at)
+        at += 8
+        size = data[at + 1] + (12 + 13 * (data[at + 2] & 1) if data[at] == 0xFD else 8)
+        for frame in parser.feed_datagram(data[at : at + size]):
+            yield stamp / 1e6, frame
+        at += size
+
+
+class Listening:
+    """A fleet that only listens, in the times of a recording."""
+
+    def __init__(self, config: dict | None = None) -> None:  # type: ignore[type-arg]
+        self.events: list[Event] = []
+        self.sent = 0
+        loop = asyncio.get_running_loop()
+        self.fleet = Fleet(
+            FleetConfig.model_validate(config or {}), flight_dialect(), self._send, loop, self.events.append
+        )
+
+    def _send(self, *_: object) -> bool:
+        self.sent += 1
+        return True
+
+    def hear(self, frame: Frame, now: float = 1.0) -> None:
+        self.fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "here", now)
+
+    def story(self, vehicle: str, kind: str, key: str) -> list[object]:
+        return [e.data[key] for e in self.events if e.vehicle == vehicle and e.kind == kind]
+
+
+async def replayed(config: dict | None = None) -> Listening:  # type: ignore[type-arg]
+    listening = Listening(config)
+    first, ticked = None, 0.0
+    for at, frame in tlog(CAPTURE):
+        first = at if first is None else first
+        while ticked + 0.5 <= at - first:
+            ticked += 0.5
+            listening.fleet.tick(ticked)
+        listening.hear(frame, at - first)
+    return listening
+
+
+async def test_five_vehicles_are_found_in_the_capture_and_the_ground_station_is_none() -> None:
+    listening = await replayed()
+    fleet = listening.fleet
+    assert sorted(fleet.vehicles) == [n << 8 | 1 for n in range(1, 6)]
+    assert [v.vehicle.family for v in fleet.resolve("all")] == ["ardupilot"] * 3 + ["px4"] * 2
+    assert Counter(e.kind for e in listening.events)["vehicle_discovered"] == 5
+    assert not [e for e in listening.events if e.kind in ("vehicle_lost", "reboot", "conflict", "failsafe")]
+
+
+async def test_the_captured_flights_are_told_as_they_happened() -> None:
+    listening = await replayed()
+    for name in ("v1", "v2", "v3"):
+        assert listening.story(name, "mode", "mode") == ["GUIDED", "LAND"]
+        assert listening.story(name, "landed", "landed") == ["takeoff", "in_air", "landing", "on_ground"]
+    for name in ("v4", "v5"):
+        px4 = ["AUTO.TAKEOFF", "AUTO.LOITER", "OFFBOARD", "AUTO.LOITER", "AUTO.LAND", "AUTO.LOITER"]
+        assert listening.story(name, "mode", "mode") == px4
+        assert listening.story(name, "landed", "landed") == ["takeoff", "in_air", "landing", "on_ground"]
+    for name in ("v1", "v2", "v3", "v4", "v5"):
+        kinds = [e.kind for e in listening.events if e.vehicle == name and e.kind in ("armed", "disarmed")]
+        assert kinds == ["armed", "disarmed"]
+
+
+async def test_the_state_at_the_captures_end_is_that_of_landed_vehicles() -> None:
+    listening = await replayed({"origin": {"lat_deg": HOME[0], "lon_deg": HOME[1], "alt_amsl_m": HOME[2]}})
+    end = 75.0
+    for actor in listening.fleet.resolve("all"):
+        state = actor.vehicle.snapshot(end)
+        assert (state["armed"], state["landed"], state["type"]) == (False, "on_ground", "QUADROTOR")
+        position, home, battery = state["position"], state["home"], state["battery"]
+        assert position is not None and home is not None and battery is not None
+        assert abs(position["alt_rel_m"]) < 0.2
+        assert max(map(abs, position["enu_m"][:2])) < 200
+        assert abs(position["enu_m"][2]) < 2
+        assert state["gps"] is not None and state["gps"]["satellites"] == 10
+        assert 10 < battery["volts"] < 17
+        assert state["messages"]["GLOBAL_POSITION_INT"]["rate_hz"] == pytest.approx(4, abs=0.5)
+        json.dumps(state, allow_nan=False)
+
+
+async def test_the_capture_flew_up_and_never_down_on_the_way_up() -> None:
+    """vz of GLOBAL_POSITION_INT is positive down: while the height grows, our up velocity has to be positive."""
+    listening = Listening()
+    signs: Counter[bool] = Counter()
+    heights: dict[int, float] = {}
+    for at, frame in tlog(CAPTURE):
+        listening.hear(frame, at)
+        if frame.name != "GLOBAL_POSITION_INT" or frame.sysid << 8 | 1 not in listening.fleet.vehicles:
+            continue
+        position = listening.fleet.vehicles[frame.sysid << 8 | 1].vehicle.section("position")
+        assert position is not None
+        climbed = position["alt_rel_m"] - heights.get(frame.sysid, position["alt_rel_m"])
+        heights[frame.sysid] = position["alt_rel_m"]
+        if abs(climbed) > 0.15:
+            signs[position["vel_enu_mps"][2] * climbed > 0] += 1
+    assert signs[True] > 300
+    assert signs[False] < 0.03 * signs[True]  # an estimator corrects itself by a jump now and then
+
+
+EXPECTED_VEHICLES = {
+    "dronekit-v1-sik.tlog": {"1/1": "ardupilot"},
+    "dronekit-2012-16k-truncated.tlog": {"1/1": "ardupilot"},
+    "eagle-c2-v2-sik-mp-mavproxy.tlog": {"1/1": "ardupilot"},
+    "qgc-ardusub-v2-badcrc.tlog": {"1/1": "ardupilot"},
+    "bluerobotics-mavlink-server.tlog": {"1/1": "ardupilot"},
+    "px4-v2-2020.tlog": {"1/1": "px4"},
+    "wlichon-flood-sysid2-v1.tlog": {"1/1": "ardupilot"},
+    "danonishe-gcs252-v2.tlog": {"1/1": "ardupilot"},
+    "binus-hexa-5src-mixed.tlog": {"1/1": "ardupilot"},
+    "interop-testdata-v1.tlog": {"1/1": "ardupilot"},
+}
+
+
+@pytest.mark.parametrize("name", sorted(EXPECTED_VEHICLES))
+async def test_in_other_peoples_captures_only_their_autopilots_are_vehicles(name: str) -> None:
+    path = PUBLIC / name
+    if not path.exists():
+        pytest.skip("public captures are not here")
+    listening = Listening()
+    for at, frame in tlog(path):
+        listening.hear(frame, at)
+    found = {f"{a.sysid}/{a.compid}": a.vehicle.family for a in listening.fleet.vehicles.values()}
+    assert found == EXPECTED_VEHICLES[name]
+    for actor in listening.fleet.vehicles.values():
+        json.dumps(actor.vehicle.snapshot(at), allow_nan=False)
+
+
+async def test_names_groups_and_origin_come_from_the_fleet_file() -> None:
+    config = {
+        "vehicles": {"alpha": {"sysid": 1, "group": ["red", "lead"]}, "bravo": {"sysid": 2, "group": "red"}},
+        "origin": {"lat_deg": HOME[0], "lon_deg": HOME[1], "alt_amsl_m": 480.0},
+    }
+    listening = Listening(config)
+    for sysid in (1, 2, 3):
+        listening.hear(Voice(sysid).beat())
+        listening.hear(Voice(sysid).position())
+    fleet = listening.fleet
+    assert [a.name for a in fleet.resolve("all")] == ["alpha", "bravo", "v3"]
+    assert [a.name for a in fleet.resolve("red")] == ["alpha", "bravo"]
+    assert fleet.find("alpha").state(1.0)["position"]["enu_m"][2] == pytest.approx(8.1, abs=0.01)
+    fleet.set_origin(Origin(HOME[0], HOME[1], 488.1))
+    listening.hear(Voice(9).beat())
+    listening.hear(Voice(9).position())
+    assert [a.state(1.0)["position"]["enu_m"] for a in fleet.resolve("2,9")] == [[0.0, 0.0, 0.0]] * 2
+    with pytest.raises(TargetError, match="names 2 vehicles"):
+        fleet.find("red")
+
+
+async def test_an_unexpected_autopilot_is_told_once() -> None:
+    listening = Listening({"vehicles": {"alpha": {"sysid": 1, "autopilot": "ardupilot"}}})
+    for _ in range(3):
+        listening.hear(Voice(1).beat(PX4))
+    conflicts = [e for e in listening.events if e.kind == "conflict"]
+    assert [e.data for e in conflicts] == [{"expected": "ardupilot", "autopilot": "px4"}]
+
+
+async def test_frames_before_the_first_heartbeat_make_no_vehicle() -> None:
+    listening = Listening()
+    listening.hear(Voice(1).position())
+    listening.hear(Voice(1).text("hello"))
+    assert not listening.fleet.vehicles
+    with pytest.raises(TargetError, match="no vehicle has been heard"):
+        listening.fleet.resolve("all")
+    listening.hear(Voice(1).beat())
+    assert [e.kind for e in listening.events] == ["vehicle_discovered"]
+    assert listening.events[0].text == "px4 quadrotor, system 1, AUTO.LOITER, over here"
+
+
+async def test_other_components_of_a_vehicles_system_do_not_touch_its_state() -> None:
+    listening = Listening()
+    listening.hear(Voice(1).beat())
+    listening.hear(Voice(1, 100).position())
+    listening.hear(Voice(1, 100).say(mav.MAVLink_heartbeat_message(30, 8, 0, 0, 4, 3)))
+    assert len(listening.fleet.vehicles) == 1
+    assert listening.fleet.find(1).state(1.0)["position"] is None
+
+
+async def test_a_second_autopilot_of_one_system_gets_a_name_of_its_own() -> None:
+    listening = Listening({"vehicles": {"alpha": {"sysid": 1}}})
+    listening.hear(Voice(1, 1).beat())
+    listening.hear(Voice(1, 2).beat())
+    assert [a.name for a in listening.fleet.resolve("1")] == ["alpha", "alpha-2"]
+
+
+async def test_forged_heartbeats_cannot_fill_the_memory() -> None:
+    listening = Listening()
+    for sysid in range(1, 255):
+        for compid in (1, 2):
+            listening.hear(Voice(sysid, compid).beat())
+    assert len(listening.fleet.vehicles) == MAX_VEHICLES
+    assert listening.fleet.refused_vehicles == 254 * 2 - MAX_VEHICLES
+    assert [e.kind for e in listening.events].count("conflict") == 1
+
+
+@given(st.lists(st.binary(max_size=40), max_size=5))
+def test_noise_makes_no_vehicle(noise: list[bytes]) -> None:
+    parser = FrameParser(flight_dialect())
+
+    async def listen() -> None:
+        listening = Listening()
+        for data in noise:
+            for frame in parser.feed(data):
+                listening.hear(frame)
+        assert not listening.fleet.vehicles
+
+    asyncio.run(listen())
+
+
+@pytest.mark.looptime
+class TestOrdersForMany:
+    async def swarm(self, ground: Ground, px4: int = 2, copters: int = 2) -> list[ScriptedVehicle]:
+        vehicles = [ScriptedVehicle(ground, n + 1, PX4) for n in range(px4)]
+        vehicles += [ScriptedVehicle(ground, px4 + n + 1, ARDUPILOT, mode=4) for n in range(copters)]
+        for vehicle in vehicles:
+            vehicle.armed, vehicle.flying, vehicle.status = True, True, 4
+        await asyncio.sleep(1.5)
+        return vehicles
+
+    def commands(self, ground: Ground) -> list[Sent]:
+        return [s for s in ground.sent if s.priority is not Priority.EXCHANGE]
+
+    async def test_one_broadcast_lands_a_mixed_fleet_and_each_outcome_is_known(self) -> None:
+        async with Ground() as ground:
+            await self.swarm(ground)
+            outcomes = await ground.fleet.command_all("all", "land")
+            assert {n: o.result for n, o in outcomes.items()} == {f"v{n}": "accepted" for n in range(1, 5)}
+            (sent,) = self.commands(ground)
+            assert (sent.sysid, sent.compid, sent.target_system, sent.command) == (0, 0, 0, 21)
+
+    async def test_who_did_not_answer_a_broadcast_is_sent_its_own(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground)
+            heard: list[int] = []
+
+            def deaf_once(v: ScriptedVehicle, sent: Sent) -> None:
+                heard.append(sent.sysid)
+                if sent.sysid:
+                    accept_everything(v, sent)
+
+            vehicles[2].script = deaf_once
+            outcomes = await ground.fleet.command_all("all", "rtl")
+            assert outcomes["v1"].attempts == 1
+            assert outcomes["v3"].attempts == 2
+            assert heard == [0, 3]
+            assert [s.sysid for s in self.commands(ground)] == [0, 3]
+
+    async def test_a_refusal_of_one_is_not_the_others(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground)
+            vehicles[1].script = lambda v, sent: v.reply(sent, 2)
+            outcomes = await ground.fleet.command_all("all", "land")
+            assert [outcomes[f"v{n}"].result for n in range(1, 5)] == ["accepted", "denied", "accepted", "accepted"]
+
+    async def test_hold_of_a_mixed_fleet_is_sent_to_each_because_it_is_another_command(self) -> None:
+        async with Ground() as ground:
+            await self.swarm(ground)
+            outcomes = await ground.fleet.command_all("all", "hold")
+            assert all(o.ok for o in outcomes.values())
+            assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3, 4]
+
+    async def test_hold_of_one_family_is_one_frame(self) -> None:
+        async with Ground() as ground:
+            await self.swarm(ground, px4=0, copters=3)
+            assert all(o.ok for o in (await ground.fleet.command_all("all", "hold")).values())
+            assert [s.sysid for s in self.commands(ground)] == [0]
+
+    async def test_arming_is_never_broadcast(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground)
+            for vehicle in vehicles:
+                vehicle.armed, vehicle.flying, vehicle.status = False, False, 3
+            await asyncio.sleep(1.5)
+            assert all(o.ok for o in (await ground.fleet.command_all("all", "arm")).values())
+            assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3, 4]
+
+    async def test_an_order_for_some_is_never_broadcast(self) -> None:
+        async with Ground() as ground:
+            await self.swarm(ground)
+            outcomes = await ground.fleet.command_all("1-3", "land")
+            assert list(outcomes) == ["v1", "v2", "v3"]
+            assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3]
+
+    async def test_a_disarming_that_one_would_be_refused_is_not_broadcast(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground)
+            vehicles[0].armed, vehicles[0].flying = True, False
+            await asyncio.sleep(1.5)
+            outcomes = await ground.fleet.command_all("all", "disarm")
+            assert outcomes["v1"].ok
+            assert [outcomes[f"v{n}"].result for n in (2, 3, 4)] == ["refused"] * 3
+            assert [s.sysid for s in self.commands(ground)] == [1]
+
+    async def test_an_emergency_stop_is_broadcast_first_and_repeated_to_each_that_is_silent(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground)
+            vehicles[3].silent = True
+            await asyncio.sleep(8)
+            assert not ground.fleet.find(4).vehicle.connected
+            outcomes = await ground.fleet.command_all("all", "disarm", force=True)
+            sent = self.commands(ground)
+            assert (sent[0].sysid, sent[0].param2) == (0, 21196.0)
+            assert {s.priority for s in sent} == {Priority.EMERGENCY}
+            assert [outcomes[f"v{n}"].ok for n in range(1, 5)] == [True, True, True, False]
+            assert {s.sysid for s in sent[1:]} == {4}
+            assert not any(v.armed for v in vehicles[:3])
+
+    async def test_the_carrier_is_gone_after_an_order_that_was_cancelled(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground)
+            for vehicle in vehicles:
+                vehicle.script = lambda v, sent: None
+            task = asyncio.create_task(ground.fleet.command_all("all", "land"))
+            await asyncio.sleep(0.5)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            for vehicle in vehicles:
+                vehicle.script = accept_everything
+            assert (await ground.fleet.find(1).land()).ok
+            assert self.commands(ground)[-1].sysid == 1
+
+    async def test_every_vehicle_gets_its_own_mode_number(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground)
+            outcomes = await ground.fleet.command_all("all", "set_mode", "LOITER")
+            assert all(o.ok for o in outcomes.values())
+            assert vehicles[0].mode == PX4_LOITER
+            assert vehicles[2].mode == 5
+
+    async def test_an_order_that_does_not_exist_is_refused(self) -> None:
+        async with Ground() as ground:
+            await self.swarm(ground)
+            with pytest.raises(RefusedError, match="no order"):
+                await ground.fleet.command_all("all", "close")
+            with pytest.raises(TargetError):
+                await ground.fleet.command_all("77", "land")
+            assert self.commands(ground) == []
