@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import tty
 from pathlib import Path
@@ -49,4 +50,12 @@ class PtyRadio:
                 got += data
         except OSError:  # nothing more, or nobody has the port open
             pass
+        return got
+
+    async def read_exactly(self, size: int) -> bytes:
+        """The next ``size`` bytes: the kernel hands a pty's bytes over in its own time."""
+        got = b""
+        while len(got) < size:
+            await asyncio.sleep(0.001)
+            got += self.read()
         return got

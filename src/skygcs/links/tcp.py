@@ -21,8 +21,9 @@ CONNECT_TIMEOUT_S = 5.0
 STUCK_AFTER_S = 10.0
 """A client that takes nothing for this long has gone without saying so, or is of no use to anybody."""
 
-SEND_BUFFER_BYTES = 65536
-"""Asked of the kernel: at a vehicle's 5 kB/s this is some 10 s of telemetry, more would only be older."""
+SEND_BUFFER_BYTES = 256 << 10
+"""Asked of the kernel, which counts a small frame under way as some 1 kB: 256 frames within one round trip. More would
+only let a slow client fall further behind."""
 
 KEEPALIVE_IDLE_S = 10
 KEEPALIVE_STEP_S = 5

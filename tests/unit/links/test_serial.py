@@ -66,7 +66,8 @@ async def test_frames_pass_both_ways_whole_and_in_order(radio: PtyRadio) -> None
                 await asyncio.sleep(0)
                 got += radio.read()
         await until(lambda: channel.tx_frames == 500)
-        assert got + radio.read() == b"".join(frames)
+        got += await radio.read_exactly(channel.tx_bytes - len(got))
+        assert got == b"".join(frames)
         assert (channel.tx_dropped, channel.tx_bytes) == (0, len(b"".join(frames)))
 
 
@@ -121,7 +122,7 @@ async def test_a_port_that_is_not_read_drops_by_policy_and_never_half_a_frame(ra
         while channel.queue or not got or channel.tx_frames + channel.tx_dropped < 3001:
             got += radio.read()
             await asyncio.sleep(0.001)
-        got += radio.read()
+        got += await radio.read_exactly(channel.tx_bytes - len(got))
     received = frames_in(got)
     assert sum(len(frame.raw) for frame in received) == len(got), "only whole frames came"
     forwarded = [frame.raw for frame in received if frame.name == "STATUSTEXT"]
@@ -142,7 +143,9 @@ async def test_the_latest_of_a_key_is_sent_once_and_takes_one_sequence_number(ra
             assert channel.send(own("HEARTBEAT", custom_mode=n), Priority.SETPOINT, key=7)
         held.bytes = 0
         await until(lambda: channel.tx_frames == 1)
-        assert [(f.seq, f.fields()["custom_mode"]) for f in frames_in(radio.read())] == [(0, 4)]
+        assert [(f.seq, f.fields()["custom_mode"]) for f in frames_in(await radio.read_exactly(channel.tx_bytes))] == [
+            (0, 4)
+        ]
         assert channel.tx_dropped == 0
 
 
@@ -178,7 +181,7 @@ async def test_the_kernel_buffer_is_kept_shallow_so_that_a_late_command_goes_fir
         assert held.asked == 1, "one look, then a timer, whatever is offered meanwhile"
         held.bytes = 255
         await until(lambda: channel.tx_frames == 21)
-        assert [frame.sysid for frame in frames_in(radio.read())] == [255] + [1] * 20
+        assert [frame.sysid for frame in frames_in(await radio.read_exactly(channel.tx_bytes))] == [255] + [1] * 20
 
 
 @on_every_loop
