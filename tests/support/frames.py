@@ -9,7 +9,7 @@ from typing import Any
 
 from fastcrc.crc16 import mcrf4xx
 
-from skygcs.config.dialects import load_dialect
+from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import MAGIC_V1, MAGIC_V2, encode
 
@@ -24,6 +24,12 @@ UNKNOWN_ID_V1 = 13
 def dialect() -> Dialect:
     """What a daemon uses without being told otherwise."""
     return load_dialect(["ardupilotmega", "px4-extras"])
+
+
+@functools.cache
+def offline() -> Dialect:
+    """What offline tools use, and what expected.json was measured with."""
+    return offline_dialect()
 
 
 def frame(
@@ -104,7 +110,7 @@ def random_values(info: MessageInfo, rng: random.Random) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for field in info.fields:
         if field.type == "char":
-            size = rng.randrange((field.array_length or 1) + 1)
+            size = rng.randrange(field.array_length + 1) if field.array_length else 1
             values[field.name] = "".join(rng.choice("abcXYZ_0189") for _ in range(size))
         elif field.array_length:
             values[field.name] = [_number(field.type, rng) for _ in range(field.array_length)]

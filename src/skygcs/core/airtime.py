@@ -5,7 +5,6 @@ Pure: the sender (shell) offers, asks what is next, and writes. Fitting the whol
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -56,8 +55,9 @@ class TxQueue(Generic[T]):
     """Bounded, prioritised queue of one link. Entries with a ``key`` replace the waiting one of the same key."""
 
     counters: dict[Priority, ClassCounters] = field(default_factory=lambda: {p: ClassCounters() for p in Priority})
-    _plain: dict[Priority, deque[T]] = field(default_factory=lambda: {p: deque() for p in Priority})
-    _keyed: dict[Priority, dict[Hashable, T]] = field(default_factory=lambda: {p: {} for p in Priority})
+    _waiting: dict[Priority, dict[Hashable, T]] = field(default_factory=lambda: {p: {} for p in Priority})
+    """In order of arrival; an entry without a key stands under a serial number, one with a key under (key,)."""
+    _serial: int = 0
     _length: int = 0
 
     def __len__(self) -> int:
@@ -69,22 +69,24 @@ class TxQueue(Generic[T]):
         With a key the newest value takes the place of the waiting one (latest wins), keeping that one's turn.
         """
         counters = self.counters[priority]
+        waiting = self._waiting[priority]
+        slot: Hashable
         if key is not None:
-            keyed = self._keyed[priority]
-            if key in keyed:
-                keyed[key] = entry
+            slot = (key,)
+            if slot in waiting:
+                waiting[slot] = entry
                 counters.replaced += 1
                 return True
-        waiting = len(self._plain[priority]) + len(self._keyed[priority])
-        if waiting >= BOUND[priority]:
-            if priority not in DROPS_OLDEST or not self._drop_oldest(priority):
+        else:
+            slot = self._serial = self._serial + 1
+        if len(waiting) >= BOUND[priority]:
+            if priority not in DROPS_OLDEST:
                 counters.refused += 1
                 return False
+            del waiting[next(iter(waiting))]
+            self._length -= 1
             counters.dropped += 1
-        if key is not None:
-            self._keyed[priority][key] = entry
-        else:
-            self._plain[priority].append(entry)
+        waiting[slot] = entry
         self._length += 1
         return True
 
@@ -92,37 +94,18 @@ class TxQueue(Generic[T]):
         """The most urgent entry, oldest first within a class; None when nothing waits."""
         if not self._length:
             return None
-        for priority in Priority:
-            keyed = self._keyed[priority]
-            plain = self._plain[priority]
-            if plain:
-                entry = plain.popleft()
-            elif keyed:
-                entry = keyed.pop(next(iter(keyed)))
-            else:
-                continue
-            self._length -= 1
-            self.counters[priority].sent += 1
-            return entry, priority
+        for priority, waiting in self._waiting.items():
+            if waiting:
+                self._length -= 1
+                self.counters[priority].sent += 1
+                return waiting.pop(next(iter(waiting))), priority
         return None
 
     def clear(self) -> int:
         """Forget everything that waits (the link went down); how many that were. Counted as dropped."""
         gone = self._length
-        for priority in Priority:
-            self.counters[priority].dropped += len(self._plain[priority]) + len(self._keyed[priority])
-            self._plain[priority].clear()
-            self._keyed[priority].clear()
+        for priority, waiting in self._waiting.items():
+            self.counters[priority].dropped += len(waiting)
+            waiting.clear()
         self._length = 0
         return gone
-
-    def _drop_oldest(self, priority: Priority) -> bool:
-        if self._plain[priority]:
-            self._plain[priority].popleft()
-        elif self._keyed[priority]:
-            keyed = self._keyed[priority]
-            keyed.pop(next(iter(keyed)))
-        else:
-            return False
-        self._length -= 1
-        return True

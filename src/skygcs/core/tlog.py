@@ -128,7 +128,7 @@ class RecordReader:
         raw = data[begin : begin + size]
         frame, verdict = check(raw, self._messages)
         unix_us = int.from_bytes(data[at:begin], "big")
-        if verdict != "ok" and not self._in_place(unix_us, begin + size):
+        if verdict != "ok" and (not self._in_place(unix_us, begin + size) or self._holds_record(unix_us, raw)):
             return None
         last = self._last_us
         if last is not None and -CLOCK_STEP_US < unix_us - last < CLOCK_STEP_US:
@@ -148,10 +148,26 @@ class RecordReader:
             other = int.from_bytes(data[end : end + TIME_BYTES], "big")
         else:
             return False
-        if other is None:
-            return unix_us in _REAL_TIMES_US
-        near = -CLOCK_STEP_US < unix_us - other < CLOCK_STEP_US
-        return near or (unix_us in _REAL_TIMES_US and other in _REAL_TIMES_US)
+        return unix_us in _REAL_TIMES_US if other is None else _belong_together(unix_us, other)
+
+    def _holds_record(self, unix_us: int, raw: bytes) -> bool:
+        """Whether a good record stands inside: then the length is damaged and would swallow it."""
+        for found in _MAGIC.finditer(raw, TIME_BYTES):
+            at = found.start()
+            size = frame_size(raw, at)
+            if not size or at + size > len(raw):
+                continue
+            time = int.from_bytes(raw[at - TIME_BYTES : at], "big")
+            if _belong_together(unix_us, time) and check(raw[at : at + size], self._messages)[1] == "ok":
+                return True
+        return False
+
+
+def _belong_together(a_us: int, b_us: int) -> bool:
+    """Whether these may be the times of two records of one file: near each other, or both real."""
+    if a_us in _REAL_TIMES_US and b_us in _REAL_TIMES_US:
+        return True
+    return -CLOCK_STEP_US < a_us - b_us < CLOCK_STEP_US and a_us < _REAL_TIMES_US.stop
 
 
 def iter_records(data: ByteSource, dialect: Dialect) -> RecordReader:

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.config.dialects import offline_dialect
 from skygcs.core.mavlink.frame import MAX_FRAME_BYTES, Frame, encode
 from skygcs.core.mavlink.parser import MAX_VERIFIED_SOURCES, FrameParser
 from skygcs.core.tlog import iter_records
@@ -23,6 +22,7 @@ from support.frames import (
     frame,
     heartbeat,
     noise,
+    offline,
     random_values,
     unknown_frame,
     with_bit_errors,
@@ -52,7 +52,7 @@ def parsed(data: bytes, *, table: Any = None) -> tuple[list[Frame], FrameParser]
 def test_raw_capture_gives_at_least_the_expected_frames(name: str) -> None:
     data, expected = capture(name)
     rng = random.Random(1)
-    parser = FrameParser(offline_dialect())
+    parser = FrameParser(offline())
     frames = [f for piece in in_pieces(data, rng) for f in parser.feed(piece)] + parser.finish()
     assert parser.stats.good >= expected["status"]["ok"]
     sources = Counter(f"{f.sysid}/{f.compid}" for f in frames if f.info is not None)
@@ -63,8 +63,8 @@ def test_raw_capture_gives_at_least_the_expected_frames(name: str) -> None:
 @pytest.mark.parametrize("name", captures("tlog"))
 def test_every_good_frame_of_a_tlog_is_found_as_a_stream_with_its_times_as_noise(name: str) -> None:
     data, expected = capture(name)
-    frames, parser = parsed(data, table=offline_dialect())
-    records = [r.frame.raw for r in iter_records(data, offline_dialect()) if r.verdict == "ok" and r.frame is not None]
+    frames, parser = parsed(data, table=offline())
+    records = [r.frame.raw for r in iter_records(data, offline()) if r.verdict == "ok" and r.frame is not None]
     found = [f.raw for f in frames if f.info is not None]
     if expected["status"].get("unknown"):  # the writer's parser invented frames around good ones: those come out too
         rest = iter(found)
@@ -145,7 +145,7 @@ def test_at_least_what_pymavlink_finds_in_its_own_captures() -> None:
             for m in other.parse_buffer(data) or []
             if m.get_type() != "BAD_DATA" and "UNK" not in m.get_type()
         )
-        frames, _ = parsed(data, table=offline_dialect())
+        frames, _ = parsed(data, table=offline())
         ours = Counter(f.name for f in frames if f.info is not None)
         assert theirs or name == "pymavlink/capture.mavlink"  # of frames from before CRC_EXTRA
         assert ours >= theirs, name
@@ -154,7 +154,7 @@ def test_at_least_what_pymavlink_finds_in_its_own_captures() -> None:
 def test_network_captures_hold_the_message_they_are_named_after() -> None:
     for path in public_folder("vectors/pymavlink"):
         if path.suffix == ".pcapng":
-            frames, _ = parsed(path.read_bytes(), table=offline_dialect())
+            frames, _ = parsed(path.read_bytes(), table=offline())
             names = {f.name for f in frames}
             assert path.stem.removesuffix("_over_tcp").upper() in names, path.name
 

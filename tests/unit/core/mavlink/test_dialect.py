@@ -1,0 +1,169 @@
+"""Message tables: pins of wire sizes, and every message equal to pymavlink's own."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import all as mavlink
+
+from skygcs.config.dialects import load_dialect
+from skygcs.core.mavlink.dialect import ABSENT, Dialect, MessageInfo
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.parser import FrameParser
+from support.frames import dialect, offline
+
+WIRE = """HEARTBEAT 0 9 50 | SYS_STATUS 1 43 124 | GPS_RAW_INT 24 52 24 | ATTITUDE 30 28 39
+| LOCAL_POSITION_NED 32 28 185 | GLOBAL_POSITION_INT 33 28 104 | ATTITUDE_QUATERNION 31 48 246
+| VFR_HUD 74 20 20 | BATTERY_STATUS 147 54 154 | HOME_POSITION 242 60 104 | EXTENDED_SYS_STATE 245 2 130
+| STATUSTEXT 253 54 83 | HIGH_LATENCY2 235 42 179 | TIMESYNC 111 16 34 | SET_ATTITUDE_TARGET 82 39 49
+| SET_POSITION_TARGET_LOCAL_NED 84 53 143 | SET_POSITION_TARGET_GLOBAL_INT 86 53 5 | COMMAND_LONG 76 33 152
+| COMMAND_INT 75 35 158 | COMMAND_ACK 77 10 143 | SET_MODE 11 6 89 | PARAM_VALUE 22 25 220
+| REQUEST_DATA_STREAM 66 6 148 | SET_GPS_GLOBAL_ORIGIN 48 21 41 | GPS_GLOBAL_ORIGIN 49 20 39
+| GPS_RTCM_DATA 233 182 35 | RADIO_STATUS 109 9 185 | RADIO 166 9 21"""
+"""name, id, payload bytes with extensions, CRC_EXTRA: computed with pymavlink 2.4.50's ardupilotmega."""
+
+
+@pytest.mark.parametrize("line", [line.strip() for line in WIRE.replace("\n", " ").split("|")])
+def test_wire_sizes_the_link_budget_rests_on(line: str) -> None:
+    name, msgid, length, crc_extra = line.split()
+    info = dialect().find(name)
+    assert (info.msgid, info.length, info.crc_extra) == (int(msgid), int(length), int(crc_extra))
+
+
+def test_seed_message_is_148_in_lower_case_and_has_52_bytes() -> None:
+    table = load_dialect("utias")
+    info = table.find(228)
+    assert (info.name, info.crc_extra, info.length, info.min_length) == ("utias", 148, 52, 52)
+    assert [(f.name, f.array_length, f.offset) for f in info.fields] == [
+        ("quat", 4, 0),
+        ("pos", 3, 16),
+        ("vel", 3, 28),
+        ("gps", 3, 40),
+    ]
+    assert table.find("UTIAS") is info
+
+
+@pytest.mark.parametrize(
+    ("msgid", "crc_extra", "length"),
+    [(8, 117, 36), (290, 251, 46), (291, 10, 57), (380, 232, 20), (410, 160, 53), (411, 106, 3)],
+)
+def test_messages_px4_sends_beyond_pymavlinks(msgid: int, crc_extra: int, length: int) -> None:
+    for table in (dialect(), offline(), load_dialect("utias")):
+        info = table.messages[msgid]
+        assert (info.crc_extra, info.length) == (crc_extra, length)
+
+
+def test_every_message_equals_pymavlinks() -> None:
+    table = load_dialect("all")
+    assert table.messages.keys() == mavlink.mavlink_map.keys()
+    for msgid, kind in mavlink.mavlink_map.items():
+        info = table.messages[msgid]
+        assert (info.name, info.crc_extra, info.length) == (kind.msgname, kind.crc_extra, kind.unpacker.size), msgid
+        by_name = {f.name: f for f in info.fields}
+        assert [f.name for f in info.fields] == kind.fieldnames
+        types = {f.name: "char" if f.type == "char" else f.type for f in info.fields}
+        assert types == dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
+        sizes = [by_name[n].array_length for n in kind.ordered_fieldnames]
+        assert sizes == list(kind.array_lengths)
+
+
+def test_targets_are_where_pymavlink_puts_them_and_manual_control_has_one() -> None:
+    table = load_dialect("all")
+    parser = FrameParser(table)
+    for info in table.messages.values():
+        names = {f.name for f in info.fields}
+        system = "target" if info.name == "MANUAL_CONTROL" else "target_system"
+        values = {n: v for n, v in ((system, 0xA5), ("target_component", 0x5A)) if n in names}
+        if not values:
+            assert (info.target_system_offset, info.target_component_offset) == (ABSENT, ABSENT), info.name
+            continue
+        (found,) = parser.feed(encode(info, values, sysid=1, compid=1, seq=0))
+        if system in values:
+            assert found.target() == (0xA5, values.get("target_component", 0)), info.name
+    assert table.find("MANUAL_CONTROL").target_system_offset == 10
+
+
+def test_table_survives_json() -> None:
+    table = dialect()
+    again = Dialect.from_table(json.loads(json.dumps(table.to_table())))
+    assert again.to_table() == table.to_table()
+    assert again.enums == table.enums
+    assert again.enums["MAV_TYPE"][2] == "MAV_TYPE_QUADROTOR"
+
+
+def test_find_takes_names_of_any_case_and_ids() -> None:
+    table = dialect()
+    for what in ("HEARTBEAT", "heartbeat", 0, "0"):
+        assert table.find(what).msgid == 0
+    with pytest.raises(KeyError, match="no message 'NOPE'"):
+        table.find("NOPE")
+    assert table.enum_value("MAV_CMD", "MAV_CMD_COMPONENT_ARM_DISARM") == 400
+    with pytest.raises(KeyError):
+        table.enum_value("MAV_CMD", "NOPE")
+
+
+# -- packing
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "complaint"),
+    [
+        ("HEARTBEAT", {"typ": 1}, r"HEARTBEAT has no field 'typ'; it has: .*type"),
+        ("HEARTBEAT", {"type": 256}, r"HEARTBEAT.type \(uint8_t\)"),
+        ("HEARTBEAT", {"type": "two"}, r"HEARTBEAT.type"),
+        ("HEARTBEAT", {"type": None}, r"HEARTBEAT.type"),
+        ("HEARTBEAT", {"type": 1.5}, r"HEARTBEAT.type"),
+        ("STATUSTEXT", {"text": "x" * 51}, r"STATUSTEXT.text .*51 bytes do not fit in 50"),
+        ("GPS_RTCM_DATA", {"data": [0] * 181}, r"181 values do not fit in 180"),
+        ("GPS_RTCM_DATA", {"data": 5}, r"GPS_RTCM_DATA.data"),
+        ("ATTITUDE", {"roll": 1e300}, r"ATTITUDE.roll"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_one_clear_error(name: str, values: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        dialect().find(name).pack(values)
+
+
+def test_short_arrays_and_texts_are_filled_with_zeros() -> None:
+    info = dialect().find("GPS_RTCM_DATA")
+    assert info.unpack(info.pack({"data": [1, 2], "len": 2}))["data"] == [1, 2] + [0] * 178
+    info = dialect().find("STATUSTEXT")
+    assert info.unpack(info.pack({"text": "höhe"}))["text"] == "höhe"
+
+
+def test_nan_means_not_given_and_survives() -> None:
+    info = dialect().find("COMMAND_LONG")
+    assert math.isnan(info.unpack(info.pack({"param4": math.nan}))["param4"])
+
+
+@functools.cache
+def load_all() -> Dialect:
+    return load_dialect("all")
+
+
+@given(st.sampled_from(sorted(load_all().messages)), st.binary(max_size=255))
+def test_any_payload_unpacks_to_every_field(msgid: int, payload: bytes) -> None:
+    info = load_all().messages[msgid]
+    assert info.unpack(payload).keys() == {f.name for f in info.fields}
+
+
+@given(st.sampled_from(sorted(load_all().messages)), st.binary(max_size=255), st.data())
+def test_a_reader_of_some_fields_agrees_with_unpacking_all(msgid: int, payload: bytes, data: st.DataObject) -> None:
+    info: MessageInfo = load_all().messages[msgid]
+    scalars = [f.name for f in info.fields if not f.array_length and f.type != "char"]
+    if not scalars:
+        return
+    names = data.draw(st.lists(st.sampled_from(scalars), unique=True, min_size=1))
+    values = info.unpack(payload)
+    assert repr(info.reader(*names)(payload)) == repr(tuple(values[n] for n in names))
+
+
+def test_a_reader_of_a_field_that_is_not_there_fails_when_made() -> None:
+    with pytest.raises(KeyError):
+        dialect().find("HEARTBEAT").reader("type", "nope")
