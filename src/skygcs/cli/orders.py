@@ -96,10 +96,16 @@ def goto(
     ] = None,
     yaw: Annotated[float | None, typer.Option("--yaw", metavar="DEG", help="Heading, clockwise from north.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Although it is farther than the limit.")] = False,
+    same_place: Annotated[
+        bool, typer.Option("--same-place", help="Several vehicles: all to the very point; mind their heights.")
+    ] = False,
     json_output: Json = False,
 ) -> None:
-    """Fly to a place: `goto alpha 43.78 -79.46 10`, `goto all --enu 5,-3,10`."""
-    params: dict[str, Any] = {"yaw_deg": yaw, "force": force}
+    """Fly to a place: `goto alpha 43.78 -79.46 10`, `goto all --enu 5,-3,10`.
+
+    Several vehicles keep their places to each other; the middle of them goes there.
+    """
+    params: dict[str, Any] = {"yaw_deg": yaw, "force": force, "same_place": same_place}
     numbers = _numbers(place, ("LAT", "LON", "HEIGHT"))
     if enu is not None:
         if numbers:

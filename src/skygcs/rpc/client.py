@@ -143,9 +143,14 @@ class Client:
         enu_m: Sequence[float] | None = None,
         yaw_deg: float | None = None,
         force: bool = False,
+        same_place: bool = False,
     ) -> Outcomes:
-        """To degrees and a height above home (None: as high as it is), or to east, north, up from the origin."""
+        """To degrees and a height above home (None: as high as it is), or to east, north, up from the origin.
+
+        Several vehicles keep their places to each other and their middle goes there, unless ``same_place``.
+        """
         place = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "yaw_deg": yaw_deg, "force": force}
+        place["same_place"] = same_place
         return await self._order("goto", targets, enu_m=None if enu_m is None else list(enu_m), **place)
 
     async def reboot(self, targets: Targets, *, force: bool = False) -> Outcomes:

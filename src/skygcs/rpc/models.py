@@ -106,6 +106,9 @@ class GotoParams(TargetsParams):
     enu_m: Enu | None = None
     yaw_deg: float | None = Field(None, description="Heading, clockwise from north; null: the autopilot's choice.")
     force: bool = Field(False, description="Go although it is farther than the configured limit.")
+    same_place: bool = Field(
+        False, description="Several vehicles: all to the very point, instead of keeping their places to each other."
+    )
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:

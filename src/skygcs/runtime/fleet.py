@@ -15,6 +15,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import discovery, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.formation import moved, offsets_en_m
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.runtime.commander import Carrier, SendFn
@@ -119,6 +120,7 @@ class Fleet:
         if order not in ORDERS:
             raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
         actors = self.resolve(expression)
+        own_arguments = self._places(actors, arguments) if order == "goto" else {}
         carrier = self._carrier(actors, order, arguments)
         for actor in actors:
             actor.commander.carrier = carrier
@@ -126,8 +128,8 @@ class Fleet:
         try:
             async with asyncio.TaskGroup() as group:
                 for actor in actors:
-                    method = getattr(actor, order)
-                    tasks[actor.name] = group.create_task(method(*args, **arguments), name=f"{order} {actor.name}")
+                    call = getattr(actor, order)(*args, **{**arguments, **own_arguments.get(actor, {})})
+                    tasks[actor.name] = group.create_task(call, name=f"{order} {actor.name}")
                 if carrier is not None:
                     await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
                     emergency = order == "disarm" and bool(arguments.get("force"))
@@ -137,6 +139,26 @@ class Fleet:
                 if actor.commander.carrier is carrier:
                     actor.commander.carrier = None
         return {name: task.result() for name, task in tasks.items()}
+
+    def _places(self, actors: list[VehicleActor], arguments: dict[str, Any]) -> dict[VehicleActor, dict[str, Any]]:
+        """Where each of several vehicles goes that are sent to one place: they keep their places relative to each
+        other, the middle of them goes where it was said. ``same_place`` sends all to the very point."""
+        if arguments.pop("same_place", False) or len(actors) < 2:
+            return {}
+        known = {}
+        for actor in actors:
+            position = actor.vehicle.section("position")
+            if position is not None and position["lat_deg"] is not None:
+                known[actor] = (position["lat_deg"], position["lon_deg"])
+        places: dict[VehicleActor, dict[str, Any]] = {}
+        for actor, (east_m, north_m) in offsets_en_m(known).items():
+            enu_m, lat_deg, lon_deg = (arguments.get(k) for k in ("enu_m", "lat_deg", "lon_deg"))
+            if enu_m is not None:
+                places[actor] = {"enu_m": [enu_m[0] + east_m, enu_m[1] + north_m, enu_m[2]]}
+            elif lat_deg and lon_deg:  # a zero is left as it is: every vehicle refuses it with the reason
+                lat, lon = moved(lat_deg, lon_deg, (east_m, north_m))
+                places[actor] = {"lat_deg": lat, "lon_deg": lon}
+        return places
 
     def _carrier(self, actors: list[VehicleActor], order: str, arguments: dict[str, Any]) -> Carrier | None:
         """A broadcast, if all vehicles are meant, none refuses, and all would be sent the very same."""

@@ -1,0 +1,28 @@
+"""Several vehicles sent to one place must not meet there: they keep their places relative to each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+from skygcs.core.geo import Origin, enu_from_geodetic, geodetic_from_enu
+
+K = TypeVar("K")
+
+
+def offsets_en_m(places: Mapping[K, tuple[float, float]]) -> dict[K, tuple[float, float]]:
+    """East and north of each (lat_deg, lon_deg) from the middle of all, in metres; the offsets sum to zero."""
+    if not places:
+        return {}
+    anchor = next(iter(places.values()))
+    origin = Origin(anchor[0], anchor[1], 0.0)
+    flat = {key: enu_from_geodetic(lat, lon, 0.0, origin)[:2] for key, (lat, lon) in places.items()}
+    east = sum(e for e, _ in flat.values()) / len(flat)
+    north = sum(n for _, n in flat.values()) / len(flat)
+    return {key: (e - east, n - north) for key, (e, n) in flat.items()}
+
+
+def moved(lat_deg: float, lon_deg: float, offset_en_m: tuple[float, float]) -> tuple[float, float]:
+    """(lat_deg, lon_deg) of a point that many metres east and north of another."""
+    lat, lon, _ = geodetic_from_enu(*offset_en_m, 0.0, Origin(lat_deg, lon_deg, 0.0))
+    return lat, lon
