@@ -286,7 +286,9 @@ class Daemon:
             raise LinkError(f"no link {name!r}; there are: {', '.join(self._links) or 'none'}")
         old = self._links[name][0].link.config
         same_type = link.get("type", old.type) == old.type
-        merged = {**old.model_dump(mode="json", exclude_unset=True), "type": old.type, **link} if same_type else dict(link)
+        merged = (
+            {**old.model_dump(mode="json", exclude_unset=True), "type": old.type, **link} if same_type else dict(link)
+        )
         config = self._checked_link(name, merged)
         await self._stop_link(name)
         self._start_link(name, config)
