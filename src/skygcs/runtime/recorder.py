@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import io
 import os
 from collections import deque
@@ -41,6 +42,8 @@ RETRY_MAX_S = 10.0
 
 CLOSE_TIMEOUT_S = 3.0
 """A stuck disk may delay the end of the daemon by this much, not more."""
+
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 OpenFile = Callable[[Path], io.FileIO]
 
@@ -89,8 +92,10 @@ class TlogFiles:
                 if not written:
                     raise OSError(f"{self.path}: nothing was written")
                 view = view[written:]
-        except OSError:
+        except OSError as error:
             self._cut(file, start)
+            if error.errno not in _FULL:
+                self.close()  # another file may do: this one may be at its file system's limit, or its device gone
             raise
         self.size = start + len(data)
 

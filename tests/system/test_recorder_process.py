@@ -1,0 +1,82 @@
+"""The recorder in a process of its own: killed, and against a real limit of the file size."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from skygcs.core.tlog import iter_records
+from support.frames import dialect
+
+pytestmark = pytest.mark.system
+
+RECORDS_PER_S = 200
+
+CHILD = """
+import asyncio, resource, signal, sys, time
+from pathlib import Path
+from skygcs.runtime.recorder import Recorder
+from support.frames import heartbeat
+
+async def main():
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    if (limit := int(sys.argv[2])):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    recorder = Recorder(Path(sys.argv[1]), max_bytes=10**9, max_age_s=1e9, on_event=lambda e: print(e.text, flush=True))
+    task = asyncio.create_task(recorder.run())
+    count = 0
+    print("begun", flush=True)
+    begun = time.monotonic()
+    while True:
+        while count < (time.monotonic() - begun) * 200:
+            recorder.offer(heartbeat(1 + count % 250), time.time_ns() // 1000)
+            count += 1
+        await asyncio.sleep(0.005)
+
+asyncio.run(main())
+"""
+
+
+def start(folder: Path, limit: int = 0) -> subprocess.Popen[str]:
+    tests = Path(__file__).resolve().parents[1]
+    return subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(folder), str(limit)],
+        env={**os.environ, "PYTHONPATH": str(tests)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_kill_9_costs_at_most_the_last_second(tmp_path: Path) -> None:
+    with start(tmp_path) as child:
+        assert child.stdout is not None and child.stdout.readline() == "begun\n"
+        time.sleep(2.0)
+        killed_us = time.time_ns() // 1000
+        child.send_signal(signal.SIGKILL)
+    (path,) = tmp_path.glob("*.tlog")
+    reader = iter_records(path.read_bytes(), dialect())
+    records = list(reader)
+    assert reader.skipped_bytes == 0
+    assert len(records) > RECORDS_PER_S // 4
+    assert killed_us - records[-1].unix_us < 1_000_000
+
+
+def test_a_file_that_may_not_grow_ends_with_a_whole_record_and_recording_goes_on(tmp_path: Path) -> None:
+    """RLIMIT_FSIZE cuts a write short and refuses the next, as a full disk does."""
+    with start(tmp_path, limit=10_000) as child:
+        assert child.stdout is not None and child.stdout.readline() == "begun\n"
+        assert "File too large" in child.stdout.readline()
+        assert "recording again" in child.stdout.readline()
+        child.send_signal(signal.SIGKILL)
+    paths = list(tmp_path.glob("*.tlog"))
+    assert len(paths) >= 2  # a new file has room again
+    for path in paths:
+        reader = iter_records(path.read_bytes(), dialect())
+        assert all(r.verdict == "ok" for r in reader)
+        assert reader.skipped_bytes == 0
