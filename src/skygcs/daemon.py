@@ -7,7 +7,6 @@ inner group first, so that what links did last is still recorded and told.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
 import time
 from collections import deque
@@ -264,8 +263,7 @@ class Daemon:
     async def _stop_link(self, name: str) -> None:
         _, task = self._links.pop(name)
         task.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
+        await asyncio.wait({task})  # which, unlike awaiting it, does not swallow a cancellation of our own
 
     def _checked_link(self, name: str, link: Mapping[str, Any]) -> LinkConfig:
         try:
@@ -334,6 +332,8 @@ class Daemon:
                     "state": supervisor.state,
                     "since_s": round(now - supervisor.since, 1),
                     "last_error": supervisor.last_error,
+                    "failures": supervisor.failures,
+                    "opened": supervisor.opened,
                     **link.counters(),
                     "channels": [self._channel_status(c, now) for c in link.channels],
                 }

@@ -122,6 +122,10 @@ class Commander:
         a lost ack does not matter. Cancelling forgets the command; what was sent cannot be unsent."""
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
             return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
+        try:
+            self._dialect.by_name[spec.message].pack(spec.values(*self.target, 0))
+        except ValueError as error:
+            return Outcome(False, "refused", f"refused: {error}")
         line = self._lines.setdefault(spec.command, _Line())
         if emergency:
             self._stop(spec.command, "cancelled", "an emergency order took its place")

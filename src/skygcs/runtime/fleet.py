@@ -16,6 +16,7 @@ from skygcs.core.vehicle import discovery, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.formation import moved, offsets_en_m
+from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.runtime.commander import Carrier, SendFn
@@ -155,7 +156,7 @@ class Fleet:
             enu_m, lat_deg, lon_deg = (arguments.get(k) for k in ("enu_m", "lat_deg", "lon_deg"))
             if enu_m is not None:
                 places[actor] = {"enu_m": [enu_m[0] + east_m, enu_m[1] + north_m, enu_m[2]]}
-            elif lat_deg and lon_deg:  # a zero is left as it is: every vehicle refuses it with the reason
+            elif is_place(lat_deg, lon_deg):  # what is none is left as it is: every vehicle refuses it with the reason
                 lat, lon = moved(lat_deg, lon_deg, (east_m, north_m))
                 places[actor] = {"lat_deg": lat, "lon_deg": lon}
         return places

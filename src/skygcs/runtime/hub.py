@@ -26,6 +26,9 @@ FrameTap = Callable[[Frame, Channel, float], None]
 OTHER_SOURCES = -1
 """Key under which one channel's further sources are counted together once its table is full."""
 
+MAX_PARTED = 256
+"""Closed channels whose counters per source are kept, in case the radio is plugged in again or the peer comes back."""
+
 _DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN)
 
 
@@ -106,6 +109,7 @@ class Hub:
         self._on_fault = on_fault
         self._fault_kinds: set[str] = set()
         self._next_id = 1
+        self._parted: dict[tuple[str, str], dict[int, SourceStats]] = {}
         self._taps: list[tuple[set[int] | None, set[int] | None, FrameTap]] = []
 
     # -- what links call
@@ -119,12 +123,20 @@ class Hub:
         channel.id = self._next_id
         self._next_id += 1
         self.channels[channel.id] = channel
+        parted = self._parted.pop((channel.link.name, channel.peer), None)
+        if parted is not None:
+            for stats in parted.values():
+                stats.restart()  # what was sent while nobody listened is not a loss of the link
+            channel.sources = parted
         self.router.open(channel.id, channel_policy(channel.config, self.dialect))
 
     def detach(self, channel: Channel, reason: str) -> None:
         """The channel is gone, with its routes. Idempotent."""
         if self.channels.pop(channel.id, None) is not None:
             self.router.close(channel.id)
+            self._parted[channel.link.name, channel.peer] = channel.sources
+            if len(self._parted) > MAX_PARTED:
+                del self._parted[next(iter(self._parted))]
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
         """The way of every frame. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""

@@ -452,8 +452,8 @@ async def test_old_arducopter_without_reposition_is_sent_one_guided_target_and_a
         ({"lat_deg": 91.0, "lon_deg": 8.0}, "no place on earth"),
         ({"lat_deg": HOME[0], "lon_deg": 181.0}, "no place on earth"),
         ({"lat_deg": math.nan, "lon_deg": HOME[1]}, "no place on earth"),
-        ({**NEAR, "height_m": math.nan}, "not a number"),
-        ({**NEAR, "yaw_deg": math.inf}, "not a number"),
+        ({**NEAR, "height_m": math.nan}, "not between"),
+        ({**NEAR, "yaw_deg": math.inf}, "not between"),
         ({**NEAR, "height_m": 1100.0}, "limit is 1000 m"),
         ({**NEAR, "height_m": -3.0}, "below its home"),
         ({"lat_deg": HOME[0] + 0.1, "lon_deg": HOME[1]}, "--force"),
@@ -478,6 +478,7 @@ async def test_force_overrides_the_distance_but_never_a_zero_coordinate() -> Non
         vehicle, actor = await flying(ground, PX4)
         assert (await actor.goto(lat_deg=HOME[0] + 0.1, lon_deg=HOME[1], force=True)).ok
         assert (await actor.goto(lat_deg=0.0, lon_deg=HOME[1], force=True)).result == "refused"
+        assert (await actor.goto(**NEAR, height_m=1e30, force=True)).result == "refused"
         assert len(vehicle.got) == 1
 
 
@@ -575,6 +576,8 @@ async def test_any_command_goes_by_name_or_number_with_unset_parameters() -> Non
         assert "did you mean" in (await actor.command("DO_SET_SERVOO", [])).message
         assert (await actor.command(183, [0.0] * 8)).result == "refused"
         assert (await actor.command(183, [], x=1)).result == "refused"
+        assert "param1" in (await actor.command(183, [1e300])).message
+        assert "32 bits" in (await actor.command(183, [], int_frame=0, x=1 << 31)).message
 
 
 async def test_progress_is_reported_and_waited_for() -> None:

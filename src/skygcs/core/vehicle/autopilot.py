@@ -30,7 +30,7 @@ from dataclasses import dataclass
 
 from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.mavlink import modes
-from skygcs.core.vehicle.plan import ArmedIs, InAir, ModeIn, Plan, Step, TargetNear
+from skygcs.core.vehicle.plan import LIFT_OFF_S, ArmedIs, LiftedOff, ModeIn, Plan, Step, TargetNear
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
@@ -102,9 +102,9 @@ def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan
     if vehicle.family == "px4":
         if alt_amsl_m is None:
             raise RefusedError("its altitude is not known yet, and PX4 takes off to an altitude above sea level")
-        steps = _px4_takeoff(vehicle, alt_amsl_m + height_m)
+        steps = _px4_takeoff(vehicle, alt_amsl_m, height_m)
     elif vehicle.family == "ardupilot" and modes.is_copter(vehicle.type):
-        steps = _copter_takeoff(vehicle, height_m)
+        steps = _copter_takeoff(vehicle, height_m, alt_amsl_m)
     else:
         raise RefusedError("skygcs knows the takeoff of PX4 and ArduCopter only; use a raw command for others")
     return Plan("takeoff", steps, f"taking off to {height_m:g} m")
@@ -211,21 +211,21 @@ def _location(frame: int, to: Destination, alt_m: float) -> Location:
     return Location(frame, round(to.lat_deg * 1e7), round(to.lon_deg * 1e7), alt_m)
 
 
-def _px4_takeoff(vehicle: Vehicle, alt_amsl_m: float) -> tuple[Step, ...]:
-    climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, alt_amsl_m))
-    expect = _any_mode(vehicle, ("AUTO.TAKEOFF", "AUTO.LOITER"), or_disarmed=False)
-    steps = [_arm_step(skip_if_met=True), Step("takeoff", climb, expect=expect)]
+def _px4_takeoff(vehicle: Vehicle, from_amsl_m: float, height_m: float) -> tuple[Step, ...]:
+    climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, from_amsl_m + height_m))
+    lifted = LiftedOff(from_amsl_m)
+    steps = [_arm_step(skip_if_met=True), Step("takeoff", climb, expect=lifted, expect_s=LIFT_OFF_S)]
     if not vehicle.armed and not vehicle.mode.startswith("AUTO."):
         steps.insert(0, _mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER")))
     return tuple(steps)
 
 
-def _copter_takeoff(vehicle: Vehicle, height_m: float) -> tuple[Step, ...]:
+def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float | None) -> tuple[Step, ...]:
     climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m))
     return (
         _mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True),
         _arm_step(skip_if_met=True),
-        Step("takeoff", climb, expect=InAir(), expect_s=0),
+        Step("takeoff", climb, expect=LiftedOff(from_amsl_m), expect_s=LIFT_OFF_S),
     )
 
 

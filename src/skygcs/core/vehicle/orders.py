@@ -24,6 +24,11 @@ MAX_TAKEOFF_M = 500.0
 POSITION_FRESH_S = 10.0
 """An older position is no base for a distance check or an altitude; the slowest stream profile sends 0.5 Hz."""
 
+MAX_ENU_M = 100_000.0
+"""Farther out the flat frame is 800 m above the ground; no order that far is meant."""
+
+MAX_HEIGHT_M = 20_000.0
+
 MAX_RATE_HZ = 1000.0
 """Faster than any autopilot streams."""
 
@@ -112,7 +117,7 @@ def goto(
     else:
         to = _from_geodetic(lat_deg, lon_deg, height_m, here, home_amsl_m)
     if yaw_deg is not None:
-        _require_finite("yaw", yaw_deg)
+        _require_within("a yaw", yaw_deg, 360.0)
         to = replace(to, yaw_deg=yaw_deg)
     if not force:
         _check_reach(here, to, limit_m, ground=ground)
@@ -144,7 +149,7 @@ def set_home(
     alt = vehicle.home_alt_amsl_m() if alt_amsl_m is None else alt_amsl_m
     if alt is None:
         raise RefusedError("its home altitude is not known; give one")
-    _require_finite("altitude", alt)
+    _require_within("an altitude", alt, MAX_HEIGHT_M)
     return autopilot.set_home(Destination(lat_deg, lon_deg, alt, 0.0))
 
 
@@ -287,8 +292,8 @@ def _fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] 
 def _from_enu(vehicle: Vehicle, enu_m: Sequence[float], home_amsl_m: float) -> Destination:
     if len(enu_m) != 3:
         raise RefusedError(f"enu_m is east, north, up: three numbers, not {len(enu_m)}")
-    for value in enu_m:
-        _require_finite("ENU coordinate", value)
+    for value, most in zip(enu_m, (MAX_ENU_M, MAX_ENU_M, MAX_HEIGHT_M), strict=True):
+        _require_within("an ENU coordinate", value, most)
     if vehicle.origin is None:
         raise RefusedError("the fleet has no origin yet, so ENU means nothing; set [origin] or use lat and lon")
     lat, lon, alt = geodetic_from_enu(enu_m[0], enu_m[1], enu_m[2], vehicle.origin)
@@ -312,13 +317,20 @@ def _from_geodetic(
     _check_coordinate(lat_deg, lon_deg)
     if height_m is None:
         return Destination(lat_deg, lon_deg, here[2], here[2] - home_amsl_m)
-    _require_finite("height", height_m)
+    _require_within("a height", height_m, MAX_HEIGHT_M)
     return Destination(lat_deg, lon_deg, home_amsl_m + height_m, height_m)
+
+
+def is_place(lat_deg: float | None, lon_deg: float | None) -> bool:
+    """Whether somebody can mean this: a coordinate of exactly 0 is a forgotten one."""
+    if not lat_deg or not lon_deg:
+        return False
+    return abs(lat_deg) <= 90 and abs(lon_deg) <= 180
 
 
 def _check_coordinate(lat_deg: float, lon_deg: float) -> None:
     """A coordinate of exactly 0 is a forgotten one: the seed's own script would have flown to 0, 0."""
-    if not (math.isfinite(lat_deg) and math.isfinite(lon_deg) and -90 <= lat_deg <= 90 and -180 <= lon_deg <= 180):
+    if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180):  # also false for NaN
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} is no place on earth (latitude -90..90, longitude -180..180)")
     if lat_deg == 0 or lon_deg == 0:
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
@@ -332,6 +344,6 @@ def _check_reach(here: tuple[float, float, float], to: Destination, limit_m: flo
         raise RefusedError(f"that is {-to.height_m:.1f} m below its home; {FORCE_HINT}")
 
 
-def _require_finite(what: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise RefusedError(f"{what} {value} is not a number to fly to")
+def _require_within(what: str, value: float, most: float) -> None:
+    if not abs(value) <= most:  # also false for NaN
+        raise RefusedError(f"{what} of {value:g} is not between {-most:g} and {most:g}")

@@ -53,13 +53,29 @@ class ModeIn:
         return f"still in {vehicle.mode}"
 
 
+LIFT_OFF_S = 8.0
+"""A PX4 spools up for one to three seconds, an ArduCopter ramps for two; the landed state comes every two seconds."""
+
+CLIMBED_M = 0.5
+
+
 @dataclass(frozen=True, slots=True)
-class InAir:
+class LiftedOff:
+    """Armed, and off the ground by its own word or by its height over ``from_amsl_m``."""
+
+    from_amsl_m: float | None
+
     def met(self, vehicle: Vehicle, now: float) -> bool:
+        if not vehicle.armed:
+            return False
+        position = vehicle.section("position")
+        alt_amsl_m = None if position is None else position["alt_amsl_m"]
+        if alt_amsl_m is not None and self.from_amsl_m is not None and alt_amsl_m > self.from_amsl_m + CLIMBED_M:
+            return True
         return vehicle.in_air(now) is True
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
-        return "still on the ground"
+        return "still on the ground" if vehicle.armed else "it is disarmed and on the ground"
 
 
 @dataclass(frozen=True, slots=True)

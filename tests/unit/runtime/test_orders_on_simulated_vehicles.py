@@ -1,0 +1,242 @@
+"""Whole flights: every order against the simulated PX4 and ArduCopter, bytes both ways, over a radio with delay."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from skygcs.config.models import FleetConfig
+from skygcs.core.airtime import Priority
+from skygcs.core.exchange.command import Outcome
+from skygcs.core.mavlink.dialect import MessageInfo
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.sim.fleet import SimFleet, make_vehicles
+from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.vehicle.events import Event
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.vehicle_actor import VehicleActor
+from support.vehicles import HOME, flight_dialect
+
+pytestmark = pytest.mark.looptime
+
+DELAY_S = 0.25
+"""One way; a half round of a five-node radio."""
+
+
+class Field:
+    """A fleet and simulated vehicles, joined by nothing but bytes and a delay."""
+
+    def __init__(self, px4: int, ardupilot: int) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.dialect = flight_dialect()
+        self.events: list[Event] = []
+        home = LocalFrame(*HOME)
+        vehicles = make_vehicles(
+            self.dialect, px4=px4, ardupilot=ardupilot, first_sysid=1, home=home, now=self.loop.time(), unix_us=1
+        )
+        self.sim = SimFleet(vehicles)
+        config = {"origin": {"lat_deg": HOME[0], "lon_deg": HOME[1], "alt_amsl_m": HOME[2]}}
+        self.fleet = Fleet(FleetConfig.model_validate(config), self.dialect, self._send, self.loop, self.events.append)
+        self._down = FrameParser(self.dialect)
+        self._up = FrameParser(self.dialect)
+        self._seq = 0
+        self._task = self.loop.create_task(self._run())
+
+    async def __aenter__(self) -> Field:
+        await asyncio.sleep(3)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+        self.fleet.close()
+        await asyncio.sleep(0)
+
+    def _send(self, info: MessageInfo, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority) -> bool:
+        self._seq += 1
+        raw = encode(info, values, sysid=255, compid=25, seq=self._seq & 0xFF)
+        self.loop.call_later(DELAY_S, self._arrive, raw)
+        return True
+
+    def _arrive(self, raw: bytes) -> None:
+        for frame in self._up.feed_datagram(raw):
+            self.sim.on_frame(frame, self.loop.time())
+
+    def _hear(self, raw: bytes) -> None:
+        for frame in self._down.feed_datagram(raw):
+            self.fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "radio", self.loop.time())
+
+    async def _run(self) -> None:
+        while True:
+            for raw in self.sim.step(self.loop.time()):
+                self.loop.call_later(DELAY_S, self._hear, raw)
+            self.fleet.tick(self.loop.time())
+            await asyncio.sleep(0.1)
+
+    async def ready(self) -> None:
+        """Until every vehicle would arm: ArduPilot's estimator takes its time."""
+        outcomes = await self.fleet.command_all("all", "arm", wait_s=60.0)
+        assert all(o.ok for o in outcomes.values()), outcomes
+        outcomes = await self.fleet.command_all("all", "disarm")
+        assert all(o.ok for o in outcomes.values()), outcomes
+
+    def up_m(self, actor: VehicleActor) -> float:
+        enu = actor.vehicle.enu_m()
+        assert enu is not None
+        return enu[2]
+
+
+def done(outcomes: dict[str, Outcome]) -> bool:
+    assert all(o.ok for o in outcomes.values()), {n: o.message for n, o in outcomes.items()}
+    return True
+
+
+async def test_a_mixed_fleet_takes_off_goes_somewhere_holds_and_lands() -> None:
+    async with Field(px4=2, ardupilot=2) as field:
+        fleet = field.fleet
+        assert [a.vehicle.family for a in fleet.resolve("all")] == ["px4", "px4", "ardupilot", "ardupilot"]
+        await field.ready()
+        assert done(await fleet.command_all("all", "takeoff", 8.0))
+        await asyncio.sleep(25)
+        for actor in fleet.resolve("all"):
+            assert actor.vehicle.in_air(field.loop.time())
+            assert field.up_m(actor) == pytest.approx(8.0, abs=1.0)
+        goals = {1: (20.0, 0.0), 2: (20.0, 20.0), 3: (-20.0, 0.0), 4: (-20.0, 20.0)}
+        for sysid, (east, north) in goals.items():
+            outcome = await fleet.find(sysid).goto(enu_m=[east, north, 12.0])
+            assert outcome.ok, outcome.message
+        await asyncio.sleep(30)
+        for sysid, (east, north) in goals.items():
+            assert fleet.find(sysid).vehicle.enu_m() == pytest.approx([east, north, 12.0], abs=1.5)
+        assert done(await fleet.command_all("all", "hold"))
+        await asyncio.sleep(3)
+        assert {a.vehicle.mode for a in fleet.resolve("all")} == {"AUTO.LOITER", "BRAKE"}
+        assert done(await fleet.command_all("all", "land"))
+        await asyncio.sleep(60)
+        for actor in fleet.resolve("all"):
+            assert not actor.vehicle.armed
+            assert actor.vehicle.landed(field.loop.time()) == "on_ground"
+            assert field.up_m(actor) == pytest.approx(0.0, abs=0.5)
+
+
+async def test_hold_stops_a_vehicle_on_its_way_and_goto_takes_it_out_of_hold() -> None:
+    async with Field(px4=1, ardupilot=1) as field:
+        fleet = field.fleet
+        await field.ready()
+        assert done(await fleet.command_all("all", "takeoff", 10.0))
+        await asyncio.sleep(25)
+        assert done(await fleet.command_all("all", "goto", enu_m=[150.0, 0.0, 10.0]))
+        await asyncio.sleep(6)
+        assert done(await fleet.command_all("all", "hold"))
+        await asyncio.sleep(10)
+        held = {a.sysid: a.vehicle.enu_m() for a in fleet.resolve("all")}
+        await asyncio.sleep(10)
+        for actor in fleet.resolve("all"):
+            assert actor.vehicle.enu_m() == pytest.approx(held[actor.sysid], abs=0.5)
+            assert 0 < held[actor.sysid][0] < 140  # type: ignore[index]
+        place = {"enu_m": [0.0, 30.0, 10.0], "yaw_deg": 90.0}
+        assert done(await fleet.command_all("all", "goto", same_place=True, **place))
+        await asyncio.sleep(40)
+        for actor in fleet.resolve("all"):
+            assert actor.vehicle.enu_m() == pytest.approx([0.0, 30.0, 10.0], abs=1.5)
+
+
+async def test_several_vehicles_sent_to_one_place_keep_their_distance() -> None:
+    async with Field(px4=1, ardupilot=2) as field:
+        fleet = field.fleet
+        await field.ready()
+        assert done(await fleet.command_all("all", "takeoff", 10.0))
+        await asyncio.sleep(25)
+        before = [a.vehicle.enu_m() for a in fleet.resolve("all")]
+        assert done(await fleet.command_all("all", "goto", enu_m=[40.0, 30.0, 12.0]))
+        await asyncio.sleep(40)
+        after = [a.vehicle.enu_m() for a in fleet.resolve("all")]
+        for a, b in itertools.combinations(range(3), 2):
+            assert math.dist(after[a], after[b]) == pytest.approx(math.dist(before[a], before[b]), abs=1.5)
+        middle = [sum(p[axis] for p in after) / 3 for axis in range(3)]
+        assert middle == pytest.approx([40.0, 30.0, 12.0], abs=1.5)
+
+
+async def test_return_to_launch_ends_where_it_began() -> None:
+    async with Field(px4=1, ardupilot=1) as field:
+        fleet = field.fleet
+        await field.ready()
+        start = {a.sysid: a.vehicle.enu_m() for a in fleet.resolve("all")}
+        assert done(await fleet.command_all("all", "takeoff", 10.0))
+        await asyncio.sleep(25)
+        assert done(await fleet.command_all("all", "goto", enu_m=[30.0, 30.0, 15.0]))
+        await asyncio.sleep(25)
+        assert done(await fleet.command_all("all", "rtl"))
+        await asyncio.sleep(180)
+        for actor in fleet.resolve("all"):
+            assert not actor.vehicle.armed
+            assert actor.vehicle.enu_m() == pytest.approx(start[actor.sysid], abs=1.5)
+
+
+async def test_arducopter_refuses_at_first_says_why_and_wait_gets_it_armed() -> None:
+    async with Field(px4=0, ardupilot=1) as field:
+        actor = field.fleet.find(1)
+        refused = await actor.arm()
+        assert refused.result == "failed"
+        assert refused.status_texts
+        assert refused.status_texts[0] in refused.message
+        armed = await actor.arm(wait_s=60)
+        assert armed.ok, armed.message
+        assert armed.attempts > 1
+
+
+async def test_a_flying_vehicle_is_not_disarmed_unless_forced() -> None:
+    async with Field(px4=1, ardupilot=1) as field:
+        fleet = field.fleet
+        await field.ready()
+        assert done(await fleet.command_all("all", "takeoff", 5.0))
+        await asyncio.sleep(20)
+        outcomes = await fleet.command_all("all", "disarm")
+        assert {o.result for o in outcomes.values()} == {"refused"}
+        assert done(await fleet.command_all("all", "disarm", force=True))
+        assert not any(a.vehicle.armed for a in fleet.resolve("all"))
+
+
+async def test_identity_home_and_rates_are_known_without_being_asked_for_by_a_person() -> None:
+    async with Field(px4=1, ardupilot=1) as field:
+        await asyncio.sleep(60)
+        for actor in field.fleet.resolve("all"):
+            state = actor.state(field.loop.time())
+            assert state["firmware"] is not None
+            assert state["home"] is not None
+            assert state["position"]["enu_m"] is not None
+            assert state["uptime_s"] > 50
+
+
+async def test_a_reboot_is_noticed_and_the_vehicle_usable_again() -> None:
+    async with Field(px4=1, ardupilot=0) as field:
+        actor = field.fleet.find(1)
+        await asyncio.sleep(30)
+        outcome = await actor.reboot()
+        assert outcome.ok, outcome.message
+        await asyncio.sleep(40)
+        assert "reboot" in [e.kind for e in field.events]
+        assert actor.vehicle.connected
+        assert (await actor.arm(wait_s=30)).ok
+
+
+async def test_modes_home_intervals_and_single_messages_work_on_both() -> None:
+    async with Field(px4=1, ardupilot=1) as field:
+        fleet = field.fleet
+        await field.ready()
+        for actor, mode in zip(fleet.resolve("all"), ("POSCTL", "ALT_HOLD"), strict=True):
+            outcome = await actor.set_mode(mode)
+            assert outcome.ok, outcome.message
+            assert actor.vehicle.mode == mode
+        assert done(await fleet.command_all("all", "set_home"))
+        assert done(await fleet.command_all("all", "set_message_interval", "ATTITUDE", 10.0))
+        await asyncio.sleep(10)
+        for actor in fleet.resolve("all"):
+            assert actor.state(field.loop.time())["messages"]["ATTITUDE"]["rate_hz"] == pytest.approx(10, abs=1.5)
+        assert done(await fleet.command_all("all", "request_message", "AUTOPILOT_VERSION"))
