@@ -153,10 +153,11 @@ class Fleet:
                 known[actor] = (position["lat_deg"], position["lon_deg"])
         places: dict[VehicleActor, dict[str, Any]] = {}
         for actor, (east_m, north_m) in offsets_en_m(known).items():
-            enu_m, lat_deg, lon_deg = (arguments.get(k) for k in ("enu_m", "lat_deg", "lon_deg"))
+            enu_m, lat_deg, lon_deg = arguments.get("enu_m"), arguments.get("lat_deg"), arguments.get("lon_deg")
             if enu_m is not None:
                 places[actor] = {"enu_m": [enu_m[0] + east_m, enu_m[1] + north_m, enu_m[2]]}
-            elif is_place(lat_deg, lon_deg):  # what is none is left as it is: every vehicle refuses it with the reason
+            elif lat_deg is not None and lon_deg is not None and is_place(lat_deg, lon_deg):
+                # what is no place is left as it is: every vehicle refuses it with the reason
                 lat, lon = moved(lat_deg, lon_deg, (east_m, north_m))
                 places[actor] = {"lat_deg": lat, "lon_deg": lon}
         return places

@@ -321,11 +321,9 @@ def _from_geodetic(
     return Destination(lat_deg, lon_deg, home_amsl_m + height_m, height_m)
 
 
-def is_place(lat_deg: float | None, lon_deg: float | None) -> bool:
+def is_place(lat_deg: float, lon_deg: float) -> bool:
     """Whether somebody can mean this: a coordinate of exactly 0 is a forgotten one."""
-    if not lat_deg or not lon_deg:
-        return False
-    return abs(lat_deg) <= 90 and abs(lon_deg) <= 180
+    return 0 < abs(lat_deg) <= 90 and 0 < abs(lon_deg) <= 180
 
 
 def _check_coordinate(lat_deg: float, lon_deg: float) -> None:

@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from skygcs.core.geo import Origin, distance_m
+from skygcs.core.vehicle import orders
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, Voice, flight_dialect
+
+DECODER = Decoder(flight_dialect())
+NOW = 100.0
+LIMIT_M = 500.0
+
+
+def flying(autopilot: int, *, origin: bool = True) -> Vehicle:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    mode = PX4_LOITER if autopilot == PX4 else 4
+    frames = (
+        voice.beat(autopilot, mode, armed=True, status=4),
+        voice.landed(2),
+        voice.position(alt_amsl_m=HOME[2] + 20, rel_m=20.0),
+    )
+    for frame in frames:
+        vehicle.on_frame(frame, NOW)
+    if origin:
+        vehicle.origin = Origin(*HOME)
+    return vehicle
+
+
+any_float = st.floats() | st.sampled_from([0.0, -0.0, 90.0, -90.0, 180.0, 1e-9, 1e300])
+near = st.tuples(st.floats(-0.01, 0.01), st.floats(-0.01, 0.01))
+
+
+def place_of(plan: Plan) -> tuple[float, float, float, int]:
+    spec = plan.steps[0].command
+    assert spec is not None and spec.location is not None
+    return spec.location.x / 1e7, spec.location.y / 1e7, spec.location.z, spec.location.frame
+
+
+@given(
+    st.sampled_from([PX4, ARDUPILOT]), any_float, any_float, st.none() | any_float, st.none() | any_float, st.booleans()
+)
+def test_whatever_numbers_come_a_goto_is_a_place_within_reach_or_a_refusal(
+    autopilot: int, lat: float, lon: float, height: float | None, yaw: float | None, force: bool
+) -> None:
+    vehicle = flying(autopilot)
+    try:
+        plan = orders.goto(
+            vehicle, NOW, lat_deg=lat, lon_deg=lon, height_m=height, yaw_deg=yaw, limit_m=LIMIT_M, force=force
+        )
+    except RefusedError as error:
+        assert str(error)
+        return
+    there = place_of(plan)
+    assert abs(there[0]) <= 90 and abs(there[1]) <= 180 and math.isfinite(there[2])
+    assert lat != 0 and lon != 0
+    assert force or distance_m(HOME[0], HOME[1], there[0], there[1]) <= LIMIT_M + 1
+    for step in plan.steps:
+        if step.command is not None:
+            info = flight_dialect().by_name[step.command.message]
+            info.pack(step.command.values(1, 1, 0))
+
+
+@given(st.sampled_from([PX4, ARDUPILOT]), st.lists(any_float, max_size=4), st.booleans())
+def test_whatever_numbers_come_in_enu_it_is_a_place_or_a_refusal(autopilot: int, enu: list[float], force: bool) -> None:
+    vehicle = flying(autopilot)
+    try:
+        plan = orders.goto(vehicle, NOW, enu_m=enu, limit_m=LIMIT_M, force=force)
+    except RefusedError:
+        return
+    there = place_of(plan)
+    assert distance_m(HOME[0], HOME[1], there[0], there[1]) <= (150_000 if force else LIMIT_M + 1)
+
+
+@given(near, st.floats(0, 200))
+def test_both_autopilots_are_sent_to_the_same_point_in_space(offset: tuple[float, float], height: float) -> None:
+    lat, lon = HOME[0] + offset[0] / 10, HOME[1] + offset[1] / 10
+    px4 = place_of(orders.goto(flying(PX4), NOW, lat_deg=lat, lon_deg=lon, height_m=height, limit_m=LIMIT_M))
+    copter = place_of(orders.goto(flying(ARDUPILOT), NOW, lat_deg=lat, lon_deg=lon, height_m=height, limit_m=LIMIT_M))
+    assert px4[:2] == copter[:2]
+    assert (px4[3], copter[3]) == (0, 3)
+    assert px4[2] - HOME[2] == pytest.approx(copter[2], abs=1e-6)
+
+
+@given(near)
+def test_the_limit_is_the_limit(offset: tuple[float, float]) -> None:
+    lat, lon = HOME[0] + offset[0], HOME[1] + offset[1]
+    away = distance_m(HOME[0], HOME[1], lat, lon)
+    assume(abs(away - LIMIT_M) > 2)
+    try:
+        orders.goto(flying(PX4), NOW, lat_deg=lat, lon_deg=lon, limit_m=LIMIT_M)
+    except RefusedError as error:
+        assert away > LIMIT_M
+        assert "limit is 500 m" in str(error)
+    else:
+        assert away < LIMIT_M
+
+
+@given(any_float)
+def test_a_takeoff_height_is_above_nothing_and_at_most_500_m(height: float) -> None:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(PX4), NOW)
+    vehicle.on_frame(voice.position(), NOW)
+    try:
+        plan = orders.takeoff(vehicle, NOW, height)
+    except RefusedError:
+        assert not 0 < height <= 500
+    else:
+        spec = plan.steps[-1].command
+        assert spec is not None
+        assert spec.params[6] == pytest.approx(HOME[2] + height)
+        assert 0 < height <= 500
+
+
+def test_px4_does_not_take_off_without_knowing_its_altitude_and_arducopter_does() -> None:
+    for autopilot in (PX4, ARDUPILOT):
+        vehicle = Vehicle(1, 1, flight_dialect(), decoder=DECODER)
+        vehicle.on_frame(Voice(1).beat(autopilot, 0), NOW)
+        if autopilot == PX4:
+            with pytest.raises(RefusedError, match="altitude is not known"):
+                orders.takeoff(vehicle, NOW, 5)
+        else:
+            assert orders.takeoff(vehicle, NOW, 5)
+
+
+def test_a_position_that_is_too_old_is_none() -> None:
+    vehicle = flying(PX4)
+    vehicle.on_frame(Voice(1).beat(PX4, armed=True, status=4), NOW + 11)
+    vehicle.on_frame(Voice(1).landed(2), NOW + 11)
+    with pytest.raises(RefusedError, match="position is not known"):
+        orders.goto(vehicle, NOW + 11, lat_deg=HOME[0], lon_deg=HOME[1], limit_m=LIMIT_M)
+
+
+ROVER = 10
+
+
+def test_a_rover_goes_somewhere_without_being_in_the_air() -> None:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(ARDUPILOT, 15, armed=True, status=3, kind=ROVER), NOW)
+    vehicle.on_frame(voice.position(rel_m=-0.4), NOW)
+    plan = orders.goto(vehicle, NOW, lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], limit_m=LIMIT_M)
+    assert place_of(plan)[3] == 3
+    with pytest.raises(RefusedError, match="PX4 and ArduCopter only"):
+        orders.takeoff(vehicle, NOW, 5)
+    assert orders.hold(vehicle, NOW).done == "holding in HOLD"
+
+
+def test_an_autopilot_skygcs_does_not_know_is_armed_and_landed_but_not_guessed_at() -> None:
+    vehicle = Vehicle(1, 1, flight_dialect(), decoder=DECODER)
+    vehicle.on_frame(Voice(1).beat(9), NOW)
+    vehicle.on_frame(Voice(1).position(), NOW)
+    assert orders.arm(vehicle, NOW) and orders.land(vehicle, NOW) and orders.rtl(vehicle, NOW)
+    for refused in (orders.hold, lambda v, n: orders.takeoff(v, n, 5.0), lambda v, n: orders.set_mode(v, n, "AUTO")):
+        with pytest.raises(RefusedError):
+            refused(vehicle, NOW)
+
+
+@pytest.mark.parametrize("order", ["arm", "disarm", "land", "rtl", "hold", "reboot", "set_home"])
+def test_nothing_but_a_forced_disarm_is_sent_to_a_lost_vehicle(order: str) -> None:
+    vehicle = Vehicle(1, 1, flight_dialect(), decoder=DECODER)
+    make: Any = getattr(orders, order)
+    with pytest.raises(RefusedError, match="no heartbeat yet"):
+        make(vehicle, NOW)
+    vehicle.on_frame(Voice(1).beat(), NOW)
+    assert make(vehicle, NOW)
+    vehicle.tick(NOW + 6)
+    with pytest.raises(RefusedError, match="no heartbeat for 7 s"):
+        make(vehicle, NOW + 7)
+    assert orders.disarm(vehicle, NOW + 7, force=True).emergency
+
+
+def test_streams_frames_commands_and_messages_are_found_by_name_or_number() -> None:
+    dialect = flight_dialect()
+    assert orders.stream_number(dialect, "POSITION") == orders.stream_number(dialect, "mav_data_stream_position") == 6
+    assert orders.stream_number(dialect, "10") == orders.stream_number(dialect, 10) == 10
+    assert orders.find_command(dialect, "NAV_TAKEOFF") == orders.find_command(dialect, 22) == (22, "NAV_TAKEOFF")
+    assert orders.find_command(dialect, 65000)[0] == 65000
+    assert orders.find_message(dialect, "attitude") == (30, "ATTITUDE")
+    assert orders.find_message(dialect, 16_000_000) == (16_000_000, "message 16000000")
+    vehicle = flying(PX4)
+    named = orders.raw_command(vehicle, NOW, dialect, 192, [], int_frame="GLOBAL_RELATIVE_ALT", x=1, y=2, z=3.0)
+    assert place_of(named) == (1e-7, 2e-7, 3.0, 3)
+    for bad in (lambda: orders.stream_number(dialect, 999), lambda: orders.find_command(dialect, 70000)):
+        with pytest.raises(RefusedError):
+            bad()
+    with pytest.raises(RefusedError, match="no frame 'NOWHERE'"):
+        orders.raw_command(vehicle, NOW, dialect, 192, [], int_frame="NOWHERE")
