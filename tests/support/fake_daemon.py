@@ -84,8 +84,8 @@ class FakeVehicle:
         self.mode = name
         return await self._order("set_mode", name=name)
 
-    async def takeoff(self, height_m: float | None, *, arm: bool = True) -> FakeOutcome:
-        return await self._order("takeoff", height_m=height_m, arm=arm)
+    async def takeoff(self, height_m: float | None, *, arm: bool = True, wait_s: float = 0.0) -> FakeOutcome:
+        return await self._order("takeoff", height_m=height_m, arm=arm, wait_s=wait_s)
 
     async def land(self) -> FakeOutcome:
         return await self._order("land")

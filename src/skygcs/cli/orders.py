@@ -33,10 +33,13 @@ def order(method: str, targets: str, json_output: bool, **params: Any) -> NoRetu
     run(command)
 
 
+Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying for S seconds.", min=0)]
+
+
 def arm(
     targets: Targets,
     force: Annotated[bool, typer.Option("--force", help="Skip the autopilot's own checks.")] = False,
-    wait: Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying for S seconds.", min=0)] = 0.0,
+    wait: Wait = 0.0,
     json_output: Json = False,
 ) -> None:
     """Arm."""
@@ -59,10 +62,11 @@ def takeoff(
         typer.Argument(metavar="[HEIGHT]", help="Metres above the ground; default: the fleet file's."),
     ] = None,
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
+    wait: Wait = 0.0,
     json_output: Json = False,
 ) -> None:
     """Take off, arming first."""
-    order("takeoff", targets, json_output, height_m=height, arm=arm_first)
+    order("takeoff", targets, json_output, height_m=height, arm=arm_first, wait_s=wait)
 
 
 def land(targets: Targets, json_output: Json = False) -> None:

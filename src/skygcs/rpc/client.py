@@ -116,9 +116,11 @@ class Client:
         """``force``: in flight as well; the vehicle falls."""
         return await self._order("disarm", targets, force=force)
 
-    async def takeoff(self, targets: Targets, height_m: float | None = None, *, arm: bool = True) -> Outcomes:
-        """To a height above the ground it stands on; None: the fleet file's."""
-        return await self._order("takeoff", targets, height_m=height_m, arm=arm)
+    async def takeoff(
+        self, targets: Targets, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0
+    ) -> Outcomes:
+        """To a height above the ground it stands on; None: the fleet file's. ``wait_s`` as for `arm`."""
+        return await self._order("takeoff", targets, height_m=height_m, arm=arm, wait_s=wait_s)
 
     async def land(self, targets: Targets) -> Outcomes:
         return await self._order("land", targets)

@@ -97,6 +97,9 @@ class TakeoffParams(TargetsParams):
         None, gt=0, le=500, description="Metres above the ground it stands on; null: the fleet file's."
     )
     arm: bool = Field(True, description="Arm first if it is not armed.")
+    wait_s: float = Field(
+        0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to fly yet."
+    )
 
 
 class GotoParams(TargetsParams):

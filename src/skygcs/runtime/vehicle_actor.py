@@ -145,17 +145,7 @@ class VehicleActor:
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
         """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over."""
-        started = self._loop.time()
-        before, attempts = self._order, 0
-        while True:
-            tried_at = self._loop.time()
-            outcome = await self._attempt(lambda now: orders.arm(self.vehicle, now, force=force))
-            attempts += outcome.attempts
-            outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
-            over = tried_at + ARM_RETRY_S > started + wait_s or self._order != before
-            if over or outcome.ok or outcome.result in ("refused", "unsupported", "lost", "cancelled"):
-                return self._told("arm", outcome)
-            await asyncio.sleep(max(0.0, tried_at + ARM_RETRY_S - self._loop.time()))
+        return await self._retried("arm", lambda now: orders.arm(self.vehicle, now, force=force), wait_s)
 
     async def disarm(self, *, force: bool = False) -> Outcome:
         """``force`` stops the motors even in the air, and even if the vehicle is lost: emergency priority."""
@@ -164,10 +154,13 @@ class VehicleActor:
     async def set_mode(self, name: str) -> Outcome:
         return await self._run("mode", lambda now: orders.set_mode(self.vehicle, now, name))
 
-    async def takeoff(self, height_m: float | None = None, *, arm: bool = True) -> Outcome:
-        """To a height above where it stands; None: the fleet file's takeoff_height_m. Arms first unless told not to."""
+    async def takeoff(self, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0) -> Outcome:
+        """To a height above where it stands; None: the fleet file's takeoff_height_m. Arms first unless told not to.
+
+        ``wait_s`` as for `arm`: an ArduCopter takes neither GUIDED nor arming until it knows where it is.
+        """
         height = self.config.takeoff_height_m if height_m is None else height_m
-        return await self._run("takeoff", lambda now: orders.takeoff(self.vehicle, now, height, arm=arm))
+        return await self._retried("takeoff", lambda now: orders.takeoff(self.vehicle, now, height, arm=arm), wait_s)
 
     async def land(self) -> Outcome:
         return await self._run("land", lambda now: orders.land(self.vehicle, now))
@@ -261,6 +254,24 @@ class VehicleActor:
             return {"land": orders.land, "rtl": orders.rtl, "hold": orders.hold}[order](self.vehicle, now)
         except RefusedError:
             return None
+
+    async def _retried(self, order: str, planner: Planner, wait_s: float) -> Outcome:
+        """Try until the vehicle accepts, the time is over, a newer order came, or there is no use in trying again."""
+        started = self._loop.time()
+        attempts = 0
+        while True:
+            tried_at, before = self._loop.time(), self._order
+            outcome = await self._attempt(planner)
+            attempts += outcome.attempts
+            outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
+            superseded = self._order > before + (order in MOVING)
+            over = superseded or tried_at + ARM_RETRY_S > started + wait_s
+            if over or outcome.ok or outcome.result in ("refused", "unsupported", "lost", "cancelled"):
+                return self._told(order, outcome)
+            before = self._order
+            await asyncio.sleep(max(0.0, tried_at + ARM_RETRY_S - self._loop.time()))
+            if self._order != before:
+                return self._told(order, replace(outcome, result="cancelled", message="a newer order took its place"))
 
     async def _run(self, order: str, planner: Planner) -> Outcome:
         return self._told(order, await self._attempt(planner))

@@ -98,12 +98,13 @@ def arm(request_id: object = 1, targets: str = "all") -> dict[str, Any]:
 async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench) -> None:
     peer = await bench.connect()
     alpha = bench.daemon.vehicle("alpha")
-    place = {"lat_deg": 43.0, "lon_deg": -79.0, "height_m": 5.0, "enu_m": None, "yaw_deg": None, "force": False}
+    place = dict.fromkeys(("enu_m", "yaw_deg")) | {"lat_deg": 43.0, "lon_deg": -79.0, "height_m": 5.0}
+    place |= {"force": False, "same_place": False}
     orders: list[tuple[str, dict[str, Any], tuple[str, dict[str, Any]]]] = [
         ("arm", {"force": True, "wait_s": 2.5}, ("arm", {"force": True, "wait_s": 2.5})),
         ("disarm", {}, ("disarm", {"force": False})),
         ("mode", {"mode": "LAND"}, ("set_mode", {"name": "LAND"})),
-        ("takeoff", {"height_m": 3}, ("takeoff", {"height_m": 3.0, "arm": True})),
+        ("takeoff", {"height_m": 3}, ("takeoff", {"height_m": 3.0, "arm": True, "wait_s": 0.0})),
         ("land", {}, ("land", {})),
         ("rtl", {}, ("rtl", {})),
         ("hold", {}, ("hold", {})),
@@ -322,23 +323,18 @@ async def test_sessions_are_limited_and_a_free_place_is_given_again(
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.lists(st.binary(max_size=200), max_size=10), st.booleans())
-async def test_no_bytes_disturb_another_client(tmp_path_factory: Any, chunks: list[bytes], abrupt: bool) -> None:
-    server = RpcServer(FakeDaemon(), tmp_path_factory.mktemp("s") / "s.sock")
-    await server.start()
-    bench = Bench(FakeDaemon(), server)
-    try:
-        bad, good = await bench.connect(), await bench.connect()
-        for chunk in chunks:
-            bad.writer.write(chunk)
-            assert "result" in await good.call("daemon.info")
-        if abrupt:
-            bad.writer.transport.abort()
-        assert "result" in await good.call("vehicles.arm", targets="all")
-    finally:
-        for peer in bench.peers:
-            await peer.close()
-        await server.close()
+@given(chunks=st.lists(st.binary(max_size=200), max_size=10), abrupt=st.booleans())
+async def test_no_bytes_disturb_another_client(bench: Bench, chunks: list[bytes], abrupt: bool) -> None:
+    bad, good = await bench.connect(), await bench.connect()
+    for chunk in chunks:
+        bad.writer.write(chunk)
+        assert "result" in await good.call("daemon.info")
+    if abrupt:
+        bad.writer.transport.abort()
+    assert "result" in await good.call("vehicles.arm", targets="all")
+    for peer in bench.peers:
+        await peer.close()
+    bench.peers.clear()
 
 
 # -- the socket

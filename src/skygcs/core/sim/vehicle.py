@@ -351,6 +351,9 @@ class SimVehicle(ABC):
 
     def _move(self, now: float) -> None:
         motion = self.motion
+        if self.landed and not self.armed:  # most of a fleet most of the time
+            self.battery.step(TICK_S, flying=False)
+            return
         setpoint, limits = self.plan.step(motion, self.limits(), now)
         lifts = self.armed and setpoint is not None and now - self.armed_at >= self.spool_up_s
         if self.landed and self.plan.landing:
