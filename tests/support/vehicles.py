@@ -123,6 +123,7 @@ class ScriptedVehicle(Voice):
         self.armed = False
         self.status = 3
         self.flying = False
+        self.place = HOME[:2]
         self.delay_s = delay_s
         self.silent = False
         self.got: list[Sent] = []
@@ -144,7 +145,8 @@ class ScriptedVehicle(Voice):
 
     def pulse(self) -> None:
         self.tell(self.beat(self.autopilot, self.mode, armed=self.armed, status=self.status))
-        self.tell(self.position(rel_m=10.0 if self.flying else 0.0, alt_amsl_m=498.1 if self.flying else 488.1))
+        up_m = 10.0 if self.flying else 0.0
+        self.tell(self.position(*self.place, alt_amsl_m=HOME[2] + up_m, rel_m=up_m))
         self.tell(self.landed(2 if self.flying else 1))
 
     def commands(self) -> list[tuple[int, tuple[float, ...]]]:

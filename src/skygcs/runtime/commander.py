@@ -2,13 +2,15 @@
 
 At most one command of an id is in flight per vehicle, because a COMMAND_ACK names nothing but the id; the next one of
 the same id waits for its turn. If the one before has left acks outstanding (repeats, or a timeout), the next is held
-back for `LATE_ACK_S` after the last transmission, or until those acks came: a late ack must not pass for the new
-command's. An emergency waits for nobody; its outcome rests on the vehicle's state rather than on an ack.
+back for `LATE_ACK_S` after the last transmission, or until those acks came (and always for `ECHO_ACK_S`): a late ack
+must not pass for the new command's. An emergency waits for nobody; its outcome rests on the vehicle's state rather
+than on an ack.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -30,6 +32,10 @@ SendFn = Callable[[MessageInfo, Mapping[str, Any], int, int, Priority], bool]
 LATE_ACK_S = 1.5
 """Two rounds of a nine-node multipoint radio at 64 kbit/s; later than that an ack is not expected any more."""
 
+ECHO_ACK_S = 0.05
+"""PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): the second one must not pass for the next
+command's. Where a radio parts the two by more, the mode in the heartbeat decides, as for every mode."""
+
 MAX_WAITING = 8
 """Commands of one id waiting for their turn; further ones are refused."""
 
@@ -47,13 +53,14 @@ class Carrier:
 class _Line:
     """All of one command id: who is in flight, who waits, and which acks may still come late."""
 
-    __slots__ = ("late", "lock", "quiet_until", "quieted", "waiting")
+    __slots__ = ("ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
 
     def __init__(self) -> None:
         self.lock = asyncio.Lock()
         self.waiting = 0
         self.late = 0
         self.quiet_until = 0.0
+        self.ended_at = -ECHO_ACK_S
         self.quieted = asyncio.Event()
 
 
@@ -203,17 +210,15 @@ class Commander:
             self._timer = None
 
     async def _quiet(self, line: _Line) -> None:
-        if not line.late:
-            return
         wait_s = line.quiet_until - self._loop.time()
-        if wait_s > 0:
+        if line.late and wait_s > 0:
             line.quieted.clear()
-            try:
+            with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(wait_s):
                     await line.quieted.wait()
-            except TimeoutError:
-                pass
         line.late = 0
+        if (echo_s := line.ended_at + ECHO_ACK_S - self._loop.time()) > 0:
+            await asyncio.sleep(echo_s)
 
     async def _exchange(
         self,
@@ -239,6 +244,7 @@ class Commander:
             if self._running.get(spec.command) is running:
                 del self._running[spec.command]
             line.late = exchange.outstanding
+            line.ended_at = self._loop.time()
             line.quiet_until = exchange.last_sent + LATE_ACK_S
         overtaken = not outcome.ok and outcome.result != "cancelled" and exchange.attempts > 1
         if overtaken and satisfied is not None and satisfied():

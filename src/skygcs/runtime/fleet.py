@@ -123,13 +123,12 @@ class Fleet:
         actors = self.resolve(expression)
         own_arguments = self._places(actors, arguments) if order == "goto" else {}
         carrier = self._carrier(actors, order, arguments)
-        for actor in actors:
-            actor.commander.carrier = carrier
         tasks: dict[str, asyncio.Task[Outcome]] = {}
         try:
             async with asyncio.TaskGroup() as group:
                 for actor in actors:
-                    call = getattr(actor, order)(*args, **{**arguments, **own_arguments.get(actor, {})})
+                    own = {**arguments, **own_arguments.get(actor, {})}
+                    call = self._guarded(actor, order, args, own)
                     tasks[actor.name] = group.create_task(call, name=f"{order} {actor.name}")
                 if carrier is not None:
                     await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
@@ -140,6 +139,17 @@ class Fleet:
                 if actor.commander.carrier is carrier:
                     actor.commander.carrier = None
         return {name: task.result() for name, task in tasks.items()}
+
+    async def _guarded(
+        self, actor: VehicleActor, order: str, args: tuple[Any, ...], arguments: dict[str, Any]
+    ) -> Outcome:
+        """A fault of ours in the order to one vehicle ends with that vehicle."""
+        try:
+            outcome: Outcome = await getattr(actor, order)(*args, **arguments)
+        except Exception as error:
+            self._on_event(Event("fault", actor.name, actor.sysid, f"{order} failed inside skygcs: {error!r}", {}))
+            return Outcome(False, "failed", f"failed inside skygcs: {error!r}")
+        return outcome
 
     def _places(self, actors: list[VehicleActor], arguments: dict[str, Any]) -> dict[VehicleActor, dict[str, Any]]:
         """Where each of several vehicles goes that are sent to one place: they keep their places relative to each
@@ -163,16 +173,26 @@ class Fleet:
         return places
 
     def _carrier(self, actors: list[VehicleActor], order: str, arguments: dict[str, Any]) -> Carrier | None:
-        """A broadcast, if all vehicles are meant, none refuses, and all would be sent the very same."""
-        if order not in BROADCAST or len(actors) < 2 or len(actors) != len(self.vehicles):
+        """A broadcast, if all vehicles are meant, none of those that hear it refuses, and all would be sent the same.
+
+        ArduPilot hears it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
+        evaluate_target_ok), and is sent its own at once.
+        """
+        hearers = [a for a in actors if a.vehicle.family == "ardupilot"]
+        if order not in BROADCAST or len(hearers) < 2 or len(actors) != len(self.vehicles):
             return None
         specs: set[CommandSpec] = set()
-        for actor in actors:
+        for actor in hearers:
             plan = actor.plan(order, **arguments)
             if plan is None or len(plan.steps) != 1 or plan.steps[0].command is None:
                 return None
             specs.add(plan.steps[0].command)
-        return Carrier(specs.pop()) if len(specs) == 1 else None
+        if len(specs) != 1:
+            return None
+        carrier = Carrier(specs.pop())
+        for actor in hearers:
+            actor.commander.carrier = carrier
+        return carrier
 
     def _broadcast(self, carrier: Carrier, priority: Priority) -> None:
         carrier.sent = True

@@ -372,6 +372,38 @@ class TestOrdersForMany:
             assert vehicles[0].mode == PX4_LOITER
             assert vehicles[2].mode == 5
 
+    async def test_a_fault_of_ours_in_one_order_does_not_touch_the_others(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        async with Ground() as ground:
+            await self.swarm(ground)
+            broken = ground.fleet.find(2)
+
+            async def fail() -> None:
+                raise ZeroDivisionError
+
+            monkeypatch.setattr(broken, "land", fail)
+            outcomes = await ground.fleet.command_all("all", "land")
+            assert [outcomes[f"v{n}"].ok for n in range(1, 5)] == [True, False, True, True]
+            assert "ZeroDivisionError" in outcomes["v2"].message
+            assert [e.kind for e in ground.events if e.vehicle == "v2"].count("fault") == 1
+
+    async def test_vehicles_sent_to_one_place_keep_apart_unless_told(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground, px4=2, copters=0)
+            for n, vehicle in enumerate(vehicles):
+                vehicle.place = (HOME[0], HOME[1] + n * 1e-4)
+            await asyncio.sleep(1.5)
+            there = {"lat_deg": HOME[0] + 1e-3, "lon_deg": HOME[1]}
+            assert all(o.ok for o in (await ground.fleet.command_all("all", "goto", **there)).values())
+            first, second = (s.y / 1e7 for s in self.commands(ground)[:2])
+            assert second - first == pytest.approx(1e-4, abs=2e-7)
+            assert (first + second) / 2 == pytest.approx(HOME[1], abs=1e-7)
+            await ground.fleet.command_all("all", "goto", **there, same_place=True)
+            assert {s.y for s in self.commands(ground)[2:]} == {round(HOME[1] * 1e7)}
+            refused = await ground.fleet.command_all("all", "goto", lat_deg=91.0, lon_deg=8.0, force=True)
+            assert {o.result for o in refused.values()} == {"refused"}
+
     async def test_an_order_that_does_not_exist_is_refused(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground)
