@@ -8,7 +8,7 @@ import json
 import os
 import socket
 import stat
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -79,16 +79,24 @@ class Bench:
                 await asyncio.sleep(0.005)
 
 
-@pytest.fixture
-async def bench(tmp_path: Path) -> AsyncIterator[Bench]:
+@contextlib.asynccontextmanager
+async def running(folder: Path) -> AsyncIterator[Bench]:
     daemon = FakeDaemon()
-    server = RpcServer(daemon, tmp_path / "run" / "s.sock", tcp_port=0, token="open sesame")
+    server = RpcServer(daemon, folder / "run" / "s.sock", tcp_port=0, token="open sesame")
     await server.start()
     bench = Bench(daemon, server)
-    yield bench
-    for peer in bench.peers:
-        await peer.close()
-    await server.close()
+    try:
+        yield bench
+    finally:
+        for peer in bench.peers:
+            await peer.close()
+        await server.close()
+
+
+@pytest.fixture
+async def bench(tmp_path: Path) -> AsyncIterator[Bench]:
+    async with running(tmp_path) as bench:
+        yield bench
 
 
 def arm(request_id: object = 1, targets: str = "all") -> dict[str, Any]:
@@ -448,3 +456,29 @@ async def test_a_silent_tcp_client_is_closed(bench: Bench, monkeypatch: pytest.M
     monkeypatch.setattr(session, "AUTH_TIMEOUT_S", 0.02)
     peer = await bench.connect_tcp()
     assert await peer.answer() is None
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        test_a_batch_is_answered_as_one_without_its_notifications,
+        test_garbage_is_answered_and_the_next_request_works,
+        test_a_line_that_is_too_long_is_skipped_and_nothing_is_kept_of_it,
+        test_a_request_may_come_byte_by_byte_and_many_at_once,
+        test_what_a_vanished_client_waits_for_is_cancelled,
+        test_a_client_that_only_stops_sending_is_still_answered,
+        test_a_client_that_never_reads_is_stopped_without_growing_the_daemon,
+        test_tcp_answers_after_the_right_token,
+    ],
+)
+def test_the_same_holds_under_uvloop_which_the_daemon_uses(
+    tmp_path: Path, scenario: Callable[[Bench], Coroutine[Any, Any, None]]
+) -> None:
+    uvloop = pytest.importorskip("uvloop")
+
+    async def run() -> None:
+        async with running(tmp_path) as bench:
+            await scenario(bench)
+
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        runner.run(run())
