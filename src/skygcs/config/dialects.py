@@ -62,8 +62,12 @@ def packaged_dialects_dir() -> Path:
 
 def default_cache_dir() -> Path:
     """$XDG_CACHE_HOME/skygcs/dialects, by default below ~/.cache."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(base) / "skygcs" / "dialects"
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        folder = Path(base) if base else Path.home() / ".cache"
+    except RuntimeError:  # a user without a home: a path that cannot be made means no cache
+        folder = Path(os.devnull)
+    return folder / "skygcs" / "dialects"
 
 
 def load_dialect(
@@ -227,8 +231,8 @@ def _validate(path: Path, content: bytes) -> None:
     except etree.XMLSyntaxError as error:
         raise DialectError(str(path), error.lineno or 1, str(error.msg).split(", line ")[0]) from None
     encoding = document.docinfo.encoding or "UTF-8"
-    if encoding.upper() not in _ENCODINGS:
-        raise DialectError(str(path), 1, f"is written in {encoding}; save it as UTF-8")
+    if b"\0" in content or encoding.upper() not in _ENCODINGS:
+        raise DialectError(str(path), 1, "is not written in UTF-8; save it as UTF-8")
     if document.docinfo.doctype:
         raise DialectError(str(path), 1, "has a DOCTYPE; a dialect needs none, and entities are not resolved")
     schema_path = _pymavlink_dir() / "generator" / "mavschema.xsd"
@@ -273,15 +277,20 @@ def _parse(path: Path) -> Any:
 
 
 def _line_of(error: BaseException) -> int | None:
-    """The XML line at which mavparse stopped: its handlers run as closures over the expat parser ``p``."""
+    """The XML line at which mavparse stopped: its handlers run as closures over the expat parser ``p``.
+
+    Also closes the file ``f`` that it leaves open.
+    """
     trace = error.__traceback__
+    line = None
     while trace is not None:
-        parser = trace.tb_frame.f_locals.get("p")
-        line = getattr(parser, "CurrentLineNumber", None)
-        if isinstance(line, int):
-            return line
+        names = trace.tb_frame.f_locals
+        if isinstance(file := names.get("f"), io.IOBase):
+            file.close()
+        found = getattr(names.get("p"), "CurrentLineNumber", None)
+        line = found if isinstance(found, int) else line
         trace = trace.tb_next
-    return None
+    return line
 
 
 def _check_messages(path: Path, xml: Any) -> None:
