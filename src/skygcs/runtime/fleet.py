@@ -173,16 +173,16 @@ class Fleet:
         return places
 
     def _carrier(self, actors: list[VehicleActor], order: str, arguments: dict[str, Any]) -> Carrier | None:
-        """A broadcast, if all vehicles are meant, none of those that hear it refuses, and all would be sent the same.
+        """A broadcast, if all vehicles are meant, none refuses, and all would be sent the very same.
 
-        ArduPilot hears it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
+        ArduPilot acts on it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
         evaluate_target_ok), and is sent its own at once.
         """
         hearers = [a for a in actors if a.vehicle.family == "ardupilot"]
         if order not in BROADCAST or len(hearers) < 2 or len(actors) != len(self.vehicles):
             return None
         specs: set[CommandSpec] = set()
-        for actor in hearers:
+        for actor in actors:
             plan = actor.plan(order, **arguments)
             if plan is None or len(plan.steps) != 1 or plan.steps[0].command is None:
                 return None

@@ -264,12 +264,14 @@ class TestOrdersForMany:
     def commands(self, ground: Ground) -> list[Sent]:
         return [s for s in ground.sent if s.priority is not Priority.EXCHANGE]
 
-    async def test_one_broadcast_lands_a_mixed_fleet_and_each_outcome_is_known(self) -> None:
+    async def test_one_broadcast_lands_the_ardupilots_of_a_mixed_fleet_and_each_outcome_is_known(self) -> None:
+        """PX4 takes commands for its own system id only, so each PX4 is sent its own, at once."""
         async with Ground() as ground:
             await self.swarm(ground)
             outcomes = await ground.fleet.command_all("all", "land")
             assert {n: o.result for n, o in outcomes.items()} == {f"v{n}": "accepted" for n in range(1, 5)}
-            (sent,) = self.commands(ground)
+            *own, sent = self.commands(ground)
+            assert [s.sysid for s in own] == [1, 2]
             assert (sent.sysid, sent.compid, sent.target_system, sent.command) == (0, 0, 0, 21)
 
     async def test_who_did_not_answer_a_broadcast_is_sent_its_own(self) -> None:
@@ -287,7 +289,7 @@ class TestOrdersForMany:
             assert outcomes["v1"].attempts == 1
             assert outcomes["v3"].attempts == 2
             assert heard == [0, 3]
-            assert [s.sysid for s in self.commands(ground)] == [0, 3]
+            assert [s.sysid for s in self.commands(ground)] == [1, 2, 0, 3]
 
     async def test_a_refusal_of_one_is_not_the_others(self) -> None:
         async with Ground() as ground:
@@ -343,10 +345,10 @@ class TestOrdersForMany:
             assert not ground.fleet.find(4).vehicle.connected
             outcomes = await ground.fleet.command_all("all", "disarm", force=True)
             sent = self.commands(ground)
-            assert (sent[0].sysid, sent[0].param2) == (0, 21196.0)
+            assert [(s.sysid, s.param2) for s in sent[:3]] == [(1, 21196.0), (2, 21196.0), (0, 21196.0)]
             assert {s.priority for s in sent} == {Priority.EMERGENCY}
             assert [outcomes[f"v{n}"].ok for n in range(1, 5)] == [True, True, True, False]
-            assert {s.sysid for s in sent[1:]} == {4}
+            assert {s.sysid for s in sent[3:]} == {4}
             assert not any(v.armed for v in vehicles[:3])
 
     async def test_the_carrier_is_gone_after_an_order_that_was_cancelled(self) -> None:

@@ -15,7 +15,7 @@ from skygcs.core.geo import distance_m, geodetic_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, Destination
-from skygcs.core.vehicle.plan import MessageAfter, Plan, Step
+from skygcs.core.vehicle.plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
@@ -104,7 +104,7 @@ def goto(
     ground = vehicle.type in GROUND_TYPES
     if not vehicle.armed:
         raise RefusedError("it is disarmed; take off first")
-    if not ground and vehicle.in_air(now) is False:
+    if not ground and _on_ground(vehicle, now):
         raise RefusedError("it is on the ground; take off first")
     here = _fresh_position(vehicle, now)
     home_amsl_m = vehicle.home_alt_amsl_m()
@@ -280,6 +280,15 @@ def _int32(name: str, value: int | None) -> int:
     if not -INT32 <= value < INT32:
         raise RefusedError(f"{name} {value} does not fit in 32 bits")
     return value
+
+
+def _on_ground(vehicle: Vehicle, now: float) -> bool:
+    """By its landed state, unless it has climbed since that came: it comes every two seconds."""
+    if vehicle.in_air(now) is not False:
+        return False
+    position, at = vehicle.section("position"), vehicle.section_at("position")
+    height_m = None if position is None or at is None or now - at > POSITION_FRESH_S else position["alt_rel_m"]
+    return height_m is None or height_m < CLIMBED_M
 
 
 def _fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:
