@@ -19,6 +19,9 @@ from skygcs.config.models import (
 )
 from skygcs.errors import ConfigError
 
+PIPE_COLUMNS = 160
+"""Width where there is no terminal: room for a path in a table."""
+
 
 def check(file: Path) -> int:
     """Print what the file says, 0; or every problem on stderr, 1. Never raises for what the file holds."""
@@ -37,7 +40,7 @@ def _show(file: Path, config: FleetConfig) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else PIPE_COLUMNS)
     own = config.daemon
     dialect = load_dialect(list(config.dialect))
     console.print(f"[bold]{escape(str(file))}[/bold]: no problem found")
@@ -49,7 +52,9 @@ def _show(file: Path, config: FleetConfig) -> None:
             f"origin   {config.origin.lat_deg}, {config.origin.lon_deg}, {config.origin.alt_amsl_m} m above sea level"
         )
     if config.links:
-        table = Table("link", "type", "where", "role", box=box.SIMPLE_HEAD)
+        table = Table("link", "type", box=box.SIMPLE_HEAD)
+        table.add_column("where", overflow="fold")
+        table.add_column("role")
         for name, link in config.links.items():
             role = link.role if link.enabled else f"{link.role}, not enabled"
             table.add_row(escape(name), link.type, escape(_where(link)), role)

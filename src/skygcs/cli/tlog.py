@@ -203,7 +203,7 @@ def _show(file: Path, kind: str, answer: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
+    console = Console(soft_wrap=True)
     duration = "" if answer["duration_s"] is None else f", {answer['duration_s']:.1f} s"
     console.print(f"[bold]{escape(file.name)}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False)
     console.print(

@@ -1,0 +1,78 @@
+"""`skygcs check`: a summary of what is right, every problem of what is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from skygcs.cli.check import check
+
+FLEET = """
+[daemon]
+sysid = 250
+[origin]
+lat_deg = 43.5
+lon_deg = -79.5
+alt_amsl_m = 180
+[links.radio]
+type = "serial"
+device = "/dev/absent"
+baud = [57600, 115200]
+role = "radio"
+[links.gcs]
+type = "udp_client"
+host = "10.0.0.1"
+port = 14550
+enabled = false
+[links.flight]
+type = "replay"
+file = "absent.tlog"
+[vehicles.alpha]
+sysid = 1
+autopilot = "px4"
+group = ["red", "fast"]
+"""
+
+
+def test_what_is_right_is_summed_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(FLEET)
+    assert check(path) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    for text in (
+        "no problem found",
+        "250/25",
+        "ardupilotmega+px4-extras",
+        "/dev/absent at 57600 or 115200 baud",
+        "10.0.0.1:14550",
+        "not enabled",
+        "red, fast",
+        "43.5, -79.5, 180.0 m",
+        "links.radio: there is no /dev/absent now",
+        "links.flight: there is no file",
+    ):
+        assert text in " ".join(out.split()), text
+
+
+def test_a_fleet_without_links_and_vehicles_says_what_happens(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text("[daemon]\nrecord = false\n")
+    assert check(path) == 0
+    out, _ = capsys.readouterr()
+    assert "can be added while it runs" in out and "not recorded" in out and "none named" in out
+
+
+def test_every_problem_is_printed_and_the_answer_is_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(FLEET.replace("250", "900").replace("udp_client", "udp_klient"))
+    assert check(path) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert f"{path}: 2 problems" in err
+    assert "daemon.sysid (line 3)" in err and "did you mean udp_client?" in err
+    assert check(tmp_path / "gone.toml") == 1
+    assert "no such file" in capsys.readouterr().err
