@@ -48,6 +48,7 @@ class Px4Vehicle(SimVehicle):
     unknown_message_result = m.MAV_RESULT_DENIED
     armed_reboot_result = m.MAV_RESULT_DENIED
     named_param_index = None
+    hears_broadcast_commands = False
 
     def __init__(
         self,

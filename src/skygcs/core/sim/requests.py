@@ -44,10 +44,17 @@ class Calibration:
     next_report: float
 
 
+BROADCAST_TO_PX4 = frozenset({519, 520})
+"""REQUEST_PROTOCOL_VERSION and REQUEST_AUTOPILOT_CAPABILITIES: all that PX4 1.16 takes for system 0."""
+
+
 def handle(v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float) -> None:
     """Answer one message addressed to this vehicle or to all."""
     if name in ("COMMAND_LONG", "COMMAND_INT"):
         command = from_long(fields, sender) if name == "COMMAND_LONG" else from_int(fields, sender)
+        deaf = fields["target_system"] == 0 and not v.hears_broadcast_commands
+        if deaf and command.id not in BROADCAST_TO_PX4:
+            return
         result = v.command(command, now)
         if result is not None:
             v.tx.acknowledge(command.id, result, sender)

@@ -72,6 +72,8 @@ class SimVehicle(ABC):
     armed_reboot_result: int
     named_param_index: int | None
     """param_index of an answer to a request by name; None: the parameter's own."""
+    hears_broadcast_commands: bool = True
+    """Whether a command for system 0 is taken; PX4 takes those for its own id only (and asks for capabilities)."""
     mode: int
     """HEARTBEAT.custom_mode."""
 

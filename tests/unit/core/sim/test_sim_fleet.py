@@ -42,7 +42,8 @@ def test_system_ids_beyond_the_protocol_are_refused(first: int, count: int) -> N
 def test_a_mixed_fleet_flies_and_lands_together() -> None:
     pilot = Pilot(*make_vehicles(sim_dialect(), px4=2, ardupilot=2, first_sysid=1, home=FIELD))
     pilot.hovering(6)
-    pilot.command(mav.MAV_CMD_NAV_LAND, to=0, comp=0)
+    for sysid in (1, 2, 3, 4):
+        pilot.command(mav.MAV_CMD_NAV_LAND, to=sysid)
     pilot.run(25)
     assert not any(v.armed for v in pilot.vehicles)
     assert {x.get_srcSystem() for x in pilot.heard} == {1, 2, 3, 4}
