@@ -120,7 +120,7 @@ def test_a_broadcast_command_is_answered_by_every_ardupilot_and_by_no_px4() -> N
     pilot.forget()
     pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1, to=0, comp=0)
     assert sorted(x.get_srcSystem() for x in pilot.heard if x.get_type() == "COMMAND_ACK") == [2, 3]
-    assert all(v.armed for v in pilot.vehicles)
+    assert [v.armed for v in pilot.vehicles] == [False, True, True]
 
 
 @BOTH
