@@ -238,6 +238,12 @@ def _contradicting_filters(links: Mapping[str, LinkConfig]) -> Iterator[Problem]
         for what in ("msg_id", "src_sys", "src_comp"):
             for way in ("in", "out"):
                 allow, block = f"allow_{what}_{way}", f"block_{what}_{way}"
-                if getattr(link, allow) and getattr(link, block):
-                    text = f"stands beside {allow}, which already refuses all it does not name: keep one of them"
-                    yield Problem(("links", name, block), text)
+                allowed = {_plain(entry) for entry in getattr(link, allow)}
+                for index, entry in enumerate(getattr(link, block)):
+                    if _plain(entry) in allowed:
+                        text = f"{entry} also stands in {allow}; take it out of one of them"
+                        yield Problem(("links", name, block, index), text)
+
+
+def _plain(message: str | int) -> str:
+    return str(message).upper()

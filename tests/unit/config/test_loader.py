@@ -192,8 +192,12 @@ sysid = 1
         ),
         (SERIAL + "[links.radio.rate_in.messages]\nATTITUDE = -1", "must be at least 0, not -1"),
         (
-            SERIAL + "allow_src_sys_in = [1]\nblock_src_sys_in = [2]",
-            "links.radio.block_src_sys_in (line 5): stands beside allow_src_sys_in, which already refuses all",
+            SERIAL + "allow_src_sys_in = [1, 2]\nblock_src_sys_in = [5, 2]",
+            "links.radio.block_src_sys_in[1] (line 5): 2 also stands in allow_src_sys_in; take it out of one of them",
+        ),
+        (
+            SERIAL + "allow_msg_id_out = ['ATTITUDE']\nblock_msg_id_out = ['attitude']",
+            "links.radio.block_msg_id_out[0] (line 5): attitude also stands in allow_msg_id_out",
         ),
         # files
         ("dialect = 'no/such.xml'", "no/such.xml: no such dialect file"),
@@ -212,6 +216,7 @@ def test_a_mistake_is_named_with_its_key_and_line(tmp_path: Path, text: str, com
     [
         SERIAL + 'allow_msg_id_in = ["heartbeat", 0, 54321, "30"]',
         SERIAL + '[links.radio.rate_out.messages]\n"*" = 1\nATTITUDE = 2.5\n"54321" = 0',
+        SERIAL + "allow_src_sys_in = [1]\nblock_src_comp_in = [1]\nblock_src_sys_out = [1]\nblock_src_sys_in = [7]",
         SERIAL + SERIAL.replace("radio", "b") + "enabled = false",
         "[links.a]\ntype='udp_server'\nport=0\n[links.b]\ntype='udp_server'\nport=0",
         "[links.a]\ntype='udp_server'\nport=5000\n[links.b]\ntype='tcp_server'\nport=5000",

@@ -1,0 +1,53 @@
+"""The reference pages name every key there is and show no file that is wrong."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from pydantic import BaseModel
+
+from skygcs.config import models
+from skygcs.config.loader import load_fleet
+from skygcs.errors import ConfigError
+from support.public_data import ROOT
+
+PAGE = (ROOT / "docs" / "reference" / "fleet-file.md").read_text()
+LINKS = get_args(models.LinkConfig)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        models.DaemonConfig,
+        models.OriginConfig,
+        models.RateLimits,
+        models.LinkCommon,
+        *LINKS,
+        models.VehicleEntry,
+        models.FleetConfig,
+    ],
+    ids=lambda m: m.__name__,
+)
+def test_every_key_of_the_fleet_file_is_described(model: type[BaseModel]) -> None:
+    keys = set(model.model_fields) - {"name"}
+    named = set(re.findall(r"`([a-z_0-9]+)`", PAGE)) | set(re.findall(r"\[([a-z]+)[\].]", PAGE)) | {"type"}
+    assert keys <= named, keys - named
+
+
+def test_every_kind_of_link_has_its_section() -> None:
+    assert set(re.findall(r'### type = "(\w+)"', PAGE)) == {m.model_fields["type"].default for m in LINKS}
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda p: p.name)
+def test_toml_on_a_page_passes_the_check(page: Path, tmp_path: Path) -> None:
+    (tmp_path / "dialects").symlink_to(ROOT / "dialects")
+    for number, text in enumerate(re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(text)
+        try:
+            load_fleet(path)
+        except ConfigError as error:  # a page may show some keys of a link without its type
+            assert all("has no type" in problem for problem in error.problems), error
