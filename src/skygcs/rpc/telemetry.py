@@ -90,14 +90,18 @@ class TelemetryFeed:
     def _arm(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
-        now_tick = int(self._loop.time() / GRID_S)
+        now_tick = self._now_tick()
         if self._timer is None:
             self._tick_done = now_tick
         following = min(s.next_due(now_tick) for s in self._subscriptions)
         self._timer = self._loop.call_at(following * GRID_S, self._on_tick)
 
+    def _now_tick(self) -> int:
+        """Loops run timers up to their resolution early, uvloop a millisecond: that is the tick meant."""
+        return int(self._loop.time() / GRID_S + 0.05)
+
     def _on_tick(self) -> None:
-        tick = int(self._loop.time() / GRID_S + 1e-6)
+        tick = self._now_tick()
         for subscription in self._subscriptions:
             if subscription.due(self._tick_done, tick):
                 self._find_vehicles(subscription)
@@ -145,7 +149,10 @@ class TelemetryFeed:
         pieces: list[bytes] = []
         pending = subscription.pending
         for key in list(pending)[:VEHICLES_PER_WRITE]:
-            body = self._encode(key, pending.pop(key), subscription.names)
+            vehicle = pending.pop(key)
+            if subscription.vehicles.pop(key, None) is not None:
+                subscription.vehicles[key] = vehicle  # to the end: next round begins with who waited longest
+            body = self._encode(key, vehicle, subscription.names)
             if body:
                 pieces.append(body)
                 pieces.append(subscription.tail)
