@@ -246,10 +246,6 @@ class Commander:
             line.late = exchange.outstanding
             line.ended_at = self._loop.time()
             line.quiet_until = exchange.last_sent + LATE_ACK_S
-        overtaken = not outcome.ok and outcome.result != "cancelled" and exchange.attempts > 1
-        if overtaken and satisfied is not None and satisfied():
-            # the first transmission worked, its ack was lost, and the repeat was refused for having worked already
-            return Outcome(True, "accepted", "accepted", outcome.attempts, outcome.elapsed_s, outcome.status_texts)
         if outcome.result == "timeout" and running.not_taken >= exchange.attempts:
             return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)
         return outcome
@@ -297,6 +293,7 @@ class Commander:
             if exchange.deadline is None or now < exchange.deadline:
                 continue
             if running.satisfied is not None and running.satisfied():
+                # its ack was lost, or a repeat was refused because the first transmission had worked already
                 self._apply(running, exchange.stop(now, "accepted", "done, though no acknowledgement came"))
             else:
                 self._apply(running, exchange.on_timer(now))

@@ -322,10 +322,21 @@ class TestOrdersForMany:
 
     async def test_an_order_for_some_is_never_broadcast(self) -> None:
         async with Ground() as ground:
-            await self.swarm(ground)
+            await self.swarm(ground, px4=0, copters=4)
             outcomes = await ground.fleet.command_all("1-3", "land")
             assert list(outcomes) == ["v1", "v2", "v3"]
             assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3]
+
+    async def test_who_was_busy_with_the_same_command_is_sent_its_own_after_the_broadcast(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground, px4=0, copters=3)
+            vehicles[0].script = lambda v, sent: ground.loop.call_later(0.5, accept_everything, v, sent)
+            alone = asyncio.create_task(ground.fleet.find(1).land())
+            await asyncio.sleep(0.1)
+            outcomes = await ground.fleet.command_all("all", "land")
+            assert (await alone).ok
+            assert [o.attempts for o in outcomes.values()] == [1, 1, 1]
+            assert [s.sysid for s in self.commands(ground)] == [1, 0, 1]
 
     async def test_a_disarming_that_one_would_be_refused_is_not_broadcast(self) -> None:
         async with Ground() as ground:

@@ -141,14 +141,20 @@ async def test_a_repeat_refused_for_having_worked_already_is_a_success() -> None
         vehicle.armed = True
         await asyncio.sleep(1.5)
 
-        def second_is_refused(v: ScriptedVehicle, sent: Sent) -> None:
-            if v.flying:
-                v.reply(sent, 4)
-            v.flying, v.status = True, 4
+        def first_ack_is_lost_and_the_repeat_refused(v: ScriptedVehicle, sent: Sent) -> None:
+            if sent.confirmation == 0:
+                ground.loop.call_later(1.3, lift_off, v)
+            else:
+                v.reply(sent, 4, after_s=0.5)
 
-        vehicle.script = second_is_refused
+        def lift_off(v: ScriptedVehicle) -> None:
+            v.flying, v.status = True, 4
+            v.pulse()
+
+        vehicle.script = first_ack_is_lost_and_the_repeat_refused
         outcome = await actor.takeoff(10)
         assert outcome.ok, outcome.message
+        assert outcome.attempts == 2
 
 
 async def test_silence_is_a_timeout_after_all_repeats() -> None:
@@ -315,6 +321,50 @@ async def test_a_forced_disarm_goes_out_as_an_emergency_even_to_a_lost_vehicle()
         assert {s.priority for s in sent} == {Priority.EMERGENCY}
         assert {(s.param1, s.param2) for s in sent} == {(0.0, 21196.0)}
         assert len(sent) == 7
+
+
+async def test_an_emergency_goes_on_when_the_vehicle_is_lost_meanwhile() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground)
+        vehicle.silent = True
+        await asyncio.sleep(3)
+        assert actor.vehicle.connected
+        outcome = await actor.disarm(force=True)
+        assert not actor.vehicle.connected
+        assert (outcome.result, outcome.attempts) == ("timeout", 7)
+
+
+async def test_a_takeoff_that_fails_after_a_newer_order_does_not_disarm_under_it() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, ARDUPILOT, mode=4)
+
+        def slow_refusal(v: ScriptedVehicle, sent: Sent) -> None:
+            if sent.command == TAKEOFF:
+                heard.set()
+                v.reply(sent, 4, after_s=0.8)
+            else:
+                accept_everything(v, sent)
+
+        heard = asyncio.Event()
+        vehicle.script = slow_refusal
+        takeoff = asyncio.create_task(actor.takeoff(10))
+        await heard.wait()
+        assert (await actor.set_mode("ALT_HOLD")).ok
+        assert not (await takeoff).ok
+        await asyncio.sleep(3)
+        assert (ARM, (0.0, 0.0)) not in vehicle.commands()
+
+
+@pytest.mark.parametrize("order", ["land", "rtl", "hold"])
+async def test_a_vehicle_on_the_ground_need_not_enter_the_mode_it_accepted(order: str) -> None:
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, ARDUPILOT)
+        vehicle.script = lambda v, sent: v.reply(sent)
+        assert (await getattr(actor, order)()).ok
+        vehicle.armed, vehicle.flying, vehicle.status = True, True, 4
+        await asyncio.sleep(1.5)
+        outcome = await getattr(actor, order)()
+        assert outcome.message == "timeout: accepted, but still in STABILIZE"
 
 
 async def test_a_forced_disarm_takes_the_place_of_a_takeoff_in_the_making() -> None:

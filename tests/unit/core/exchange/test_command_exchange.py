@@ -106,6 +106,16 @@ def test_a_refusal_is_not_repeated_while_it_settles() -> None:
     assert exchange.attempts == 1
 
 
+def test_a_second_ack_does_not_turn_a_refusal_round() -> None:
+    exchange = started()
+    exchange.on_timer(101.0)
+    exchange.on_ack(Ack(400, 4), 101.1)
+    assert exchange.on_ack(ACCEPTED, 101.2) == ()
+    exchange.on_timer(102.0)
+    assert outcome_of(exchange).result == "failed"
+    assert exchange.outstanding == 0
+
+
 def test_progress_stops_the_repeats_and_is_reported() -> None:
     exchange = started()
     assert exchange.on_ack(Ack(400, IN_PROGRESS, progress=20), 100.5) == (Report(20),)

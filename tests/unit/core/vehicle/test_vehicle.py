@@ -293,6 +293,7 @@ def test_a_reboot_is_told_once_and_forgets_the_life_before() -> None:
     assert event.kind == "reboot"
     state = told(vehicle, now=40.0)
     assert state["position"] is None
+    assert state["time"]["boot_s"] == 8.0
     assert state["mode"] == "GUIDED"
     assert state["uptime_s"] == 8.0
     assert kinds(vehicle.on_frame(voice.text("ArduPilot Ready"), 41.0)) == ["statustext"]
@@ -307,6 +308,13 @@ def test_a_boot_text_tells_a_reboot_where_no_clock_is_streamed() -> None:
     assert kinds(vehicle.on_frame(voice.text("ArduPilot Ready"), 61.0)) == ["statustext"]
     assert kinds(vehicle.on_frame(voice.text("ArduCopter V4.5.1 (abc)"), 200.0)) == ["statustext"]
     assert vehicle.firmware == "4.5.1"
+
+
+def test_a_boot_text_before_the_clock_goes_back_is_one_reboot() -> None:
+    vehicle, voice = new()
+    told(vehicle, voice.beat(ARDUPILOT, 0), voice.system_time(500_000), now=1.0)
+    assert kinds(vehicle.on_frame(voice.text("ArduPilot Ready"), 60.0)) == ["statustext", "reboot"]
+    assert vehicle.on_frame(voice.system_time(12_000), 61.0) == ()
 
 
 def test_other_messages_clocks_tell_a_reboot_too() -> None:
