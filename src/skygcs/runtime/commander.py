@@ -135,7 +135,7 @@ class Commander:
             return Outcome(False, "refused", f"refused: {error}")
         line = self._lines.setdefault(spec.command, _Line())
         if emergency:
-            self._stop(spec.command, "cancelled", "an emergency order took its place")
+            self.stop(spec.command, "cancelled", "an emergency order took its place")
             return await self._exchange(line, spec, Priority.EMERGENCY, EMERGENCY_TIMERS_S, satisfied, on_report)
         if line.waiting >= MAX_WAITING:
             return Outcome(False, "refused", f"{line.waiting} commands of the same kind are waiting already")
@@ -199,12 +199,12 @@ class Commander:
     def stop_all(self, result: str, message: str) -> None:
         """The vehicle is lost or rebooted: nothing in flight will be answered. Emergencies go on."""
         for command in [c for c, r in self._running.items() if r.priority is not Priority.EMERGENCY]:
-            self._stop(command, result, message)
+            self.stop(command, result, message)
 
     def close(self) -> None:
         """The daemon ends."""
         for command in list(self._running):
-            self._stop(command, "cancelled", "skygcs is shutting down")
+            self.stop(command, "cancelled", "skygcs is shutting down")
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -265,7 +265,8 @@ class Commander:
                 assert running.exchange.outcome is not None
                 running.done.set_result(running.exchange.outcome)
 
-    def _stop(self, command: int, result: str, message: str) -> None:
+    def stop(self, command: int, result: str, message: str) -> None:
+        """End a command in flight with this outcome, if there is one of that id."""
         running = self._running.get(command)
         if running is not None:
             self._apply(running, running.exchange.stop(self._loop.time(), result, message))

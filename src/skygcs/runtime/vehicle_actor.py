@@ -23,7 +23,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.streams import STREAM_GROUPS, StreamKeeper
 from skygcs.core.vehicle import orders
-from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
+from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN, REQUEST_MESSAGE
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -375,6 +375,7 @@ class VehicleActor:
             elif event.kind == "vehicle_lost":
                 self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
             elif event.kind == "reboot":
+                self.commander.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self.commander.stop_all("lost", "the vehicle rebooted")
                 self._identified = 0
                 self._identify_from = now
