@@ -16,19 +16,18 @@ from dataclasses import replace
 from typing import Any
 
 from skygcs.config.models import VehicleConfig
-from skygcs.core.airtime import Priority
 from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.streams import STREAM_GROUPS, StreamKeeper
 from skygcs.core.vehicle import orders
-from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN, REQUEST_MESSAGE
+from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.commander import Commander, SendFn
+from skygcs.runtime.upkeep import Planner, Upkeep
 
 COMMAND_ACK = 77
 
@@ -38,13 +37,7 @@ MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", 
 ARM_RETRY_S = 1.0
 """ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
 
-IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
-"""When, after it was met or rebooted, a vehicle is asked for what nobody streams: its version and its home."""
-
-IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
-
 OnEvent = Callable[[Event], None]
-Planner = Callable[[float], Plan]
 
 
 class VehicleActor:
@@ -69,10 +62,7 @@ class VehicleActor:
         self._loop = loop
         self._on_event = on_event
         self._order = 0
-        self._identified = 0
-        self._identify_from: float | None = None
-        self._keeper = StreamKeeper({n: r for n, r in config.streams.items() if n in dialect.by_name})
-        self._asking: asyncio.Task[None] | None = None
+        self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
 
     @property
     def name(self) -> str:
@@ -133,14 +123,10 @@ class VehicleActor:
         events = self.vehicle.tick(now)
         if events:
             self._publish(events, now)
-        if self._identified < len(IDENTIFY_AT_S):
-            self._identify(now)
-        if self._asking is None and self.vehicle.connected:
-            self._keep_streams(now)
+        self._upkeep.tick(now)
 
     def close(self) -> None:
-        if self._asking is not None:
-            self._asking.cancel()
+        self._upkeep.close()
         self.commander.close()
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
@@ -212,7 +198,7 @@ class VehicleActor:
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
         """0 turns it off, None goes back to the vehicle's own rate. From then on the rate is the caller's to keep."""
         with contextlib.suppress(RefusedError):
-            self._keeper.refuse(orders.find_message(self._dialect, message)[1])
+            self._upkeep.leave(orders.find_message(self._dialect, message)[1])
         return await self._run(
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
         )
@@ -377,53 +363,11 @@ class VehicleActor:
             elif event.kind == "reboot":
                 self.commander.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self.commander.stop_all("lost", "the vehicle rebooted")
-                self._identified = 0
-                self._identify_from = now
-                self._keeper.restart()
+                self._upkeep.restart(now)
             self._on_event(event)
 
-    def _keep_streams(self, now: float) -> None:
-        """Ask for the next wanted message that does not come, in a task of its own: the answer takes a while."""
-        due = self._keeper.due(now, self._last_at)
-        if due is not None:
-            self._asking = self._loop.create_task(self._ask_for(*due), name=f"{self.name} asks for {due[0]}")
-            self._asking.add_done_callback(self._asked)
-
-    def _asked(self, task: asyncio.Task[None]) -> None:
-        self._asking = None
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self._on_event(Event("fault", self.name, self.sysid, f"asking for a message failed: {error!r}", {}))
-
-    async def _ask_for(self, message: str, rate_hz: float) -> None:
-        outcome = await self._attempt(
-            lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
-        )
-        if outcome.result not in ("unsupported", "denied", "failed"):
-            return
-        self._keeper.refuse(message)
-        group = STREAM_GROUPS.get(message)
-        if outcome.result == "unsupported" and group is not None and self.vehicle.family == "ardupilot":
-            rate_hz = max(1.0, rate_hz)  # whole Hz in REQUEST_DATA_STREAM
-            await self._attempt(lambda now: orders.request_stream(self.vehicle, now, self._dialect, group, rate_hz))
-
-    def _last_at(self, message: str) -> float | None:
-        slot = self.vehicle.slot(message)
-        return slot.at if slot is not None and slot.frame is not None else None
-
-    def _identify(self, now: float) -> None:
-        """Ask for the firmware version and home; fire and forget, a few times, never beside an order of that kind."""
-        if self._identify_from is None:
-            self._identify_from = now
-        if now - self._identify_from < IDENTIFY_AT_S[self._identified] or not self.vehicle.connected:
-            return
-        self._identified += 1
-        if self.commander.in_flight(REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
-            return
-        for message in IDENTIFY_WITH:
-            info = self._dialect.by_name.get(message)
-            if info is not None and self.vehicle.slot(message) is None:
-                values = {"command": REQUEST_MESSAGE, "param1": float(info.msgid)}
-                self.commander.transmit("COMMAND_LONG", values, Priority.EXCHANGE)
+    def _on_fault(self, text: str) -> None:
+        self._on_event(Event("fault", self.name, self.sysid, text, {}))
 
 
 def _json_able(value: Any) -> Any:

@@ -1,0 +1,118 @@
+"""What a vehicle is asked for without an order: who it is, where its home is, and the messages the picture needs.
+
+Nothing of it is urgent: it goes out behind orders, a few times, and again after a reboot.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+
+from skygcs.core.airtime import Priority
+from skygcs.core.exchange.command import Outcome
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.streams import STREAM_GROUPS, StreamKeeper
+from skygcs.core.vehicle import orders
+from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
+from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime.commander import Commander
+
+IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
+"""When, after it was met or rebooted, a vehicle is asked for what nobody streams: its version and its home."""
+
+IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
+
+Planner = Callable[[float], Plan]
+Attempt = Callable[[Planner], Awaitable[Outcome]]
+
+
+class Upkeep:
+    """`tick` once to ten times a second; ``attempt`` carries out a plan, ``on_fault`` is told of a fault of ours."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        commander: Commander,
+        dialect: Dialect,
+        rates_hz: Mapping[str, float],
+        attempt: Attempt,
+        on_fault: Callable[[str], None],
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._vehicle = vehicle
+        self._commander = commander
+        self._dialect = dialect
+        self._attempt = attempt
+        self._on_fault = on_fault
+        self._loop = loop
+        self._keeper = StreamKeeper({n: r for n, r in rates_hz.items() if n in dialect.by_name})
+        self._asking: asyncio.Task[None] | None = None
+        self._identified = 0
+        self._identify_from: float | None = None
+
+    def tick(self, now: float) -> None:
+        if not self._vehicle.connected:
+            return
+        if self._identified < len(IDENTIFY_AT_S):
+            self._identify(now)
+        if self._asking is None:
+            self._keep_streams(now)
+
+    def restart(self, now: float) -> None:
+        """The vehicle rebooted: what it was asked for is forgotten there."""
+        self._identified = 0
+        self._identify_from = now
+        self._keeper.restart()
+
+    def leave(self, message: str) -> None:
+        """A person took the rate of this message in hand."""
+        self._keeper.refuse(message)
+
+    def close(self) -> None:
+        if self._asking is not None:
+            self._asking.cancel()
+
+    def _identify(self, now: float) -> None:
+        """Fire and forget, and never beside an order of that kind: its ack could pass for the order's."""
+        if self._identify_from is None:
+            self._identify_from = now
+        if now - self._identify_from < IDENTIFY_AT_S[self._identified]:
+            return
+        self._identified += 1
+        if self._commander.in_flight(REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
+            return
+        for message in IDENTIFY_WITH:
+            info = self._dialect.by_name.get(message)
+            if info is not None and self._vehicle.slot(message) is None:
+                values = {"command": REQUEST_MESSAGE, "param1": float(info.msgid)}
+                self._commander.transmit("COMMAND_LONG", values, Priority.EXCHANGE)
+
+    def _keep_streams(self, now: float) -> None:
+        """Ask for the next wanted message that does not come, in a task of its own: the answer takes a while."""
+        due = self._keeper.due(now, self._last_at)
+        if due is not None:
+            name = f"{self._vehicle.name} asks for {due[0]}"
+            self._asking = self._loop.create_task(self._ask_for(*due), name=name)
+            self._asking.add_done_callback(self._asked)
+
+    def _asked(self, task: asyncio.Task[None]) -> None:
+        self._asking = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._on_fault(f"asking for a message failed: {error!r}")
+
+    async def _ask_for(self, message: str, rate_hz: float) -> None:
+        outcome = await self._attempt(
+            lambda now: orders.message_interval(self._vehicle, now, self._dialect, message, rate_hz)
+        )
+        if outcome.result not in ("unsupported", "denied", "failed"):
+            return
+        self._keeper.refuse(message)
+        group = STREAM_GROUPS.get(message)
+        if outcome.result == "unsupported" and group is not None and self._vehicle.family == "ardupilot":
+            whole_hz = max(1.0, rate_hz)  # REQUEST_DATA_STREAM knows no fractions
+            await self._attempt(lambda now: orders.request_stream(self._vehicle, now, self._dialect, group, whole_hz))
+
+    def _last_at(self, message: str) -> float | None:
+        slot = self._vehicle.slot(message)
+        return None if slot is None else slot.at
