@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from skygcs.core.airtime import Priority
+from support.vehicles import ARDUPILOT, PX4, Ground, ScriptedVehicle, Sent, accept_everything
+
+pytestmark = pytest.mark.looptime
+
+INTERVAL, ATTITUDE, SYSTEM_TIME, POSITION = 511, 30.0, 2.0, 33.0
+
+
+def wanting(**rates_hz: float) -> dict[str, Any]:
+    return {"defaults": {"streams": rates_hz}}
+
+
+def asked(ground: Ground) -> list[tuple[float, float]]:
+    """(message id, microseconds) of every SET_MESSAGE_INTERVAL."""
+    return [(s.param1, s.param2) for s in ground.sent if s.name == "COMMAND_LONG" and s.command == INTERVAL]
+
+
+async def test_only_what_does_not_come_is_asked_for_at_its_rate() -> None:
+    async with Ground(wanting(ATTITUDE=2.0, GLOBAL_POSITION_INT=1.0, EXTENDED_SYS_STATE=1.0)) as ground:
+        vehicle = ScriptedVehicle(ground, 1, PX4)  # positions and landed states come with its heartbeats
+        frame = vehicle.mav
+
+        def stream(v: ScriptedVehicle, sent: Sent) -> None:
+            accept_everything(v, sent)
+            for n in range(100):
+                v.tell(v.say(frame.attitude_encode(n, 0, 0, 0, 0, 0, 0)), 0.5 * n)
+
+        vehicle.script = stream
+        await asyncio.sleep(40)
+        assert asked(ground) == [(ATTITUDE, 500_000.0)]
+
+
+async def test_old_firmware_is_asked_the_old_way_once() -> None:
+    async with Ground(wanting(ATTITUDE=0.5)) as ground:
+        vehicle = ScriptedVehicle(ground, 1, ARDUPILOT)
+        vehicle.script = lambda v, sent: v.reply(sent, 3) if sent.name == "COMMAND_LONG" else None
+        await asyncio.sleep(120)
+        assert len(asked(ground)) == 1
+        (request,) = [s for s in ground.sent if s.name == "REQUEST_DATA_STREAM"]
+        assert (request.req_stream_id, request.req_message_rate, request.start_stop) == (10, 1, 1)
+
+
+async def test_a_message_the_vehicle_refuses_is_not_asked_for_again_until_it_reboots() -> None:
+    async with Ground(wanting(ATTITUDE=1.0)) as ground:
+        vehicle = ScriptedVehicle(ground, 1, PX4)
+        vehicle.script = lambda v, sent: v.reply(sent, 2)
+        vehicle.tell(vehicle.system_time(900_000))
+        await asyncio.sleep(120)
+        assert len(asked(ground)) == 1
+        identified = [s for s in ground.sent if s.priority is Priority.EXCHANGE]
+        vehicle.tell(vehicle.system_time(5_000))
+        await asyncio.sleep(20)
+        assert len(asked(ground)) == 2
+        assert len([s for s in ground.sent if s.priority is Priority.EXCHANGE]) > len(identified)
+
+
+async def test_a_rate_a_person_has_set_is_left_alone() -> None:
+    async with Ground(wanting(ATTITUDE=1.0, SYSTEM_TIME=1.0)) as ground:
+        vehicle = ScriptedVehicle(ground, 1, PX4)
+        (actor,) = await ground.met(vehicle)
+        assert (await actor.set_message_interval("ATTITUDE", 0)).ok
+        await asyncio.sleep(60)
+        assert (ATTITUDE, -1.0) in asked(ground)
+        assert [i for i, _ in asked(ground)].count(ATTITUDE) == 1
+        assert SYSTEM_TIME in [i for i, _ in asked(ground)]
+
+
+async def test_nobody_is_asked_while_lost() -> None:
+    async with Ground(wanting(ATTITUDE=1.0)) as ground:
+        vehicle = ScriptedVehicle(ground, 1, PX4)
+        await ground.met(vehicle)
+        vehicle.silent = True
+        await asyncio.sleep(8)
+        before = len(ground.sent)
+        await asyncio.sleep(100)
+        assert len(ground.sent) == before
