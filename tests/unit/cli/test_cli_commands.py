@@ -1,0 +1,225 @@
+"""Every command against a fake daemon: what it asks, what it prints, how it exits."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from skygcs.cli.control import app
+from skygcs.rpc.server import RpcServer
+from support.fake_daemon import FakeDaemon, FakeOutcome
+
+DONE, FAILED, USAGE, UNREACHABLE = 0, 1, 2, 3
+
+
+class Fleet:
+    """A served fake daemon on a loop of its own, and the command line in this thread."""
+
+    def __init__(self, folder: Path) -> None:
+        self.socket = folder / "s.sock"
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        self._thread.start()
+        self.daemon = FakeDaemon()
+        self._server = RpcServer(self.daemon, self.socket)
+        self._do(self._server.start())
+
+    def _do(self, coroutine: Any) -> None:
+        asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(10)
+
+    def later(self, delay_s: float, action: Callable[[], None]) -> None:
+        self._loop.call_soon_threadsafe(self._loop.call_later, delay_s, action)
+
+    def close(self) -> None:
+        self._do(self._server.close())
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def run(self, *args: str, code: int = DONE) -> str:
+        """stdout and stderr of a command that must exit with ``code``."""
+        result = CliRunner().invoke(app, ["--socket", str(self.socket), *args])
+        assert result.exit_code == code, result.output + repr(result.exception)
+        assert "Traceback" not in result.output
+        return result.output
+
+    def json(self, *args: str, code: int = DONE) -> Any:
+        return json.loads(self.run(*args, "--json", code=code))
+
+    def order(self, *args: str) -> tuple[str, dict[str, Any]]:
+        """What alpha was ordered."""
+        self.run(*args)
+        return self.daemon.vehicle("alpha").orders[-1]
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
+    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
+    fleet = Fleet(tmp_path)
+    yield fleet
+    fleet.close()
+
+
+def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
+    assert fleet.order("arm", "1,3", "--wait", "2")[1] == {"force": False, "wait_s": 2.0}
+    assert fleet.order("disarm", "all", "--force")[1] == {"force": True}
+    assert fleet.order("takeoff", "all", "5") == ("takeoff", {"height_m": 5.0, "arm": True, "wait_s": 0.0})
+    assert fleet.order("takeoff", "alpha", "--no-arm")[1] == {"height_m": None, "arm": False, "wait_s": 0.0}
+    assert [fleet.order(o, "1-2")[0] for o in ("land", "rtl", "hold")] == ["land", "rtl", "hold"]
+    assert fleet.order("mode", "alpha", "AUTO.LOITER") == ("set_mode", {"name": "AUTO.LOITER"})
+    place = fleet.order("goto", "alpha", "43.1", "-79.2", "10", "--yaw", "-90")[1]
+    assert (place["lat_deg"], place["lon_deg"], place["height_m"], place["yaw_deg"]) == (43.1, -79.2, 10, -90)
+    assert fleet.order("goto", "alpha", "-43.1", "-79.2")[1]["height_m"] is None
+    assert fleet.order("goto", "alpha", "--enu", "-5,3,2", "--force")[1]["enu_m"] == [-5, 3, 2]
+    assert fleet.order("reboot", "alpha") == ("reboot", {"force": False})
+    assert fleet.order("home", "alpha")[1] == {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None}
+    assert fleet.order("home", "alpha", "-43", "-79", "180")[1] == {"lat_deg": -43, "lon_deg": -79, "alt_amsl_m": 180}
+    assert fleet.order("interval", "alpha", "ATTITUDE", "10")[1] == {"message": "ATTITUDE", "rate_hz": 10}
+    assert fleet.order("interval", "alpha", "30", "default")[1] == {"message": 30, "rate_hz": None}
+    assert fleet.order("stream", "alpha", "POSITION", "4")[1] == {"stream": "POSITION", "rate_hz": 4}
+    raw = fleet.order("command", "alpha", "DO_SET_SERVO", "1", "-5.5", "nan")[1]
+    assert (raw["command"], raw["params"], raw["int_frame"]) == ("DO_SET_SERVO", [1, -5.5, None], None)
+    raw = fleet.order("command", "alpha", "192", "--frame", "6", "--x", "-437806000", "--y", "5", "--z", "10")[1]
+    assert (raw["command"], raw["int_frame"], raw["x"], raw["y"], raw["z"]) == (192, 6, -437806000, 5, 10)
+
+
+def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Fleet) -> None:
+    fleet.daemon.vehicle("carol").outcome = FakeOutcome(False, "denied", "denied: Arm: Throttle too high")
+    shown = fleet.run("arm", "all", code=FAILED).splitlines()
+    assert [line.split()[:2] for line in shown] == [["ok", "alpha"], ["ok", "bravo"], ["FAIL", "carol"]]
+    assert "Arm: Throttle too high" in shown[2]
+    outcomes = fleet.json("arm", "2,3", code=FAILED)["outcomes"]
+    assert [o["ok"] for o in outcomes.values()] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "text"),
+    [
+        (["arm", "9"], FAILED, "no vehicle '9'; there are: alpha, bravo, carol"),
+        (["takeoff", "all", "-5"], USAGE, "height_m"),
+        (["arm"], USAGE, "TARGETS"),
+        (["goto", "all", "43"], USAGE, "LAT LON"),
+        (["goto", "all", "43", "x"], USAGE, "LON"),
+        (["goto", "all", "43", "-79", "1", "2"], USAGE, "LAT LON HEIGHT"),
+        (["goto", "all", "--enu", "1,2"], USAGE, "E,N,U"),
+        (["goto", "all", "1", "2", "--enu", "1,2,3"], USAGE, "not both"),
+        (["goto", "all", "1", "2", "--yow", "3"], USAGE, "--yow"),
+        (["goto", "all", "143", "2"], USAGE, "lat_deg"),
+        (["home", "all", "43"], USAGE, "LAT LON ALT"),
+        (["nonsense"], USAGE, "nonsense"),
+        (["interval", "all", "NONSENSE", "1"], USAGE, "NONSENSE"),
+        (["call", "daemon.inf"], FAILED, "did you mean daemon.info"),
+        (["call", "daemon.info", "{"], USAGE, "not JSON"),
+        (["call", "daemon.info", "[]"], USAGE, "object"),
+        (["message", "send", "ATTITUDE", "rol=1"], USAGE, "rol"),
+        (["message", "send", "ATTITUDE", "roll"], USAGE, "name=value"),
+        (["message", "last", "alpha", "HEARTBEAT"], FAILED, "has not sent HEARTBEAT yet"),
+        (["watch", "--fields", "batery.volts"], USAGE, "batery"),
+        (["watch", "--rate", "50"], USAGE, "20"),
+        (["links", "remove", "nope"], FAILED, "no link nope"),
+        (["links", "add", "x", "port=1"], USAGE, "links.x.type: is missing"),
+    ],
+)
+def test_mistakes_are_told_in_words_with_the_right_exit_code(
+    fleet: Fleet, args: list[str], code: int, text: str
+) -> None:
+    assert text in fleet.run(*args, code=code)
+
+
+def test_status_shows_and_answers_json(fleet: Fleet) -> None:
+    assert len(fleet.run("status").splitlines()) == 4
+    assert [s["name"] for s in fleet.json("status", "2-3")] == ["bravo", "carol"]
+    fleet.daemon.fleet.vehicles.clear()
+    assert "no vehicle heard yet" in fleet.run("status")
+    assert fleet.json("status") == []
+
+
+def test_watch_prints_a_line_per_update_where_there_is_no_terminal(fleet: Fleet) -> None:
+    lines = fleet.run("watch", "--count", "4", "--rate", "20").splitlines()
+    assert [line.split()[0] for line in lines] == ["alpha", "bravo", "carol", "alpha"]
+    lines = fleet.run("watch", "alpha", "--count", "1", "--telemetry", "battery.volts,position.alt_rel_m").splitlines()
+    assert lines[0].startswith("alpha battery.volts=15.8 position.alt_rel_m=")
+    update = json.loads(fleet.run("watch", "1", "--fields", "gps.fix", "--count", "1", "--json"))
+    assert update["gps"]["fix"] == "3D" and "battery" not in update
+
+
+def test_events_show_the_past_and_follow_what_happens(fleet: Fleet) -> None:
+    for i in range(5):
+        fleet.daemon.emit("mode", "bravo", f"mode {i}")
+    assert [line.split()[-1] for line in fleet.run("events", "-n", "2").splitlines()] == ["3", "4"]
+    assert "discovered" in fleet.run("events", "--kind", "vehicle_discovered")
+    assert json.loads(fleet.run("events", "-n", "1", "--json"))["text"] == "mode 4"
+
+
+def test_messages_are_watched_sent_and_looked_up(fleet: Fleet) -> None:
+    fleet.later(0.3, lambda: fleet.daemon.hear("ATTITUDE", roll=0.25))
+    assert "alpha ATTITUDE" in fleet.run("message", "watch", "ATTITUDE", "--count", "1")
+    fleet.later(0.3, lambda: fleet.daemon.hear("ATTITUDE", sysid=2, roll=0.25))
+    shown = json.loads(fleet.run("message", "watch", "--from", "bravo", "--count", "1", "--json"))
+    assert (shown["vehicle"], shown["fields"]["roll"]) == ("bravo", 0.25)
+    assert "sent HEARTBEAT" in fleet.run("message", "send", "HEARTBEAT", "type=MAV_TYPE_GCS", "--to", "all")
+    assert fleet.daemon.sent[-1] == ("HEARTBEAT", {"type": 6}, "all", None)
+    fleet.run("message", "send", "ATTITUDE", "roll=-0.5", "pitch=nan", "--link", "radio")
+    assert fleet.daemon.sent[-1][1]["roll"] == -0.5
+    assert "was not sent" in fleet.run("message", "send", "ATTITUDE", "--link", "dead", code=FAILED)
+    assert "pitch" in fleet.run("message", "last", "alpha", "ATTITUDE")
+    assert fleet.run("message", "list", "heartbeat").startswith("    0 HEARTBEAT: ")
+    assert fleet.json("message", "list", "HIGH_LATENCY2")[0]["id"] == 235
+
+
+def test_links_are_listed_added_changed_and_removed(fleet: Fleet) -> None:
+    assert "/dev/ttyUSB0" in fleet.run("links")
+    assert fleet.json("links")[0]["name"] == "radio"
+    assert "qgc" in fleet.run("links", "add", "qgc", "type=udp_client", "host=10.0.0.5", "port=14550")
+    assert fleet.daemon.links["qgc"] == {"type": "udp_client", "host": "10.0.0.5", "port": 14550}
+    fleet.run("links", "change", "qgc", "type=udp_server", "port=1")
+    assert fleet.daemon.links["qgc"]["type"] == "udp_server"
+    assert [link["name"] for link in fleet.json("links", "remove", "qgc")] == ["radio"]
+    fleet.run("links", "remove", "radio")
+    assert "no links" in fleet.run("links", "list")
+
+
+def test_any_method_can_be_called_and_all_are_listed(fleet: Fleet) -> None:
+    assert json.loads(fleet.run("call", "vehicles.get", '{"target": 2}'))["name"] == "bravo"
+    fleet.daemon.vehicle("alpha").outcome = FakeOutcome(False, "denied", "no")
+    fleet.run("call", "vehicles.arm", '{"targets": "alpha"}', code=FAILED)
+    assert "vehicles.takeoff" in fleet.run("discover")
+    assert fleet.json("discover")["openrpc"].startswith("1.")
+    assert fleet.json("info")["daemon"]["version"]
+
+
+def test_nobody_at_the_socket_is_exit_code_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
+    for args in (["status"], ["arm", "all"], ["watch"], ["links"], ["message", "list"], ["call", "daemon.info"]):
+        result = CliRunner().invoke(app, [*args, "--socket", str(tmp_path / "nobody")])
+        assert result.exit_code == UNREACHABLE, args
+        assert "no skygcs daemon at" in result.output and "skygcs run" in result.output
+
+
+def test_a_token_file_that_cannot_be_read_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SKYGCS_TOKEN_FILE", "restored after the test")
+    result = CliRunner().invoke(app, ["status", "--token-file", str(tmp_path / "none")])
+    assert result.exit_code == FAILED and "token file" in result.output
+
+
+@pytest.mark.parametrize(
+    "args", [["--help"], ["goto", "-h"], ["message", "send", "--help"], ["links", "-h"], ["tlog", "-h"]]
+)
+def test_help_is_there_without_a_daemon(args: list[str]) -> None:
+    result = CliRunner().invoke(app, args)
+    assert result.exit_code == DONE and "Usage" in result.output
+
+
+def test_an_unforeseen_error_is_one_line(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("skygcs.cli.render.status_table", broken)
+    assert "internal error: ZeroDivisionError: a bug" in fleet.run("status", code=FAILED)

@@ -1,0 +1,135 @@
+"""What people see."""
+
+from __future__ import annotations
+
+import io
+import time
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from skygcs.cli import render
+from support.fake_daemon import FakeDaemon
+
+
+def text_of(table: Any, width: int = 250) -> str:
+    stream = io.StringIO()
+    Console(file=stream, width=width, color_system=None).print(table)
+    return stream.getvalue()
+
+
+def state(**changes: Any) -> dict[str, Any]:
+    made = FakeDaemon().vehicle("alpha").state(0.0)
+    return {**made, "links": {"radio": {"loss_ratio": 0.013}, "lte": {"loss_ratio": 0.5}}, **changes}
+
+
+def test_the_status_table_tells_what_one_asks_first() -> None:
+    lines = text_of(render.status_table([state(), state(name="bravo", sysid=2, armed=True)])).splitlines()
+    for column in ("name", "autopilot", "mode", "armed", "alt", "battery", "gps", "link", "loss", "age", "last text"):
+        assert column in lines[0]
+    for cell in ("alpha", "px4 1.14.3", "AUTO.LOITER", " no ", "87 % 15.8 V", "3D 11 sat", "radio", "1.3 %", "0.4 s"):
+        assert cell in lines[1], cell
+    assert "Ready (12 s ago)" in lines[1] and "ground" in lines[1]
+    assert "ARMED" in lines[2]
+
+
+def test_a_lost_vehicle_and_a_failsafe_are_said_in_words() -> None:
+    cells = render.status_cells(state(connected=False, last_heartbeat_age_s=73.0, armed=True, failsafe=True))
+    assert "lost 73 s" in cells and "ARMED FAILSAFE" in cells
+
+
+def test_a_vehicle_of_which_only_a_heartbeat_is_known_has_its_row() -> None:
+    bare = {"name": "v7", "sysid": 7, "autopilot": "px4", "connected": True, "armed": None, "mode": None}
+    unknown = dict.fromkeys(("gps", "position", "battery", "home", "firmware", "landed", "last_heartbeat_age_s"))
+    cells = render.status_cells({**bare, **unknown, "status_texts": [], "links": {}})
+    assert cells[:5] == ("v7", "7", "px4", "?", "?")
+    text_of(render.status_table([{**bare, **unknown}]))
+
+
+def test_markup_in_a_status_text_is_only_text() -> None:
+    odd = state(status_texts=[{"severity": "info", "text": "[red]boo[/] [/nonsense]", "age_s": 1.0}])
+    assert "[red]boo[/] [/nonsense]" in text_of(render.status_table([odd]))
+
+
+def test_chosen_fields_are_columns() -> None:
+    shown = text_of(render.status_table([state()], ["battery.volts", "position.vel_enu_mps.0", "home.lat_deg", "x.y"]))
+    assert shown.split() == [
+        "name",
+        "battery.volts",
+        "position.vel_enu_mps.0",
+        "home.lat_deg",
+        "x.y",
+        "alpha",
+        "15.8",
+        "0.1",
+        "-",
+        "-",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(None, "?"), (0.04, "0.0 s"), (9.94, "9.9 s"), (12, "12 s"), (300, "5 min"), (7300, "2 h")]
+)
+def test_durations_are_short(seconds: float | None, text: str) -> None:
+    assert render.duration(seconds) == text
+
+
+def outcome(**changes: Any) -> dict[str, Any]:
+    return {
+        "ok": True,
+        "result": "accepted",
+        "message": "armed",
+        "attempts": 1,
+        "elapsed_s": 0.42,
+        "status_texts": [],
+    } | changes
+
+
+def test_every_vehicle_has_a_line_with_its_outcome_and_reason() -> None:
+    refused = outcome(
+        ok=False, message="denied: Arm: Throttle too high", attempts=3, status_texts=["Throttle too high", "Check RC"]
+    )
+    assert render.outcome_lines({"alpha": outcome(), "carolina": refused}) == [
+        "ok   alpha     armed (0.4 s)",
+        "FAIL carolina  denied: Arm: Throttle too high (0.4 s, 3 attempts)",
+        "               Check RC",
+    ]
+    assert render.outcome_lines({}) == []
+
+
+def test_events_and_messages_are_one_line_and_tell_what_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "UTC")
+    time.tzset()
+    event = {"time_unix_s": 3661.0, "kind": "mode", "vehicle": "alpha", "text": "AUTO.LAND", "data": {}}
+    assert render.event_line(event) == "01:01:01 mode               alpha: AUTO.LAND"
+    assert render.event_line({**event, "text": "alpha lands", "dropped": 3}).endswith(
+        "alpha lands  [3 events lost before this one]"
+    )
+    message = {
+        "vehicle": None,
+        "sysid": 255,
+        "compid": 190,
+        "name": "X",
+        "fields": {"a": None, "b": [1, 0.5], "c": "t"},
+    }
+    assert render.message_line(message) == "255/190 X a=- b=[1, 0.5] c=t"
+
+
+def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
+    daemon = FakeDaemon()
+    up = daemon.links_status()[0]
+    down = {
+        "name": "lte",
+        "type": "tcp_client",
+        "role": "gcs",
+        "state": "down",
+        "since_s": 3.0,
+        "last_error": "refused",
+    }
+    lines = text_of(render.links_table([{**up, "channels": up["channels"] * 2}, down])).splitlines()
+    assert len(lines) == 4
+    for cell in ("radio", "serial", "up 42 s", "/dev/ttyUSB0", "1200", "57 B", "1/1 1.0 %"):
+        assert cell in lines[1]
+    assert "radio" not in lines[2]
+    assert "lte" in lines[3] and "down 3.0 s: refused" in lines[3]
