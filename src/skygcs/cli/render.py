@@ -124,12 +124,13 @@ def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
     lines = []
     for name, outcome in outcomes.items():
         word = "ok  " if outcome["ok"] else "FAIL"
-        notes = [f"{outcome['elapsed_s']:.1f} s"]
-        if outcome.get("attempts", 1) > 1:
-            notes.append(f"{outcome['attempts']} attempts")
         message = outcome["message"] or outcome["result"]
+        attempts = outcome["attempts"]
+        if attempts:  # none: nothing was sent
+            how = f"{outcome['elapsed_s']:.1f} s" + (f", {attempts} attempts" if attempts > 1 else "")
+            message = f"{message} ({how})"
         extra = [t for t in outcome.get("status_texts") or () if t not in message]
-        lines.append(f"{word} {name:<{width}}  {message} ({', '.join(notes)})")
+        lines.append(f"{word} {name:<{width}}  {message}")
         lines += [f"     {'':<{width}}  {text}" for text in extra]
     return lines
 
@@ -200,7 +201,7 @@ def percent(ratio: object) -> str:
 
 def _altitude(position: Mapping[str, Any], landed: object) -> str:
     altitude = _unit(position.get("alt_rel_m"), "m", 1)
-    return f"{altitude or '?'} ground" if landed == "on_ground" else altitude
+    return f"{altitude} ground".strip() if landed == "on_ground" else altitude
 
 
 def _styles(state: State) -> list[str]:

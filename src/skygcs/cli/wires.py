@@ -69,7 +69,7 @@ def send_message(
         if json_output:
             typer.echo(json.dumps(answer, indent=2))
         elif answer["sent"]:
-            typer.echo(f"sent {answer['message']} ({answer['sent']} times)")
+            typer.echo(f"sent {answer['message']}" + (f" {answer['sent']} times" if answer["sent"] > 1 else ""))
         else:
             typer.echo(f"{answer['message']} was not sent: the link has nobody to send it to", err=True)
         return Exit.DONE if answer["sent"] else Exit.FAILED

@@ -153,13 +153,14 @@ class Fleet:
 
     def _places(self, actors: list[VehicleActor], arguments: dict[str, Any]) -> dict[VehicleActor, dict[str, Any]]:
         """Where each of several vehicles goes that are sent to one place: they keep their places relative to each
-        other, the middle of them goes where it was said. ``same_place`` sends all to the very point."""
+        other, the middle of them goes where it was said. Who is disarmed will be refused and has no say in the middle.
+        ``same_place`` sends all to the very point."""
         if arguments.pop("same_place", False) or len(actors) < 2:
             return {}
         known = {}
         for actor in actors:
             position = actor.vehicle.section("position")
-            if position is not None and position["lat_deg"] is not None:
+            if actor.vehicle.armed and position is not None and position["lat_deg"] is not None:
                 known[actor] = (position["lat_deg"], position["lon_deg"])
         places: dict[VehicleActor, dict[str, Any]] = {}
         for actor, (east_m, north_m) in offsets_en_m(known).items():

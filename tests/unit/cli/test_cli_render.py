@@ -95,6 +95,8 @@ def test_every_vehicle_has_a_line_with_its_outcome_and_reason() -> None:
         "FAIL carolina  denied: Arm: Throttle too high (0.4 s, 3 attempts)",
         "               Check RC",
     ]
+    unsent = outcome(ok=False, message="refused: too far", attempts=0, elapsed_s=0.0)
+    assert render.outcome_lines({"v7": unsent}) == ["FAIL v7  refused: too far"]
     assert render.outcome_lines({}) == []
 
 
