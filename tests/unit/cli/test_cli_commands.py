@@ -223,3 +223,12 @@ def test_an_unforeseen_error_is_one_line(fleet: Fleet, monkeypatch: pytest.Monke
 
     monkeypatch.setattr("skygcs.cli.render.status_table", broken)
     assert "internal error: ZeroDivisionError: a bug" in fleet.run("status", code=FAILED)
+
+
+def test_every_command_is_in_the_reference() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "cli.md").read_text(encoding="utf-8")
+    names = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
+    groups = [group.name for group in app.registered_groups if group.name]
+    assert len(names) > 15 and len(groups) == 3
+    for name in [*names, *groups]:
+        assert f"`{name}" in page, name
