@@ -6,6 +6,7 @@ python tests/bench/rpc_dispatch_compare.py
 from __future__ import annotations
 
 import asyncio
+import itertools
 import time
 from collections.abc import Callable
 from typing import Any
@@ -62,7 +63,7 @@ async def compare() -> None:
         for _ in range(CALLS):
             own.start(None, parse(LINE))
         times.append(time.perf_counter())
-        us = [(b - a) / CALLS * 1e6 for a, b in zip(times, times[1:], strict=False)]
+        us = [(b - a) / CALLS * 1e6 for a, b in itertools.pairwise(times)]
         print("pjrpc coroutine {:.1f}  plain {:.1f}   own coroutine {:.1f}  plain {:.1f}  us".format(*us))
 
 
