@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from skygcs.cli.process import EXIT_FAILED, EXIT_OK, serve_until_signal
 from skygcs.cli.render import status_table
-from skygcs.cli.serve import EXIT_FAILED, EXIT_OK, serve_until_signal
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, OriginConfig, SimulatedLink, UdpClientLink, VehicleEntry
 from skygcs.daemon import Daemon

@@ -80,7 +80,7 @@ def run_sim(
             ports.append(TcpPort(group, dialect, clock, (host, number + i if number else 0)))
         elif pty is not None:
             ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None))
-    from skygcs.cli.serve import run_loop  # not above: it is the one that imports us
+    from skygcs.cli.process import run_loop
 
     return run_loop(_serve(ports, clock, speedup))
 

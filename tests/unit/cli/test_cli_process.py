@@ -1,0 +1,61 @@
+"""What a service manager and a shell see of a skygcs process."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from pathlib import Path
+
+import pytest
+
+from skygcs.cli.process import run_loop, serve_until_signal
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import DaemonConfig, FleetConfig
+from skygcs.daemon import Daemon
+from skygcs.errors import LinkError
+
+
+def test_an_error_of_ours_comes_out_of_a_task_group_as_itself() -> None:
+    async def fails() -> int:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(_raise(LinkError("the port is taken")))
+        return 0
+
+    with pytest.raises(LinkError, match="the port is taken"):
+        run_loop(fails())
+
+
+def test_a_bug_is_not_mistaken_for_an_error_of_ours() -> None:
+    async def fails() -> int:
+        async with asyncio.TaskGroup() as group:
+            group.create_task(_raise(ZeroDivisionError()))
+        return 0
+
+    with pytest.raises(BaseExceptionGroup):
+        run_loop(fails())
+
+
+async def _raise(error: Exception) -> None:
+    raise error
+
+
+async def test_the_service_manager_hears_when_it_is_up_fed_and_stopping(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(tmp_path / "notify"))
+    manager.setblocking(False)
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+    monkeypatch.setenv("WATCHDOG_USEC", "40000")
+    config = FleetConfig(daemon=DaemonConfig(socket=tmp_path / "s", record=False))
+    daemon = Daemon(config, load_dialect(config.dialect))
+    serving = asyncio.create_task(serve_until_signal(daemon))
+    loop = asyncio.get_running_loop()
+    said: list[bytes] = []
+    while b"READY=1" not in said or said.count(b"WATCHDOG=1") < 3:
+        said.append(await asyncio.wait_for(loop.sock_recv(manager, 64), 10))
+    daemon.stop()
+    await serving
+    while said[-1] != b"STOPPING=1":
+        said.append(await asyncio.wait_for(loop.sock_recv(manager, 64), 10))
+    manager.close()
