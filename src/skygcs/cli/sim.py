@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Sequence
 
+from skygcs.cli.process import run_loop
 from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect
@@ -80,8 +81,6 @@ def run_sim(
             ports.append(TcpPort(group, dialect, clock, (host, number + i if number else 0)))
         elif pty is not None:
             ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None))
-    from skygcs.cli.process import run_loop
-
     return run_loop(_serve(ports, clock, speedup))
 
 
