@@ -356,7 +356,8 @@ class Daemon:
     def link_quality(self, key: int) -> dict[str, Any]:
         """Per link on which this (sysid<<8|compid) is heard: loss and rate."""
         found = {}
-        for channel in self.hub.channels.values():
+        for channel_id in self.hub.router.channels_of(key):
+            channel = self.hub.channels[channel_id]
             stats = channel.sources.get(key)
             if stats is not None:
                 found[channel.link.name] = stats.as_dict(self.now())

@@ -416,9 +416,9 @@ class Router:
 
     # -- what a person asks
 
-    def channels_of(self, sysid: int) -> dict[int, float]:
-        """Channel id -> when the system was last heard there."""
-        return {p.id: self._last_heard(p, sysid) for p in self._by_system.get(sysid, ())}
+    def channels_of(self, source: int) -> tuple[int, ...]:
+        """Ids of the channels on which this sysid<<8|compid is heard."""
+        return tuple(p.id for p in self._by_source.get(source, ()))
 
     def routes(self) -> list[tuple[int, int, int, float]]:
         """(sysid, compid, channel id, last heard at), sorted."""
