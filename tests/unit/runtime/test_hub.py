@@ -1,0 +1,219 @@
+"""The hub: order of things, isolation of faults, counters that survive a replug, one record per message of ours."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Hashable
+from typing import Any
+
+import pytest
+
+from skygcs.config.models import FleetConfig, LinkConfig, MemoryLink, RateLimits
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.routing import RouteNote
+from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
+from skygcs.runtime.hub import MAX_PARTED, OTHER_SOURCES, Hub, channel_policy
+from support.routed import DIALECT, heartbeat, message
+
+
+class PlainLink(Link):
+    """A link whose channels are made by hand."""
+
+    async def open(self) -> None: ...
+
+    async def close(self) -> None: ...
+
+    @property
+    def channels(self) -> list[Channel]:
+        return []
+
+
+class PlainChannel(Channel):
+    """Keeps what it is given."""
+
+    def __init__(self, link: Link, peer: str) -> None:
+        super().__init__(link, peer)
+        self.got: list[bytes] = []
+        self.priorities: list[Priority] = []
+
+    def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
+        self.got.append(self.encode(outgoing))
+        self.priorities.append(priority)
+        return True
+
+
+class Bench:
+    """A hub whose surroundings only take notes."""
+
+    def __init__(self, **daemon: Any) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.vehicle_frames: list[tuple[int, str, str]] = []
+        self.recorded: list[bytes] = []
+        self.notes: list[tuple[str, int]] = []
+        self.faults: list[str] = []
+        self.hub = Hub(
+            FleetConfig.model_validate({"daemon": daemon}),
+            DIALECT,
+            self.loop,
+            on_vehicle_frame=self.on_vehicle_frame,
+            record=lambda raw, unix_us: self.recorded.append(raw),
+            on_note=self.on_note,
+            on_fault=self.faults.append,
+        )
+
+    def on_vehicle_frame(self, key: int, frame: Frame, label: str, now: float) -> None:
+        if frame.name == "VFR_HUD":
+            raise RuntimeError("a fault behind one message")
+        self.vehicle_frames.append((key, frame.name, label))
+
+    def on_note(self, note: RouteNote, channel: Channel | None) -> None:
+        self.notes.append((note.kind, note.sysid))
+
+    def channel(self, name: str, peer: str = "x", **keys: Any) -> PlainChannel:
+        config: LinkConfig = MemoryLink(name=name, **keys)
+        channel = PlainChannel(PlainLink(config, self.hub, self.loop), peer)
+        self.hub.attach(channel)
+        return channel
+
+    def feed(self, channel: Channel, *raws: bytes, now: float = 1.0) -> None:
+        for raw in raws:
+            self.hub.on_frames(channel, channel.parser.feed_datagram(raw), now)
+
+
+async def test_a_frame_is_routed_recorded_and_shown_to_the_fleet() -> None:
+    bench = Bench()
+    radio, gcs = bench.channel("radio", role="radio"), bench.channel("gcs", role="gcs")
+    raw = heartbeat(7)
+    bench.feed(radio, raw)
+    assert gcs.got == [raw]
+    assert radio.got == []
+    assert bench.recorded == [raw]
+    assert bench.vehicle_frames == [(7 << 8 | 1, "HEARTBEAT", "radio")]
+    assert bench.notes == [("learned", 7)]
+    assert (radio.rx_frames, radio.rx_bytes) == (1, len(raw))
+
+
+async def test_a_fault_behind_one_frame_is_told_once_and_the_next_frames_pass() -> None:
+    bench = Bench()
+    radio, gcs = bench.channel("radio"), bench.channel("gcs")
+    faulty = [message("VFR_HUD", 7, seq=n) for n in range(3)]
+    bench.feed(radio, b"".join([*faulty, heartbeat(7, seq=3)]))
+    assert len(gcs.got) == 4
+    assert len(bench.faults) == 1
+    assert bench.hub.faults == 3
+    assert bench.vehicle_frames == [(7 << 8 | 1, "HEARTBEAT", "radio")]
+
+
+async def test_copies_and_conflicts_are_neither_recorded_nor_shown() -> None:
+    bench = Bench()
+    a, b = bench.channel("a"), bench.channel("b")
+    raw = heartbeat(7)
+    bench.feed(a, raw)
+    bench.feed(b, raw)
+    bench.feed(a, heartbeat(255, 25, gcs=True))
+    assert bench.recorded == [raw]
+    assert len(bench.vehicle_frames) == 1
+    assert ("conflict", 255) in bench.notes
+    assert b.sources[7 << 8 | 1].frames == 1, "a copy still tells how good its link is"
+
+
+async def test_a_message_of_ours_goes_where_its_target_was_heard_and_is_recorded_once() -> None:
+    bench = Bench()
+    a, b, gcs = bench.channel("a"), bench.channel("b"), bench.channel("gcs", role="gcs")
+    bench.feed(a, heartbeat(7))
+    bench.feed(b, heartbeat(8))
+    bench.recorded.clear()
+    for channel in (a, b, gcs):
+        channel.got.clear()
+    info = DIALECT.find("COMMAND_LONG")
+    assert bench.hub.send(info, {"target_system": 8, "command": 400}, 8, 1, Priority.COMMAND)
+    assert (len(a.got), len(b.got), len(gcs.got)) == (0, 1, 0)
+    assert not bench.hub.send(info, {"target_system": 99}, 99, 1, Priority.COMMAND)
+    assert bench.hub.send(info, {"command": 400}, 0, 0, Priority.EMERGENCY)
+    assert (len(a.got), len(b.got), len(gcs.got)) == (1, 2, 0), "our broadcast orders are for vehicles"
+    assert len(bench.recorded) == 2
+    assert [raw[4] for raw in b.got] == [0, 1], "each channel counts its own sequence"
+
+
+async def test_the_heartbeat_goes_everywhere() -> None:
+    bench = Bench()
+    channels = [bench.channel("a"), bench.channel("radio", role="radio"), bench.channel("gcs", role="gcs")]
+    bench.hub.send_heartbeat(DIALECT.find("HEARTBEAT"), {"type": 6, "autopilot": 8, "mavlink_version": 3})
+    assert [len(c.got) for c in channels] == [1, 1, 1]
+    assert {c.priorities[0] for c in channels} == {Priority.HEARTBEAT}
+
+
+async def test_counters_survive_a_replug_and_the_pause_is_no_loss() -> None:
+    bench = Bench()
+    radio = bench.channel("radio", "/dev/ttyUSB0")
+    bench.feed(radio, heartbeat(7, seq=1), heartbeat(7, seq=3))
+    bench.hub.detach(radio, "unplugged")
+    bench.hub.detach(radio, "unplugged")
+    again = bench.channel("radio", "/dev/ttyUSB0")
+    bench.feed(again, heartbeat(7, seq=90))
+    stats = again.sources[7 << 8 | 1]
+    assert (stats.frames, stats.lost) == (3, 1)
+    bench.feed(radio, heartbeat(7, seq=91))
+    assert stats.frames == 3, "a callback of the closed channel is passed over"
+
+
+async def test_a_thousand_passing_peers_leave_a_bounded_memory() -> None:
+    bench = Bench()
+    for n in range(MAX_PARTED + 100):
+        channel = bench.channel("udp", f"peer{n}")
+        bench.feed(channel, heartbeat(7))
+        bench.hub.detach(channel, "gone")
+    assert len(bench.hub._parted) == MAX_PARTED
+    assert bench.hub.channels == {}
+
+
+async def test_sources_beyond_the_bound_are_counted_together() -> None:
+    bench = Bench()
+    channel = bench.channel("bad")
+    wanted = MAX_SOURCES_PER_CHANNEL + 50
+    for n in range(wanted):
+        bench.feed(channel, heartbeat(1 + n % 200, 1 + n // 200))
+    assert len(channel.sources) == MAX_SOURCES_PER_CHANNEL + 1
+    assert channel.sources[OTHER_SOURCES].frames == 50
+
+
+async def test_a_tap_hears_what_it_asked_for_until_it_is_removed() -> None:
+    bench = Bench()
+    channel = bench.channel("a")
+    heard: list[tuple[str, int]] = []
+    remove = bench.hub.add_tap({30}, {2 << 8 | 1}, lambda f, c, now: heard.append((f.name, f.sysid)))
+    bench.feed(channel, message("ATTITUDE", 1), message("ATTITUDE", 2), heartbeat(2))
+    remove()
+    remove()
+    bench.feed(channel, message("ATTITUDE", 2, seq=9))
+    assert heard == [("ATTITUDE", 2)]
+
+
+async def test_a_known_frame_with_a_bad_crc_passes_only_where_that_is_configured() -> None:
+    good = message("ATTITUDE", 7, seq=1, roll=0.5, yawspeed=0.25)
+    bad = good[:-1] + bytes((good[-1] ^ 0x55,))
+    for policy, expected in (("drop", 0), ("pass", 1)):
+        bench = Bench(bad_crc=policy)
+        radio, gcs = bench.channel("radio"), bench.channel("gcs")
+        bench.feed(radio, heartbeat(7))
+        gcs.got.clear()
+        bench.feed(radio, bad)
+        assert len(gcs.got) == expected
+        assert radio.parser.stats.bad_crc == 1
+
+
+def test_a_policy_has_the_message_ids_of_its_names() -> None:
+    config = MemoryLink(
+        name="x",
+        role="radio",
+        block_msg_id_out=("ATTITUDE", "24", 60000),
+        rate_out=RateLimits(messages={"VFR_HUD": 2.0, "*": 5.0, "1": 1.0}, bytes_per_s=500.0),
+    )
+    policy = channel_policy(config, DIALECT)
+    assert policy.filter_out.block_msgids == {30, 24, 60000}
+    assert policy.rates_out == {74: 2.0, 1: 1.0}
+    assert (policy.default_hz_out, policy.bytes_per_s_out) == (5.0, 500.0)
+    assert policy.forward_unknown is False
+    with pytest.raises(KeyError, match="no message 'ATITUDE'"):
+        channel_policy(MemoryLink(name="x", allow_msg_id_in=("ATITUDE",)), DIALECT)
