@@ -1,0 +1,245 @@
+"""One step of the position controller: position error -> velocity -> thrust vector -> attitude and thrust.
+
+    x_ref, x ──> P ──(+ v_ref, clip)──> v_sp, v ──> PI(D) ──(+ a_ref, hover, limits)──> thrust ──(yaw)──> attitude
+
+Pure, and free of MAVLink: `step` takes what it remembers and returns what to remember. World frame ENU (x east,
+y north, z up). Yaw is 0 = east and counter-clockwise positive; compass yaw (NED) is pi/2 minus it. Attitudes are
+quaternions (w, x, y, z) that turn body vectors into world vectors, once FLU body in ENU world and once FRD body in NED
+world, the latter as autopilots take it. Body rates are no output: whoever sends the attitude tells the autopilot to
+ignore them. Measured: 12 us a step (CPython 3.11, one desktop core).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from skygcs.core.control.config import GRAVITY_MPS2, ControlConfig
+from skygcs.core.control.pi import Horizontal, Vertical, clip, filtered_slope, horizontal, vertical
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+LARGEST_INPUT = 1e6
+"""m, m/s, m/s², rad or s. Nothing a vehicle measures is larger (1000 km); what is, is refused like NaN."""
+
+_SQRT_HALF = math.sqrt(0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Where the vehicle is and how it moves. How old that may be is the guard's business."""
+
+    pos_enu_m: Vector
+    vel_enu_mps: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """Where it shall be. An axis under ``velocity_only`` follows ``vel_enu_mps`` and leaves its position alone."""
+
+    pos_enu_m: Vector = ZERO
+    yaw_rad: float = 0.0
+    """ENU: 0 = east, counter-clockwise positive. Not wrapped: any multiple of a turn means the same."""
+    vel_enu_mps: Vector = ZERO
+    acc_enu_mps2: Vector = ZERO
+    velocity_only_xy: bool = False
+    velocity_only_z: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What one step leaves to the next. A new one, ``Memory()``, forgets everything: integral 0."""
+
+    integral_enu: Vector = ZERO
+    """In normalised thrust: the steady push against wind (x, y) and a wrong hover thrust (z)."""
+    vel_error_enu_mps: Vector | None = None
+    """Of the last step; None before the first, whose error therefore has no slope yet."""
+    slope_enu_mps2: Vector = ZERO
+    """Filtered change of the velocity error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Saturation:
+    """Which limits the step ran into, to tell an operator."""
+
+    velocity_xy: bool
+    velocity_z: bool
+    thrust_max: bool
+    thrust_min: bool
+    tilt: bool
+    """Horizontal thrust cut by the tilt limit."""
+    no_thrust_left: bool
+    """Horizontal thrust cut because the vertical, which has priority, takes the rest."""
+    integral_xy: bool
+    integral_z: bool
+    dt: bool
+    """The measured step was outside [0.5, 1.5] periods: the loop ran late, or twice."""
+
+    def names(self) -> tuple[str, ...]:
+        """The limits reached, by name."""
+        return tuple(limit.name for limit in fields(self) if getattr(self, limit.name))
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What the vehicle shall do until the next step."""
+
+    attitude_ned_frd: Quaternion
+    """(w, x, y, z) as SET_ATTITUDE_TARGET wants it; w is never negative."""
+    collective_thrust: float
+    """Along the body's up axis, 0..1: the length of ``thrust_enu``."""
+    attitude_enu_flu: Quaternion
+    """The same attitude in our own frames."""
+    thrust_enu: Vector
+    """Normalised thrust vector."""
+    vel_setpoint_enu_mps: Vector
+    """What the position loop asked of the velocity loop."""
+    roll_frd_rad: float
+    """Right side down positive."""
+    pitch_frd_rad: float
+    """Nose up positive."""
+    saturation: Saturation
+
+
+def step(
+    config: ControlConfig, memory: Memory, estimate: Estimate, reference: Reference, dt_s: float, *, following: bool
+) -> tuple[Output | None, Memory]:
+    """One control step, ``dt_s`` (measured) after the last. ``following``: the autopilot obeys us (OFFBOARD, GUIDED).
+
+    Unless it follows, the integrators keep still: they would wind up against a vehicle somebody else flies.
+    A number that is NaN, infinite or above `LARGEST_INPUT` gives no output and leaves the memory as it was; what is
+    to be sent then is for the caller to decide. With any other input all of the output is finite and within the limits.
+    """
+    if not _usable(*estimate.pos_enu_m, *estimate.vel_enu_mps, *_numbers(reference), dt_s):
+        return None, memory
+    dt = min(max(dt_s, config.dt_min_s), config.dt_max_s)
+    integration_dt = dt if following else 0.0
+
+    wanted = _velocity(config, estimate, reference)
+    vx, vy, vz = estimate.vel_enu_mps
+    error = (wanted[0] - vx, wanted[1] - vy, wanted[2] - vz)
+    slope = _slope(config, memory, error, dt)
+    # A normalised thrust of hover carries 1 g: an acceleration in m/s² weighs hover / g.
+    weight = config.hover_thrust / GRAVITY_MPS2
+    push_x, push_y, push_z = (weight * a for a in reference.acc_enu_mps2)
+    held_x, held_y, held_z = memory.integral_enu
+
+    up = vertical(config, error[2], slope[2], held_z, push_z, integration_dt)
+    level = horizontal(config, error[:2], slope[:2], (held_x, held_y), (push_x, push_y), up.thrust, integration_dt)
+
+    thrust = (level.thrust_x, level.thrust_y, up.thrust)
+    saturation = _saturation(config, wanted, up, level, dt != dt_s)
+    output = _output(thrust, reference.yaw_rad, config.thrust_max, wanted, saturation)
+    return output, Memory((level.integral_x, level.integral_y, up.integral), error, slope)
+
+
+def velocity_setpoint(config: ControlConfig, estimate: Estimate, reference: Reference) -> Vector | None:
+    """The outer loop alone, for an autopilot that closes the velocity loop itself; None as in `step`. ENU, m/s."""
+    if not _usable(*estimate.pos_enu_m, *estimate.vel_enu_mps, *_numbers(reference)):
+        return None
+    return _velocity(config, estimate, reference)
+
+
+def attitude_from_thrust(thrust_enu: Vector, yaw_rad: float) -> tuple[Quaternion, float, float]:
+    """Attitude (ENU/FLU) whose up axis is along the thrust and whose nose, seen from above, points along the yaw.
+
+    Also its FLU roll and pitch. Of the two rotations that put the body's up axis where the thrust is, roll (about the
+    nose) is the inner one and pitch the outer, which leaves the nose in the vertical plane of the yaw:
+
+        heading frame:  up axis = (sin pitch cos roll, -sin roll, cos pitch cos roll)
+
+    The thrust needs an upward or level part, which `step` guarantees; without any thrust the attitude is level.
+    """
+    cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
+    ahead = cos_yaw * thrust_enu[0] + sin_yaw * thrust_enu[1]
+    left = cos_yaw * thrust_enu[1] - sin_yaw * thrust_enu[0]
+    roll = math.atan2(-left, math.hypot(ahead, thrust_enu[2]))
+    pitch = math.atan2(ahead, thrust_enu[2])
+
+    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
+    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
+    cy, sy = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2)
+    w = cy * cp * cr + sy * sp * sr
+    x = cy * cp * sr - sy * sp * cr
+    y = cy * sp * cr + sy * cp * sr
+    z = sy * cp * cr - cy * sp * sr
+    return _w_not_negative(w, x, y, z), roll, pitch
+
+
+def ned_frd_from_enu_flu(attitude: Quaternion) -> Quaternion:
+    """The same attitude with the world axes turned from ENU to NED and the body axes from FLU to FRD.
+
+    (0, 1, 1, 0)/sqrt 2 swaps east with north and turns up to down, (0, 1, 0, 0) does left to right and up to down;
+    their product with the attitude between them, multiplied out.
+    """
+    w, x, y, z = attitude
+    return _w_not_negative((w + z) * _SQRT_HALF, (x + y) * _SQRT_HALF, (x - y) * _SQRT_HALF, (w - z) * _SQRT_HALF)
+
+
+def _output(thrust: Vector, yaw_rad: float, thrust_max: float, wanted: Vector, saturation: Saturation) -> Output:
+    attitude, roll, pitch = attitude_from_thrust(thrust, yaw_rad)
+    return Output(
+        attitude_ned_frd=ned_frd_from_enu_flu(attitude),
+        collective_thrust=min(math.hypot(*thrust), thrust_max),  # rounding may leave it a hair above
+        attitude_enu_flu=attitude,
+        thrust_enu=thrust,
+        vel_setpoint_enu_mps=wanted,
+        roll_frd_rad=roll,
+        pitch_frd_rad=-pitch,
+        saturation=saturation,
+    )
+
+
+def _saturation(config: ControlConfig, wanted: Vector, up: Vertical, level: Horizontal, dt_clamped: bool) -> Saturation:
+    by_tilt = level.limit >= up.thrust * math.tan(config.tilt_max_rad)
+    return Saturation(
+        velocity_xy=max(abs(wanted[0]), abs(wanted[1])) >= config.vel_xy_max_mps,
+        velocity_z=abs(wanted[2]) >= config.vel_z_max_mps,
+        thrust_max=up.at_max,
+        thrust_min=up.at_min,
+        tilt=level.cut and by_tilt,
+        no_thrust_left=level.cut and not by_tilt,
+        integral_xy=level.integral_at_bound,
+        integral_z=abs(up.integral) >= config.thrust_max,
+        dt=dt_clamped,
+    )
+
+
+def _velocity(config: ControlConfig, estimate: Estimate, reference: Reference) -> Vector:
+    x, y, z = estimate.pos_enu_m
+    x_ref, y_ref, z_ref = reference.pos_enu_m
+    vx, vy, vz = reference.vel_enu_mps
+    if not reference.velocity_only_xy:
+        vx += config.xy.pos_p_per_s * (x_ref - x)
+        vy += config.xy.pos_p_per_s * (y_ref - y)
+    if not reference.velocity_only_z:
+        vz += config.z.pos_p_per_s * (z_ref - z)
+    return clip(vx, config.vel_xy_max_mps), clip(vy, config.vel_xy_max_mps), clip(vz, config.vel_z_max_mps)
+
+
+def _slope(config: ControlConfig, memory: Memory, error: Vector, dt_s: float) -> Vector:
+    before, slope, cutoff_hz = memory.vel_error_enu_mps, memory.slope_enu_mps2, config.derivative_cutoff_hz
+    if before is None:  # the first error is no change from anything; against 0 it would kick
+        return ZERO
+    return (
+        filtered_slope(error[0], before[0], slope[0], dt_s, cutoff_hz),
+        filtered_slope(error[1], before[1], slope[1], dt_s, cutoff_hz),
+        filtered_slope(error[2], before[2], slope[2], dt_s, cutoff_hz),
+    )
+
+
+def _numbers(reference: Reference) -> tuple[float, ...]:
+    return (*reference.pos_enu_m, *reference.vel_enu_mps, *reference.acc_enu_mps2, reference.yaw_rad)
+
+
+def _usable(*numbers: float) -> bool:
+    """NaN compares false with everything, so one comparison finds it too."""
+    return all(-LARGEST_INPUT <= number <= LARGEST_INPUT for number in numbers)
+
+
+def _w_not_negative(w: float, x: float, y: float, z: float) -> Quaternion:
+    """A quaternion and its negative are the same attitude; of the two, the one logs and tests can compare."""
+    return (w, x, y, z) if w >= 0.0 else (-w, -x, -y, -z)

@@ -1,0 +1,114 @@
+"""Gains and limits of the cascade. The defaults are those of the seed's flights (docs/explanation/control-law.md).
+
+Thrust here is normalised: 0 is none, 1 is all the vehicle has, `hover_thrust` carries its weight.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from skygcs.errors import ConfigError
+
+GRAVITY_MPS2 = 9.81
+"""The value every figure of docs/explanation/control-law.md was computed with."""
+
+LARGEST_GAIN = 100.0
+"""Far above any gain that flies (largest default 1.0); keeps every product of the law finite."""
+
+LARGEST_TILT_RAD = math.radians(80.0)
+"""Beyond it the tangent, and with it the horizontal limit, is no limit any more."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxisGains:
+    """Gains of one axis: position to velocity, then velocity error to normalised thrust."""
+
+    pos_p_per_s: float
+    """Asked velocity (m/s) per metre of position error."""
+    vel_p: float
+    """Thrust per m/s of velocity error."""
+    vel_i: float
+    """Thrust per metre of integrated velocity error."""
+    vel_d: float = 0.0
+    """Thrust per m/s² of filtered change of the velocity error."""
+
+
+SEED_XY = AxisGains(pos_p_per_s=0.95, vel_p=0.08, vel_i=0.02)
+SEED_Z = AxisGains(pos_p_per_s=1.0, vel_p=0.3, vel_i=0.02)
+
+
+@dataclass(frozen=True, slots=True)
+class ControlConfig:
+    """All that `step` needs to know of one vehicle. Raises ConfigError, with every problem at once.
+
+    Replace it between two steps to change gains in flight: the integral is kept in units of thrust, so a new gain
+    makes no jump in what has already been integrated.
+    """
+
+    xy: AxisGains = SEED_XY
+    z: AxisGains = SEED_Z
+    hover_thrust: float = 0.45
+    thrust_min: float = 0.1
+    """Of the vertical part; never zero in the air, so that the attitude keeps a direction."""
+    thrust_max: float = 0.9
+    """Of the whole thrust vector, and the bound of the vertical integral."""
+    tilt_max_rad: float = math.radians(35.0)
+    vel_xy_max_mps: float = 10.0
+    """Per axis, not of the norm, as in the law this follows."""
+    vel_z_max_mps: float = 10.0
+    derivative_cutoff_hz: float = 5.0
+    period_s: float = 0.02
+    """Of the loop, as configured; a measured step outside [0.5, 1.5] of it is clamped."""
+
+    def __post_init__(self) -> None:
+        problems = [*_gain_problems("xy", self.xy), *_gain_problems("z", self.z), *_limit_problems(self)]
+        if problems:
+            raise ConfigError("control", problems)
+
+    @property
+    def dt_min_s(self) -> float:
+        """Shortest step the law believes: 10 ms at 50 Hz."""
+        return 0.5 * self.period_s
+
+    @property
+    def dt_max_s(self) -> float:
+        """Longest step the law believes: 30 ms at 50 Hz, and in proportion at slower rates."""
+        return 1.5 * self.period_s
+
+    @property
+    def integral_xy_max(self) -> float:
+        """Norm of the horizontal integral: what full tilt gives at hover. More could never be flown."""
+        return self.hover_thrust * math.tan(self.tilt_max_rad)
+
+
+def _gain_problems(axis: str, gains: AxisGains) -> list[str]:
+    problems = []
+    for name in ("pos_p_per_s", "vel_i", "vel_d"):
+        value = getattr(gains, name)
+        if not 0.0 <= value <= LARGEST_GAIN:
+            problems.append(f"{axis}.{name}: {value} is not in 0..{LARGEST_GAIN:g}")
+    if not 1e-3 <= gains.vel_p <= LARGEST_GAIN:  # the anti-windup of xy divides by it
+        problems.append(f"{axis}.vel_p: {gains.vel_p} is not in 0.001..{LARGEST_GAIN:g}")
+    return problems
+
+
+def _limit_problems(config: ControlConfig) -> list[str]:
+    problems = []
+    if not 0.0 <= config.thrust_min < config.hover_thrust < config.thrust_max <= 1.0:
+        problems.append(
+            "thrust_min, hover_thrust, thrust_max: "
+            f"{config.thrust_min}, {config.hover_thrust}, {config.thrust_max} do not rise within 0..1"
+        )
+    if not 0.0 < config.tilt_max_rad <= LARGEST_TILT_RAD:
+        problems.append(f"tilt_max_rad: {config.tilt_max_rad} is not in 0..{LARGEST_TILT_RAD:.4f} (80 degrees)")
+    for name, low, high in (
+        ("vel_xy_max_mps", 0.01, 100.0),
+        ("vel_z_max_mps", 0.01, 100.0),
+        ("derivative_cutoff_hz", 0.01, 1000.0),
+        ("period_s", 0.001, 1.0),
+    ):
+        value = getattr(config, name)
+        if not low <= value <= high:
+            problems.append(f"{name}: {value} is not in {low:g}..{high:g}")
+    return problems

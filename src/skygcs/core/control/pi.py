@@ -1,0 +1,105 @@
+"""The velocity loop, axis by axis: PI with a filtered D, each limit and anti-windup next to its integrator.
+
+Errors are in m/s, everything that comes out is normalised thrust. A step of 0 s integrates nothing: that is how the
+caller freezes the integrators.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from skygcs.core.control.config import ControlConfig
+
+
+@dataclass(frozen=True, slots=True)
+class Vertical:
+    """What the z axis asks for. ``at_max`` and ``at_min``: it asked for more, or less, than the limits allow."""
+
+    thrust: float
+    integral: float
+    at_max: bool
+    at_min: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Horizontal:
+    """What x and y ask for, cut to what the tilt limit and the vertical thrust leave."""
+
+    thrust_x: float
+    thrust_y: float
+    integral_x: float
+    integral_y: float
+    limit: float
+    cut: bool
+    """More than ``limit`` was asked for."""
+    integral_at_bound: bool
+
+
+def clip(value: float, bound: float) -> float:
+    """The value, its magnitude at most ``bound``."""
+    return -bound if value < -bound else bound if value > bound else value
+
+
+def filtered_slope(error: float, previous_error: float, slope: float, dt_s: float, cutoff_hz: float) -> float:
+    """Change of the error per second through a first-order low pass; ``slope`` is what it gave the last time."""
+    reach = math.tau * cutoff_hz * dt_s
+    weight = reach / (1.0 + reach)
+    return weight * (error - previous_error) / dt_s + (1.0 - weight) * slope
+
+
+def vertical(
+    config: ControlConfig, error_mps: float, slope_mps2: float, integral: float, feedforward: float, dt_s: float
+) -> Vertical:
+    """The z axis, asked first: it has priority. The thrust uses the integral as it was before this step."""
+    gains = config.z
+    asked = feedforward + gains.vel_p * error_mps + integral + gains.vel_d * slope_mps2 + config.hover_thrust
+    at_max = asked >= config.thrust_max
+    at_min = asked <= config.thrust_min
+    # Anti-windup by stopping: an error that would push further into the limit is not integrated, one that leads out is.
+    if not (at_max and error_mps >= 0.0) and not (at_min and error_mps <= 0.0):
+        integral += gains.vel_i * error_mps * dt_s
+    integral = clip(integral, config.thrust_max)
+    thrust = min(max(asked, config.thrust_min), config.thrust_max)
+    return Vertical(thrust, integral, at_max, at_min)
+
+
+def horizontal_limit(config: ControlConfig, thrust_z: float) -> float:
+    """Most horizontal thrust beside ``thrust_z``: within the tilt limit, and the vector within ``thrust_max``.
+
+    0 where rounding puts ``thrust_z`` a hair above ``thrust_max``: the root of a negative number has no business here.
+    """
+    left = math.sqrt(max(0.0, config.thrust_max * config.thrust_max - thrust_z * thrust_z))
+    return min(thrust_z * math.tan(config.tilt_max_rad), left)
+
+
+def horizontal(
+    config: ControlConfig,
+    error_mps: tuple[float, float],
+    slope_mps2: tuple[float, float],
+    integral: tuple[float, float],
+    feedforward: tuple[float, float],
+    thrust_z: float,
+    dt_s: float,
+) -> Horizontal:
+    """x and y together, scaled to what ``thrust_z`` leaves them, so that the direction stays."""
+    gains = config.xy
+    limit = horizontal_limit(config, thrust_z)
+    asked_x = feedforward[0] + gains.vel_p * error_mps[0] + integral[0] + gains.vel_d * slope_mps2[0]
+    asked_y = feedforward[1] + gains.vel_p * error_mps[1] + integral[1] + gains.vel_d * slope_mps2[1]
+    norm = math.hypot(asked_x, asked_y)
+    cut = norm > limit
+    scale = limit / norm if cut else 1.0
+    thrust_x, thrust_y = asked_x * scale, asked_y * scale
+
+    # Anti-windup by tracking: what was cut off pulls the integral back (gain 2 / vel_p, as in the law this follows).
+    # It pulls past zero while the cut lasts, so the bound below is needed even though this term is there.
+    tracking = 2.0 / gains.vel_p
+    integral_x = integral[0] + gains.vel_i * (error_mps[0] - (asked_x - thrust_x) * tracking) * dt_s
+    integral_y = integral[1] + gains.vel_i * (error_mps[1] - (asked_y - thrust_y) * tracking) * dt_s
+    size = math.hypot(integral_x, integral_y)
+    bound = config.integral_xy_max
+    at_bound = size > bound
+    if at_bound:
+        integral_x, integral_y = integral_x * bound / size, integral_y * bound / size
+    return Horizontal(thrust_x, thrust_y, integral_x, integral_y, limit, cut, at_bound)
