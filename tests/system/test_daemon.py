@@ -53,6 +53,7 @@ sysid = 2
 
     def open(self) -> None:
         self.daemon.start()
+        self.wait_for_links()
         self.v3 = UdpPeer(3, 1, self.udp_port)
         self.qgc = UdpPeer(255, 190, self.udp_port)
         self.script = TcpPeer(250, 1, self.tcp_port)
@@ -63,6 +64,10 @@ sysid = 2
         time.sleep(0.2)
         self.poll()
         self.clear()
+
+    def wait_for_links(self) -> None:
+        """What is said into a port before the daemon has opened it is nobody's to hear."""
+        wait_until(lambda: all(r["state"] == "up" for r in self.daemon.call("links.list")), "all links are up")
 
     def beat(self) -> None:
         self.radio.send(self.v1.heartbeat() + self.v2.heartbeat())
@@ -184,6 +189,7 @@ def test_kill_9_and_restart_vehicles_are_back_and_the_tlog_is_whole(field: Field
     attitudes = [r for r in reader if r.frame is not None and r.frame.name == "ATTITUDE"]
     assert len(attitudes) == 20
     field.daemon.start()
+    field.wait_for_links()
     sent_at = time.monotonic()
     field.radio.send(field.v1.heartbeat() + field.v2.heartbeat())
     wait_until(lambda: field.daemon.known() == 2, "both vehicles are back")

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from skygcs import __version__
-from skygcs.cli import orders, reading
+from skygcs.cli import gains, orders, reading
 from skygcs.cli.connection import run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.wires import links, messages
@@ -108,6 +108,7 @@ orders.add_to(app)
 app.add_typer(messages, name="message", rich_help_panel="Looking")
 app.add_typer(links, name="links", rich_help_panel="Looking")
 app.add_typer(tlog, name="tlog", rich_help_panel="Looking")
+gains.add_to(app)
 
 
 def main() -> None:
