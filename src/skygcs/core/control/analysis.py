@@ -1,0 +1,292 @@
+"""The linear position loop of one axis: poles, stability, margins, step response, and gains for a given delay.
+
+The law of one axis (seed, Eqs 1 to 3), for a reference r, position x and velocity v:
+
+    outer P       v_sp = Kp (r - x)
+    inner PI      e = v_sp - v,   u = Kv e + Ki ∫e dt
+    airframe      dv/dt = G u,   dx/dt = v       (attitude and thrust follow at once: a double integrator)
+
+In the Laplace domain e = Kp r - (s + Kp) x, hence u = (Kv + Ki/s) (Kp r - (s + Kp) x) and s² x = G u. Cut open at u,
+the loop is
+
+    L(s) = G (Kv s + Ki) (s + Kp) / s³
+
+and 1 + L(s) = 0, times s³, is the characteristic polynomial
+
+    s³ + G Kv s² + G (Kp Kv + Ki) s + G Kp Ki.
+
+A pure delay τ anywhere in the loop (telemetry down, setpoint up) multiplies L by exp(-s τ), nothing else.
+
+What u is decides G. The law's u is normalised thrust: hovering needs ``hover`` of it and balances g, so G = g/hover on
+every axis. The seed's own analysis has u as tilt angle with G = g for x and y, and as vertical acceleration with G = 1.
+
+Facts the functions below rest on, for a loop that is stable without delay (G Kv > 0, Kp > 0, G Ki >= 0):
+
+- |L(jω)| falls strictly with ω: there is exactly one crossover, so the loop is stable for every delay below the delay
+  margin and for none above it. No approximation of the delay is involved.
+- The phase margin as a function of ω, φ(ω) = atan(ω Kv/Ki) + atan(ω/Kp) - ω τ - π/2, is concave: it is positive on one
+  interval around the crossover, whose ends are the two gain margins.
+- With Kp/λ, Kv/λ, Ki/λ² the loop is L(λ s): the same motion, λ times slower. Phase and gain margins stay, every delay
+  margin is multiplied by λ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+GRAVITY_MPS2 = 9.81
+"""As in the seed; its Eq. 16 comes out with it."""
+
+DEFAULT_RESERVE = 2.0
+"""Delay margin over measured delay. An airframe's attitude takes 0.1 to 0.2 s to follow, which the model leaves out."""
+
+SETTLED_WITHIN = 0.05
+"""Share of the step around its end; the usual 5 % band."""
+
+CONTINUOUS_PERIOD_S = 0.001
+"""Sampling with hold delays by half a period on average: 0.5 ms, 0.25 % of z's delay margin (0.213 s)."""
+
+SMALLEST, LARGEST = 1e-12, 1e6
+"""Sizes of gains that are not 0: far beyond any vehicle, and no arithmetic below overflows or underflows."""
+
+DIVERGED = 1e6
+"""Steps. Beyond this nothing is learned, and floats would overflow in the end."""
+
+_BISECTIONS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class AxisGains:
+    """Gains of one axis: kp in 1/s, kv in thrust per m/s, ki in thrust per m."""
+
+    kp: float
+    kv: float
+    ki: float
+
+    def slowed(self, factor: float) -> AxisGains:
+        """The same motion ``factor`` times slower; every delay margin is multiplied by it (the λ rule)."""
+        return AxisGains(self.kp / factor, self.kv / factor, self.ki / factor**2)
+
+
+SEED_XY = AxisGains(0.95, 0.08, 0.02)
+SEED_Z = AxisGains(1.0, 0.3, 0.02)
+SEED_HOVER = 0.45
+"""Normalised thrust; the seed's controller configuration, not its text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """Gains on a plant, also unstable ones. Raises ValueError for sizes outside the two above, and for G = 0."""
+
+    gains: AxisGains
+    plant_gain: float
+
+    def __post_init__(self) -> None:
+        numbers = (self.gains.kp, self.gains.kv, self.gains.ki, self.plant_gain)
+        if not all(number == 0 or SMALLEST <= abs(number) <= LARGEST for number in numbers) or self.plant_gain == 0:
+            raise ValueError(f"gains must be 0 or between {SMALLEST:g} and {LARGEST:g} in size, the plant gain not 0")
+
+    @property
+    def polynomial(self) -> tuple[float, ...]:
+        """Characteristic polynomial, highest power first.
+
+        Without an integrator (ki = 0) its state takes no part, and the polynomial is s² + G Kv s + G Kp Kv.
+        """
+        kp, kv, ki, g = self.gains.kp, self.gains.kv, self.gains.ki, self.plant_gain
+        if ki == 0:
+            return (1.0, g * kv, g * kp * kv)
+        return (1.0, g * kv, g * (kp * kv + ki), g * kp * ki)
+
+
+@dataclass(frozen=True, slots=True)
+class Routh:
+    """Routh's criterion. ``first_column`` ends at a zero that the scheme cannot divide by."""
+
+    first_column: tuple[float, ...]
+    stable: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Margins:
+    """What a stable loop bears, each alone. Gain margins are factors >= 1, infinity if there is no limit.
+
+    ``gain_up``: by this the plant gain may grow. ``gain_down``: by this it may be divided (an integrator sets such a
+    limit).
+    """
+
+    crossover_radps: float
+    phase_margin_rad: float
+    delay_margin_s: float
+    gain_up: float
+    gain_down: float
+
+
+@dataclass(frozen=True, slots=True)
+class Factoring:
+    """The polynomial as (s + kpx) (s² + kpv s + kiv): the primed gains of the seed's Eqs 8 to 16, for one axis."""
+
+    kpx: float
+    kpv: float
+    kiv: float
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """Gains that bear a delay with a reserve; ``factor`` is λ, 1 if they need not be changed."""
+
+    factor: float
+    gains: AxisGains
+
+
+@dataclass(frozen=True, slots=True)
+class StepResponse:
+    """Positions after a step of the reference from 0 to 1 at time 0, one per ``period_s``.
+
+    ``settling_s`` is None if the response is outside the band around 1 at the end; ``rise_s`` (10 to 90 %) if it never
+    came that far.
+    """
+
+    period_s: float
+    positions: tuple[float, ...]
+    overshoot: float  # of the step: 0.08 is 8 %
+    rise_s: float | None
+    settling_s: float | None
+
+
+def poles(loop: Loop) -> tuple[complex, ...]:
+    """Closed-loop poles without delay, the slowest (rightmost) first, conjugates next to each other."""
+    import numpy as np  # 0.1 s, which the rest of the command line need not wait for
+
+    found = [complex(root) for root in np.roots(loop.polynomial)]
+    return tuple(sorted(found, key=lambda pole: (-pole.real, pole.imag)))
+
+
+def routh(loop: Loop) -> Routh:
+    """Stability without delay, by the signs of the first column."""
+    column = list(loop.polynomial[:2])
+    if len(loop.polynomial) == 3:
+        column.append(loop.polynomial[2])
+    elif column[1] != 0:
+        _, a, b, c = loop.polynomial
+        column += [b - c / a, c]
+    return Routh(tuple(column), len(column) == len(loop.polynomial) and all(entry > 0 for entry in column))
+
+
+def factorings(loop: Loop) -> tuple[Factoring, ...]:
+    """One per real pole -kpx, the slowest first. None without an integrator."""
+    if len(loop.polynomial) == 3:
+        return ()
+    _, a, b, _ = loop.polynomial
+    real = (-pole.real for pole in poles(loop) if pole.imag == 0)
+    return tuple(Factoring(kpx, a - kpx, b - kpx * (a - kpx)) for kpx in real)
+
+
+def margins(loop: Loop, delay_s: float = 0.0) -> Margins | None:
+    """What is left with this delay in the loop; None if the loop is not stable with it."""
+    if not routh(loop).stable:
+        return None
+    crossover = _bisect(lambda w: _magnitude(loop, w) < 1, *_bracket(lambda w: _magnitude(loop, w) < 1))
+    phase = _phase_margin(loop, crossover, delay_s)
+    if phase <= 0:
+        return None
+    gain_down = gain_up = math.inf
+    if loop.gains.ki != 0:  # else the phase never falls below -180 degrees on this side
+        lowest = _bisect(lambda w: _phase_margin(loop, w, delay_s) > 0, 0.0, crossover)
+        gain_down = _magnitude(loop, lowest)
+    if delay_s > 0:  # both arcs together stay below π: the phase is used up at the latest where ω τ = π/2
+        highest = _bisect(lambda w: _phase_margin(loop, w, delay_s) <= 0, crossover, math.pi / (2 * delay_s))
+        gain_up = 1 / _magnitude(loop, highest)
+    return Margins(crossover, phase, phase / crossover, gain_up, gain_down)
+
+
+def suggest(loop: Loop, delay_s: float, reserve: float = DEFAULT_RESERVE) -> Suggestion | None:
+    """The gains, slowed just so much that the delay margin is ``reserve`` times the delay; never made faster.
+
+    None for a loop that is unstable without delay: slowing does not help it. Raises ValueError for a reserve below 1.
+    """
+    if reserve < 1:
+        raise ValueError("a reserve below 1 would be unstable")
+    bearable = margins(loop)
+    if bearable is None:
+        return None
+    factor = max(1.0, reserve * delay_s / bearable.delay_margin_s)
+    return Suggestion(factor, loop.gains.slowed(factor))
+
+
+def step_response(
+    loop: Loop, *, delay_s: float = 0.0, duration_s: float = 20.0, period_s: float = CONTINUOUS_PERIOD_S
+) -> StepResponse:
+    """Simulate a step of the reference, the delay being on the way to the vehicle.
+
+    The law runs once per ``period_s`` and its output is held; between, the double integrator is solved exactly, for
+    delays that are no multiple of the period, too. Ends early if it diverges.
+    """
+    kp, kv, ki, g = loop.gains.kp, loop.gains.kv, loop.gains.ki, loop.plant_gain
+    whole = int(delay_s / period_s)
+    late = delay_s - whole * period_s  # in each period the older of two outputs still acts for so long
+    early = period_s - late
+    under_way = [0.0] * (whole + 2)
+    x = v = integral = 0.0
+    positions = [x]
+    for tick in range(math.ceil(duration_s / period_s)):
+        error = kp * (1.0 - x) - v
+        under_way[tick % (whole + 2)] = kv * error + integral
+        integral += ki * error * period_s
+        older = g * under_way[(tick + 1) % (whole + 2)]
+        newer = g * under_way[(tick + 2) % (whole + 2)]
+        x += v * late + 0.5 * older * late * late
+        v += older * late
+        x += v * early + 0.5 * newer * early * early
+        v += newer * early
+        positions.append(x)
+        if abs(x) > DIVERGED:
+            break
+    return _described(period_s, positions)
+
+
+def _described(period_s: float, positions: list[float]) -> StepResponse:
+    outside = [n for n, x in enumerate(positions) if abs(x - 1) > SETTLED_WITHIN]
+    tenth = next((n for n, x in enumerate(positions) if x >= 0.1), None)
+    most = next((n for n, x in enumerate(positions) if x >= 0.9), None)
+    return StepResponse(
+        period_s,
+        tuple(positions),
+        max(0.0, max(positions) - 1),
+        None if tenth is None or most is None else (most - tenth) * period_s,
+        None if outside[-1] == len(positions) - 1 else (outside[-1] + 1) * period_s,
+    )
+
+
+def _magnitude(loop: Loop, w: float) -> float:
+    """|L(jω)|; a delay does not change it."""
+    kp, kv, ki = loop.gains.kp, loop.gains.kv, loop.gains.ki
+    return abs(loop.plant_gain) * math.hypot(kv * w, ki) * math.hypot(w, kp) / w**3
+
+
+def _phase_margin(loop: Loop, w: float, delay_s: float) -> float:
+    """φ(ω) of the module's text: the phase of L above -180 degrees, of a loop that is stable without delay."""
+    kp, kv, ki = loop.gains.kp, abs(loop.gains.kv), abs(loop.gains.ki)  # there G, Kv and Ki have the same sign
+    return math.atan2(kv * w, ki) + math.atan2(w, kp) - w * delay_s - math.pi / 2
+
+
+def _bracket(beyond: Callable[[float], bool]) -> tuple[float, float]:
+    """Two frequencies a factor 2 apart with the one where ``beyond`` becomes true between them."""
+    w = 1.0
+    while beyond(w):
+        w /= 2
+    while not beyond(w):
+        w *= 2
+    return w / 2, w
+
+
+def _bisect(beyond: Callable[[float], bool], low: float, high: float) -> float:
+    """Where ``beyond`` becomes true, between ``low`` (where it is not) and ``high`` (where it is)."""
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        if beyond(middle):
+            high = middle
+        else:
+            low = middle
+    return high
