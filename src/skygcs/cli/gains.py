@@ -64,7 +64,7 @@ def gains(
     def command() -> int:
         from skygcs.cli.gains_report import gains_report
         from skygcs.cli.gains_study import Question
-        from skygcs.core.control.analysis import SEED_XY, SEED_Z, AxisGains
+        from skygcs.core.control.config import SEED_XY, SEED_Z, AxisGains
 
         try:
             question = Question(

@@ -16,6 +16,8 @@ LINES = ("-", "--", "-.")
 LOWEST, HIGHEST = -0.5, 2.2
 """Steps; a response that leaves them is drawn to there."""
 
+CALM = 1.4
+
 PLANT_TEXTS = {"seed": "seed's analysis", "thrust": "normalised thrust", "given": "plant gain"}
 
 
@@ -57,7 +59,9 @@ def _draw_loop(panel: Axes, loop: Answer, gains: Answer) -> None:
 
 def _limits(loops: list[Answer]) -> tuple[float, float]:
     shown = [x for loop in loops for step in loop["steps"] for x in _shown(step)]
-    return max(LOWEST, min(shown) - 0.05), min(HIGHEST, max(1.15, max(shown) + 0.05))
+    highest = min(HIGHEST, max(1.15, max(shown) + 0.05))
+    room = 0.05 if highest < CALM else 0.45  # for the legend, below what swings
+    return max(LOWEST, min(shown) - room), highest
 
 
 def _shown(step: Answer) -> list[float]:

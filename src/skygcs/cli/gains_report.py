@@ -61,7 +61,7 @@ def show(answer: Answer) -> None:
 
 
 def gains_text(gains: Answer) -> str:
-    return f"Kp {gains['kp']:.4g}  Kv {gains['kv']:.4g}  Ki {gains['ki']:.4g}"
+    return f"Kp {gains['pos_p_per_s']:.4g}  Kv {gains['vel_p']:.4g}  Ki {gains['vel_i']:.4g}"
 
 
 def _table(*columns: str) -> Table:

@@ -10,11 +10,7 @@ from typing import Any
 from skygcs.core.control.analysis import (
     CONTINUOUS_PERIOD_S,
     DEFAULT_RESERVE,
-    GRAVITY_MPS2,
     SEED_HOVER,
-    SEED_XY,
-    SEED_Z,
-    AxisGains,
     Loop,
     Margins,
     Suggestion,
@@ -25,6 +21,7 @@ from skygcs.core.control.analysis import (
     step_response,
     suggest,
 )
+from skygcs.core.control.config import GRAVITY_MPS2, SEED_XY, SEED_Z, AxisGains
 
 Answer = dict[str, Any]
 

@@ -36,8 +36,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-GRAVITY_MPS2 = 9.81
-"""As in the seed; its Eq. 16 comes out with it."""
+from skygcs.core.control.config import AxisGains
 
 DEFAULT_RESERVE = 2.0
 """Delay margin over measured delay. An airframe's attitude takes 0.1 to 0.2 s to follow, which the model leaves out."""
@@ -57,44 +56,34 @@ DIVERGED = 1e6
 _BISECTIONS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class AxisGains:
-    """Gains of one axis: kp in 1/s, kv in thrust per m/s, ki in thrust per m."""
-
-    kp: float
-    kv: float
-    ki: float
-
-    def slowed(self, factor: float) -> AxisGains:
-        """The same motion ``factor`` times slower; every delay margin is multiplied by it (the λ rule)."""
-        return AxisGains(self.kp / factor, self.kv / factor, self.ki / factor**2)
-
-
-SEED_XY = AxisGains(0.95, 0.08, 0.02)
-SEED_Z = AxisGains(1.0, 0.3, 0.02)
 SEED_HOVER = 0.45
-"""Normalised thrust; the seed's controller configuration, not its text."""
+"""Normalised thrust; from the configuration of the seed's flights, not from its text."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """Gains on a plant, also unstable ones. Raises ValueError for sizes outside the two above, and for G = 0."""
+    """Gains on a plant, also unstable ones.
+
+    Raises ValueError for sizes outside the two above, for G = 0, and for a derivative gain: its filter is not modelled.
+    """
 
     gains: AxisGains
     plant_gain: float
 
     def __post_init__(self) -> None:
-        numbers = (self.gains.kp, self.gains.kv, self.gains.ki, self.plant_gain)
+        numbers = (*_gains(self), self.plant_gain)
         if not all(number == 0 or SMALLEST <= abs(number) <= LARGEST for number in numbers) or self.plant_gain == 0:
             raise ValueError(f"gains must be 0 or between {SMALLEST:g} and {LARGEST:g} in size, the plant gain not 0")
+        if self.gains.vel_d != 0:
+            raise ValueError("the analysis knows no derivative gain")
 
     @property
     def polynomial(self) -> tuple[float, ...]:
         """Characteristic polynomial, highest power first.
 
-        Without an integrator (ki = 0) its state takes no part, and the polynomial is s² + G Kv s + G Kp Kv.
+        Without an integrator (Ki = 0) its state takes no part, and the polynomial is s² + G Kv s + G Kp Kv.
         """
-        kp, kv, ki, g = self.gains.kp, self.gains.kv, self.gains.ki, self.plant_gain
+        (kp, kv, ki), g = _gains(self), self.plant_gain
         if ki == 0:
             return (1.0, g * kv, g * kp * kv)
         return (1.0, g * kv, g * (kp * kv + ki), g * kp * ki)
@@ -192,13 +181,18 @@ def margins(loop: Loop, delay_s: float = 0.0) -> Margins | None:
     if phase <= 0:
         return None
     gain_down = gain_up = math.inf
-    if loop.gains.ki != 0:  # else the phase never falls below -180 degrees on this side
+    if loop.gains.vel_i != 0:  # else the phase never falls below -180 degrees on this side
         lowest = _bisect(lambda w: _phase_margin(loop, w, delay_s) > 0, 0.0, crossover)
         gain_down = _magnitude(loop, lowest)
     if delay_s > 0:  # both arcs together stay below π: the phase is used up at the latest where ω τ = π/2
         highest = _bisect(lambda w: _phase_margin(loop, w, delay_s) <= 0, crossover, math.pi / (2 * delay_s))
         gain_up = 1 / _magnitude(loop, highest)
     return Margins(crossover, phase, phase / crossover, gain_up, gain_down)
+
+
+def slowed(gains: AxisGains, factor: float) -> AxisGains:
+    """The same motion ``factor`` times slower; every delay margin is multiplied by it (the λ rule)."""
+    return AxisGains(gains.pos_p_per_s / factor, gains.vel_p / factor, gains.vel_i / factor**2)
 
 
 def suggest(loop: Loop, delay_s: float, reserve: float = DEFAULT_RESERVE) -> Suggestion | None:
@@ -212,7 +206,7 @@ def suggest(loop: Loop, delay_s: float, reserve: float = DEFAULT_RESERVE) -> Sug
     if bearable is None:
         return None
     factor = max(1.0, reserve * delay_s / bearable.delay_margin_s)
-    return Suggestion(factor, loop.gains.slowed(factor))
+    return Suggestion(factor, slowed(loop.gains, factor))
 
 
 def step_response(
@@ -223,7 +217,7 @@ def step_response(
     The law runs once per ``period_s`` and its output is held; between, the double integrator is solved exactly, for
     delays that are no multiple of the period, too. Ends early if it diverges.
     """
-    kp, kv, ki, g = loop.gains.kp, loop.gains.kv, loop.gains.ki, loop.plant_gain
+    (kp, kv, ki), g = _gains(loop), loop.plant_gain
     whole = int(delay_s / period_s)
     late = delay_s - whole * period_s  # in each period the older of two outputs still acts for so long
     early = period_s - late
@@ -259,16 +253,21 @@ def _described(period_s: float, positions: list[float]) -> StepResponse:
     )
 
 
+def _gains(loop: Loop) -> tuple[float, float, float]:
+    """Kp, Kv, Ki of the module's text."""
+    return loop.gains.pos_p_per_s, loop.gains.vel_p, loop.gains.vel_i
+
+
 def _magnitude(loop: Loop, w: float) -> float:
     """|L(jω)|; a delay does not change it."""
-    kp, kv, ki = loop.gains.kp, loop.gains.kv, loop.gains.ki
+    kp, kv, ki = _gains(loop)
     return abs(loop.plant_gain) * math.hypot(kv * w, ki) * math.hypot(w, kp) / w**3
 
 
 def _phase_margin(loop: Loop, w: float, delay_s: float) -> float:
     """φ(ω) of the module's text: the phase of L above -180 degrees, of a loop that is stable without delay."""
-    kp, kv, ki = loop.gains.kp, abs(loop.gains.kv), abs(loop.gains.ki)  # there G, Kv and Ki have the same sign
-    return math.atan2(kv * w, ki) + math.atan2(w, kp) - w * delay_s - math.pi / 2
+    kp, kv, ki = _gains(loop)  # there G, Kv and Ki have the same sign
+    return math.atan2(abs(kv) * w, abs(ki)) + math.atan2(w, kp) - w * delay_s - math.pi / 2
 
 
 def _bracket(beyond: Callable[[float], bool]) -> tuple[float, float]:

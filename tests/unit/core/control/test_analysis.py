@@ -10,20 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.control.analysis import (
-    GRAVITY_MPS2,
     SEED_HOVER,
-    SEED_XY,
-    SEED_Z,
-    AxisGains,
     Loop,
     Margins,
     factorings,
     margins,
     poles,
     routh,
+    slowed,
     step_response,
     suggest,
 )
+from skygcs.core.control.config import GRAVITY_MPS2, SEED_XY, SEED_Z, AxisGains, ControlConfig
 
 THRUST = GRAVITY_MPS2 / SEED_HOVER
 LOOPS = {
@@ -50,10 +48,14 @@ def margins_of(loop: Loop, delay_s: float = 0.0) -> Margins:
     return found
 
 
+def numbers(loop: Loop) -> tuple[float, float, float]:
+    return loop.gains.pos_p_per_s, loop.gains.vel_p, loop.gains.vel_i
+
+
 def characteristic(loop: Loop, s: complex, delay_s: float, gain: float = 1.0) -> complex:
     """1 + L(s), written from the block diagram and not from the polynomial."""
-    inner = loop.gains.kv + loop.gains.ki / s
-    return 1 + gain * cmath.exp(-s * delay_s) * loop.plant_gain * inner * (loop.gains.kp + s) / s**2
+    kp, kv, ki = numbers(loop)
+    return 1 + gain * cmath.exp(-s * delay_s) * loop.plant_gain * (kv + ki / s) * (kp + s) / s**2
 
 
 def root_near(loop: Loop, s: complex, delay_s: float, gain: float = 1.0) -> complex:
@@ -73,7 +75,7 @@ def swings(loop: Loop, delay_s: float) -> tuple[float, float]:
 
     A Heun simulation in small steps of its own, with the delay in the measurements.
     """
-    kp, kv, ki, g = loop.gains.kp, loop.gains.kv, loop.gains.ki, loop.plant_gain
+    (kp, kv, ki), g = numbers(loop), loop.plant_gain
     period = 2 * math.pi / margins_of(loop).crossover_radps
     dt = delay_s / round(delay_s / (period / 1000))
     lag = round(delay_s / dt)
@@ -208,7 +210,7 @@ def test_gain_margins_put_poles_on_the_imaginary_axis(loop: Loop, share: float) 
         assert sense * root_near(loop, crossing, delay_s, gain * 1.02).real > 0
         assert sense * root_near(loop, crossing, delay_s, gain / 1.02).real < 0
     assert (found.gain_up == math.inf) == (delay_s == 0)
-    assert (found.gain_down == math.inf) == (loop.gains.ki == 0)
+    assert (found.gain_down == math.inf) == (loop.gains.vel_i == 0)
 
 
 def _crossover(loop: Loop) -> float:
@@ -223,7 +225,7 @@ def _crossover(loop: Loop) -> float:
 
 @every_loop
 def test_without_delay_the_lower_gain_margin_is_rouths(loop: Loop) -> None:
-    if loop.gains.ki != 0:
+    if loop.gains.vel_i != 0:
         _, a, b, c = loop.polynomial
         assert margins_of(loop).gain_down == pytest.approx(a * b / c, rel=1e-9)
 
@@ -236,13 +238,13 @@ def test_a_delay_uses_up_phase_and_delay_margin_and_at_the_end_there_is_none(loo
     assert half.delay_margin_s == pytest.approx(free.delay_margin_s / 2)
     assert half.phase_margin_rad == pytest.approx(free.phase_margin_rad / 2)
     assert 1 < half.gain_up < math.inf
-    assert half.gain_down < free.gain_down or loop.gains.ki == 0
+    assert half.gain_down < free.gain_down or loop.gains.vel_i == 0
     assert margins(loop, free.delay_margin_s * 1.001) is None
 
 
 @given(stable_loops, st.floats(0.2, 20.0))
 def test_slowing_by_lambda_multiplies_the_delay_margin_and_leaves_the_others(loop: Loop, factor: float) -> None:
-    before, after = margins_of(loop), margins_of(Loop(loop.gains.slowed(factor), loop.plant_gain))
+    before, after = margins_of(loop), margins_of(Loop(slowed(loop.gains, factor), loop.plant_gain))
     assert after.delay_margin_s == pytest.approx(before.delay_margin_s * factor, rel=1e-6)
     assert after.phase_margin_rad == pytest.approx(before.phase_margin_rad, rel=1e-6)
     assert after.gain_down == pytest.approx(before.gain_down, rel=1e-6)
@@ -252,7 +254,7 @@ def test_slowing_by_lambda_multiplies_the_delay_margin_and_leaves_the_others(loo
 def test_slowing_by_lambda_is_the_same_motion_in_slow_motion() -> None:
     loop = LOOPS["xy thrust"]
     fast = step_response(loop, delay_s=0.2, duration_s=5, period_s=0.01)
-    slow = step_response(Loop(loop.gains.slowed(3), loop.plant_gain), delay_s=0.6, duration_s=15, period_s=0.03)
+    slow = step_response(Loop(slowed(loop.gains, 3), loop.plant_gain), delay_s=0.6, duration_s=15, period_s=0.03)
     assert slow.positions == pytest.approx(fast.positions, abs=1e-9)
 
 
@@ -261,7 +263,7 @@ def test_half_a_second_of_radio_delay_asks_z_to_be_4_7_times_slower() -> None:
     found = suggest(loop, 0.5)
     assert found is not None
     assert found.factor == pytest.approx(4.69, abs=0.005)
-    assert found.gains == loop.gains.slowed(found.factor)
+    assert found.gains == slowed(loop.gains, found.factor)
     assert margins_of(Loop(found.gains, loop.plant_gain)).delay_margin_s == pytest.approx(1.0)
 
 
@@ -329,7 +331,8 @@ def test_a_free_step_is_the_sum_of_its_poles() -> None:
 
 def _mode(loop: Loop, pole: complex, time_s: float) -> complex:
     slope = sum(n * c * pole ** (n - 1) for n, c in enumerate(reversed(loop.polynomial)) if n)
-    numerator = loop.plant_gain * loop.gains.kp * (loop.gains.kv * pole + loop.gains.ki)
+    kp, kv, ki = numbers(loop)
+    numerator = loop.plant_gain * kp * (kv * pole + ki)
     return numerator / (pole * slope) * cmath.exp(pole * time_s)
 
 
@@ -343,6 +346,7 @@ def test_a_delay_that_is_no_multiple_of_the_period_is_kept_to(delay_s: float) ->
 def _held(loop: Loop, delay_s: float, period_s: float, duration_s: float) -> list[float]:
     """The same sampled law by Euler in steps of 0.1 ms."""
     dt = 1e-4
+    kp, kv, ki = numbers(loop)
     per_period, lag = round(period_s / dt), round(delay_s / dt)
     x = v = integral = 0.0
     sent: list[float] = []
@@ -350,9 +354,9 @@ def _held(loop: Loop, delay_s: float, period_s: float, duration_s: float) -> lis
     for n in range(round(duration_s / dt) + 1):
         if n % per_period == 0:
             at_ticks.append(x)
-            error = loop.gains.kp * (1 - x) - v
-            output = loop.gains.kv * error + integral
-            integral += loop.gains.ki * error * period_s
+            error = kp * (1 - x) - v
+            output = kv * error + integral
+            integral += ki * error * period_s
         sent.append(output)
         v += dt * loop.plant_gain * (sent[n - lag] if n >= lag else 0.0)
         x += dt * v
@@ -377,10 +381,19 @@ def test_a_response_cut_short_has_neither_risen_nor_settled() -> None:
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e7, 1e-13])
 @pytest.mark.parametrize("place", range(4))
 def test_numbers_nobody_means_are_refused(bad: float, place: int) -> None:
-    numbers = [1.0, 1.0, 1.0, 1.0]
-    numbers[place] = bad
+    values = [1.0, 1.0, 1.0, 1.0]
+    values[place] = bad
     with pytest.raises(ValueError, match="gain"):
-        Loop(AxisGains(*numbers[:3]), numbers[3])
+        Loop(AxisGains(*values[:3]), values[3])
+
+
+def test_a_derivative_gain_is_refused_because_its_filter_is_not_modelled() -> None:
+    with pytest.raises(ValueError, match="derivative"):
+        Loop(AxisGains(0.95, 0.08, 0.02, 0.01), THRUST)
+
+
+def test_hover_is_that_of_the_control_law() -> None:
+    assert ControlConfig().hover_thrust == SEED_HOVER
 
 
 def test_a_plant_without_gain_is_refused() -> None:
