@@ -19,6 +19,10 @@ SCORE_FRAMES = 64
 """How many distinct frames decide which of parallel channels is better: a third of a second of telemetry at full
 rate, half a minute at 2 Hz."""
 
+COPIES_SHARE = 0.3
+"""Least share of copies among a system's frames for its channels to count as parallel: of two radios on one mast the
+worse one still hears this much, or it is no use."""
+
 BETTER_BY = 0.1
 """A channel takes over only if it hears this share more of the frames: no flapping between equals."""
 
@@ -52,12 +56,19 @@ class DuplicateFilter:
 
 
 class ParallelChannels:
-    """The channels over which one system is heard twice, and which of them hears it best."""
+    """The channels over which one system may be heard twice, and which of them hears it best.
 
-    __slots__ = ("_distinct", "_heard", "_share", "best")
+    ``active`` once copies were COPIES_SHARE of the last SCORE_FRAMES frames: two ground stations of one id now and then
+    send equal heartbeats, and are no parallel channels. ``over`` when a whole count went by without enough copies.
+    """
+
+    __slots__ = ("_copies", "_distinct", "_heard", "_share", "active", "best", "over")
 
     def __init__(self, best: int) -> None:
         self.best = best
+        self.active = False
+        self.over = False
+        self._copies = 0
         self._distinct = 0
         self._heard: dict[int, int] = {}
         self._share: dict[int, float] = {}
@@ -68,18 +79,21 @@ class ParallelChannels:
         return set(self._share) | set(self._heard)
 
     def on_frame(self, channel_id: int, copy: bool) -> None:
-        """Count one frame of the system, a first or a copy, and every SCORE_FRAMES distinct ones choose again."""
+        """Count one frame of the system, a first or a copy, and every SCORE_FRAMES distinct ones judge again."""
         self._heard[channel_id] = self._heard.get(channel_id, 0) + 1
         if copy:
+            self._copies += 1
             return
         self._distinct += 1
         if self._distinct < SCORE_FRAMES:
             return
+        self.active = self._copies >= COPIES_SHARE * self._distinct
+        self.over = not self.active
         self._share = {c: self._heard.get(c, 0) / self._distinct for c in self.channel_ids}
         champion = max(self._share, key=lambda c: self._share[c])
         if self._share[champion] > self._share.get(self.best, 0.0) + BETTER_BY:
             self.best = champion
-        self._distinct = 0
+        self._copies = self._distinct = 0
         self._heard = {}
 
     def forget(self, channel_id: int) -> None:
@@ -93,7 +107,7 @@ class ParallelChannels:
     def choose(self, candidates: dict[int, float], now: float) -> int | None:
         """Of ``candidates`` (channel id -> last heard at) the one to send on; None if they are not parallel."""
         known = [c for c in candidates if c in self._share or c in self._heard]
-        if len(known) < 2:
+        if not self.active or len(known) < 2:
             return None
         fresh = [c for c in known if now - candidates[c] <= SILENT_S]
         if self.best in fresh or not fresh:

@@ -114,6 +114,10 @@ class ChannelPolicy:
     """How a channel takes part in routing (design: links have roles)."""
 
     role: str = "peer"
+    link: str = ""
+    """Name of the link: two channels of one link with one autopilot are two vehicles of one id, or two of its ports."""
+    replayed: bool = False
+    """What comes is a recording: shown to ground stations, never to vehicles, and nothing is sent there."""
     group: str | None = None
     forward_unknown: bool = True
     filter_in: MessageFilter = field(default_factory=MessageFilter)

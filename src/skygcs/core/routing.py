@@ -14,6 +14,10 @@ Rules (https://mavlink.io/en/guide/routing.html, and what a ground router of man
                                             of channels that hear the same frames twice only the better one
     target never heard                      nowhere, counted
     source = our own id                     nowhere: an echo, or somebody uses our id; counted, noted, not learned
+    an autopilot's, from a gcs channel,     nowhere: an echo of what the ground station was sent
+    though it is heard elsewhere
+    a recording's (replayed channel)        without a target: ground stations (role gcs); with one: nowhere. Nothing
+                                            of what is alive elsewhere, and nothing is ever sent to the recording
 
 Never back to the channel it came from. SYSTEM_TIME going back means the system rebooted: its routes are cleared.
 """
@@ -25,9 +29,10 @@ from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
-from skygcs.core.dedup import DuplicateFilter, ParallelChannels
+from skygcs.core.dedup import SILENT_S, DuplicateFilter, ParallelChannels
 from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V2, Frame
+from skygcs.core.rivals import RivalWatch
 
 HEARTBEAT = 0
 SYSTEM_TIME = 2
@@ -40,6 +45,12 @@ MAX_ROUTES = 4096
 MAX_NOTES = 256
 CONFLICT_QUIET_S = 60.0
 """A conflict is noted again only after so long without one on the same channel."""
+
+BOOT_JITTER_MS = 3000
+"""SYSTEM_TIME may come late by as much over two links; what went back by less is no reboot ..."""
+
+JUST_BOOTED_MS = 10_000
+"""... unless it shows a system that has only just started."""
 
 _MAV_TYPE_GCS = 6
 _MAV_AUTOPILOT_INVALID = 8
@@ -68,7 +79,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class RouteNote:
-    """A change worth a log line: learned, expired, cleared or conflict."""
+    """A change worth a log line: learned, expired, cleared, conflict, echo, duplicate or duplicate_over."""
 
     kind: str
     sysid: int
@@ -95,6 +106,7 @@ class _Port:
         "boot_ms",
         "broadcast",
         "conflict_at",
+        "echoes",
         "filter_in",
         "filter_out",
         "filtered_in",
@@ -116,6 +128,7 @@ class _Port:
         self.limiter_in = policy.limiter_in() or None
         self.limiter_out = policy.limiter_out() or None
         self.heard: dict[int, float] = {}
+        self.echoes: set[int] = set()
         self.boot_ms: dict[int, int] = {}
         self.vehicles: set[int] = set()
         self.broadcast: dict[int, tuple[Decision, tuple[_Port, ...]]] = {}
@@ -143,6 +156,8 @@ class Router:
         self._duplicates = DuplicateFilter()
         self._dedup = False
         self._parallel: dict[int, ParallelChannels] = {}
+        self._anchored: set[int] = set()
+        self._rivals = RivalWatch()
         self._routes = 0
         self.counters: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
         self.overflowed_routes = 0
@@ -162,6 +177,7 @@ class Router:
         port = self._ports.pop(channel_id, None)
         if port is None:
             return
+        self._rivals.forget(channel_id)
         for source in list(port.heard):
             self._forget(port, source)
         for system, parallel in list(self._parallel.items()):
@@ -173,8 +189,13 @@ class Router:
     def _topology_changed(self) -> None:
         for port in self._ports.values():
             port.broadcast.clear()
-        # Frames can only come twice over two channels that may both carry vehicles.
-        self._dedup = sum(port.policy.role != "gcs" for port in self._ports.values()) > 1
+        self._dedup = len(self._ports) > 1
+        self._anchored = {
+            source
+            for port in self._ports.values()
+            if port.policy.role != "gcs" and not port.policy.replayed
+            for source in port.vehicles
+        }
 
     # -- one frame
 
@@ -183,10 +204,12 @@ class Router:
         port = self._ports[channel_id]
         source = frame.sysid << 8 | frame.compid
         if source == self._own_source:
-            return self._conflict(port, frame, now)
+            return _CONFLICT if port.policy.replayed else self._conflict(port, frame, now)
         if port.filter_in is not None and not port.filter_in.passes(frame.msgid, frame.sysid, frame.compid):
             port.filtered_in += 1
             return self._counted(_FILTERED_IN)
+        if source in self._anchored and (port.policy.role == "gcs" or port.policy.replayed):
+            return self._echo(port, source)
         info = frame.info
         if info is not None:
             if frame.msgid == SYSTEM_TIME:
@@ -196,7 +219,7 @@ class Router:
             else:
                 self._learn(port, source, now)
             if frame.msgid == HEARTBEAT:
-                self._check_vehicle(port, frame, source)
+                self._check_vehicle(port, frame, source, now)
         if self._dedup and self._is_copy(port, frame, source, now):
             return self._counted(_DUPLICATE)
         system, component = frame.target()
@@ -207,6 +230,8 @@ class Router:
             return self._counted(_FILTERED_IN)
         if system == 0:
             decision = self._broadcast(port, frame, source, now)
+        elif port.policy.replayed:
+            decision = _NOBODY
         else:
             decision = self._targeted(port, frame, system, component, now)
         self.counters[decision.verdict] += 1
@@ -275,7 +300,7 @@ class Router:
 
     @staticmethod
     def _may_forward(source: _Port, port: _Port) -> bool:
-        if port is source:
+        if port is source or port.policy.replayed or (source.policy.replayed and port.policy.role != "gcs"):
             return False
         return source.policy.group is None or source.policy.group != port.policy.group
 
@@ -320,8 +345,10 @@ class Router:
         ``everywhere`` (emergencies) takes every channel on which it was heard. () if it was never heard.
         """
         if sysid == 0:
-            return tuple(self._ports)
-        ports = self._by_source.get(sysid << 8 | compid) or self._by_system.get(sysid)
+            return tuple(p.id for p in self._ports.values() if not p.policy.replayed)
+        ports = self._by_source.get(sysid << 8 | compid) or self._by_system.get(sysid) or []
+        ports = [p for p in ports if not p.policy.replayed]
+        ports = [p for p in ports if p.policy.role != "gcs"] or ports
         if not ports:
             return ()
         if len(ports) == 1 or everywhere:
@@ -368,9 +395,9 @@ class Router:
 
     def _check_reboot(self, port: _Port, frame: Frame, source: int) -> None:
         """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears what is known of the system's routes."""
-        payload = frame.payload
-        boot_ms = struct.unpack_from("<I", payload + bytes(12), 8)[0]
-        if boot_ms < port.boot_ms.get(source, 0):
+        boot_ms = struct.unpack_from("<I", frame.payload + bytes(12), 8)[0]
+        before = port.boot_ms.get(source, 0)
+        if boot_ms < before and (boot_ms < JUST_BOOTED_MS or boot_ms < before - BOOT_JITTER_MS):
             system = source >> 8
             for other in self._ports.values():
                 for known in [s for s in other.heard if s >> 8 == system]:
@@ -381,29 +408,60 @@ class Router:
         if source in port.boot_ms or len(port.boot_ms) < MAX_ROUTES:
             port.boot_ms[source] = boot_ms
 
-    def _check_vehicle(self, port: _Port, frame: Frame, source: int) -> None:
+    def _check_vehicle(self, port: _Port, frame: Frame, source: int, now: float) -> None:
         """A heartbeat of an autopilot: what this source broadcasts from here is telemetry of a vehicle."""
-        if source in port.vehicles or source not in port.heard:
+        if source not in port.heard:
             return
         raw = frame.raw
         at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
-        if raw[1] >= 6 and raw[at + 5] != _MAV_AUTOPILOT_INVALID and raw[at + 4] != _MAV_TYPE_GCS:
+        if raw[1] < 6 or raw[at + 5] == _MAV_AUTOPILOT_INVALID or raw[at + 4] == _MAV_TYPE_GCS:
+            return
+        if source not in port.vehicles:
             port.vehicles.add(source)
             self._topology_changed()
+            self._drop_echo_routes(source)
+        if source in port.heard and not port.policy.replayed:  # and not just found to be an echo
+            copies = source >> 8 in self._parallel
+            shown = raw[at : at + 7]  # custom mode, type, autopilot, base mode
+            change = self._rivals.on_beat(source, port.id, port.policy.link, shown, copies=copies, now=now)
+            if change is not None:
+                self._note(change, source, port)
+
+    def _drop_echo_routes(self, source: int) -> None:
+        """A vehicle found on its own link was perhaps met first through a ground station or a recording."""
+        if source not in self._anchored:
+            return
+        for port in self._ports.values():
+            if source in port.heard and (port.policy.role == "gcs" or port.policy.replayed):
+                self._forget(port, source)
+
+    def _echo(self, port: _Port, source: int) -> Decision:
+        if source not in port.echoes and len(port.echoes) < MAX_NOTES:
+            port.echoes.add(source)
+            self._note("echo", source, port)
+        return self._counted(_DUPLICATE)
 
     def _is_copy(self, port: _Port, frame: Frame, source: int, now: float) -> bool:
         first = self._duplicates.first_heard_on((source, frame.seq, frame.crc), port.id, now)
         system = source >> 8
         parallel = self._parallel.get(system)
-        if first == port.id or first not in self._ports:
-            if parallel is not None:
-                parallel.on_frame(port.id, copy=False)
-            return False
-        if parallel is None:
+        copy = first != port.id and first in self._ports
+        if copy and parallel is None:
             parallel = self._parallel[system] = ParallelChannels(first)
             parallel.on_frame(first, copy=False)
-        parallel.on_frame(port.id, copy=True)
-        return True
+        if parallel is not None:
+            parallel.on_frame(port.id, copy=copy)
+            if parallel.over:
+                self._end_parallel(system, now)
+        return copy
+
+    def _end_parallel(self, system: int, now: float) -> None:
+        """SCORE_FRAMES frames without copies. A channel silent all the while has lost the system: no route is left."""
+        parallel = self._parallel.pop(system)
+        for port in list(self._by_system.get(system, ())):
+            if port.id in parallel.channel_ids and now - self._last_heard(port, system) > SILENT_S / 2:
+                for source in [s for s in port.heard if s >> 8 == system]:
+                    self._forget(port, source)
 
     def _conflict(self, port: _Port, frame: Frame, now: float) -> Decision:
         if now - port.conflict_at > CONFLICT_QUIET_S:
@@ -415,6 +473,11 @@ class Router:
         self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id))
 
     # -- what a person asks
+
+    @property
+    def duplicates(self) -> set[int]:
+        """Autopilots (sysid<<8|compid) that two vehicles claim to be."""
+        return self._rivals.duplicates
 
     def channels_of(self, source: int) -> tuple[int, ...]:
         """Ids of the channels on which this sysid<<8|compid is heard."""

@@ -201,6 +201,139 @@ def test_when_the_better_parallel_link_falls_silent_the_other_takes_over() -> No
     assert net.reached() == {"b"}
 
 
+def test_two_ground_stations_of_one_id_both_keep_their_answers() -> None:
+    """Equal heartbeats by chance do not make two programs one: each gets the answer."""
+    net = five_ports()
+    net.open("qgc1")
+    net.open("qgc2")
+    for n in range(400):
+        net.now += 1.0
+        net.datagram("V0", message("ATTITUDE", 1, seq=n & 0xFF, roll=n * 0.1))
+        net.datagram("qgc1", heartbeat(255, 190, n & 0xFF, gcs=True))
+        net.datagram("qgc2", heartbeat(255, 190, n & 0xFF if n == 30 else (n + 7) & 0xFF, gcs=True))
+    net.clear()
+    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=190))
+    assert net.reached() == {"qgc1", "qgc2"}
+
+
+def test_an_echo_from_a_ground_station_is_no_vehicle_and_no_way_to_it() -> None:
+    net = RoutedNet()
+    net.open("radio", RADIO)
+    net.open("gcs", GCS)
+    net.open("gcs2", GCS)
+    net.datagram("gcs", heartbeat(1, seq=9))  # met through the station first
+    net.datagram("radio", heartbeat(1, seq=1))
+    for seq in range(2, 10):
+        net.now += 0.2
+        net.datagram("radio", heartbeat(1, seq=seq))
+        net.datagram("gcs", heartbeat(1, seq=seq))
+        net.datagram("gcs", message("ATTITUDE", 1, seq=seq))
+    assert net.router.route_own(1, 1, net.now) == (net.ids["radio"],)
+    net.clear()
+    net.datagram("gcs2", to(1))
+    assert net.reached() == {"radio"}
+    assert [n.kind for n in net.router.notes].count("echo") == 1
+
+
+def test_a_recording_reaches_ground_stations_only_and_never_commands_anybody() -> None:
+    net = RoutedNet()
+    net.open("replay", ChannelPolicy(replayed=True))
+    for name, policy in {"radio": RADIO, "v1": VEHICLE, "peer": ChannelPolicy(), "gcs": GCS}.items():
+        net.open(name, policy)
+    net.datagram("radio", heartbeat(1))
+    net.clear()
+    net.datagram("replay", heartbeat(5))
+    net.datagram("replay", heartbeat(255, 190, gcs=True))
+    assert net.reached() == {"gcs"}
+    net.clear()
+    net.datagram("replay", to(1, sysid=255, compid=190))
+    net.datagram("replay", to(0, 0, sysid=255, compid=190, seq=2))
+    assert net.reached() <= {"gcs"}
+    net.clear()
+    net.datagram("replay", message("ATTITUDE", 1, seq=7))
+    assert net.reached() == set(), "vehicle 1 is alive: nothing of its recording passes"
+    net.datagram("gcs", to(5))
+    net.datagram("gcs", to(0, 0, seq=2))
+    assert "replay" not in net.reached()
+    assert net.router.route_own(5, 1, net.now) == ()
+    assert net.ids["replay"] not in net.router.route_own(0, 0, net.now)
+    net.datagram("replay", heartbeat(255, 25, gcs=True))
+    assert "conflict" not in [n.kind for n in net.router.notes], "our own old heartbeats are no conflict"
+
+
+def beats(net: RoutedNet, seconds: float, *ports: str, **modes: int) -> None:
+    """Heartbeats of vehicle 1 on these ports, once a second, never as copies."""
+    for n in range(int(seconds)):
+        net.now += 1.0
+        for at, port in enumerate(ports):
+            net.datagram(
+                port,
+                message(
+                    "HEARTBEAT",
+                    1,
+                    1,
+                    (n * 3 + at * 100) & 0xFF,
+                    type=2,
+                    autopilot=3,
+                    mavlink_version=3,
+                    custom_mode=modes.get(port, 4),
+                ),
+            )
+
+
+def notes(net: RoutedNet) -> list[str]:
+    return [n.kind for n in net.router.notes if n.kind.startswith("duplicate")]
+
+
+def test_one_id_on_two_peers_of_one_port_is_two_vehicles_until_one_is_gone() -> None:
+    net = RoutedNet()
+    net.open("a", ChannelPolicy(link="udp"))
+    net.open("b", ChannelPolicy(link="udp"))
+    beats(net, 3, "a", "b")
+    assert notes(net) == []
+    beats(net, 4, "a", "b")
+    assert notes(net) == ["duplicate"]
+    assert net.router.duplicates == {1 << 8 | 1}
+    beats(net, 5, "a")
+    assert notes(net) == ["duplicate", "duplicate_over"]
+    assert net.router.duplicates == set()
+
+
+def test_one_vehicle_with_a_radio_and_wifi_is_one_vehicle_whatever_its_mode() -> None:
+    net = RoutedNet()
+    net.open("radio", ChannelPolicy(link="radio"))
+    net.open("wifi", ChannelPolicy(link="wifi"))
+    beats(net, 10, "radio", "wifi")
+    beats(net, 2, "radio", "wifi", wifi=5)  # the mode change shows on the radio a little later
+    beats(net, 10, "radio", "wifi", wifi=5, radio=5)
+    assert notes(net) == []
+
+
+def test_one_id_in_two_modes_at_once_is_two_vehicles() -> None:
+    net = RoutedNet()
+    net.open("radio", ChannelPolicy(link="radio"))
+    net.open("wifi", ChannelPolicy(link="wifi"))
+    beats(net, 8, "radio", "wifi", wifi=5)
+    assert notes(net) == ["duplicate"]
+
+
+def test_a_vehicle_that_moves_to_another_peer_of_one_port_is_no_duplicate() -> None:
+    net = RoutedNet()
+    net.open("a", ChannelPolicy(link="udp"))
+    net.open("b", ChannelPolicy(link="udp"))
+    beats(net, 10, "a")
+    beats(net, 10, "b")
+    assert notes(net) == []
+
+
+def test_a_slightly_late_system_time_is_no_reboot() -> None:
+    net = five_ports()
+    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=600_000))
+    net.datagram("V2", heartbeat(1, seq=4))
+    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 5, time_boot_ms=599_800))
+    assert "cleared" not in [n.kind for n in net.router.notes]
+
+
 def test_a_system_that_moves_is_followed_at_once() -> None:
     net = five_ports()
     net.datagram("V2", heartbeat(1, seq=9))

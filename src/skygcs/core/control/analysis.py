@@ -133,8 +133,8 @@ class Suggestion:
 class StepResponse:
     """Positions after a step of the reference from 0 to 1 at time 0, one per ``period_s``.
 
-    ``settling_s`` is None if the response is outside the band around 1 at the end; ``rise_s`` (10 to 90 %) if it never
-    came that far.
+    ``settling_s`` is None if the response was outside the band around 1 in the last tenth: one that still swings through
+    the band has not settled. ``rise_s`` (10 to 90 %) is None if it never came that far.
     """
 
     period_s: float
@@ -249,7 +249,7 @@ def _described(period_s: float, positions: list[float]) -> StepResponse:
         tuple(positions),
         max(0.0, max(positions) - 1),
         None if tenth is None or most is None else (most - tenth) * period_s,
-        None if outside[-1] == len(positions) - 1 else (outside[-1] + 1) * period_s,
+        (outside[-1] + 1) * period_s if outside[-1] < 0.9 * (len(positions) - 1) else None,
     )
 
 
