@@ -49,6 +49,7 @@ def channel_policy(config: LinkConfig, dialect: Dialect) -> ChannelPolicy:
     unknown = config.forward_unknown
     return ChannelPolicy(
         role=config.role,
+        link=config.name,
         group=config.group,
         forward_unknown=config.role != "radio" if unknown is None else unknown,
         filter_in=MessageFilter(
