@@ -133,8 +133,8 @@ class Suggestion:
 class StepResponse:
     """Positions after a step of the reference from 0 to 1 at time 0, one per ``period_s``.
 
-    ``settling_s`` is None if the response was outside the band around 1 in the last tenth: one that still swings through
-    the band has not settled. ``rise_s`` (10 to 90 %) is None if it never came that far.
+    ``settling_s`` is None if the response was outside the band around 1 in the last tenth: one that still swings
+    through it has not settled. ``rise_s`` (10 to 90 %) is None if it never came that far.
     """
 
     period_s: float

@@ -378,6 +378,13 @@ def test_a_response_cut_short_has_neither_risen_nor_settled() -> None:
     assert (response.rise_s, response.settling_s, response.overshoot) == (None, None, 0.0)
 
 
+def test_a_response_that_swings_through_the_band_at_the_end_has_not_settled() -> None:
+    response = step_response(LOOPS["z seed"], delay_s=0.3, duration_s=30)
+    assert abs(response.positions[-1] - 1) < 0.05
+    assert response.settling_s is None
+    assert step_response(LOOPS["z seed"], delay_s=0.3, duration_s=80).settling_s == pytest.approx(39.3, abs=0.1)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e7, 1e-13])
 @pytest.mark.parametrize("place", range(4))
 def test_numbers_nobody_means_are_refused(bad: float, place: int) -> None:
