@@ -50,6 +50,7 @@ class FakeVehicle:
         self.sysid, self.compid, self.name, self.autopilot, self.groups = sysid, 1, name, autopilot, groups
         self.orders: list[tuple[str, dict[str, Any]]] = []
         self.cancelled = 0
+        self.finished: list[str] = []
         self.states_made = 0
         self.connected = True
         self.armed = False
@@ -68,6 +69,7 @@ class FakeVehicle:
             raise
         if self.fails is not None:
             raise self.fails
+        self.finished.append(order)
         if self.outcome.ok and order in ("arm", "disarm"):
             self.armed = order == "arm"
         return self.outcome

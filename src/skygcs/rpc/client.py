@@ -11,7 +11,8 @@
 Every method of docs/reference/rpc.md can be called by name: ``await gcs.call("vehicles.arm", targets="all")``.
 An error answer is raised as RpcError (``code``, ``message``, ``data``), a daemon that is not there or goes away as
 DaemonUnreachable; connecting again is the caller's business. A cancelled call is no longer waited for, but the order
-may have been sent; closing the connection cancels what the daemon still does for it. One client belongs to one loop.
+may have been sent; closing the connection cancels what the daemon still does for it, except land, rtl, hold and disarm,
+which are carried out to their end. One client belongs to one loop.
 """
 
 from __future__ import annotations

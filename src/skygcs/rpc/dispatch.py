@@ -54,6 +54,7 @@ class Method(Generic[C]):
     """One method: its handler gets the session's context and checked parameters, and answers.
 
     A handler that is a plain function runs at once, without a task; the first line of its docstring is the summary.
+    ``outlives_client``: once asked for it is carried out to its end, whether or not the client stays for the answer.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Method(Generic[C]):
     handler: Callable[[C, Any], Any]
     result: Any = dict
     errors: tuple[int, ...] = ()
+    outlives_client: bool = False
 
 
 Reply = bytes | Coroutine[Any, Any, bytes] | None
@@ -96,6 +98,10 @@ class Dispatcher(Generic[C]):
         except Exception as error:
             return None if notification else failure_reply(request_id, name, error)
         return None if notification else result_reply(request_id, name, result)
+
+    def outlives_client(self, request: object) -> bool:
+        """Whether a request that `start` answered with a coroutine is to be finished without its client, too."""
+        return isinstance(request, dict) and self._methods[request["method"]].outlives_client
 
     async def _finish(
         self, method: Method[C], context: C, params: Params, request_id: object, notification: bool

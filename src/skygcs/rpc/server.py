@@ -18,9 +18,10 @@ import structlog
 
 from skygcs.errors import LinkError
 from skygcs.rpc.dispatch import Dispatcher
+from skygcs.rpc.hub import Hub
 from skygcs.rpc.methods import METHODS, Context
 from skygcs.rpc.ports import Daemon, JsonObject
-from skygcs.rpc.session import Hub, Session
+from skygcs.rpc.session import Session
 
 MAX_SUN_PATH_BYTES = 107
 """Linux's sockaddr_un holds 108 bytes with the closing NUL."""
@@ -67,7 +68,7 @@ class RpcServer:
         _log.info("rpc listening", socket=str(self.socket_path), tcp=self.tcp_address)
 
     async def close(self) -> None:
-        """Stop listening, cancel what clients wait for, close them, remove the socket. Idempotent."""
+        """Stop listening, cancel every order, close all clients, remove the socket. Idempotent."""
         for server in self._servers:
             server.close()
         self._servers.clear()

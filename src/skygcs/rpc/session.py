@@ -6,7 +6,6 @@ import asyncio
 import hmac
 import select
 import socket
-from collections import Counter
 from collections.abc import Coroutine
 from typing import Any, cast
 
@@ -14,10 +13,9 @@ import structlog
 
 from skygcs.rpc import dispatch
 from skygcs.rpc import models as m
-from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
-from skygcs.rpc.methods import Context
-from skygcs.rpc.ports import Daemon, JsonObject
-from skygcs.rpc.subscriptions import Feeds, Subscription
+from skygcs.rpc.dispatch import InvalidParams, LimitExceeded, error_reply, parse
+from skygcs.rpc.hub import Hub
+from skygcs.rpc.subscriptions import Subscription
 
 MAX_LINE_BYTES = 1 << 20
 """A request is a few hundred bytes, a full batch of the largest messages some 100 kB."""
@@ -48,32 +46,6 @@ TURN_LINES = 64
 """A client's requests are worked on this long, then it is everybody else's turn (routing, too)."""
 
 _log = structlog.get_logger(__name__)
-
-
-class Hub:
-    """What all sessions share."""
-
-    def __init__(self, daemon: Daemon, dispatcher: Dispatcher[Context], loop: asyncio.AbstractEventLoop) -> None:
-        self.daemon = daemon
-        self.dispatcher = dispatcher
-        self.loop = loop
-        self.feeds = Feeds(daemon, loop)
-        self.sessions: set[Session] = set()
-        self.counters: Counter[str] = Counter()
-
-    def unauthenticated(self) -> int:
-        return sum(not s.authenticated for s in self.sessions)
-
-    def stats(self) -> JsonObject:
-        return {"sessions": len(self.sessions), **self.counters}
-
-    async def close(self) -> None:
-        """End every session and wait for its tasks."""
-        tasks = [task for session in self.sessions for task in session.tasks]
-        for session in list(self.sessions):
-            session.close()
-        self.feeds.close()
-        await asyncio.gather(*tasks, return_exceptions=True)
 
 
 class Session(asyncio.Protocol):
@@ -129,7 +101,7 @@ class Session(asyncio.Protocol):
 
     def eof_received(self) -> bool:
         """The client sends no more. One that is still there (`echo … | nc -NU`) gets its answers, then it is closed;
-        what one that is gone waits for is cancelled."""
+        what one that is gone waits for is cancelled, unless it outlives it."""
         if self._transport is None or not self._peer_still_reads():
             return False
         self._eof = True
@@ -272,6 +244,8 @@ class Session(asyncio.Protocol):
         reply = self._hub.dispatcher.start(self, request)
         if isinstance(reply, Coroutine):
             self._in_flight += 1
+            if self._hub.dispatcher.outlives_client(request):
+                return self._hub.outlive(reply)
         return reply
 
     def _on_batch(self, requests: list[Any]) -> None:
@@ -297,7 +271,10 @@ class Session(asyncio.Protocol):
             self._reply(_joined([r for r in replies if isinstance(r, bytes)]))
 
     def _run(self, replies: list[dispatch.Reply], *, batch: bool) -> None:
-        """Finish what takes time in a task of its own, which ends with the client at the latest."""
+        """Finish what takes time in a task of its own, which ends with the client at the latest.
+
+        What a task of the hub does (`Hub.outlive`) is only waited for here.
+        """
         coroutines = [reply for reply in replies if isinstance(reply, Coroutine)]
 
         async def finish() -> None:
@@ -370,7 +347,7 @@ class Session(asyncio.Protocol):
             self._hang_up()
 
     def _end(self) -> None:
-        """Forget everything of this client. Its waiting calls are cancelled; an order already sent stays sent."""
+        """Forget everything of this client. Its waiting calls are cancelled, except those that outlive it."""
         self._transport = None
         self.writable = False
         self._hub.sessions.discard(self)

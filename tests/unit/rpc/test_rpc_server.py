@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skygcs.errors import LinkError
-from skygcs.rpc import session
+from skygcs.rpc import hub, session
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
 
@@ -262,6 +262,52 @@ async def test_what_a_vanished_client_waits_for_is_cancelled(bench: Bench) -> No
     assert bench.server.stats()["sessions"] == 0
 
 
+LASTING = ("land", "rtl", "hold", "disarm")
+
+
+async def test_orders_that_end_a_flight_go_on_when_their_client_vanishes(bench: Bench) -> None:
+    peer = await bench.connect()
+    alpha = bench.daemon.vehicle("alpha")
+    alpha.delay_s = 0.2
+    single, batched, notified, waited_for = (
+        {"jsonrpc": "2.0", "id": i, "method": f"vehicles.{order}", "params": {"targets": "alpha"}}
+        for i, order in enumerate(LASTING)
+    )
+    del notified["id"]
+    peer.send(single, [batched, arm(9, "alpha")], notified, waited_for, arm(8, "alpha"))
+    await bench.until(lambda: len(alpha.orders) == 6)
+    peer.writer.transport.abort()
+    await bench.until(lambda: alpha.cancelled == 2)  # the armings
+    assert bench.server.stats()["sessions"] == 0
+    await bench.until(lambda: sorted(alpha.finished) == sorted(LASTING))
+
+
+async def test_a_landing_counts_although_its_client_is_gone_before_it_has_begun(bench: Bench) -> None:
+    peer = await bench.connect()
+    request = {"jsonrpc": "2.0", "method": "vehicles.land", "params": {"targets": "alpha"}}
+    peer.send(request)
+    peer.writer.transport.close()
+    await bench.until(lambda: bench.daemon.vehicle("alpha").finished == ["land"])
+
+
+async def test_orders_without_client_are_bounded_and_end_with_the_daemon(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hub, "MAX_WITHOUT_CLIENT", 2)
+    peer = await bench.connect()
+    alpha = bench.daemon.vehicle("alpha")
+    alpha.delay_s = 30.0
+    land = {"jsonrpc": "2.0", "id": 1, "method": "vehicles.land", "params": {"targets": "alpha"}}
+    peer.send(land, land, land)
+    await bench.until(lambda: len(alpha.orders) == 3)
+    peer.writer.transport.abort()
+    await bench.until(lambda: alpha.cancelled == 1)
+    await asyncio.sleep(0.02)
+    assert alpha.cancelled == 1
+    await bench.server.close()
+    assert alpha.cancelled == 3
+
+
 async def test_a_client_that_only_stops_sending_is_still_answered(bench: Bench) -> None:
     peer = await bench.connect()
     bench.daemon.vehicle("alpha").delay_s = 0.05
@@ -466,6 +512,8 @@ async def test_a_silent_tcp_client_is_closed(bench: Bench, monkeypatch: pytest.M
         test_a_line_that_is_too_long_is_skipped_and_nothing_is_kept_of_it,
         test_a_request_may_come_byte_by_byte_and_many_at_once,
         test_what_a_vanished_client_waits_for_is_cancelled,
+        test_orders_that_end_a_flight_go_on_when_their_client_vanishes,
+        test_a_landing_counts_although_its_client_is_gone_before_it_has_begun,
         test_a_client_that_only_stops_sending_is_still_answered,
         test_a_client_that_never_reads_is_stopped_without_growing_the_daemon,
         test_tcp_answers_after_the_right_token,
