@@ -19,6 +19,7 @@ GRAVITY_MPS2 = 9.81
 SUBSTEPS = 4
 
 Vector = tuple[float, float, float]
+SLOW_Z = ControlConfig(z=AxisGains(pos_p_per_s=1.0 / 4, vel_p=0.3 / 4, vel_i=0.02 / 16))
 EAST, NORTH, UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
@@ -101,12 +102,12 @@ def fly(
             due = underway.popleft()
             attitude = due.attitude_ned_frd
             if mirror_roll:  # with the nose east: turn the attitude about body x the other way
-                attitude = step_with_roll(due.pitch_frd_rad, -due.roll_frd_rad)
+                attitude = nose_east(due.pitch_frd_rad, -due.roll_frd_rad)
             airframe.move(attitude, due.collective_thrust, sub_s)
     return Flight(np.array(track), outputs, airframe, memory)
 
 
-def step_with_roll(pitch_rad: float, roll_rad: float) -> tuple[float, float, float, float]:
+def nose_east(pitch_rad: float, roll_rad: float) -> tuple[float, float, float, float]:
     """NED/FRD quaternion of a vehicle with its nose to the east."""
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a / 2), math.sin(a / 2)) for a in (math.pi / 2, pitch_rad, roll_rad))
     return (
@@ -237,10 +238,12 @@ def test_the_law_holds_y_and_with_the_sign_of_eq_16_it_would_not():
     ("lag_s", "following", "delay_s", "percent"),
     [
         (0.0, True, 0.0, 8.1),
+        (0.0, True, 0.1, 9.3),
         (0.0, True, 0.2, 12.0),
         (0.0, True, 0.3, 20.1),
         (0.0, True, 0.4, 38.0),
         (0.0, False, 0.0, 5.6),
+        (0.0, False, 0.1, 5.9),
         (0.0, False, 0.2, 6.7),
         (0.0, False, 0.3, 10.6),
         (0.0, False, 0.4, 23.4),
@@ -248,6 +251,7 @@ def test_the_law_holds_y_and_with_the_sign_of_eq_16_it_would_not():
         (0.15, True, 0.1, 15.7),
         (0.15, True, 0.2, 27.5),
         (0.15, True, 0.3, 65.8),
+        (0.15, True, 0.4, 73.3),
     ],
 )
 def test_a_3_m_step_east_overshoots_as_the_documentation_says(lag_s, following, delay_s, percent):
@@ -255,13 +259,24 @@ def test_a_3_m_step_east_overshoots_as_the_documentation_says(lag_s, following, 
     assert 100 * overshoot(flight, 0, 3.0) == pytest.approx(percent, abs=0.1)
 
 
+@pytest.mark.parametrize(("lag_s", "delay_s", "settled_s"), [(0.0, 0.0, 3.7), (0.15, 0.0, 3.4), (0.15, 0.1, 4.8)])
+def test_a_3_m_step_east_is_within_5_percent_when_the_documentation_says(lag_s, delay_s, settled_s):
+    flight = fly(Reference((3.0, 0, 0)), 40.0, airframe=Airframe(lag_s=lag_s), delay_s=delay_s)
+    off = abs(flight.track_enu_m[:, 0] / 3.0 - 1.0) > 0.05
+    assert (float(np.flatnonzero(off)[-1]) + 1) * 0.02 == pytest.approx(settled_s, abs=0.05)
+
+
+def test_a_z_that_swings_is_a_third_of_the_overshoot_at_three_tenths_of_a_second():
+    flight = fly(Reference((3.0, 0, 0)), 40.0, config=SLOW_Z, airframe=Airframe(lag_s=0.15), delay_s=0.3)
+    assert 100 * overshoot(flight, 0, 3.0) == pytest.approx(44.1, abs=0.1)
+
+
 @pytest.mark.parametrize(("lag_s", "stable", "unstable"), [(0.0, 0.45, 0.5), (0.15, 0.3, 0.4)])
 def test_horizontally_the_loop_bears_a_delay_up_to_its_margin_and_no_more(lag_s, stable, unstable):
     """With z slowed four times: at its own gains it swings from 0.25 s on and takes the thrust from x and y."""
-    config = ControlConfig(z=AxisGains(pos_p_per_s=1.0 / 4, vel_p=0.3 / 4, vel_i=0.02 / 16))
 
     def swing(delay_s: float) -> float:
-        flight = fly(Reference((3.0, 0, 0)), 120.0, config=config, airframe=Airframe(lag_s=lag_s), delay_s=delay_s)
+        flight = fly(Reference((3.0, 0, 0)), 120.0, config=SLOW_Z, airframe=Airframe(lag_s=lag_s), delay_s=delay_s)
         return swing_m(flight, 0)
 
     assert swing(stable) < 0.02
