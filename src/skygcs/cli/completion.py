@@ -28,6 +28,12 @@ def messages(ctx: typer.Context, incomplete: str) -> list[str]:
     return [m["name"] for m in found if m["name"].upper().startswith(incomplete.upper())]
 
 
+def commands(ctx: typer.Context, incomplete: str) -> list[str]:
+    """MAV_CMD names of the daemon's dialect, without their prefix, in any case."""
+    found = _ask(ctx, "commands.list") or []
+    return [c["name"] for c in found if c["name"].startswith(incomplete.upper())]
+
+
 def links(ctx: typer.Context, incomplete: str) -> list[str]:
     """Names of the links."""
     return [link["name"] for link in _ask(ctx, "links.list") or [] if link["name"].startswith(incomplete)]

@@ -162,14 +162,18 @@ def home(
     targets: Targets,
     place: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[LAT LON ALT]", help="Degrees; metres above mean sea level.", show_default=False),
+        typer.Argument(
+            metavar="[LAT LON [ALT]]",
+            help="Degrees; metres above mean sea level, default as the home it has.",
+            show_default=False,
+        ),
     ] = None,
     json_output: Json = False,
 ) -> None:
     """Set home: where it stands, or a place."""
     numbers = _numbers(place, ("LAT", "LON", "ALT"))
-    if len(numbers) not in (0, 3):
-        raise typer.BadParameter("give LAT LON ALT, or nothing: home is where it stands")
+    if len(numbers) == 1:
+        raise typer.BadParameter("give LAT LON [ALT], or nothing: home is where it stands")
     params = dict(zip(("lat_deg", "lon_deg", "alt_amsl_m"), numbers, strict=False))
     order("set_home", targets, json_output, **params)
 
@@ -197,7 +201,14 @@ def stream(
 
 def command(
     targets: Targets,
-    name: Annotated[str, typer.Argument(metavar="COMMAND", help="MAV_CMD by name or number: DO_SET_SERVO, 183.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="COMMAND",
+            help="MAV_CMD by name or number: DO_SET_SERVO, 183.",
+            autocompletion=completion.commands,
+        ),
+    ],
     params: Annotated[
         list[str] | None, typer.Argument(metavar="[PARAM1 … PARAM7]", help="Numbers; nan or - is unset.")
     ] = None,

@@ -9,9 +9,10 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from skygcs.cli import completion, render
-from skygcs.cli.connection import Exit, run
+from skygcs.cli.connection import Exit, fail, run
 from skygcs.cli.options import Json, LinkName, MessageName
 from skygcs.cli.values import NUMBERS, name_or_id, parse_pairs
+from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 
 messages = typer.Typer(help="Watch, send and look up any message of the dialect.", no_args_is_help=True)
@@ -54,18 +55,37 @@ def send_message(
     fields: Annotated[list[str] | None, typer.Argument(metavar="[FIELD=VALUE …]", help="Others are 0.")] = None,
     target: Annotated[
         str | None,
-        typer.Option("--to", metavar="TARGETS", help="Vehicles; default: everyone.", autocompletion=completion.targets),
+        typer.Option(
+            "--to",
+            metavar="TARGETS",
+            help="Vehicles, all; needed if the message has a target field.",
+            autocompletion=completion.targets,
+        ),
     ] = None,
     link: Annotated[
-        str | None, typer.Option("--link", metavar="LINK", help="On this link only.", autocompletion=completion.links)
+        str | None,
+        typer.Option(
+            "--link", metavar="LINK", help="On this link only, to all there.", autocompletion=completion.links
+        ),
     ] = None,
     json_output: Json = False,
 ) -> None:
-    """Send one message: `message send UTIAS quat=1,0,0,0 pos=0,0,1.5`. Enum names are values, too."""
+    """Send one message: `message send UTIAS quat=1,0,0,0 pos=0,0,1.5`. Enum names are values, too.
+
+    A message with a target field needs --to TARGETS, --link LINK, or that field (0: everyone).
+    """
     values = parse_pairs(fields or [])
+    if target is not None and link is not None:
+        raise typer.BadParameter("give either --to or --link, not both")
 
     async def command(gcs: Client) -> int:
-        answer = await gcs.call("messages.send", name=name_or_id(name), fields=values, target=target, link=link)
+        try:
+            answer = await gcs.call("messages.send", name=name_or_id(name), fields=values, target=target, link=link)
+        except RpcError as error:
+            if target is not None or not _lacks_target(error):
+                raise
+            fail(f"{name.upper()} is for somebody: give --to TARGETS (--to all: everyone), or --link LINK")
+            return Exit.USAGE
         if json_output:
             typer.echo(json.dumps(answer, indent=2))
         elif answer["sent"]:
@@ -75,6 +95,11 @@ def send_message(
         return Exit.DONE if answer["sent"] else Exit.FAILED
 
     run(command)
+
+
+def _lacks_target(error: RpcError) -> bool:
+    problems = error.data.get("problems", ()) if isinstance(error.data, dict) else ()
+    return any(problem["param"] == "target" for problem in problems)
 
 
 @messages.command("last")

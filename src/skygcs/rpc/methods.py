@@ -5,6 +5,7 @@ A function's docstring is the method's description in `rpc.discover` and docs/re
 
 from __future__ import annotations
 
+import difflib
 import functools
 from itertools import islice
 from typing import Any, Protocol
@@ -16,6 +17,8 @@ from skygcs.rpc import models as m
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.ports import Daemon, JsonObject, Vehicle, resolve, state_of
 from skygcs.rpc.subscriptions import find_message
+
+COMMAND_PREFIX = "MAV_CMD_"
 
 
 class Context(Protocol):
@@ -112,6 +115,7 @@ async def vehicles_stream(context: Context, params: m.StreamParams) -> JsonObjec
 
 async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObject:
     """Send any MAV_CMD and wait for its acknowledgement."""
+    _check_command(context.daemon.dialect, params.command)
     return await _order(context, "command", params)
 
 
@@ -122,9 +126,20 @@ def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | No
 
 
 def messages_send(context: Context, params: m.SendParams) -> JsonObject:
-    """Send any message of the dialect, checked field by field, to one vehicle, one link or everyone."""
+    """Send any message of the dialect, checked field by field.
+
+    A message with a target field (COMMAND_LONG, MANUAL_CONTROL, …) needs target, link or that field; "all", or 0 in the
+    field, is everyone. Others go to everyone unless told otherwise.
+    """
     info = find_message(context.daemon.dialect, params.name, "name")
     fields = _checked_fields(context.daemon.dialect, info, params.fields)
+    if params.target is not None and params.link is not None:
+        raise InvalidParams(("link", "give target or link, not both: a target is sent to where it is heard"))
+    field = next((f.name for f in info.fields if f.offset == info.target_system_offset), None)
+    if field is not None and field not in fields and params.target is None and params.link is None:
+        raise InvalidParams(
+            ("target", f'{info.name} is for somebody: give target ("all" is everyone), link, or the field {field}')
+        )
     return context.daemon.send_message(info.name, fields, params.target, params.link)
 
 
@@ -132,6 +147,12 @@ def messages_list(context: Context, _: m.NoParams) -> list[JsonObject]:
     """Every message of the dialect with its fields, by id."""
     messages = context.daemon.dialect.messages
     return [_describe(messages[msgid]) for msgid in sorted(messages)]
+
+
+def commands_list(context: Context, _: m.NoParams) -> list[JsonObject]:
+    """Every MAV_CMD of the dialect, by number."""
+    names = context.daemon.dialect.enums.get("MAV_CMD", {})
+    return [{"id": number, "name": names[number].removeprefix(COMMAND_PREFIX)} for number in sorted(names)]
 
 
 def links_list(context: Context, _: m.NoParams) -> list[JsonObject]:
@@ -218,6 +239,24 @@ def _one(daemon: Daemon, target: str) -> Vehicle:
     return vehicles[0]
 
 
+def _check_command(dialect: Dialect, command: str | int) -> None:
+    """Raises InvalidParams for a name that is none, once instead of for each vehicle; any number may be sent."""
+    if isinstance(command, int) or command.isdigit():
+        return
+    known = [name.removeprefix(COMMAND_PREFIX) for name in dialect.enums.get("MAV_CMD", {}).values()]
+    wanted = command.upper().removeprefix(COMMAND_PREFIX)
+    if wanted in known:
+        return
+    words = [word for word in wanted.split("_") if len(word) > 2]
+    near = difflib.get_close_matches(wanted[: dispatch.MAX_ECHO_CHARS], known, n=5)
+    near += sorted((n for n in known if any(w in n for w in words)), key=lambda n: -sum(w in n for w in words))
+    hint = f"; did you mean {', '.join(list(dict.fromkeys(near))[:5])}?" if near else ""
+    text = f"dialect {dialect.name} has no command {command[: dispatch.MAX_ECHO_CHARS]!r}{hint}"
+    raise InvalidParams(
+        ("command", f"{text} commands.list lists them" if near else f"{text}; commands.list lists them")
+    )
+
+
 def _checked_fields(dialect: Dialect, info: MessageInfo, fields: JsonObject) -> JsonObject:
     """Fields as the dialect packs them; every wrong one is told, not only the first."""
     by_name = {f.name: f for f in info.fields}
@@ -291,6 +330,7 @@ METHODS: dict[str, Method[Context]] = {
             (*_ORDER, dispatch.REFUSED, dispatch.LINK_ERROR),
         ),
         Method("messages.list", m.NoParams, messages_list, list[m.MessageType]),
+        Method("commands.list", m.NoParams, commands_list, list[m.CommandType]),
         Method("links.list", m.NoParams, links_list, list[dict[str, Any]]),
         Method("links.add", m.LinkParams, links_add, list[dict[str, Any]], _LINK),
         Method("links.change", m.LinkParams, links_change, list[dict[str, Any]], _LINK),

@@ -130,13 +130,15 @@ class RebootParams(TargetsParams):
 class SetHomeParams(TargetsParams):
     lat_deg: Lat | None = None
     lon_deg: Lon | None = None
-    alt_amsl_m: float | None = Field(None, description="Altitude above mean sea level in metres.")
+    alt_amsl_m: float | None = Field(
+        None, description="Altitude above mean sea level in metres; null: that of the home it has."
+    )
 
     @model_validator(mode="after")
-    def _all_or_none(self) -> Self:
-        given = [self.lat_deg, self.lon_deg, self.alt_amsl_m]
-        if None in given and any(v is not None for v in given):
-            raise ValueError("give lat_deg, lon_deg and alt_amsl_m, or none of them (home is where it stands)")
+    def _place_or_none(self) -> Self:
+        given = [self.lat_deg is not None, self.lon_deg is not None]
+        if not all(given) and (any(given) or self.alt_amsl_m is not None):
+            raise ValueError("give lat_deg and lon_deg, or nothing (home is where it stands)")
         return self
 
 
@@ -176,8 +178,10 @@ class SendParams(Params):
     fields: dict[str, Any] = Field(
         default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."
     )
-    target: Targets | None = Field(None, description="Vehicles to send it to, each with its ids filled in.")
-    link: str | None = Field(None, description="Send on this link only.")
+    target: Targets | None = Field(
+        None, description='Vehicles to send it to, each with its ids filled in; "all": everyone.'
+    )
+    link: str | None = Field(None, description="Send on this link only, to all that is there.")
 
 
 class LinkParams(Params):
@@ -334,6 +338,13 @@ class MessageType(Result):
     id: int
     name: str
     fields: list[dict[str, Any]] = Field(description="name, type, units, enum of each field.")
+
+
+class CommandType(Result):
+    """One MAV_CMD of the dialect."""
+
+    id: int
+    name: str = Field(description="Without MAV_CMD_.")
 
 
 class Event(Result):

@@ -81,6 +81,7 @@ def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert fleet.order("reboot", "alpha") == ("reboot", {"force": False})
     assert fleet.order("home", "alpha")[1] == {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None}
     assert fleet.order("home", "alpha", "-43", "-79", "180")[1] == {"lat_deg": -43, "lon_deg": -79, "alt_amsl_m": 180}
+    assert fleet.order("home", "alpha", "-43", "-79")[1] == {"lat_deg": -43, "lon_deg": -79, "alt_amsl_m": None}
     assert fleet.order("interval", "alpha", "ATTITUDE", "10")[1] == {"message": "ATTITUDE", "rate_hz": 10}
     assert fleet.order("interval", "alpha", "30", "default")[1] == {"message": 30, "rate_hz": None}
     assert fleet.order("stream", "alpha", "POSITION", "4")[1] == {"stream": "POSITION", "rate_hz": 4}
@@ -112,7 +113,12 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["goto", "all", "1", "2", "--enu", "1,2,3"], USAGE, "not both"),
         (["goto", "all", "1", "2", "--yow", "3"], USAGE, "--yow"),
         (["goto", "all", "143", "2"], USAGE, "lat_deg"),
-        (["home", "all", "43"], USAGE, "LAT LON ALT"),
+        (["home", "all", "43"], USAGE, "LAT LON [ALT]"),
+        (["home", "all", "1", "2", "3", "4"], USAGE, "LAT LON ALT"),
+        (["command", "all", "SERVO"], USAGE, "DO_SET_SERVO"),
+        (["message", "send", "COMMAND_LONG", "command=400", "param1=1"], USAGE, "--to TARGETS"),
+        (["message", "send", "manual_control", "z=1000"], USAGE, "MANUAL_CONTROL is for somebody: give --to"),
+        (["message", "send", "COMMAND_LONG", "--to", "1", "--link", "radio"], USAGE, "not both"),
         (["nonsense"], USAGE, "nonsense"),
         (["interval", "all", "NONSENSE", "1"], USAGE, "NONSENSE"),
         (["call", "daemon.inf"], FAILED, "did you mean daemon.info"),
@@ -166,6 +172,9 @@ def test_messages_are_watched_sent_and_looked_up(fleet: Fleet) -> None:
     assert (shown["vehicle"], shown["fields"]["roll"]) == ("bravo", 0.25)
     assert "sent HEARTBEAT" in fleet.run("message", "send", "HEARTBEAT", "type=MAV_TYPE_GCS", "--to", "all")
     assert fleet.daemon.sent[-1] == ("HEARTBEAT", {"type": 6}, "all", None)
+    fleet.run("message", "send", "COMMAND_LONG", "command=400", "--to", "alpha")
+    fleet.run("message", "send", "COMMAND_LONG", "command=400", "target_system=0")
+    assert [entry[2] for entry in fleet.daemon.sent[-2:]] == ["alpha", None]
     fleet.run("message", "send", "ATTITUDE", "roll=-0.5", "pitch=nan", "--link", "radio")
     assert fleet.daemon.sent[-1][1]["roll"] == -0.5
     assert "was not sent" in fleet.run("message", "send", "ATTITUDE", "--link", "dead", code=FAILED)

@@ -191,6 +191,51 @@ async def test_a_message_is_checked_field_by_field_before_it_is_sent(bench: Benc
     assert len(bench.daemon.sent) == 3
 
 
+async def test_a_message_with_a_target_field_is_never_for_everyone_by_omission(bench: Bench) -> None:
+    peer = await bench.connect()
+    arm_all = {"command": 400, "param1": 1}
+    for name, field, fields in (
+        ("COMMAND_LONG", "target_system", arm_all),
+        ("MANUAL_CONTROL", "target", {"z": 1000}),
+        ("COMMAND_LONG", "target_system", {**arm_all, "target_component": 1}),
+    ):
+        error = (await peer.call("messages.send", name=name, fields=fields))["error"]
+        assert error["code"] == -32602 and error["data"]["problems"][0]["param"] == "target"
+        assert field in error["message"]
+    both = await peer.call("messages.send", name="COMMAND_LONG", fields=arm_all, target="alpha", link="radio")
+    assert both["error"]["code"] == -32602
+    assert bench.daemon.sent == []
+    assert "result" in await peer.call("messages.send", name="COMMAND_LONG", fields=arm_all, target="all")
+    assert "result" in await peer.call("messages.send", name="COMMAND_LONG", fields=arm_all, link="radio")
+    everyone = {**arm_all, "target_system": 0}
+    assert "result" in await peer.call("messages.send", name="COMMAND_LONG", fields=everyone)
+    assert "result" in await peer.call("messages.send", name="MANUAL_CONTROL", fields={"target": 1})
+
+
+async def test_a_command_that_is_none_is_told_once_with_near_ones(bench: Bench) -> None:
+    peer = await bench.connect()
+    for wrong, near in (
+        ("DO_SET_SERV", "DO_SET_SERVO"),
+        ("mav_cmd_SERVO", "DO_REPEAT_SERVO"),
+        ("NOSUCHCMD", "commands.list"),
+    ):
+        error = (await peer.call("vehicles.command", targets="all", command=wrong))["error"]
+        assert error["code"] == -32602 and near in error["message"], error
+    assert bench.daemon.vehicle("alpha").orders == []
+    for right in ("mav_cmd_do_set_servo", "DO_SET_SERVO", "65000", 65000):
+        assert "result" in await peer.call("vehicles.command", targets="alpha", command=right)
+    listed = (await peer.call("commands.list"))["result"]
+    assert {"id": 183, "name": "DO_SET_SERVO"} in listed
+
+
+async def test_a_home_needs_no_altitude_but_both_coordinates(bench: Bench) -> None:
+    peer = await bench.connect()
+    assert "result" in await peer.call("vehicles.set_home", targets="alpha", lat_deg=43, lon_deg=-79)
+    assert bench.daemon.vehicle("alpha").orders[-1][1] == {"lat_deg": 43, "lon_deg": -79, "alt_amsl_m": None}
+    for part in ({"lat_deg": 43}, {"lon_deg": 1, "alt_amsl_m": 2}, {"alt_amsl_m": 180}):
+        assert "error" in await peer.call("vehicles.set_home", targets="alpha", **part)
+
+
 async def test_a_batch_is_answered_as_one_without_its_notifications(bench: Bench) -> None:
     peer = await bench.connect()
     info = {"jsonrpc": "2.0", "method": "daemon.info"}
