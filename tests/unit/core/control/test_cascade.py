@@ -80,6 +80,12 @@ def test_the_thrust_vector_stays_within_its_limit_in_a_climb_to_one_side():
     assert math.hypot(*output.thrust_enu) <= 0.9
 
 
+def test_the_thrust_to_send_is_within_its_limit_even_where_rounding_leaves_the_vector_a_hair_above():
+    output, _ = flown(Reference((30.0, 7.0, 1.2016)))
+    assert math.hypot(*output.thrust_enu) > 0.9
+    assert output.collective_thrust == 0.9
+
+
 def test_the_horizontal_integral_is_bounded_even_while_its_anti_windup_drives_it_the_wrong_way():
     """At full vertical thrust all horizontal thrust is cut, and tracking pulls to -vel_p/2 x error = -1.6."""
     climbing = Estimate((0.0, 0.0, 0.0), (-30.0, 0.0, -5.0))
