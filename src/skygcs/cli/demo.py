@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from skygcs.cli.process import EXIT_FAILED, EXIT_OK, serve_until_signal
+from skygcs.cli.process import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, serve_until_signal
 from skygcs.cli.render import status_table
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, OriginConfig, SimulatedLink, UdpClientLink, VehicleEntry
@@ -212,6 +212,9 @@ async def demo(*, stay: bool, socket: Path | None, log_dir: Path) -> int:
         script = Demo(console)
         async with _running(daemon):
             await _show_flight(script, daemon, console)
+            if daemon.stopping:
+                console.print("Stopped before the flight was over.")
+                return EXIT_INTERRUPTED
             _summarise(script, daemon, console)
             if stay and not daemon.stopping:
                 console.print("\nStill up. Try:  skygcs-cli status   skygcs-cli takeoff all 5   (Ctrl-C ends it)")

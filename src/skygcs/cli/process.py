@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 EXIT_OK = 0
 EXIT_FAILED = 1
+EXIT_INTERRUPTED = 130
+"""As a shell reports a program ended by Ctrl-C."""
 
 
 async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None = None) -> None:
