@@ -53,6 +53,7 @@ class FakeVehicle:
         self.finished: list[str] = []
         self.states_made = 0
         self.connected = True
+        self.duplicate = False
         self.armed = False
         self.mode = "AUTO.LOITER" if autopilot == "px4" else "LOITER"
         self.outcome = FakeOutcome(True, "accepted", "accepted")
@@ -145,6 +146,7 @@ class FakeVehicle:
             "firmware": "1.14.3" if self.autopilot == "px4" else "4.5.1",
             "groups": list(self.groups),
             "connected": known,
+            "duplicate_sysid": self.duplicate,
             "last_heartbeat_age_s": 0.4 if known else 73.0,
             "uptime_s": 321.0,
             "clock_offset_s": None,
@@ -263,6 +265,7 @@ class FakeDaemon:
         self.events: deque[dict[str, Any]] = deque(maxlen=1000)
         self.sent: list[tuple[str, dict[str, Any], str | None, str | None]] = []
         self.links: dict[str, dict[str, Any]] = {"radio": {"type": "serial", "device": "/dev/ttyUSB0"}}
+        self.link_states: dict[str, dict[str, Any]] = {}
         self._on_event: list[Callable[[Mapping[str, Any]], None]] = []
         self._on_frame: list[tuple[set[str] | None, set[int] | None, Callable[[Frame, Any, float], None]]] = []
         self.emit("vehicle_discovered", "alpha", "alpha (1) discovered on radio")
@@ -288,6 +291,7 @@ class FakeDaemon:
                 "state": "up",
                 "since_s": 42.0,
                 "last_error": None,
+                **self.link_states.get(name, {}),
                 "channels": [
                     {
                         "peer": link.get("device", "127.0.0.1:14550"),

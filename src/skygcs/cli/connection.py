@@ -14,6 +14,7 @@ from typing import NoReturn
 
 import typer
 
+from skygcs.cli.render import screen_width, wrapped
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE
 from skygcs.rpc.client import Client, connect
@@ -55,8 +56,8 @@ def run_offline(command: Callable[[], int | None]) -> NoReturn:
 
 
 def fail(text: str) -> None:
-    """One line for a person, on stderr."""
-    typer.echo(f"skygcs-cli: {text}", err=True)
+    """One line for a person, on stderr; on a terminal wrapped between words."""
+    typer.echo(wrapped(f"skygcs-cli: {text}", screen_width(sys.stderr), indent=2), err=True)
 
 
 def client(socket: str | None = None) -> Client:

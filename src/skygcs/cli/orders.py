@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from typing import Annotated, Any, NoReturn
 
@@ -11,7 +12,7 @@ import typer
 from skygcs.cli import completion
 from skygcs.cli.connection import Exit, run, waiting
 from skygcs.cli.options import Json, Targets
-from skygcs.cli.render import outcome_lines
+from skygcs.cli.render import outcome_lines, screen_width
 from skygcs.cli.values import NUMBERS, name_or_id, parse_number, parse_unset_number
 from skygcs.rpc.client import Client
 
@@ -26,7 +27,7 @@ def order(method: str, targets: str, json_output: bool, **params: Any) -> NoRetu
         if json_output:
             typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
         else:
-            for line in outcome_lines(outcomes):
+            for line in outcome_lines(outcomes, screen_width(sys.stdout)):
                 typer.echo(line)
         return Exit.DONE if all(o["ok"] for o in outcomes.values()) else Exit.FAILED
 

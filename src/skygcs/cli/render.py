@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, RenderableType
     from rich.table import Table
 
 State = Mapping[str, Any]
 
 PIPE_WIDTH = 250
 """Columns where there is no terminal: nothing is cut."""
+
+LONG_REASON = 60
+"""A reason longer than this is told whole once, not for each vehicle."""
 
 LOW_BATTERY_PERCENT = 25
 STATUS_COLUMNS = (
@@ -79,7 +84,8 @@ def status_cells(state: State) -> tuple[str, ...]:
 def armed_word(state: State) -> str:
     """Armed or not, and what is worse than either."""
     armed = {True: "ARMED", False: "no", None: "?"}[state.get("armed")]
-    return f"{armed} FAILSAFE" if state.get("failsafe") else armed
+    further = (("failsafe", "FAILSAFE"), ("duplicate_sysid", "DUPLICATE ID"), ("replayed", "REPLAY"))
+    return " ".join([armed, *(word for key, word in further if state.get(key))])
 
 
 def age_word(state: State) -> str:
@@ -118,20 +124,43 @@ def field_text(state: State, path: str) -> str:
     return _plain(value)
 
 
-def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """One line per vehicle: whether it is done, and how or why not."""
+def screen_width(stream: Any) -> int | None:
+    """Columns of the terminal that ``stream`` is; None where it is none and nothing is wrapped."""
+    return shutil.get_terminal_size().columns if stream.isatty() else None
+
+
+def wrapped(text: str, columns: int | None, indent: int = 0) -> str:
+    """Each line between words, further lines indented."""
+    if columns is None:
+        return text
+    wrapper = textwrap.TextWrapper(
+        columns,
+        subsequent_indent=" " * min(indent, columns // 2),
+        replace_whitespace=False,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join(line if len(line) <= columns else wrapper.fill(line) for line in text.split("\n"))
+
+
+def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]], columns: int | None = None) -> list[str]:
+    """One line per vehicle: whether it is done, and how or why not. Long reasons that repeat are told once."""
     width = max((len(name) for name in outcomes), default=0)
     lines = []
+    told: dict[str, str] = {}
     for name, outcome in outcomes.items():
         word = "ok  " if outcome["ok"] else "FAIL"
         message = outcome["message"] or outcome["result"]
+        first = told.setdefault(message, name)
+        if first != name and len(message) > LONG_REASON:
+            message = f"{message.partition(';')[0][:LONG_REASON]} … as {first}"
         attempts = outcome["attempts"]
         if attempts:  # none: nothing was sent
             how = f"{outcome['elapsed_s']:.1f} s" + (f", {attempts} attempts" if attempts > 1 else "")
             message = f"{message} ({how})"
         extra = [t for t in outcome.get("status_texts") or () if t not in message]
-        lines.append(f"{word} {name:<{width}}  {message}")
-        lines += [f"     {'':<{width}}  {text}" for text in extra]
+        rows = [f"{word} {name:<{width}}  {message}", *(f"     {'':<{width}}  {text}" for text in extra)]
+        lines += [wrapped(row, columns, indent=width + 7) for row in rows]
     return lines
 
 
@@ -154,24 +183,28 @@ def message_line(message: Mapping[str, Any]) -> str:
     return f"{source} {message['name']} {fields}{lost}"
 
 
-def links_table(links: Iterable[Mapping[str, Any]]) -> Table:
-    """A row per channel; a link without channels has one row of its own."""
+def links_table(links: Iterable[Mapping[str, Any]]) -> RenderableType:
+    """A row per channel; a link without channels has one row of its own. Below it, why links are down."""
+    from rich.console import Group
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in LINK_COLUMNS:
         table.add_column(column, no_wrap=column not in ("peer", "sources"))
+    reasons = []
     for link in links:
         state = str(link.get("state", "?"))
         since = link.get("since_s")
-        state_text = f"{state} {duration(since)}" if since is not None else state
-        if state != "up" and link.get("last_error"):
-            state_text += f": {link['last_error']}"
+        timeless = since is None or state == "disabled"
+        state_text = state if timeless else f"{state} {duration(since)}"
+        if state not in ("up", "disabled") and link.get("last_error"):
+            reasons.append(Text(f"{link['name']}: {' '.join(str(link['last_error']).split())}", style="red"))
         head = (str(link["name"]), str(link.get("type", "")), str(link.get("role", "")), state_text)
         rows = [_channel_cells(channel) for channel in link.get("channels") or ()] or [("",) * 8]
         for i, row in enumerate(rows):
-            table.add_row(*(head if i == 0 else ("",) * 4), *row, style="red" if state == "down" else None)
-    return table
+            table.add_row(*(head if i == 0 else ("",) * 4), *row, style={"down": "red", "disabled": "dim"}.get(state))
+    return Group(table, *reasons)
 
 
 def _channel_cells(channel: Mapping[str, Any]) -> tuple[str, ...]:
@@ -208,7 +241,7 @@ def _styles(state: State) -> list[str]:
     styles = dict.fromkeys(STATUS_COLUMNS, "")
     if state.get("armed"):
         styles["armed"] = "bold yellow"
-    if state.get("failsafe"):
+    if state.get("failsafe") or state.get("duplicate_sysid"):
         styles["armed"] = "bold red"
     if not state.get("connected"):
         styles["age"] = "bold red"

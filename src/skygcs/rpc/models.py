@@ -279,6 +279,7 @@ class VehicleState(Result):
     firmware: str | None
     groups: list[str]
     connected: bool
+    duplicate_sysid: bool = Field(description="Two vehicles speak under this id: all that is told is a mixture.")
     last_heartbeat_age_s: float | None
     uptime_s: float | None
     clock_offset_s: float | None

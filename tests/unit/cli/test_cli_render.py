@@ -39,6 +39,14 @@ def test_a_lost_vehicle_and_a_failsafe_are_said_in_words() -> None:
     assert "lost 73 s" in cells and "ARMED FAILSAFE" in cells
 
 
+def test_two_vehicles_under_one_id_and_a_recording_are_said_in_words() -> None:
+    assert "no DUPLICATE ID" in render.status_cells(state(duplicate_sysid=True))
+    assert "ARMED REPLAY" in render.status_cells(state(armed=True, replayed=True))
+    assert "no" in render.status_cells(state(duplicate_sysid=False, replayed=False))
+    styles = [style for style in render._styles(state(duplicate_sysid=True)) if "red" in style]
+    assert styles == ["bold red"]
+
+
 def test_a_vehicle_of_which_only_a_heartbeat_is_known_has_its_row() -> None:
     bare = {"name": "v7", "sysid": 7, "autopilot": "px4", "connected": True, "armed": None, "mode": None}
     unknown = dict.fromkeys(("gps", "position", "battery", "home", "firmware", "landed", "last_heartbeat_age_s"))
@@ -100,6 +108,31 @@ def test_every_vehicle_has_a_line_with_its_outcome_and_reason() -> None:
     assert render.outcome_lines({}) == []
 
 
+def test_a_long_reason_that_many_share_is_told_once_per_reason() -> None:
+    modes = ", ".join(f"AUTO.MODE{i}" for i in range(30))
+    reasons = {"a": f"no mode 'X'; there are {modes}", "b": f"no mode 'X'; there are {modes.replace('AUTO.', '')}"}
+    answers = {f"{kind}{i}": outcome(ok=False, message=reasons[kind], attempts=0) for i in range(2) for kind in "ab"}
+    lines = render.outcome_lines(answers)
+    assert lines == [
+        f"FAIL a0  {reasons['a']}",
+        f"FAIL b0  {reasons['b']}",
+        "FAIL a1  no mode 'X' … as a0",
+        "FAIL b1  no mode 'X' … as b0",
+    ]
+    short = outcome(ok=False, message="denied", attempts=0)
+    assert render.outcome_lines({"a": short, "b": short}) == ["FAIL a  denied", "FAIL b  denied"]
+
+
+def test_on_a_terminal_long_lines_are_wrapped_between_words_below_their_text() -> None:
+    modes = ", ".join(f"AUTO.MODE{i}" for i in range(30))
+    lines = render.outcome_lines({"alpha": outcome(ok=False, message=f"no; {modes}", attempts=0)}, 60)[0].splitlines()
+    assert all(len(line) <= 60 for line in lines) and lines[1].startswith(" " * 12 + "AUTO.MODE")
+    assert " ".join(lines).split() == ["FAIL", "alpha", "no;", *modes.split()]
+    assert render.wrapped("a" * 70 + " b", 60, 2) == "a" * 70 + "\n  b"
+    assert render.wrapped("a b", None) == "a b"
+    assert render.wrapped("a\n  b c", 4) == "a\n  b\nc"
+
+
 def test_events_and_messages_are_one_line_and_tell_what_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TZ", "UTC")
     time.tzset()
@@ -127,11 +160,14 @@ def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
         "role": "gcs",
         "state": "down",
         "since_s": 3.0,
-        "last_error": "refused",
+        "last_error": "refused " * 40,
     }
-    lines = text_of(render.links_table([{**up, "channels": up["channels"] * 2}, down])).splitlines()
-    assert len(lines) == 4
+    off = {"name": "spare", "type": "serial", "role": "peer", "state": "disabled", "since_s": 9.0, "last_error": "old"}
+    lines = text_of(render.links_table([{**up, "channels": up["channels"] * 2}, down, off])).splitlines()
     for cell in ("radio", "serial", "up 42 s", "/dev/ttyUSB0", "1200", "57 B", "1/1 1.0 %"):
         assert cell in lines[1]
     assert "radio" not in lines[2]
-    assert "lte" in lines[3] and "down 3.0 s: refused" in lines[3]
+    assert "lte" in lines[3] and "down 3.0 s" in lines[3] and "refused" not in lines[3]
+    assert lines[4].split() == ["spare", "serial", "peer", "disabled"]
+    assert max(len(line.rstrip()) for line in lines[:5]) < 130  # no error widens the table
+    assert " ".join(lines[5:]).split() == ["lte:", *["refused"] * 40]
