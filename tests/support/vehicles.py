@@ -27,6 +27,7 @@ CAPTURE = Path(__file__).parents[1] / "data" / "sitl-3ardupilot-2px4.tlog"
 PX4, ARDUPILOT = 12, 3
 PX4_LOITER = 4 << 16 | 3 << 24
 PX4_TAKEOFF = 4 << 16 | 2 << 24
+PX4_RTL = 4 << 16 | 5 << 24
 PX4_LAND = 4 << 16 | 6 << 24
 PX4_POSCTL = 3 << 16
 
@@ -92,13 +93,22 @@ class Voice(PymavPeer):
 class Sent:
     """One message of ours, as pymavlink reads its bytes."""
 
-    def __init__(self, info: MessageInfo, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority):
+    def __init__(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        everywhere: bool = False,
+    ):
         raw = encode(info, values, sysid=255, compid=25, seq=0)
         (self.message,) = PymavPeer(1, 1).mav.parse_buffer(raw)
         self.name = info.name
         self.sysid = sysid
         self.compid = compid
         self.priority = priority
+        self.everywhere = everywhere
 
     def __getattr__(self, field: str) -> Any:
         return getattr(self.message, field)
@@ -186,6 +196,8 @@ def accept_everything(vehicle: ScriptedVehicle, sent: Sent) -> None:
         vehicle.flying = True
     elif sent.name == "COMMAND_LONG" and sent.command == 21:
         vehicle.mode = PX4_LAND if vehicle.autopilot == PX4 else 9
+    elif sent.name == "COMMAND_LONG" and sent.command == 20:
+        vehicle.mode = PX4_RTL if vehicle.autopilot == PX4 else 6
     elif sent.name == "COMMAND_INT" and sent.command == 192:
         vehicle.mode = PX4_LOITER if vehicle.autopilot == PX4 else 4
     if sent.name.startswith("COMMAND_"):
@@ -200,10 +212,16 @@ class Ground:
         self.sent: list[Sent] = []
         self.scripted: list[ScriptedVehicle] = []
         self.links_up = True
+        self.may_broadcast = True
         self.loop = asyncio.get_running_loop()
         quiet = {"defaults": {"streams": {}}, **(config or {})}  # no requests for messages but those of the test
         self.fleet = Fleet(
-            FleetConfig.model_validate(quiet), flight_dialect(), self._send, self.loop, self.events.append
+            FleetConfig.model_validate(quiet),
+            flight_dialect(),
+            self._send,
+            self.loop,
+            self.events.append,
+            may_broadcast=lambda: self.may_broadcast,
         )
         self._task = self.loop.create_task(self._tick())
 
@@ -225,8 +243,17 @@ class Ground:
         await asyncio.sleep(0.5)
         return [self.fleet.vehicles[v.mav.srcSystem << 8 | v.mav.srcComponent] for v in vehicles]
 
-    def _send(self, info: MessageInfo, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority) -> bool:
-        sent = Sent(info, values, sysid, compid, priority)
+    def _send(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        *,
+        everywhere: bool = False,
+    ) -> bool:
+        sent = Sent(info, values, sysid, compid, priority, everywhere)
         self.sent.append(sent)
         if not self.links_up:
             return False

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Protocol
 
 from skygcs.core.airtime import Priority
 from skygcs.core.exchange.base import Effect, Report, Transmit
@@ -26,8 +26,24 @@ from skygcs.core.exchange.command import (
 )
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 
-SendFn = Callable[[MessageInfo, Mapping[str, Any], int, int, Priority], bool]
-"""(message, field values, target sysid (0: every vehicle), target compid, priority) -> whether it was taken."""
+
+class SendFn(Protocol):
+    """How a message of ours leaves: over the best link to the target, or ``everywhere`` over each that leads to it."""
+
+    def __call__(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        /,
+        *,
+        everywhere: bool = False,
+    ) -> bool:
+        """Sysid 0 is every vehicle; whether it was taken."""
+        ...
+
 
 LATE_ACK_S = 1.5
 """Two rounds of a nine-node multipoint radio at 64 kbit/s; later than that an ack is not expected any more."""
@@ -35,6 +51,8 @@ LATE_ACK_S = 1.5
 ECHO_ACK_S = 0.05
 """PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): the second one must not pass for the next
 command's. Where a radio parts the two by more, the mode in the heartbeat decides, as for every mode."""
+
+SUPERSEDED = "a newer order took its place"
 
 MAX_WAITING = 8
 """Commands of one id waiting for their turn; further ones are refused."""
@@ -65,7 +83,7 @@ class _Line:
 
 
 class _Running:
-    __slots__ = ("done", "exchange", "not_taken", "on_report", "priority", "satisfied")
+    __slots__ = ("done", "everywhere", "exchange", "moving", "not_taken", "on_report", "priority", "satisfied")
 
     def __init__(
         self,
@@ -74,12 +92,17 @@ class _Running:
         priority: Priority,
         satisfied: Check | None,
         on_report: Callable[[int | None], None] | None,
+        *,
+        everywhere: bool,
+        moving: bool,
     ) -> None:
         self.exchange = exchange
         self.done = done
         self.priority = priority
         self.satisfied = satisfied
         self.on_report = on_report
+        self.everywhere = everywhere
+        self.moving = moving
         self.not_taken = 0
 
 
@@ -124,9 +147,16 @@ class Commander:
         emergency: bool = False,
         satisfied: Check | None = None,
         on_report: Callable[[int | None], None] | None = None,
+        everywhere: bool = False,
+        wanted: Check | None = None,
     ) -> Outcome:
         """Send it and wait for its outcome. ``satisfied`` tells whether the state shows already what is wanted: then
-        a lost ack does not matter. Cancelling forgets the command; what was sent cannot be unsent."""
+        a lost ack does not matter. Cancelling forgets the command; what was sent cannot be unsent.
+
+        The first transmission takes the best link, repeats take every one that leads to the vehicle: the best may be
+        the very one that loses them. ``everywhere``: the first one as well. ``wanted``: it moves the vehicle, and a
+        newer order may take its place (`supersede`); asked when its turn has come.
+        """
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
             return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
         try:
@@ -136,7 +166,9 @@ class Commander:
         line = self._lines.setdefault(spec.command, _Line())
         if emergency:
             self.stop(spec.command, "cancelled", "an emergency order took its place")
-            return await self._exchange(line, spec, Priority.EMERGENCY, EMERGENCY_TIMERS_S, satisfied, on_report)
+            return await self._exchange(
+                line, spec, Priority.EMERGENCY, EMERGENCY_TIMERS_S, satisfied, on_report, everywhere=True, moving=True
+            )
         if line.waiting >= MAX_WAITING:
             return Outcome(False, "refused", f"{line.waiting} commands of the same kind are waiting already")
         line.waiting += 1
@@ -148,7 +180,18 @@ class Commander:
             await self._quiet(line)
             if spec.command in self._running:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
-            return await self._exchange(line, spec, Priority.COMMAND, RETRY_TIMERS_S, satisfied, on_report)
+            if wanted is not None and not wanted():
+                return Outcome(False, "cancelled", SUPERSEDED)
+            return await self._exchange(
+                line,
+                spec,
+                Priority.COMMAND,
+                RETRY_TIMERS_S,
+                satisfied,
+                on_report,
+                everywhere=everywhere,
+                moving=wanted is not None,
+            )
         finally:
             line.lock.release()
 
@@ -201,6 +244,13 @@ class Commander:
         for command in [c for c, r in self._running.items() if r.priority is not Priority.EMERGENCY]:
             self.stop(command, result, message)
 
+    def supersede(self, specs: Collection[CommandSpec]) -> None:
+        """A newer order moves the vehicle: older ones are not repeated any more. One of the very same commands goes on,
+        and so does an emergency."""
+        for command, running in list(self._running.items()):
+            if running.moving and running.exchange.spec not in specs and running.priority is not Priority.EMERGENCY:
+                self.stop(command, "cancelled", SUPERSEDED)
+
     def close(self) -> None:
         """The daemon ends."""
         for command in list(self._running):
@@ -228,11 +278,15 @@ class Commander:
         timers: tuple[float, ...],
         satisfied: Check | None,
         on_report: Callable[[int | None], None] | None,
+        *,
+        everywhere: bool,
+        moving: bool,
     ) -> Outcome:
         exchange = CommandExchange(spec, timers)
         if satisfied is not None and satisfied():
             satisfied = None  # it tells nothing about this command
-        running = _Running(exchange, self._loop.create_future(), priority, satisfied, on_report)
+        done: asyncio.Future[Outcome] = self._loop.create_future()
+        running = _Running(exchange, done, priority, satisfied, on_report, everywhere=everywhere, moving=moving)
         self._running[spec.command] = running
         now = self._loop.time()
         carried = self.carrier is not None and not self.carrier.sent and self.carrier.spec == spec
@@ -256,7 +310,8 @@ class Commander:
                 spec = running.exchange.spec
                 values = spec.values(*self.target, effect.attempt)
                 info = self._dialect.by_name[spec.message]
-                if not self._send(info, values, *self.target, running.priority):
+                everywhere = {"everywhere": True} if running.everywhere or effect.attempt else {}
+                if not self._send(info, values, *self.target, running.priority, **everywhere):
                     running.not_taken += 1
             elif isinstance(effect, Report):
                 if running.on_report is not None:

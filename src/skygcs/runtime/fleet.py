@@ -47,9 +47,15 @@ ORDERS = frozenset(
 )
 """Methods of VehicleActor that `command_all` runs."""
 
-BROADCAST = frozenset({"disarm", "land", "rtl", "hold"})
-"""Orders for all that go out as one frame. They all end a flight: a broadcast also reaches vehicles that are not heard
-from, so it must never be one that starts anything; an arming is sent to each by itself."""
+BROADCAST = frozenset({"land", "rtl"})
+"""Orders for all that may go out as one frame. A broadcast also reaches vehicles that nobody here has heard of: it must
+be good for any of them. A disarming would drop one that flies, and a mode has another number on another type."""
+
+KEPT = frozenset({"land", "rtl", "hold", "disarm"})
+"""Orders that end a flight are carried on to their outcome, even if whoever gave them goes away meanwhile."""
+
+MAX_KEPT = 64
+"""So many of them at once; further ones end with whoever gave them. Each lasts seconds."""
 
 
 class Fleet:
@@ -62,7 +68,9 @@ class Fleet:
         send: SendFn,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
+        may_broadcast: Callable[[], bool] = lambda: True,
     ) -> None:
+        """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``."""
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
@@ -73,6 +81,9 @@ class Fleet:
         self._send = send
         self._loop = loop
         self._on_event = on_event
+        self._may_broadcast = may_broadcast
+        self._kept: set[asyncio.Task[dict[str, Outcome]]] = set()
+        self._duplicates: set[int] = set()
         self._decoder = Decoder(dialect)
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
 
@@ -92,6 +103,18 @@ class Fleet:
         """End all orders in flight as cancelled."""
         for actor in self.vehicles.values():
             actor.close()
+        for task in self._kept:
+            task.cancel()
+
+    def set_duplicate(self, key: int, duplicate: bool) -> None:
+        """Whether two autopilots speak as ``key`` (sysid << 8 | compid), met or not yet: orders to it are refused."""
+        if not duplicate:
+            self._duplicates.discard(key)
+        elif len(self._duplicates) < MAX_VEHICLES:
+            self._duplicates.add(key)
+        actor = self.vehicles.get(key)
+        if actor is not None:
+            actor.duplicate = duplicate
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
@@ -116,13 +139,30 @@ class Fleet:
         """Run one order (a method of VehicleActor) on every vehicle meant, at once; the outcome of each by name.
 
         Raises TargetError before anything is sent. An order for all that one frame can carry goes out as a broadcast;
-        each vehicle's answer is still collected, and who did not answer is sent its own.
+        each vehicle's answer is still collected, and who did not answer is sent its own. When the caller is cancelled,
+        the orders of `KEPT` go on, all others end.
         """
         if order not in ORDERS:
             raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
         actors = self.resolve(expression)
+        work = self._command(actors, order, args, arguments)
+        if order not in KEPT or len(self._kept) >= MAX_KEPT:
+            return await work
+        task = self._loop.create_task(work, name=f"{order} {', '.join(a.name for a in actors)}"[:100])
+        self._kept.add(task)
+        task.add_done_callback(self._kept_ended)
+        return await asyncio.shield(task)
+
+    def _kept_ended(self, task: asyncio.Task[dict[str, Outcome]]) -> None:
+        self._kept.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            self._on_event(Event("fault", None, None, f"{task.get_name()} failed inside skygcs: {error!r}", {}))
+
+    async def _command(
+        self, actors: list[VehicleActor], order: str, args: tuple[Any, ...], arguments: dict[str, Any]
+    ) -> dict[str, Outcome]:
         own_arguments = self._places(actors, arguments) if order == "goto" else {}
-        carrier = self._carrier(actors, order, arguments)
+        carrier = self._carrier(actors, order)
         tasks: dict[str, asyncio.Task[Outcome]] = {}
         try:
             async with asyncio.TaskGroup() as group:
@@ -132,8 +172,7 @@ class Fleet:
                     tasks[actor.name] = group.create_task(call, name=f"{order} {actor.name}")
                 if carrier is not None:
                     await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
-                    emergency = order == "disarm" and bool(arguments.get("force"))
-                    self._broadcast(carrier, Priority.EMERGENCY if emergency else Priority.COMMAND)
+                    self._broadcast(carrier)
         finally:
             for actor in actors:
                 if actor.commander.carrier is carrier:
@@ -173,18 +212,20 @@ class Fleet:
                 places[actor] = {"lat_deg": lat, "lon_deg": lon}
         return places
 
-    def _carrier(self, actors: list[VehicleActor], order: str, arguments: dict[str, Any]) -> Carrier | None:
-        """A broadcast, if all vehicles are meant, none refuses, and all would be sent the very same.
+    def _carrier(self, actors: list[VehicleActor], order: str) -> Carrier | None:
+        """A broadcast, if all vehicles are meant, none refuses, all would be sent the very same, and nobody else hears.
 
         ArduPilot acts on it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
         evaluate_target_ok), and is sent its own at once.
         """
         hearers = [a for a in actors if a.vehicle.family == "ardupilot"]
-        if order not in BROADCAST or len(hearers) < 2 or len(actors) != len(self.vehicles):
+        if order not in BROADCAST or len(hearers) < 2 or not self._may_broadcast():
             return None
+        if len(actors) != len(self.vehicles) or self.refused_vehicles:
+            return None  # an autopilot was met that is not meant
         specs: set[CommandSpec] = set()
         for actor in actors:
-            plan = actor.plan(order, **arguments)
+            plan = actor.plan(order)
             if plan is None or len(plan.steps) != 1 or plan.steps[0].command is None:
                 return None
             specs.add(plan.steps[0].command)
@@ -195,10 +236,10 @@ class Fleet:
             actor.commander.carrier = carrier
         return carrier
 
-    def _broadcast(self, carrier: Carrier, priority: Priority) -> None:
+    def _broadcast(self, carrier: Carrier) -> None:
         carrier.sent = True
         info = self._dialect.by_name[carrier.spec.message]
-        self._send(info, carrier.spec.values(0, 0, 0), 0, 0, priority)
+        self._send(info, carrier.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
     def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
         if len(self.vehicles) >= MAX_VEHICLES:
@@ -219,6 +260,7 @@ class Fleet:
             decoder=self._decoder,
         )
         vehicle.origin = self.origin
+        vehicle.duplicate = key in self._duplicates
         actor = VehicleActor(
             vehicle, config, (daemon.sysid, daemon.compid), self._dialect, self._send, self._loop, self._on_event
         )

@@ -11,12 +11,12 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import replace
 from typing import Any
 
 from skygcs.config.models import VehicleConfig
-from skygcs.core.exchange.command import Outcome
+from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
@@ -26,13 +26,16 @@ from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
-from skygcs.runtime.commander import Commander, SendFn
+from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
 from skygcs.runtime.upkeep import Planner, Upkeep
 
 COMMAND_ACK = 77
 
 MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot"})
 """Orders that take the place of what is still going on."""
+
+EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
+"""Orders that end a flight: they go out over every link to the vehicle from the first transmission on."""
 
 ARM_RETRY_S = 1.0
 """ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
@@ -62,6 +65,7 @@ class VehicleActor:
         self._loop = loop
         self._on_event = on_event
         self._order = 0
+        self._newest: Plan | None = None
         self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
 
     @property
@@ -100,6 +104,15 @@ class VehicleActor:
             "rate_hz": round(slot.rate_hz, 2),
             "count": slot.count,
         }
+
+    @property
+    def duplicate(self) -> bool:
+        """Whether two vehicles speak under this system id: nobody can say which of them an order would reach."""
+        return self.vehicle.duplicate
+
+    @duplicate.setter
+    def duplicate(self, value: bool) -> None:
+        self.vehicle.duplicate = value
 
     def set_origin(self, origin: Origin | None) -> None:
         """The fleet's world frame from now on."""
@@ -231,17 +244,24 @@ class VehicleActor:
             ),
         )
 
-    def plan(self, order: str, *, force: bool = False) -> Plan | None:
-        """What one of the orders disarm, land, rtl, hold would do now; None if it would be refused."""
+    def plan(self, order: str) -> Plan | None:
+        """What one of the orders land and rtl would do now; None if it would be refused."""
         now = self._loop.time()
+        if self.duplicate:
+            return None
         try:
-            if order == "disarm":
-                return orders.disarm(self.vehicle, now, force=force)
-            return {"land": orders.land, "rtl": orders.rtl, "hold": orders.hold}[order](self.vehicle, now)
+            return {"land": orders.land, "rtl": orders.rtl}[order](self.vehicle, now)
         except RefusedError:
             return None
 
+    def refuse(self, order: str, reason: str) -> Outcome:
+        """Refuse an order for a reason the fleet knows."""
+        return self._told(order, Outcome(False, "refused", f"refused: {reason}"))
+
     async def _retried(self, order: str, planner: Planner, wait_s: float) -> Outcome:
+        return self._told(order, await self._cancellable(order, self._tries(order, planner, wait_s)))
+
+    async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """Try until the vehicle accepts, the time is over, a newer order came, or there is no use in trying again."""
         started = self._loop.time()
         attempts = 0
@@ -253,26 +273,40 @@ class VehicleActor:
             superseded = self._order > before + (order in MOVING)
             over = superseded or tried_at + ARM_RETRY_S > started + wait_s
             if over or outcome.ok or outcome.result in ("refused", "unsupported", "lost", "cancelled"):
-                return self._told(order, outcome)
+                return outcome
             before = self._order
             await asyncio.sleep(max(0.0, tried_at + ARM_RETRY_S - self._loop.time()))
             if self._order != before:
-                return self._told(order, replace(outcome, result="cancelled", message="a newer order took its place"))
+                return replace(outcome, result="cancelled", message=SUPERSEDED)
 
     async def _run(self, order: str, planner: Planner) -> Outcome:
-        return self._told(order, await self._attempt(planner))
+        return self._told(order, await self._cancellable(order, self._attempt(planner)))
+
+    async def _cancellable(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
+        """The work of an order; one that is cancelled has an outcome to tell, too."""
+        started = self._loop.time()
+        try:
+            return await work
+        except asyncio.CancelledError:
+            text = "cancelled: whoever gave it is gone; what was sent already cannot be unsent"
+            self._told(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
+            raise
 
     async def _attempt(self, planner: Planner) -> Outcome:
         try:
             plan = planner(self._loop.time())
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}")
+        if self.duplicate and not plan.emergency:
+            return self._two_of_one_id()
         return await self.execute(plan)
 
     async def execute(self, plan: Plan) -> Outcome:
         """Carry out a plan; what was done is undone if a later step fails and knows how."""
         if plan.order in MOVING:
             self._order += 1
+            self._newest = plan
+            self.commander.supersede(_commands(plan))
         order, started = self._order, self._loop.time()
         attempts, texts = 0, []
         done: list[Step] = []
@@ -311,6 +345,8 @@ class VehicleActor:
         return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
 
     async def _step(self, step: Step, plan: Plan, order: int) -> Outcome:
+        if self.duplicate and not plan.emergency:
+            return self._two_of_one_id()
         expect = step.expect
         met = None if expect is None else lambda: expect.met(self.vehicle, self._loop.time())
         if step.message is not None:
@@ -320,12 +356,19 @@ class VehicleActor:
             if not self.commander.transmit(name, values):
                 return Outcome(False, "lost", "could not be sent: no link leads to it")
             return Outcome(True, "accepted", "sent", 1)
-        assert step.command is not None
+        spec = step.command
+        assert spec is not None
+
+        def wanted() -> bool:
+            return self._order == order or (self._newest is not None and spec in _commands(self._newest))
+
         outcome = await self.commander.run(
-            step.command,
+            spec,
             emergency=plan.emergency,
             satisfied=met,
             on_report=lambda percent: self._report(plan.order, percent),
+            everywhere=plan.order in EVERYWHERE,
+            wanted=wanted if plan.order in MOVING else None,
         )
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
             return outcome
@@ -343,6 +386,10 @@ class VehicleActor:
             outcome = await self._step(step.undo, plan, self._order)
             told += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
         return told
+
+    def _two_of_one_id(self) -> Outcome:
+        text = f"two vehicles with system id {self.sysid} are on the air; give one of them another"
+        return Outcome(False, "refused", f"refused: {text}")
 
     def _told(self, order: str, outcome: Outcome) -> Outcome:
         data = {"order": order, **outcome.as_dict()}
@@ -368,6 +415,10 @@ class VehicleActor:
 
     def _on_fault(self, text: str) -> None:
         self._on_event(Event("fault", self.name, self.sysid, text, {}))
+
+
+def _commands(plan: Plan) -> list[CommandSpec]:
+    return [step.command for step in plan.steps if step.command is not None]
 
 
 def _json_able(value: Any) -> Any:

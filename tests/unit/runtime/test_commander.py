@@ -29,7 +29,16 @@ class BadRadio:
         self.accepted: set[float] = set()
         self.sent = 0
 
-    def _send(self, info: MessageInfo, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority) -> bool:
+    def _send(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        *,
+        everywhere: bool = False,
+    ) -> bool:
         self.sent += 1
         self._through(self._vehicle, dict(values))
         return True

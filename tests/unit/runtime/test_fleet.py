@@ -19,7 +19,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import RefusedError, TargetError
-from skygcs.runtime.fleet import MAX_VEHICLES, Fleet
+from skygcs.runtime.fleet import MAX_KEPT, MAX_VEHICLES, Fleet
 from support.vehicles import (
     ARDUPILOT,
     CAPTURE,
@@ -60,7 +60,7 @@ class Listening:
             FleetConfig.model_validate(config or {}), flight_dialect(), self._send, loop, self.events.append
         )
 
-    def _send(self, *_: object) -> bool:
+    def _send(self, *_: object, **__: object) -> bool:
         self.sent += 1
         return True
 
@@ -305,11 +305,136 @@ class TestOrdersForMany:
             assert all(o.ok for o in outcomes.values())
             assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3, 4]
 
-    async def test_hold_of_one_family_is_one_frame(self) -> None:
+    @pytest.mark.parametrize(("order", "force"), [("hold", {}), ("disarm", {"force": True}), ("disarm", {})])
+    async def test_a_mode_and_a_disarming_are_never_broadcast(self, order: str, force: dict[str, bool]) -> None:
+        """Nobody knows who else listens: a broadcast disarming drops a vehicle that flies and is not ours."""
+        async with Ground() as ground:
+            vehicles = await self.swarm(ground, px4=0, copters=3)
+            for vehicle in vehicles:
+                vehicle.flying, vehicle.status = order == "hold", 3
+            await asyncio.sleep(1.5)
+            assert all(o.ok for o in (await ground.fleet.command_all("all", order, **force)).values())
+            assert [s.sysid for s in self.commands(ground)] == [1, 2, 3]
+
+    async def test_nothing_is_broadcast_where_others_may_hear_it(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground, px4=0, copters=3)
-            assert all(o.ok for o in (await ground.fleet.command_all("all", "hold")).values())
-            assert [s.sysid for s in self.commands(ground)] == [0]
+            ground.may_broadcast = False
+            assert all(o.ok for o in (await ground.fleet.command_all("all", "land")).values())
+            assert [s.sysid for s in self.commands(ground)] == [1, 2, 3]
+            ground.may_broadcast = True
+            ground.fleet.refused_vehicles = 1  # an autopilot was met that found no place in the fleet
+            assert all(o.ok for o in (await ground.fleet.command_all("all", "rtl")).values())
+            assert [s.sysid for s in self.commands(ground)] == [1, 2, 3] * 2
+
+    @pytest.mark.parametrize(("order", "command"), [("land", 21), ("rtl", 20), ("hold", 176), ("disarm", 400)])
+    async def test_an_order_that_ends_a_flight_is_carried_on_when_its_caller_is_gone(
+        self, order: str, command: int
+    ) -> None:
+        async with Ground() as ground:
+            (vehicle,) = await self.swarm(ground, px4=1, copters=0)
+            vehicle.mode = 3 << 16
+            if order == "disarm":
+                vehicle.flying = False
+            await asyncio.sleep(1.5)
+            vehicle.script = lambda v, sent: accept_everything(v, sent) if sent.confirmation == 2 else None
+            caller = asyncio.create_task(ground.fleet.command_all("1", order))
+            await asyncio.sleep(0.3)
+            caller.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await caller
+            await asyncio.sleep(10)
+            assert [c for c, _ in vehicle.commands()] == [command] * 3
+            (told,) = [e for e in ground.events if e.kind == "command"]
+            assert (told.data["order"], told.data["ok"]) == (order, True)
+            assert not ground.fleet._kept
+
+    async def test_other_orders_end_with_their_caller_and_that_is_told(self) -> None:
+        async with Ground() as ground:
+            (vehicle,) = await self.swarm(ground, px4=1, copters=0)
+            vehicle.script = lambda v, sent: None
+            caller = asyncio.create_task(ground.fleet.command_all("1", "reboot", force=True))
+            await asyncio.sleep(0.3)
+            caller.cancel()
+            await asyncio.gather(caller, return_exceptions=True)
+            await asyncio.sleep(5)
+            assert len(vehicle.got) == 1
+            (told,) = [e for e in ground.events if e.kind == "command"]
+            assert (told.data["order"], told.data["result"]) == ("reboot", "cancelled")
+
+    async def test_orders_that_are_kept_are_bounded_and_end_with_the_fleet(self) -> None:
+        async with Ground() as ground:
+            (vehicle,) = await self.swarm(ground, px4=1, copters=0)
+            vehicle.script = lambda v, sent: None
+            callers = [asyncio.create_task(ground.fleet.command_all("1", "land")) for _ in range(MAX_KEPT + 5)]
+            await asyncio.sleep(0)
+            assert len(ground.fleet._kept) == MAX_KEPT
+            ground.fleet.close()
+            await asyncio.sleep(0.1)
+            assert not ground.fleet._kept
+            for caller in callers:
+                caller.cancel()
+            await asyncio.gather(*callers, return_exceptions=True)
+
+    async def test_a_landing_that_was_kept_gives_way_to_a_newer_order(self) -> None:
+        async with Ground() as ground:
+            (vehicle,) = await self.swarm(ground, px4=1, copters=0)
+            vehicle.script = lambda v, sent: None
+            for _ in range(3):  # one in flight, two that wait for it
+                caller = asyncio.create_task(ground.fleet.command_all("1", "land"))
+                await asyncio.sleep(0.1)
+                caller.cancel()
+            vehicle.script = accept_everything
+            there = {"lat_deg": HOME[0] + 1e-4, "lon_deg": HOME[1]}
+            assert (await ground.fleet.command_all("1", "goto", **there))["v1"].ok
+            await asyncio.sleep(10)
+            assert [c for c, _ in vehicle.commands()] == [21, 192]
+            told = [e.data["result"] for e in ground.events if e.kind == "command" and e.data["order"] == "land"]
+            assert told == ["cancelled"] * 3
+
+    async def test_two_vehicles_of_one_id_are_given_no_order_but_a_forced_disarming(self) -> None:
+        async with Ground() as ground:
+            (vehicle,) = await self.swarm(ground, px4=1, copters=0)
+            vehicle.mode = 3 << 16
+            await asyncio.sleep(1.5)
+            fleet, actor = ground.fleet, ground.fleet.find(1)
+            fleet.set_duplicate(1 << 8 | 1, True)
+            assert actor.state(ground.loop.time())["duplicate_sysid"] is True
+            arguments = {"set_mode": ("POSCTL",), "command": (183, [1.0])}
+            for order in ("land", "rtl", "hold", "arm", "set_mode", "command"):
+                outcome = (await fleet.command_all("1", order, *arguments.get(order, ())))["v1"]
+                assert outcome.result == "refused"
+                assert "two vehicles with system id 1 are on the air; give one of them another" in outcome.message
+            assert vehicle.got == []
+            assert (await fleet.command_all("1", "disarm", force=True))["v1"].ok
+            fleet.set_duplicate(1 << 8 | 1, False)
+            assert actor.state(ground.loop.time())["duplicate_sysid"] is False
+            assert (await fleet.command_all("1", "land"))["v1"].ok
+
+    async def test_a_duplicate_found_in_the_middle_of_a_takeoff_ends_it(self) -> None:
+        async with Ground() as ground:
+            vehicle = ScriptedVehicle(ground, 1, ARDUPILOT)
+            await ground.met(vehicle)
+            takeoff = asyncio.create_task(ground.fleet.command_all("1", "takeoff", 5.0))
+            await asyncio.sleep(0.3)
+            ground.fleet.set_duplicate(1 << 8 | 1, True)
+            outcome = (await takeoff)["v1"]
+            assert "two vehicles with system id 1" in outcome.message
+            assert [c for c, _ in vehicle.commands()] == [176]
+
+    async def test_a_duplicate_known_before_its_heartbeat_is_one_from_the_start(self) -> None:
+        async with Ground() as ground:
+            ground.fleet.set_duplicate(1 << 8 | 1, True)
+            await self.swarm(ground, px4=1, copters=0)
+            assert ground.fleet.find(1).duplicate
+
+    async def test_a_fleet_with_a_duplicate_is_not_broadcast_to(self) -> None:
+        async with Ground() as ground:
+            await self.swarm(ground, px4=0, copters=3)
+            ground.fleet.set_duplicate(2 << 8 | 1, True)
+            outcomes = await ground.fleet.command_all("all", "land")
+            assert [outcomes[f"v{n}"].ok for n in (1, 2, 3)] == [True, False, True]
+            assert [s.sysid for s in self.commands(ground)] == [1, 3]
 
     async def test_arming_is_never_broadcast(self) -> None:
         async with Ground() as ground:
@@ -348,7 +473,7 @@ class TestOrdersForMany:
             assert [outcomes[f"v{n}"].result for n in (2, 3, 4)] == ["refused"] * 3
             assert [s.sysid for s in self.commands(ground)] == [1]
 
-    async def test_an_emergency_stop_is_broadcast_first_and_repeated_to_each_that_is_silent(self) -> None:
+    async def test_an_emergency_stop_is_sent_to_each_and_repeated_to_each_that_is_silent(self) -> None:
         async with Ground() as ground:
             vehicles = await self.swarm(ground)
             vehicles[3].silent = True
@@ -356,10 +481,10 @@ class TestOrdersForMany:
             assert not ground.fleet.find(4).vehicle.connected
             outcomes = await ground.fleet.command_all("all", "disarm", force=True)
             sent = self.commands(ground)
-            assert [(s.sysid, s.param2) for s in sent[:3]] == [(1, 21196.0), (2, 21196.0), (0, 21196.0)]
+            assert [(s.sysid, s.param2) for s in sent[:4]] == [(n, 21196.0) for n in (1, 2, 3, 4)]
             assert {s.priority for s in sent} == {Priority.EMERGENCY}
             assert [outcomes[f"v{n}"].ok for n in range(1, 5)] == [True, True, True, False]
-            assert {s.sysid for s in sent[3:]} == {4}
+            assert {s.sysid for s in sent[4:]} == {4}
             assert not any(v.armed for v in vehicles[:3])
 
     async def test_the_carrier_is_gone_after_an_order_that_was_cancelled(self) -> None:

@@ -58,7 +58,16 @@ class Field:
         self.fleet.close()
         await asyncio.sleep(0)
 
-    def _send(self, info: MessageInfo, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority) -> bool:
+    def _send(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        *,
+        everywhere: bool = False,
+    ) -> bool:
         self._seq += 1
         raw = encode(info, values, sysid=255, compid=25, seq=self._seq & 0xFF)
         self.loop.call_later(DELAY_S, self._arrive, raw)

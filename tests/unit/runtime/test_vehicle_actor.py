@@ -228,11 +228,48 @@ async def test_px4_takes_off_to_an_amsl_altitude_after_leaving_a_manual_mode() -
         assert all(math.isnan(getattr(takeoff, f"param{n}")) for n in (4, 5, 6))
 
 
-async def test_px4_in_an_auto_mode_keeps_it_until_takeoff() -> None:
+async def test_px4_in_loiter_keeps_it_until_takeoff() -> None:
     async with Ground() as ground:
         vehicle, actor = await one(ground, PX4)
         assert (await actor.takeoff(10)).ok
         assert [c for c, _ in vehicle.commands()] == [ARM, TAKEOFF]
+
+
+@pytest.mark.parametrize("sub_mode", [2, 4, 5, 6])
+async def test_px4_is_never_armed_in_an_auto_mode_that_flies_by_itself(sub_mode: int) -> None:
+    """AUTO.TAKEOFF, MISSION, RTL, LAND: armed there, it would start off before it is told to."""
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, PX4, mode=4 << 16 | sub_mode << 24)
+        armed_in: list[int] = []
+
+        def watch(v: ScriptedVehicle, sent: Sent) -> None:
+            if sent.command == ARM:
+                armed_in.append(v.mode)
+            accept_everything(v, sent)
+
+        vehicle.script = watch
+        assert (await actor.takeoff(10)).ok
+        assert [c for c, _ in vehicle.commands()] == [MODE, ARM, TAKEOFF]
+        assert armed_in == [PX4_LOITER]
+
+
+async def test_repeats_and_orders_that_end_a_flight_go_over_every_link() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground)
+        vehicle.script = lambda v, sent: accept_everything(v, sent) if sent.confirmation == 1 else None
+        assert (await actor.command("DO_SET_SERVO", [1.0])).ok
+        assert [s.everywhere for s in vehicle.got] == [False, True]
+        vehicle.script = accept_everything
+        vehicle.got.clear()
+        for order in (actor.land, actor.rtl, actor.hold):
+            vehicle.mode = PX4_POSCTL
+            assert (await order()).ok
+        assert (await actor.disarm(force=True)).ok
+        vehicle.flying = False
+        vehicle.armed = True
+        await asyncio.sleep(2)
+        assert (await actor.disarm()).ok
+        assert [s.everywhere for s in vehicle.got] == [True] * 5
 
 
 async def test_arducopter_takes_off_from_guided_to_a_relative_height() -> None:
@@ -505,7 +542,10 @@ async def test_old_arducopter_without_reposition_is_sent_one_guided_target_and_a
         ({**NEAR, "height_m": math.nan}, "not between"),
         ({**NEAR, "yaw_deg": math.inf}, "not between"),
         ({**NEAR, "height_m": 1100.0}, "limit is 1000 m"),
-        ({**NEAR, "height_m": -3.0}, "below its home"),
+        ({**NEAR, "height_m": -3.0}, "3.0 m below its home"),
+        ({**NEAR, "height_m": 0.0}, "use land, or insist with force"),
+        ({**NEAR, "height_m": 0.9}, "use land, or insist with force"),
+        ({"height_m": 0}, "use land, or insist with force"),
         ({"lat_deg": HOME[0] + 0.1, "lon_deg": HOME[1]}, "--force"),
         ({"lat_deg": HOME[0]}, "both latitude and longitude"),
         ({}, "say where to"),

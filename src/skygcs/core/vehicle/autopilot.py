@@ -5,7 +5,7 @@ What each order is made of, and why:
     order     PX4                                          ArduCopter
     -------   ------------------------------------------   -------------------------------------------------------------
     mode      DO_SET_MODE 1, main, sub                     DO_SET_MODE 1, number
-    takeoff   (AUTO.LOITER,) arm, NAV_TAKEOFF to AMSL,     GUIDED, arm, NAV_TAKEOFF to a height above home, 0/0
+    takeoff   AUTO.LOITER, arm, NAV_TAKEOFF to AMSL,       GUIDED, arm, NAV_TAKEOFF to a height above home, 0/0
               NaN yaw and place
     land      NAV_LAND                                     NAV_LAND
     rtl       NAV_RETURN_TO_LAUNCH                         NAV_RETURN_TO_LAUNCH
@@ -13,9 +13,9 @@ What each order is made of, and why:
     goto      DO_REPOSITION as COMMAND_INT, AMSL,          the same, height above home; older than 4.1: GUIDED and
               changing the mode itself                     SET_POSITION_TARGET_GLOBAL_INT; a yaw is CONDITION_YAW
 
-- PX4 refuses to arm in a manual mode without RC, so a takeoff first goes to AUTO.LOITER unless it is in an AUTO mode.
-  Arming comes before NAV_TAKEOFF (PX4 takes them in any order): a refused arm must not leave it in AUTO.TAKEOFF, where
-  the next arming, by whomever, would lift it off.
+- PX4 refuses to arm in a manual mode without RC, and one armed in AUTO.MISSION or AUTO.TAKEOFF flies off by itself: a
+  takeoff first goes to AUTO.LOITER, from whatever other mode it is in. Arming comes before NAV_TAKEOFF (PX4 takes them
+  in any order): a refused arm must not leave it in AUTO.TAKEOFF, where the next arming, by whomever, would lift it off.
 - ArduCopter's LOITER takes the throttle stick for climb rate: without RC it sinks. BRAKE stops as fast as it can where
   it is and holds, in any flight mode, with or without RC; flying back to a last known place would not be "hold" when
   that place is a second old. The next goto leaves BRAKE by itself.
@@ -215,8 +215,8 @@ def _px4_takeoff(vehicle: Vehicle, from_amsl_m: float, height_m: float) -> tuple
     climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, from_amsl_m + height_m))
     lifted = LiftedOff(from_amsl_m)
     steps = [_arm_step(skip_if_met=True), Step("takeoff", climb, expect=lifted, expect_s=LIFT_OFF_S)]
-    if not vehicle.armed and not vehicle.mode.startswith("AUTO."):
-        steps.insert(0, _mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER")))
+    if not vehicle.armed:
+        steps.insert(0, _mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"), skip_if_met=True))
     return tuple(steps)
 
 

@@ -24,6 +24,9 @@ MAX_TAKEOFF_M = 500.0
 POSITION_FRESH_S = 10.0
 """An older position is no base for a distance check or an altitude; the slowest stream profile sends 0.5 Hz."""
 
+LOWEST_M = 1.0
+"""A goto lower than this above home flies into the ground; a height of 0 is most likely one never filled in."""
+
 MAX_ENU_M = 100_000.0
 """Farther out the flat frame is 800 m above the ground; no order that far is meant."""
 
@@ -347,8 +350,11 @@ def _check_reach(here: tuple[float, float, float], to: Destination, limit_m: flo
     away = math.hypot(distance_m(here[0], here[1], to.lat_deg, to.lon_deg), to.alt_amsl_m - here[2])
     if away > limit_m:
         raise RefusedError(f"that is {away:.0f} m away, the limit is {limit_m:g} m; {FORCE_HINT}")
-    if to.height_m < 0 and not ground:
-        raise RefusedError(f"that is {-to.height_m:.1f} m below its home; {FORCE_HINT}")
+    if to.height_m < LOWEST_M and not ground:
+        where = "below" if to.height_m < 0 else "above"
+        raise RefusedError(
+            f"that is {abs(to.height_m):.1f} m {where} its home, on the ground: use land, or {FORCE_HINT}"
+        )
 
 
 def _require_within(what: str, value: float, most: float) -> None:

@@ -67,6 +67,7 @@ class VehicleState(TypedDict):
     firmware: str | None
     groups: list[str]
     connected: bool
+    duplicate_sysid: bool
     last_heartbeat_age_s: float | None
     uptime_s: float | None
     clock_offset_s: float | None

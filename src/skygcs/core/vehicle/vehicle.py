@@ -56,8 +56,9 @@ Events = tuple[Event, ...]
 class Vehicle:
     """State of one autopilot. `on_frame` for each of its frames, `tick` at 1 to 10 Hz; both return what happened.
 
-    ``origin`` may be set at any time: ENU positions are about it. ``last_ack`` is the newest COMMAND_ACK, whomever it
-    answers; the actor reads it when `on_frame` was given one.
+    ``origin`` may be set at any time: ENU positions are about it. ``duplicate`` is set by whoever sees the links: two
+    vehicles speak under this id, and what is here is a mixture of both. ``last_ack`` is the newest COMMAND_ACK,
+    whomever it answers; the actor reads it when `on_frame` was given one.
     """
 
     def __init__(
@@ -78,6 +79,7 @@ class Vehicle:
         self.timeout_s = timeout_s
         self.origin: Origin | None = None
         self.connected = False
+        self.duplicate = False
         self.type = 0
         self.autopilot = 0
         self.base_mode = 0

@@ -80,7 +80,7 @@ def test_whatever_numbers_come_in_enu_it_is_a_place_or_a_refusal(autopilot: int,
     assert distance_m(HOME[0], HOME[1], there[0], there[1]) <= (150_000 if force else LIMIT_M + 1)
 
 
-@given(near, st.floats(0, 200))
+@given(near, st.floats(1, 200))
 def test_both_autopilots_are_sent_to_the_same_point_in_space(offset: tuple[float, float], height: float) -> None:
     lat, lon = HOME[0] + offset[0] / 10, HOME[1] + offset[1] / 10
     px4 = place_of(orders.goto(flying(PX4), NOW, lat_deg=lat, lon_deg=lon, height_m=height, limit_m=LIMIT_M))
@@ -88,6 +88,15 @@ def test_both_autopilots_are_sent_to_the_same_point_in_space(offset: tuple[float
     assert px4[:2] == copter[:2]
     assert (px4[3], copter[3]) == (0, 3)
     assert px4[2] - HOME[2] == pytest.approx(copter[2], abs=1e-6)
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+def test_a_goto_to_the_ground_is_refused_unless_insisted_on(autopilot: int) -> None:
+    vehicle = flying(autopilot)
+    for place in ({"lat_deg": HOME[0], "lon_deg": HOME[1], "height_m": 0.0}, {"enu_m": [5.0, 5.0, 0.0]}):
+        with pytest.raises(RefusedError, match="use land, or insist"):
+            orders.goto(vehicle, NOW, **place, limit_m=LIMIT_M)  # type: ignore[arg-type]
+        assert orders.goto(vehicle, NOW, **place, limit_m=LIMIT_M, force=True)  # type: ignore[arg-type]
 
 
 @given(near)
