@@ -16,26 +16,21 @@ from dataclasses import replace
 from typing import Any
 
 from skygcs.config.models import VehicleConfig
-from skygcs.core.exchange.command import CommandSpec, Outcome
+from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.plan import Plan, Step
+from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
+from skygcs.runtime.plan_runner import MOVING, PlanRunner, two_of_one_id
 from skygcs.runtime.upkeep import Planner, Upkeep
 
 COMMAND_ACK = 77
-
-MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot"})
-"""Orders that take the place of what is still going on."""
-
-EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
-"""Orders that end a flight: they go out over every link to the vehicle from the first transmission on."""
 
 ARM_RETRY_S = 1.0
 """ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
@@ -64,8 +59,7 @@ class VehicleActor:
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
-        self._order = 0
-        self._newest: Plan | None = None
+        self._plans = PlanRunner(vehicle, self.commander, dialect, loop, self._report)
         self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
 
     @property
@@ -266,17 +260,17 @@ class VehicleActor:
         started = self._loop.time()
         attempts = 0
         while True:
-            tried_at, before = self._loop.time(), self._order
+            tried_at, before = self._loop.time(), self._plans.order
             outcome = await self._attempt(planner)
             attempts += outcome.attempts
             outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
-            superseded = self._order > before + (order in MOVING)
+            superseded = self._plans.order > before + (order in MOVING)
             over = superseded or tried_at + ARM_RETRY_S > started + wait_s
             if over or outcome.ok or outcome.result in ("refused", "unsupported", "lost", "cancelled"):
                 return outcome
-            before = self._order
+            before = self._plans.order
             await asyncio.sleep(max(0.0, tried_at + ARM_RETRY_S - self._loop.time()))
-            if self._order != before:
+            if self._plans.order != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
 
     async def _run(self, order: str, planner: Planner) -> Outcome:
@@ -298,98 +292,8 @@ class VehicleActor:
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}")
         if self.duplicate and not plan.emergency:
-            return self._two_of_one_id()
-        return await self.execute(plan)
-
-    async def execute(self, plan: Plan) -> Outcome:
-        """Carry out a plan; what was done is undone if a later step fails and knows how."""
-        if plan.order in MOVING:
-            self._order += 1
-            self._newest = plan
-            self.commander.supersede(_commands(plan))
-        order, started = self._order, self._loop.time()
-        attempts, texts = 0, []
-        done: list[Step] = []
-        queue = list(plan.steps)
-        while queue:
-            step = queue.pop(0)
-            if step.skip_if_met and step.expect is not None and step.expect.met(self.vehicle, self._loop.time()):
-                continue
-            outcome = await self._step(step, plan, order)
-            attempts += outcome.attempts
-            texts += [t for t in outcome.status_texts if t not in texts]
-            if outcome.result == "unsupported" and step.instead:
-                queue = list(step.instead) + queue
-                continue
-            if not outcome.ok:
-                message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
-                if order == self._order:
-                    message += await self._undo(done, plan)
-                return replace(
-                    outcome,
-                    message=message,
-                    attempts=attempts,
-                    elapsed_s=self._loop.time() - started,
-                    status_texts=tuple(texts),
-                )
-            done.append(step)
-            if queue and order != self._order:
-                return Outcome(
-                    False,
-                    "cancelled",
-                    f"a newer order took its place after {step.name!r}",
-                    attempts,
-                    self._loop.time() - started,
-                    tuple(texts),
-                )
-        return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
-
-    async def _step(self, step: Step, plan: Plan, order: int) -> Outcome:
-        if self.duplicate and not plan.emergency:
-            return self._two_of_one_id()
-        expect = step.expect
-        met = None if expect is None else lambda: expect.met(self.vehicle, self._loop.time())
-        if step.message is not None:
-            name, values = step.message
-            if name not in self._dialect.by_name:
-                return Outcome(False, "refused", f"dialect {self._dialect.name} has no {name}")
-            if not self.commander.transmit(name, values):
-                return Outcome(False, "lost", "could not be sent: no link leads to it")
-            return Outcome(True, "accepted", "sent", 1)
-        spec = step.command
-        assert spec is not None
-
-        def wanted() -> bool:
-            return self._order == order or (self._newest is not None and spec in _commands(self._newest))
-
-        outcome = await self.commander.run(
-            spec,
-            emergency=plan.emergency,
-            satisfied=met,
-            on_report=lambda percent: self._report(plan.order, percent),
-            everywhere=plan.order in EVERYWHERE,
-            wanted=wanted if plan.order in MOVING else None,
-        )
-        if not outcome.ok or met is None or expect is None or step.expect_s == 0:
-            return outcome
-        if await self.commander.until(lambda: met() or self._order != order, step.expect_s):
-            return outcome
-        unmet = expect.unmet(self.vehicle, self._loop.time())
-        return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
-
-    async def _undo(self, done: list[Step], plan: Plan) -> str:
-        """Undo the steps that were really carried out, last first; what to add to the message."""
-        told = ""
-        for step in reversed(done):
-            if step.undo is None:
-                continue
-            outcome = await self._step(step.undo, plan, self._order)
-            told += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
-        return told
-
-    def _two_of_one_id(self) -> Outcome:
-        text = f"two vehicles with system id {self.sysid} are on the air; give one of them another"
-        return Outcome(False, "refused", f"refused: {text}")
+            return two_of_one_id(self.vehicle)
+        return await self._plans.execute(plan)
 
     def _told(self, order: str, outcome: Outcome) -> Outcome:
         data = {"order": order, **outcome.as_dict()}
@@ -415,10 +319,6 @@ class VehicleActor:
 
     def _on_fault(self, text: str) -> None:
         self._on_event(Event("fault", self.name, self.sysid, text, {}))
-
-
-def _commands(plan: Plan) -> list[CommandSpec]:
-    return [step.command for step in plan.steps if step.command is not None]
 
 
 def _json_able(value: Any) -> Any:

@@ -1,0 +1,135 @@
+"""Carries out the plan of an order, step by step, and knows which order is the newest that moves the vehicle."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import replace
+
+from skygcs.core.exchange.command import CommandSpec, Outcome
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle.plan import Plan, Step
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime.commander import Commander
+
+MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot"})
+"""Orders that take the place of what is still going on."""
+
+EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
+"""Orders that end a flight: they go out over every link to the vehicle from the first transmission on."""
+
+
+class PlanRunner:
+    """One per vehicle. ``order`` counts the orders that moved it; ``on_report(order, percent)`` is told of progress."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        commander: Commander,
+        dialect: Dialect,
+        loop: asyncio.AbstractEventLoop,
+        on_report: Callable[[str, int | None], None],
+    ) -> None:
+        self.order = 0
+        self._vehicle = vehicle
+        self._commander = commander
+        self._dialect = dialect
+        self._loop = loop
+        self._report = on_report
+        self._newest: Plan | None = None
+
+    async def execute(self, plan: Plan) -> Outcome:
+        """Carry out a plan; what was done is undone if a later step fails and knows how."""
+        if plan.order in MOVING:
+            self.order += 1
+            self._newest = plan
+            self._commander.supersede(_commands(plan))
+        order, started = self.order, self._loop.time()
+        attempts, texts = 0, []
+        done: list[Step] = []
+        queue = list(plan.steps)
+        while queue:
+            step = queue.pop(0)
+            if step.skip_if_met and step.expect is not None and step.expect.met(self._vehicle, self._loop.time()):
+                continue
+            outcome = await self._step(step, plan, order)
+            attempts += outcome.attempts
+            texts += [t for t in outcome.status_texts if t not in texts]
+            if outcome.result == "unsupported" and step.instead:
+                queue = list(step.instead) + queue
+                continue
+            if not outcome.ok:
+                message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
+                if order == self.order:
+                    message += await self._undo(done, plan)
+                return replace(
+                    outcome,
+                    message=message,
+                    attempts=attempts,
+                    elapsed_s=self._loop.time() - started,
+                    status_texts=tuple(texts),
+                )
+            done.append(step)
+            if queue and order != self.order:
+                return Outcome(
+                    False,
+                    "cancelled",
+                    f"a newer order took its place after {step.name!r}",
+                    attempts,
+                    self._loop.time() - started,
+                    tuple(texts),
+                )
+        return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
+
+    async def _step(self, step: Step, plan: Plan, order: int) -> Outcome:
+        if self._vehicle.duplicate and not plan.emergency:
+            return two_of_one_id(self._vehicle)
+        expect = step.expect
+        met = None if expect is None else lambda: expect.met(self._vehicle, self._loop.time())
+        if step.message is not None:
+            name, values = step.message
+            if name not in self._dialect.by_name:
+                return Outcome(False, "refused", f"dialect {self._dialect.name} has no {name}")
+            if not self._commander.transmit(name, values):
+                return Outcome(False, "lost", "could not be sent: no link leads to it")
+            return Outcome(True, "accepted", "sent", 1)
+        spec = step.command
+        assert spec is not None
+
+        def wanted() -> bool:
+            return self.order == order or (self._newest is not None and spec in _commands(self._newest))
+
+        outcome = await self._commander.run(
+            spec,
+            emergency=plan.emergency,
+            satisfied=met,
+            on_report=lambda percent: self._report(plan.order, percent),
+            everywhere=plan.order in EVERYWHERE,
+            wanted=wanted if plan.order in MOVING else None,
+        )
+        if not outcome.ok or met is None or expect is None or step.expect_s == 0:
+            return outcome
+        if await self._commander.until(lambda: met() or self.order != order, step.expect_s):
+            return outcome
+        unmet = expect.unmet(self._vehicle, self._loop.time())
+        return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
+
+    async def _undo(self, done: list[Step], plan: Plan) -> str:
+        """Undo the steps that were really carried out, last first; what to add to the message."""
+        told = ""
+        for step in reversed(done):
+            if step.undo is None:
+                continue
+            outcome = await self._step(step.undo, plan, self.order)
+            told += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
+        return told
+
+
+def two_of_one_id(vehicle: Vehicle) -> Outcome:
+    """The refusal of an order that nobody can say whom it would reach."""
+    text = f"two vehicles with system id {vehicle.sysid} are on the air; give one of them another"
+    return Outcome(False, "refused", f"refused: {text}")
+
+
+def _commands(plan: Plan) -> list[CommandSpec]:
+    return [step.command for step in plan.steps if step.command is not None]
