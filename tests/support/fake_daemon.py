@@ -54,6 +54,7 @@ class FakeVehicle:
         self.states_made = 0
         self.connected = True
         self.duplicate = False
+        self.replayed = False
         self.armed = False
         self.mode = "AUTO.LOITER" if autopilot == "px4" else "LOITER"
         self.outcome = FakeOutcome(True, "accepted", "accepted")
@@ -147,6 +148,7 @@ class FakeVehicle:
             "groups": list(self.groups),
             "connected": known,
             "duplicate_sysid": self.duplicate,
+            "replayed": self.replayed,
             "last_heartbeat_age_s": 0.4 if known else 73.0,
             "uptime_s": 321.0,
             "clock_offset_s": None,
@@ -335,7 +337,8 @@ class FakeDaemon:
 
     def send_message(self, name: str, fields: dict[str, Any], target: str | None, link: str | None) -> dict[str, Any]:
         self.sent.append((name, fields, target, link))
-        return {"sent": 0 if link == "dead" else 1, "message": name}
+        note = {"note": f"{name} has no target field: bravo got it as well"} if target == "alpha,carol" else {}
+        return {"sent": 0 if link == "dead" else 1, "message": name, **note}
 
     def subscribe_events(self, callback: Callable[[Mapping[str, Any]], None]) -> Callable[[], None]:
         self._on_event.append(callback)

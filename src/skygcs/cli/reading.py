@@ -27,7 +27,8 @@ def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
         if json_output:
             typer.echo(json.dumps(states, indent=2))
         elif states:
-            render.console().print(render.status_table(states))
+            screen = render.console()
+            screen.print(render.status_table(states, width=screen.width))
         else:
             typer.echo("no vehicle heard yet (skygcs-cli links shows what arrives)")
 
@@ -80,7 +81,7 @@ async def _live(gcs: Client, updates: Any, fields: Sequence[str], count: int) ->
             if loop_time() - drawn_at >= 1 / SCREEN_HZ or seen >= count or len(states) == seen:
                 drawn_at = loop_time()
                 ordered = sorted(states.values(), key=lambda s: int(s["sysid"]))
-                live.update(render.status_table(ordered, fields), refresh=True)
+                live.update(render.status_table(ordered, fields, screen.width), refresh=True)
             if seen >= count:
                 return
 
@@ -165,7 +166,7 @@ def info(json_output: Json = False) -> None:
             return
         for section, values in answer.items():
             for key, value in values.items():
-                typer.echo(f"{section}.{key:<16} {value}")
+                typer.echo(f"{f'{section}.{key}':<24} {value}")
 
     run(command)
 

@@ -52,6 +52,14 @@ LINK_COLUMNS = (
 )
 
 
+STATUS_LEAVES_OUT = ("last text", "loss", "link", "autopilot", "gps", "id")
+LINKS_LEAVE_OUT = ("unknown", "noise", "role", "type", "bad crc")
+"""What a narrow terminal does not show, first things first."""
+
+WRAPPING_COLUMNS = 16
+"""Least width of a column that may be wrapped."""
+
+
 def console() -> Console:
     from rich.console import Console
 
@@ -94,21 +102,39 @@ def age_word(state: State) -> str:
     return age if state.get("connected") else f"lost {age}"
 
 
-def status_table(states: Iterable[State], fields: Sequence[str] = ()) -> Table:
-    """All vehicles; with ``fields`` (dotted paths) only the name and these."""
+def status_table(states: Iterable[State], fields: Sequence[str] = (), width: int = PIPE_WIDTH) -> Table:
+    """All vehicles; with ``fields`` (dotted paths) only the name and these. In a small ``width`` columns are missing:
+    better that than all of them cut off."""
     from rich.table import Table
     from rich.text import Text
 
+    states = list(states)
+    columns = ("name", *fields) if fields else STATUS_COLUMNS
+    rows = [(str(s["name"]), *(field_text(s, f) for f in fields)) if fields else status_cells(s) for s in states]
+    shown = range(len(columns)) if fields else _fitting(columns, rows, width, STATUS_LEAVES_OUT, ("last text",))
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in ("name", *fields) if fields else STATUS_COLUMNS:
-        right = column in ("id", "alt", "loss", "age")
-        table.add_column(column, justify="right" if right else "left", no_wrap=column != "last text")
-    for state in states:
-        cells = (str(state["name"]), *(field_text(state, f) for f in fields)) if fields else status_cells(state)
-        styles = [""] * len(cells) if fields else _styles(state)
-        row = [Text(cell, style=style) for cell, style in zip(cells, styles, strict=True)]
-        table.add_row(*row, style="dim" if state.get("connected") is False else None)
+    for i in shown:
+        right = columns[i] in ("id", "alt", "loss", "age")
+        table.add_column(columns[i], justify="right" if right else "left", no_wrap=columns[i] != "last text")
+    for state, row in zip(states, rows, strict=True):
+        styles = [""] * len(row) if fields else _styles(state)
+        cells = [Text(row[i], style=styles[i]) for i in shown]
+        table.add_row(*cells, style="dim" if state.get("connected") is False else None)
     return table
+
+
+def _fitting(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], width: int, leave_out: Sequence[str], wrapping: Sequence[str]
+) -> list[int]:
+    """Indices of the columns that have room, two spaces between them."""
+    wide = [max(len(column), *(len(row[i]) for row in rows), 0) for i, column in enumerate(columns)]
+    wide = [min(w, WRAPPING_COLUMNS) if c in wrapping else w for w, c in zip(wide, columns, strict=True)]
+    shown = list(range(len(columns)))
+    for name in leave_out:
+        if sum(wide[i] + 2 for i in shown) - 2 <= width:
+            break
+        shown.remove(columns.index(name))
+    return shown
 
 
 def field_text(state: State, path: str) -> str:
@@ -183,15 +209,17 @@ def message_line(message: Mapping[str, Any]) -> str:
     return f"{source} {message['name']} {fields}{lost}"
 
 
-def links_table(links: Iterable[Mapping[str, Any]]) -> RenderableType:
-    """A row per channel; a link without channels has one row of its own. Below it, why links are down."""
+def links_table(links: Iterable[Mapping[str, Any]], width: int = PIPE_WIDTH) -> RenderableType:
+    """A row per channel; a link without channels has one row of its own. Below it, why links are down.
+
+    ``width`` as in `status_table`.
+    """
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    for column in LINK_COLUMNS:
-        table.add_column(column, no_wrap=column not in ("peer", "sources"))
+    rows: list[tuple[str, ...]] = []
+    styles: list[str | None] = []
     reasons = []
     for link in links:
         state = str(link.get("state", "?"))
@@ -201,9 +229,15 @@ def links_table(links: Iterable[Mapping[str, Any]]) -> RenderableType:
         if state not in ("up", "disabled") and link.get("last_error"):
             reasons.append(Text(f"{link['name']}: {' '.join(str(link['last_error']).split())}", style="red"))
         head = (str(link["name"]), str(link.get("type", "")), str(link.get("role", "")), state_text)
-        rows = [_channel_cells(channel) for channel in link.get("channels") or ()] or [("",) * 8]
-        for i, row in enumerate(rows):
-            table.add_row(*(head if i == 0 else ("",) * 4), *row, style={"down": "red", "disabled": "dim"}.get(state))
+        channels = [_channel_cells(channel) for channel in link.get("channels") or ()] or [("",) * 8]
+        rows += [(*(head if i == 0 else ("",) * 4), *cells) for i, cells in enumerate(channels)]
+        styles += [{"down": "red", "disabled": "dim"}.get(state)] * len(channels)
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    shown = _fitting(LINK_COLUMNS, rows, width, LINKS_LEAVE_OUT, ("peer", "sources"))
+    for i in shown:
+        table.add_column(LINK_COLUMNS[i], no_wrap=LINK_COLUMNS[i] not in ("peer", "sources"))
+    for row, style in zip(rows, styles, strict=True):
+        table.add_row(*(Text(row[i]) for i in shown), style=style)
     return Group(table, *reasons)
 
 

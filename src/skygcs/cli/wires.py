@@ -84,7 +84,9 @@ def send_message(
         except RpcError as error:
             if target is not None or not _lacks_target(error):
                 raise
-            fail(f"{name.upper()} is for somebody: give --to TARGETS (--to all: everyone), or --link LINK")
+            fail(
+                f"{name.upper()} is addressed: give --to TARGETS (--to all: everyone), --link LINK, or its target field"
+            )
             return Exit.USAGE
         if json_output:
             typer.echo(json.dumps(answer, indent=2))
@@ -92,6 +94,8 @@ def send_message(
             typer.echo(f"sent {answer['message']}" + (f" {answer['sent']} times" if answer["sent"] > 1 else ""))
         else:
             typer.echo(f"{answer['message']} was not sent: the link has nobody to send it to", err=True)
+        if answer.get("note") and not json_output:
+            fail(answer["note"])
         return Exit.DONE if answer["sent"] else Exit.FAILED
 
     run(command)
@@ -186,7 +190,8 @@ def _links(method: str, json_output: bool, **params: Any) -> NoReturn:
         if json_output:
             typer.echo(json.dumps(answer, indent=2))
         elif answer:
-            render.console().print(render.links_table(answer))
+            screen = render.console()
+            screen.print(render.links_table(answer, screen.width))
         else:
             typer.echo("no links; add one: skygcs-cli links add NAME type=udp_server port=14550")
 

@@ -138,7 +138,7 @@ def messages_send(context: Context, params: m.SendParams) -> JsonObject:
     field = next((f.name for f in info.fields if f.offset == info.target_system_offset), None)
     if field is not None and field not in fields and params.target is None and params.link is None:
         raise InvalidParams(
-            ("target", f'{info.name} is for somebody: give target ("all" is everyone), link, or the field {field}')
+            ("target", f'{info.name} is addressed: give target ("all": everyone), link, or the field {field}')
         )
     return context.daemon.send_message(info.name, fields, params.target, params.link)
 

@@ -280,6 +280,7 @@ class VehicleState(Result):
     groups: list[str]
     connected: bool
     duplicate_sysid: bool = Field(description="Two vehicles speak under this id: all that is told is a mixture.")
+    replayed: bool = Field(description="It is heard in a recording only: orders to it are refused.")
     last_heartbeat_age_s: float | None
     uptime_s: float | None
     clock_offset_s: float | None

@@ -117,7 +117,7 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["home", "all", "1", "2", "3", "4"], USAGE, "LAT LON ALT"),
         (["command", "all", "SERVO"], USAGE, "DO_SET_SERVO"),
         (["message", "send", "COMMAND_LONG", "command=400", "param1=1"], USAGE, "--to TARGETS"),
-        (["message", "send", "manual_control", "z=1000"], USAGE, "MANUAL_CONTROL is for somebody: give --to"),
+        (["message", "send", "manual_control", "z=1000"], USAGE, "MANUAL_CONTROL is addressed: give --to"),
         (["message", "send", "COMMAND_LONG", "--to", "1", "--link", "radio"], USAGE, "not both"),
         (["nonsense"], USAGE, "nonsense"),
         (["interval", "all", "NONSENSE", "1"], USAGE, "NONSENSE"),
@@ -178,6 +178,7 @@ def test_messages_are_watched_sent_and_looked_up(fleet: Fleet) -> None:
     fleet.run("message", "send", "ATTITUDE", "roll=-0.5", "pitch=nan", "--link", "radio")
     assert fleet.daemon.sent[-1][1]["roll"] == -0.5
     assert "was not sent" in fleet.run("message", "send", "ATTITUDE", "--link", "dead", code=FAILED)
+    assert "bravo got it as well" in fleet.run("message", "send", "ATTITUDE", "--to", "alpha,carol")
     assert "pitch" in fleet.run("message", "last", "alpha", "ATTITUDE")
     assert fleet.run("message", "list", "heartbeat").startswith("    0 HEARTBEAT: ")
     assert fleet.json("message", "list", "HIGH_LATENCY2")[0]["id"] == 235
@@ -227,7 +228,7 @@ def test_help_is_there_without_a_daemon(args: list[str]) -> None:
 
 
 def test_an_unforeseen_error_is_one_line(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("a bug")
 
     monkeypatch.setattr("skygcs.cli.render.status_table", broken)

@@ -34,6 +34,22 @@ def test_the_status_table_tells_what_one_asks_first() -> None:
     assert "ARMED" in lines[2]
 
 
+@pytest.mark.parametrize("width", [80, 100, 140, 200])
+def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) -> None:
+    states = [state(), state(name="bravo", sysid=2, armed=True, duplicate_sysid=True, landed="in_air")]
+    lines = text_of(render.status_table(states, width=width), width).splitlines()
+    assert not any("…" in line for line in lines)
+    for cell in ("bravo", "AUTO.LOITER", "ARMED DUPLICATE ID", "87 % 15.8 V", "0.4 s"):
+        assert cell in lines[2], cell
+    assert ("last text" in lines[0]) == (width > 120)
+    links = [*FakeDaemon().links_status(), {"name": "lte", "type": "tcp_client", "state": "down", "since_s": 9.0}]
+    lines = text_of(render.links_table(links, width), width).splitlines()
+    assert not any("…" in line for line in lines)
+    for cell in ("radio", "up 42 s", "/dev/ttyUSB0", "1200", "1/1 1.0 %"):
+        assert cell in lines[1], cell
+    assert ("unknown" in lines[0]) == (width > 120)
+
+
 def test_a_lost_vehicle_and_a_failsafe_are_said_in_words() -> None:
     cells = render.status_cells(state(connected=False, last_heartbeat_age_s=73.0, armed=True, failsafe=True))
     assert "lost 73 s" in cells and "ARMED FAILSAFE" in cells
