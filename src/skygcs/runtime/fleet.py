@@ -84,6 +84,7 @@ class Fleet:
         self._may_broadcast = may_broadcast
         self._kept: set[asyncio.Task[dict[str, Outcome]]] = set()
         self._duplicates: set[int] = set()
+        self._replayed: set[int] = set()
         self._decoder = Decoder(dialect)
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
 
@@ -115,6 +116,17 @@ class Fleet:
         actor = self.vehicles.get(key)
         if actor is not None:
             actor.duplicate = duplicate
+
+    def set_replayed(self, key: int, replayed: bool) -> None:
+        """From now on ``key`` is heard in a recording only, or on the air after all. What was known of it is of another
+        time and place: it is forgotten, and the next heartbeat finds the vehicle anew."""
+        if replayed:
+            self._replayed.add(key)
+        else:
+            self._replayed.discard(key)
+        actor = self.vehicles.pop(key, None)
+        if actor is not None:
+            actor.close()
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
@@ -261,6 +273,7 @@ class Fleet:
         )
         vehicle.origin = self.origin
         vehicle.duplicate = key in self._duplicates
+        vehicle.replayed = key in self._replayed
         actor = VehicleActor(
             vehicle, config, (daemon.sysid, daemon.compid), self._dialect, self._send, self._loop, self._on_event
         )

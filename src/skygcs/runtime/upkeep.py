@@ -52,7 +52,7 @@ class Upkeep:
         self._identify_from: float | None = None
 
     def tick(self, now: float) -> None:
-        if not self._vehicle.connected:
+        if not self._vehicle.connected or self._vehicle.replayed:
             return
         if self._identified < len(IDENTIFY_AT_S):
             self._identify(now)

@@ -50,6 +50,7 @@ def arm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
 
 def disarm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
     """A forced one is an emergency: it is sent even to a vehicle that is lost, and even if it flies."""
+    require_live(vehicle)
     if not force:
         require_connected(vehicle, now)
         if vehicle.in_air(now):
@@ -257,7 +258,14 @@ def find_command(dialect: Dialect, command: str | int) -> tuple[int, str]:
     raise RefusedError(f"no command {command!r}" + (f"; did you mean {', '.join(near)}?" if near else ""))
 
 
+def require_live(vehicle: Vehicle) -> None:
+    """Raises RefusedError for a vehicle of a recording."""
+    if vehicle.replayed:
+        raise RefusedError("it is heard in a recording only: nobody is there to take an order")
+
+
 def require_connected(vehicle: Vehicle, now: float) -> None:
+    require_live(vehicle)
     if not vehicle.connected:
         age = vehicle.silence_s(now)
         raise RefusedError("it is lost: " + ("no heartbeat yet" if age is None else f"no heartbeat for {age:.0f} s"))

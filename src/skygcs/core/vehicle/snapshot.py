@@ -27,6 +27,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
         "groups": list(vehicle.groups),
         "connected": vehicle.connected,
         "duplicate_sysid": vehicle.duplicate,
+        "replayed": vehicle.replayed,
         "last_heartbeat_age_s": _rounded(vehicle.silence_s(now), 3),
         "uptime_s": _rounded(vehicle.boot.uptime_s(now), 1),
         "clock_offset_s": None if unix_now is None else vehicle.clock_offset_s(now, unix_now),

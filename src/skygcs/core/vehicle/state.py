@@ -68,6 +68,7 @@ class VehicleState(TypedDict):
     groups: list[str]
     connected: bool
     duplicate_sysid: bool
+    replayed: bool
     last_heartbeat_age_s: float | None
     uptime_s: float | None
     clock_offset_s: float | None

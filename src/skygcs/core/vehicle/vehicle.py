@@ -80,6 +80,8 @@ class Vehicle:
         self.origin: Origin | None = None
         self.connected = False
         self.duplicate = False
+        self.replayed = False
+        """Whether it is heard in a recording only: nobody is there to take an order."""
         self.type = 0
         self.autopilot = 0
         self.base_mode = 0
