@@ -12,10 +12,10 @@ from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle import discovery, targets
+from skygcs.core.vehicle import discovery, orders, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.formation import moved, offsets_en_m
+from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
 from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
@@ -173,12 +173,12 @@ class Fleet:
     async def _command(
         self, actors: list[VehicleActor], order: str, args: tuple[Any, ...], arguments: dict[str, Any]
     ) -> dict[str, Outcome]:
-        own_arguments = self._places(actors, arguments) if order == "goto" else {}
+        own_arguments, staying = self._formation(actors, arguments) if order == "goto" else ({}, {})
         carrier = self._carrier(actors, order)
         tasks: dict[str, asyncio.Task[Outcome]] = {}
         try:
             async with asyncio.TaskGroup() as group:
-                for actor in actors:
+                for actor in (a for a in actors if a not in staying):
                     own = {**arguments, **own_arguments.get(actor, {})}
                     call = self._guarded(actor, order, args, own)
                     tasks[actor.name] = group.create_task(call, name=f"{order} {actor.name}")
@@ -189,7 +189,8 @@ class Fleet:
             for actor in actors:
                 if actor.commander.carrier is carrier:
                     actor.commander.carrier = None
-        return {name: task.result() for name, task in tasks.items()}
+        refused = {actor.name: actor.refuse(order, reason) for actor, reason in staying.items()}
+        return {a.name: refused[a.name] if a in staying else tasks[a.name].result() for a in actors}
 
     async def _guarded(
         self, actor: VehicleActor, order: str, args: tuple[Any, ...], arguments: dict[str, Any]
@@ -202,27 +203,46 @@ class Fleet:
             return Outcome(False, "failed", f"failed inside skygcs: {error!r}")
         return outcome
 
-    def _places(self, actors: list[VehicleActor], arguments: dict[str, Any]) -> dict[VehicleActor, dict[str, Any]]:
-        """Where each of several vehicles goes that are sent to one place: they keep their places relative to each
-        other, the middle of them goes where it was said. Who is disarmed will be refused and has no say in the middle.
-        ``same_place`` sends all to the very point."""
+    def _formation(
+        self, actors: list[VehicleActor], arguments: dict[str, Any]
+    ) -> tuple[dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str]]:
+        """Where each of several vehicles goes that are sent to one place, and why some do not go at all.
+
+        They keep their places relative to each other, the middle of them goes where it was said. Only who can go now
+        has a say in the middle: a place that is not fresh would move everybody else's. ``same_place`` sends all to the
+        very point.
+        """
         if arguments.pop("same_place", False) or len(actors) < 2:
-            return {}
-        known = {}
+            return {}, {}
+        now = self._loop.time()
+        here: dict[VehicleActor, tuple[float, float, float]] = {}
+        ends: dict[VehicleActor, tuple[float, float, float]] = {}
+        staying: dict[VehicleActor, str] = {}
+        height_m, enu_m = arguments.get("height_m"), arguments.get("enu_m")
         for actor in actors:
-            position = actor.vehicle.section("position")
-            if actor.vehicle.armed and position is not None and position["lat_deg"] is not None:
-                known[actor] = (position["lat_deg"], position["lon_deg"])
+            try:
+                here[actor], home_amsl_m = orders.require_going(actor.vehicle, now)
+            except RefusedError as error:
+                staying[actor] = str(error)
+                continue
+            own_amsl_m = here[actor][2] if height_m is None else home_amsl_m + height_m
+            # across they all move by the same way, which brings nobody closer; in the fleet's frame up is one height
+            ends[actor] = (*here[actor][:2], own_amsl_m if enu_m is None else 0.0)
+        close = None if arguments.get("force") else too_close(ends)
+        if close is not None:
+            text = f"{close[0].name} and {close[1].name} would end {close[2]:.1f} m apart at about one height"
+            text += "; move them apart first, or insist with same_place (--same-place) or force (--force)"
+            return {}, staying | dict.fromkeys(ends, text)
         places: dict[VehicleActor, dict[str, Any]] = {}
-        for actor, (east_m, north_m) in offsets_en_m(known).items():
-            enu_m, lat_deg, lon_deg = arguments.get("enu_m"), arguments.get("lat_deg"), arguments.get("lon_deg")
-            if enu_m is not None:
+        for actor, (east_m, north_m) in offsets_en_m({a: place[:2] for a, place in here.items()}).items():
+            lat_deg, lon_deg = arguments.get("lat_deg"), arguments.get("lon_deg")
+            if enu_m is not None and len(enu_m) == 3:
                 places[actor] = {"enu_m": [enu_m[0] + east_m, enu_m[1] + north_m, enu_m[2]]}
             elif lat_deg is not None and lon_deg is not None and is_place(lat_deg, lon_deg):
                 # what is no place is left as it is: every vehicle refuses it with the reason
                 lat, lon = moved(lat_deg, lon_deg, (east_m, north_m))
                 places[actor] = {"lat_deg": lat, "lon_deg": lon}
-        return places
+        return places, staying
 
     def _carrier(self, actors: list[VehicleActor], order: str) -> Carrier | None:
         """A broadcast, if all vehicles are meant, none refuses, all would be sent the very same, and nobody else hears.

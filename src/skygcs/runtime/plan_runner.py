@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle.autopilot import firmware_name
 from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.commander import Commander
@@ -17,6 +18,10 @@ MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", 
 
 EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
 """Orders that end a flight: they go out over every link to the vehicle from the first transmission on."""
+
+
+REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
+"""What a vehicle answers that does not do it."""
 
 
 class PlanRunner:
@@ -59,6 +64,7 @@ class PlanRunner:
                 queue = list(step.instead) + queue
                 continue
             if not outcome.ok:
+                outcome = self._explained(outcome, step)
                 message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
                 if order == self.order:
                     message += await self._undo(done, plan)
@@ -113,6 +119,13 @@ class PlanRunner:
             return outcome
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
+
+    def _explained(self, outcome: Outcome, step: Step) -> Outcome:
+        """A refusal without a word of why says at least what was asked."""
+        if outcome.result not in REFUSALS or outcome.status_texts:
+            return outcome
+        why = step.refused or f"{firmware_name(self._vehicle)} gave no reason ({step.name})"
+        return replace(outcome, message=f"{outcome.message}: {why}")
 
     async def _undo(self, done: list[Step], plan: Plan) -> str:
         """Undo the steps that were really carried out, last first; what to add to the message."""

@@ -194,12 +194,19 @@ class VehicleActor:
         return await self._run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
 
     async def set_home(
-        self, *, lat_deg: float | None = None, lon_deg: float | None = None, alt_amsl_m: float | None = None
+        self,
+        *,
+        lat_deg: float | None = None,
+        lon_deg: float | None = None,
+        alt_amsl_m: float | None = None,
+        force: bool = False,
     ) -> Outcome:
-        """Without arguments: where it is now."""
+        """Without arguments: where it is now. In the air only with ``force``."""
         return await self._run(
             "home",
-            lambda now: orders.set_home(self.vehicle, now, lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=alt_amsl_m),
+            lambda now: orders.set_home(
+                self.vehicle, now, lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=alt_amsl_m, force=force
+            ),
         )
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:

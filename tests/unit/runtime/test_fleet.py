@@ -542,6 +542,44 @@ class TestOrdersForMany:
             refused = await ground.fleet.command_all("all", "goto", lat_deg=91.0, lon_deg=8.0, force=True)
             assert {o.result for o in refused.values()} == {"refused"}
 
+    async def spread(self, ground: Ground, *east_deg: float) -> list[ScriptedVehicle]:
+        """Flying PX4s that many degrees of longitude east of home."""
+        vehicles = await self.swarm(ground, px4=len(east_deg), copters=0)
+        for vehicle, east in zip(vehicles, east_deg, strict=True):
+            vehicle.place = (HOME[0], HOME[1] + east)
+        await asyncio.sleep(1.5)
+        return vehicles
+
+    async def test_only_who_flies_and_is_known_to_be_somewhere_has_a_say_in_the_middle(self) -> None:
+        async with Ground() as ground:
+            vehicles = await self.spread(ground, 0.0, 1e-4, 1e-3, 2e-3, 3e-3)
+            vehicles[2].flying = False
+            vehicles[3].silent = True
+            unplaced = vehicles[4]
+            unplaced.pulse = lambda: unplaced.tell(unplaced.beat(PX4, armed=True, status=4))  # type: ignore[method-assign]
+            await asyncio.sleep(11)
+            there = {"lat_deg": HOME[0] + 1e-3, "lon_deg": HOME[1]}
+            outcomes = await ground.fleet.command_all("all", "goto", **there)
+            assert list(outcomes) == [f"v{n}" for n in range(1, 6)]
+            assert [o.result for o in outcomes.values()] == ["accepted"] * 2 + ["refused"] * 3
+            for name, said in {"v3": "on the ground", "v4": "lost", "v5": "position is not known"}.items():
+                assert said in outcomes[name].message
+            first, second = (s.y / 1e7 for s in self.commands(ground))
+            assert (first + second) / 2 == pytest.approx(HOME[1], abs=1e-7)
+            assert len([e for e in ground.events if e.kind == "command"]) == 5
+
+    async def test_vehicles_that_would_end_too_close_are_not_sent_unless_insisted_on(self) -> None:
+        async with Ground() as ground:
+            await self.spread(ground, 0.0, 2e-5)  # 1.5 m
+            there = {"lat_deg": HOME[0] + 1e-3, "lon_deg": HOME[1]}
+            outcomes = await ground.fleet.command_all("all", "goto", **there)
+            assert {o.result for o in outcomes.values()} == {"refused"}
+            assert "v1 and v2 would end 1.5 m apart" in outcomes["v1"].message
+            assert self.commands(ground) == []
+            for insisted in ({"force": True}, {"same_place": True}):
+                outcomes = await ground.fleet.command_all("all", "goto", **there, **insisted)
+                assert all(o.ok for o in outcomes.values())
+
     async def test_an_order_that_does_not_exist_is_refused(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground)

@@ -617,6 +617,35 @@ async def test_home_is_set_here_or_at_a_place() -> None:
         assert (await actor.set_home(lat_deg=0.0, lon_deg=0.0, alt_amsl_m=1.0)).result == "refused"
 
 
+async def test_home_is_not_moved_in_the_air_unless_insisted_on() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground)
+        for place in ({}, {"lat_deg": HOME[0], "lon_deg": HOME[1]}):
+            outcome = await actor.set_home(**place)
+            assert outcome.result == "refused"
+            assert "in the air" in outcome.message and "--force" in outcome.message
+        assert vehicle.got == []
+        assert (await actor.set_home(force=True)).ok
+
+
+async def test_a_refusal_without_a_reason_says_what_was_refused() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await one(ground)
+        vehicle.script = lambda v, sent: v.reply(sent, 2)
+        messages = [
+            (await actor.set_message_interval("EKF_STATUS_REPORT", 1)).message,
+            (await actor.request_message("EKF_STATUS_REPORT")).message,
+            (await actor.land()).message,
+            (await actor.takeoff(5)).message,
+        ]
+        assert messages == [
+            "denied: PX4 does not stream EKF_STATUS_REPORT",
+            "denied: PX4 does not send EKF_STATUS_REPORT on request",
+            "denied: PX4 gave no reason (land)",
+            "arm: denied: PX4 gave no reason (arm)",
+        ]
+
+
 @pytest.mark.parametrize(
     ("rate", "interval_us", "said"), [(4.0, 250_000, "4 Hz"), (0.0, -1, "off"), (None, 0, "default rate")]
 )

@@ -174,11 +174,17 @@ def set_home(place: Destination | None) -> Plan:
     return Plan("home", (Step("set home", spec),), "home set")
 
 
-def message_interval(msgid: int, rate_hz: float | None) -> Plan:
+def message_interval(msgid: int, rate_hz: float | None, *, refused: str = "") -> Plan:
     """``rate_hz`` 0 turns it off, None is the vehicle's own default."""
     interval_us = 0.0 if rate_hz is None else -1.0 if rate_hz == 0 else round(1e6 / rate_hz)
     done = "default rate" if rate_hz is None else f"{rate_hz:g} Hz" if rate_hz else "off"
-    return Plan("interval", (Step("interval", CommandSpec(SET_MESSAGE_INTERVAL, (float(msgid), interval_us))),), done)
+    step = Step("interval", CommandSpec(SET_MESSAGE_INTERVAL, (float(msgid), interval_us)), refused=refused)
+    return Plan("interval", (step,), done)
+
+
+def firmware_name(vehicle: Vehicle) -> str:
+    """For a person."""
+    return {"px4": "PX4", "ardupilot": "ArduPilot"}.get(vehicle.family, "its autopilot")
 
 
 def _arm_step(*, force: bool = False, skip_if_met: bool = False) -> Step:

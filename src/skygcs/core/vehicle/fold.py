@@ -195,8 +195,9 @@ ESTIMATE_NEEDED = 1 | 2 | 4 | 16 | 32
 EKF_BAD = 128 | 1024 | 32768
 """EKF_STATUS_REPORT: constant position mode, uninitialised, GPS glitch."""
 
-ESTIMATOR_BAD = 128 | 1024 | 2048
-"""ESTIMATOR_STATUS: constant position mode, GPS glitch, accelerometer error."""
+ESTIMATOR_BAD = 1024 | 2048
+"""ESTIMATOR_STATUS: GPS glitch, accelerometer error. Not the constant position mode (128): PX4, its only sender, sets
+it whenever the vehicle is at rest (EKF2, ekf_helper.cpp, 1.16); without any aiding it lacks the absolute position."""
 
 EKF_VARIANCE_LIMIT = 0.8
 """ArduPilot's default of FS_EKF_THRESH."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import TypeVar
 
-from skygcs.core.geo import Origin, enu_from_geodetic, geodetic_from_enu
+from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from_enu
 
 K = TypeVar("K")
+
+APART_M = 3.0
+"""Two vehicles nearer than this both across and in height are one GPS error from each other."""
 
 
 def offsets_en_m(places: Mapping[K, tuple[float, float]]) -> dict[K, tuple[float, float]]:
@@ -26,3 +30,11 @@ def moved(lat_deg: float, lon_deg: float, offset_en_m: tuple[float, float]) -> t
     """(lat_deg, lon_deg) of a point that many metres east and north of another."""
     lat, lon, _ = geodetic_from_enu(*offset_en_m, 0.0, Origin(lat_deg, lon_deg, 0.0))
     return lat, lon
+
+
+def too_close(places: Mapping[K, tuple[float, float, float]]) -> tuple[K, K, float] | None:
+    """The first two of (lat_deg, lon_deg, alt_amsl_m) that are too close, and how many metres apart across."""
+    for (a, here), (b, there) in itertools.combinations(places.items(), 2):
+        if abs(here[2] - there[2]) < APART_M and (across_m := distance_m(*here[:2], *there[:2])) < APART_M:
+            return a, b, across_m
+    return None

@@ -38,6 +38,9 @@ MAX_RATE_HZ = 1000.0
 GROUND_TYPES = frozenset({10, 11, 12, 46})
 """Rovers, boats, submarines, legged: they go somewhere without being in the air."""
 
+COMMON_WORDS = frozenset({"NAV", "SET", "GET", "MAV", "CMD"})
+"""So many commands have them in their names that they tell nothing."""
+
 INT32 = 1 << 31
 
 FORCE_HINT = "insist with force (--force)"
@@ -104,16 +107,8 @@ def goto(
 ) -> Plan:
     """To a place (lat, lon; ``height_m`` above this vehicle's home, None: as high as it is) or a point of the fleet's
     frame (``enu_m``). ``force`` overrides the distance limit and the ground check, never an impossible coordinate."""
-    require_connected(vehicle, now)
+    here, home_amsl_m = require_going(vehicle, now)
     ground = vehicle.type in GROUND_TYPES
-    if not vehicle.armed:
-        raise RefusedError("it is disarmed; take off first")
-    if not ground and _on_ground(vehicle, now):
-        raise RefusedError("it is on the ground; take off first")
-    here = _fresh_position(vehicle, now)
-    home_amsl_m = vehicle.home_alt_amsl_m()
-    if here is None or home_amsl_m is None:
-        raise RefusedError("its position is not known (or older than 10 s), so the way cannot be checked")
     if enu_m is not None:
         if lat_deg is not None or lon_deg is not None or height_m is not None:
             raise RefusedError("give either enu_m or lat_deg, lon_deg and height_m")
@@ -142,9 +137,13 @@ def set_home(
     lat_deg: float | None = None,
     lon_deg: float | None = None,
     alt_amsl_m: float | None = None,
+    force: bool = False,
 ) -> Plan:
-    """Without arguments: where it is now. The altitude defaults to that of its home."""
+    """Without arguments: where it is now. The altitude defaults to that of its home. In the air every height it flies
+    by is counted from its home, so that is left alone there unless ``force``."""
     require_connected(vehicle, now)
+    if not force and vehicle.armed and vehicle.in_air(now) is not False:
+        raise RefusedError(f"it is in the air, and its heights are counted from its home: land first, or {FORCE_HINT}")
     if lat_deg is None and lon_deg is None and alt_amsl_m is None:
         return autopilot.set_home(None)
     if lat_deg is None or lon_deg is None:
@@ -161,16 +160,19 @@ def message_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: st
     require_connected(vehicle, now)
     if rate_hz is not None and not (math.isfinite(rate_hz) and 0 <= rate_hz <= MAX_RATE_HZ):
         raise RefusedError(f"a rate of {rate_hz:g} Hz is not between 0 (off) and {MAX_RATE_HZ:g}")
-    return autopilot.message_interval(find_message(dialect, message)[0], rate_hz)
+    msgid, name = find_message(dialect, message)
+    return autopilot.message_interval(
+        msgid, rate_hz, refused=f"{autopilot.firmware_name(vehicle)} does not stream {name}"
+    )
 
 
 def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
     require_connected(vehicle, now)
     msgid, name = find_message(dialect, message)
     expect = MessageAfter(name, vehicle.count(name))
-    return Plan(
-        "request", (Step("request", CommandSpec(REQUEST_MESSAGE, (float(msgid),)), expect=expect),), f"{name} came"
-    )
+    refused = f"{autopilot.firmware_name(vehicle)} does not send {name} on request"
+    step = Step("request", CommandSpec(REQUEST_MESSAGE, (float(msgid),)), expect=expect, refused=refused)
+    return Plan("request", (step,), f"{name} came")
 
 
 def request_stream(vehicle: Vehicle, now: float, dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
@@ -254,8 +256,17 @@ def find_command(dialect: Dialect, command: str | int) -> tuple[int, str]:
         if name.removeprefix("MAV_CMD_") == wanted:
             return number, wanted
 
-    near = difflib.get_close_matches(wanted, [n.removeprefix("MAV_CMD_") for n in names.values()], n=3)
-    raise RefusedError(f"no command {command!r}" + (f"; did you mean {', '.join(near)}?" if near else ""))
+    near = _near_commands(wanted, [n.removeprefix("MAV_CMD_") for n in names.values()])
+    hint = f"did you mean {', '.join(near)}?" if near else "give a name of MAV_CMD, as NAV_LAND, or a number"
+    raise RefusedError(f"no command {command!r}; {hint}")
+
+
+def _near_commands(wanted: str, names: Sequence[str]) -> list[str]:
+    """At most five: misspellings first, then those that share a word with it."""
+    near = difflib.get_close_matches(wanted, names, n=3)
+    words = {word for word in wanted.split("_") if len(word) > 2 and word not in COMMON_WORDS}
+    sharing = [n for n in names if words.intersection(n.split("_")) and n not in near]
+    return [*near, *difflib.get_close_matches(wanted, sharing, n=5 - len(near), cutoff=0.0)]
 
 
 def require_live(vehicle: Vehicle) -> None:
@@ -269,6 +280,23 @@ def require_connected(vehicle: Vehicle, now: float) -> None:
     if not vehicle.connected:
         age = vehicle.silence_s(now)
         raise RefusedError("it is lost: " + ("no heartbeat yet" if age is None else f"no heartbeat for {age:.0f} s"))
+
+
+def require_going(vehicle: Vehicle, now: float) -> tuple[tuple[float, float, float], float]:
+    """(lat_deg, lon_deg, alt_amsl_m) and the altitude of its home, of a vehicle that can be sent somewhere now.
+
+    Raises RefusedError for any other: lost, disarmed, on the ground, or where it is is not known.
+    """
+    require_connected(vehicle, now)
+    if not vehicle.armed:
+        raise RefusedError("it is disarmed; take off first")
+    if vehicle.type not in GROUND_TYPES and _on_ground(vehicle, now):
+        raise RefusedError("it is on the ground; take off first")
+    here = _fresh_position(vehicle, now)
+    home_amsl_m = vehicle.home_alt_amsl_m()
+    if here is None or home_amsl_m is None:
+        raise RefusedError("its position is not known (or older than 10 s), so the way cannot be checked")
+    return here, home_amsl_m
 
 
 def _frame_number(dialect: Dialect, frame: int | str) -> int:

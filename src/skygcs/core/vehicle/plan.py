@@ -120,7 +120,8 @@ class Step:
 
     ``expect_s``: how long to wait for the expectation; 0 does not wait for it (it then only explains a lost ACK).
     ``skip_if_met``: nothing is sent if the state is as wanted already. ``undo`` is carried out if a later step fails.
-    ``instead`` replaces the step if the vehicle answers that it does not support the command.
+    ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` is what its
+    refusal means, for a vehicle that gives no reason itself.
     """
 
     name: str
@@ -131,6 +132,7 @@ class Step:
     skip_if_met: bool = False
     undo: Step | None = None
     instead: tuple[Step, ...] = ()
+    refused: str = ""
 
 
 @dataclass(frozen=True, slots=True)

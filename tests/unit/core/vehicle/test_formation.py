@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.geo import distance_m
-from skygcs.core.vehicle.formation import moved, offsets_en_m
+from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
 
 near = st.tuples(st.floats(43.780, 43.781), st.floats(-79.466, -79.465))
 
@@ -35,3 +35,13 @@ def test_distances_between_vehicles_are_kept_and_their_middle_is_the_point(place
             before = distance_m(*named[a], *named[b])
             after = distance_m(*new[a], *new[b])
             assert abs(before - after) < 0.05 + 0.001 * before
+
+
+def test_too_close_is_less_than_three_metres_both_across_and_in_height() -> None:
+    a, two_m_east, four_m_east = (43.78, -79.46, 100.0), (43.78, -79.459975, 101.0), (43.78, -79.45995, 100.0)
+    assert too_close({"a": a, "c": four_m_east}) is None
+    assert too_close({"a": a, "b": (*two_m_east[:2], 103.1)}) is None
+    found = too_close({"c": (43.79, -79.46, 100.0), "a": a, "b": two_m_east})
+    assert found is not None
+    assert found[:2] == ("a", "b")
+    assert 1.9 < found[2] < 2.1

@@ -186,6 +186,23 @@ def test_nothing_but_a_forced_disarm_is_sent_to_a_lost_vehicle(order: str) -> No
     assert orders.disarm(vehicle, NOW + 7, force=True).emergency
 
 
+@pytest.mark.parametrize(
+    ("wrong", "hint"),
+    [
+        ("NOSUCHCMD", "give a name of MAV_CMD, as NAV_LAND, or a number"),
+        ("SERVO", "DO_SET_SERVO"),
+        ("TAKE_OFF", "NAV_TAKEOFF"),
+        ("MAV_CMD_HOME_SET", "DO_SET_HOME"),
+    ],
+)
+def test_a_command_that_does_not_exist_is_answered_with_near_ones(wrong: str, hint: str) -> None:
+    with pytest.raises(RefusedError) as caught:
+        orders.find_command(flight_dialect(), wrong)
+    assert f"no command {wrong!r}; " in str(caught.value)
+    assert hint in str(caught.value)
+    assert str(caught.value).count(",") <= 5
+
+
 def test_streams_frames_commands_and_messages_are_found_by_name_or_number() -> None:
     dialect = flight_dialect()
     assert orders.stream_number(dialect, "POSITION") == orders.stream_number(dialect, "mav_data_stream_position") == 6

@@ -234,6 +234,10 @@ def test_both_estimators_say_whether_they_can_navigate() -> None:
     fine = mav.MAVLink_estimator_status_message(1, 0x33F, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
     estimator = told(px4, voice.say(fine))["estimator"]
     assert (estimator["ok"], estimator["accuracy_m"]) == (True, [0.4, 0.6])
+    at_rest = mav.MAVLink_estimator_status_message(1, 1023, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
+    assert told(px4, voice.say(at_rest))["estimator"]["ok"] is True
+    unaided = mav.MAVLink_estimator_status_message(1, 0x2F | 128, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
+    assert told(px4, voice.say(unaided))["estimator"]["ok"] is False
     glitch = mav.MAVLink_estimator_status_message(1, 0x33F | 1024, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
     assert told(px4, voice.say(glitch))["estimator"]["ok"] is False
 
