@@ -12,6 +12,10 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
+HEARTBEAT_WAITS_S = 1.0
+"""A heartbeat that waited so long goes before everything but an emergency. Without our heartbeats a vehicle's ground
+station failsafe takes over (ArduPilot: after 5 s), and no flood of anything else may bring that about."""
+
 
 class Priority(IntEnum):
     """Order of service on a link, most urgent first (docs/explanation/architecture.md, "uplink")."""
@@ -59,17 +63,21 @@ class TxQueue(Generic[T]):
     """In order of arrival; an entry without a key stands under a serial number, one with a key under (key,)."""
     _serial: int = 0
     _length: int = 0
+    _heartbeat_since: float | None = None
+    """Since when heartbeats wait and none was sent; None: none waits."""
 
     def __len__(self) -> int:
         return self._length
 
-    def offer(self, entry: T, priority: Priority, key: Hashable | None = None) -> bool:
+    def offer(self, entry: T, priority: Priority, now: float, key: Hashable | None = None) -> bool:
         """Queue it; False if its class is full and refuses. Never blocks, never raises.
 
         With a key the newest value takes the place of the waiting one (latest wins), keeping that one's turn.
         """
         counters = self.counters[priority]
         waiting = self._waiting[priority]
+        if priority is Priority.HEARTBEAT and not waiting:
+            self._heartbeat_since = now
         slot: Hashable
         if key is not None:
             slot = (key,)
@@ -90,16 +98,30 @@ class TxQueue(Generic[T]):
         self._length += 1
         return True
 
-    def pop(self) -> tuple[T, Priority] | None:
-        """The most urgent entry, oldest first within a class; None when nothing waits."""
+    def pop(self, now: float) -> tuple[T, Priority] | None:
+        """The most urgent entry, oldest first within a class; None when nothing waits.
+
+        A heartbeat that has waited for HEARTBEAT_WAITS_S is second to emergencies only.
+        """
         if not self._length:
             return None
+        since = self._heartbeat_since
+        overdue = since is not None and now - since >= HEARTBEAT_WAITS_S
         for priority, waiting in self._waiting.items():
             if waiting:
-                self._length -= 1
-                self.counters[priority].sent += 1
-                return waiting.pop(next(iter(waiting))), priority
+                if overdue and priority is not Priority.EMERGENCY:
+                    return self._taken(Priority.HEARTBEAT, now)
+                return self._taken(priority, now)
         return None
+
+    def _taken(self, priority: Priority, now: float) -> tuple[T, Priority]:
+        waiting = self._waiting[priority]
+        self._length -= 1
+        self.counters[priority].sent += 1
+        entry = waiting.pop(next(iter(waiting)))
+        if priority is Priority.HEARTBEAT:
+            self._heartbeat_since = now if waiting else None
+        return entry, priority
 
     def clear(self) -> int:
         """Forget everything that waits (the link went down); how many that were. Counted as dropped."""
@@ -108,4 +130,5 @@ class TxQueue(Generic[T]):
             self.counters[priority].dropped += len(waiting)
             waiting.clear()
         self._length = 0
+        self._heartbeat_since = None
         return gone

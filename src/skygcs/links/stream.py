@@ -122,7 +122,7 @@ class StreamChannel(Channel):
             return False
         counters = self.queue.counters[priority]
         lost = counters.dropped + counters.refused
-        taken = self.queue.offer(outgoing, priority, key)
+        taken = self.queue.offer(outgoing, priority, self._loop.time(), key)
         self.tx_dropped += counters.dropped + counters.refused - lost
         if not self._blocked and self._look is None:
             self._pump()
@@ -168,7 +168,7 @@ class StreamChannel(Channel):
             if not rest:
                 if not self._has_room():
                     break
-                popped = self.queue.pop()
+                popped = self.queue.pop(self._loop.time())
                 if popped is None:
                     break
                 rest = self.encode(popped[0])
