@@ -17,21 +17,20 @@ from typing import Any
 import structlog
 
 from skygcs import __version__
-from skygcs.config.loader import parse_link
-from skygcs.config.models import FleetConfig, LinkConfig
+from skygcs.config.models import FleetConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.routing import RouteNote
 from skygcs.core.vehicle.events import Event
-from skygcs.errors import ConfigError, LinkError, RefusedError
+from skygcs.errors import LinkError
 from skygcs.links.base import Channel
-from skygcs.links.factory import make_link
-from skygcs.links.supervisor import LinkSupervisor
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
 
 MAX_EVENTS = 1000
@@ -62,8 +61,6 @@ class Daemon:
         self.ready = asyncio.Event()
         self._stopping = asyncio.Event()
         self._event_watchers: list[Callable[[dict[str, Any]], None]] = []
-        self._links: dict[str, tuple[LinkSupervisor, asyncio.Task[None]]] = {}
-        self._link_group: asyncio.TaskGroup | None = None
         own = config.daemon
         self.recorder: Recorder | None = None
         if own.record:
@@ -73,7 +70,7 @@ class Daemon:
                 max_age_s=own.record_max_minutes * 60.0,
                 on_event=self.on_event,
             )
-        self.fleet = Fleet(config, dialect, self._send, self.loop, self.on_event)
+        self.fleet = Fleet(config, dialect, self._send, self.loop, self.on_event, self._may_broadcast)
         self.hub = Hub(
             config,
             dialect,
@@ -82,7 +79,10 @@ class Daemon:
             record=self.recorder.offer if self.recorder is not None else None,
             on_note=self._on_note,
             on_fault=self._on_fault,
+            on_replayed=self.fleet.set_replayed,
         )
+        self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event)
+        self._postman = Postman(self.hub, self.fleet, self.links)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
 
@@ -107,22 +107,17 @@ class Daemon:
 
     async def _run_inner(self) -> None:
         async with asyncio.TaskGroup() as group:
-            self._link_group = group
             clocks = [
                 group.create_task(self._heartbeat(), name="heartbeat"),
                 group.create_task(self._tick_fleet(), name="fleet tick"),
                 group.create_task(self._tick_hub(), name="hub tick"),
             ]
-            for name, link in self.config.links.items():
-                if link.enabled:
-                    self._start_link(name, link)
+            self.links.start(group)
             self.ready.set()
             await self._stopping.wait()
             for clock in clocks:
                 clock.cancel()
-            for name in list(self._links):
-                await self._stop_link(name)
-            self._link_group = None
+            await self.links.close()
 
     def stop(self) -> None:
         """End `run` in order. Idempotent; safe as a signal handler of the loop."""
@@ -157,41 +152,32 @@ class Daemon:
 
     # -- sending
 
-    def _send(self, info: MessageInfo, values: Mapping[str, Any], sysid: int, compid: int, priority: Priority) -> bool:
-        return self.hub.send(info, values, sysid, compid, priority)
+    def _send(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        /,
+        *,
+        everywhere: bool = False,
+    ) -> bool:
+        return self.hub.send(info, values, sysid, compid, priority, everywhere=everywhere)
+
+    def _may_broadcast(self) -> bool:
+        """False if a link does not take frames of every source: who is kept out there would still hear us."""
+        return not any(
+            link.enabled
+            and (link.allow_src_sys_in or link.block_src_sys_in or link.allow_src_comp_in or link.block_src_comp_in)
+            for link in self.links.configs.values()
+        )
 
     def send_message(
-        self, name: str, fields: Mapping[str, Any], target: str | None = None, link: str | None = None
+        self, name: str, fields: Mapping[str, Any], target: str | list[str] | None = None, link: str | None = None
     ) -> dict[str, Any]:
-        """Any message of the dialect by name. A target fills target_system and target_component where it has them.
-
-        Raises KeyError (no such message), ValueError (bad field), TargetError, LinkError (no such link) or
-        RefusedError (nobody to send it to).
-        """
-        info = self.dialect.find(name)
-        values = dict(fields)
-        if link is not None:
-            if link not in self._links:
-                raise LinkError(f"no link {link!r}; there are: {', '.join(self._links) or 'none'}")
-            return {"sent": int(self.hub.send_on_link(link, info, values)), "message": info.name}
-        if target is None:
-            sysid = int(values.get("target_system", 0) or 0)
-            compid = int(values.get("target_component", 0) or 0)
-            receivers = [(sysid, compid)]
-        else:
-            receivers = [(actor.sysid, actor.compid) for actor in self.fleet.resolve(target)]
-        names = {f.name for f in info.fields}
-        sent = 0
-        for sysid, compid in receivers:
-            addressed = dict(values)
-            if sysid and "target_system" in names:
-                addressed["target_system"] = sysid
-            if compid and "target_component" in names:
-                addressed.setdefault("target_component", compid)
-            sent += self.hub.send(info, addressed, sysid, compid, Priority.COMMAND)
-        if not sent:
-            raise RefusedError(f"{info.name} was not sent: no link on which its target was heard")
-        return {"sent": sent, "message": info.name}
+        """Any message of the dialect by name; see `Postman.send`."""
+        return self._postman.send(name, fields, target, link)
 
     # -- events
 
@@ -221,15 +207,24 @@ class Daemon:
     def _on_note(self, note: RouteNote, channel: Channel | None) -> None:
         where = f"{channel.link.name} ({channel.peer})" if channel is not None else "a closed channel"
         who = f"{note.sysid}/{note.compid}"
+        if note.kind in ("duplicate", "duplicate_over"):
+            self.fleet.set_duplicate(note.sysid << 8 | note.compid, note.kind == "duplicate")
         text = {
             "learned": f"{who} heard on {where}",
             "expired": f"{who} not heard on {where} for {self.config.daemon.route_timeout_s:g} s, route forgotten",
             "cleared": f"{who} restarted (SYSTEM_TIME went back), its routes are learned anew",
             "conflict": f"{where} sends frames with our own id {who}: they are dropped; "
             "give one of the two another daemon.sysid or daemon.compid",
+            "echo": f"{where} hands back frames of {who}, which is heard on a link of its own: they are dropped",
+            "duplicate": f"two vehicles with system id {note.sysid} are on the air, one of them on {where}: orders to "
+            "it are refused, but for a forced disarm; switch one off and give it another id "
+            "(PX4: MAV_SYS_ID, ArduPilot: SYSID_THISMAV)",
+            "duplicate_over": f"only one vehicle with system id {note.sysid} is heard any more: it takes orders again",
         }[note.kind]
-        kind = "conflict" if note.kind == "conflict" else "route"
-        self.on_event(Event(kind, None, note.sysid, text, {"change": note.kind, "compid": note.compid}))
+        kind = {"conflict": "conflict", "duplicate": "duplicate", "duplicate_over": "duplicate"}.get(note.kind, "route")
+        vehicle = self.fleet.vehicles.get(note.sysid << 8 | note.compid)
+        name = vehicle.name if vehicle is not None and kind == "duplicate" else None
+        self.on_event(Event(kind, name, note.sysid, text, {"change": note.kind, "compid": note.compid}))
 
     def _on_fault(self, text: str) -> None:
         self.on_event(Event("fault", None, None, f"internal fault behind a frame, please report it: {text}", {}))
@@ -253,49 +248,17 @@ class Daemon:
 
     # -- links
 
-    def _start_link(self, name: str, config: LinkConfig) -> None:
-        assert self._link_group is not None
-        link = make_link(config, self.hub, self.loop)
-        supervisor = LinkSupervisor(link, self.on_event)
-        task = self._link_group.create_task(supervisor.run(), name=f"link {name}")
-        self._links[name] = (supervisor, task)
-
-    async def _stop_link(self, name: str) -> None:
-        _, task = self._links.pop(name)
-        task.cancel()
-        await asyncio.wait({task})  # which, unlike awaiting it, does not swallow a cancellation of our own
-
-    def _checked_link(self, name: str, link: Mapping[str, Any]) -> LinkConfig:
-        try:
-            return parse_link(name, dict(link), self.dialect)
-        except ConfigError as error:
-            raise LinkError(str(error)) from None
-
     async def add_link(self, name: str, link: Mapping[str, Any]) -> None:
-        """Open a further link. Raises LinkError if the name is taken or the description is wrong."""
-        if name in self._links:
-            raise LinkError(f"there is a link {name!r} already; change or remove it")
-        config = self._checked_link(name, link)
-        self._start_link(name, config)
+        """See `LinkTable.add`."""
+        await self.links.add(name, link)
 
     async def change_link(self, name: str, link: Mapping[str, Any]) -> None:
-        """Replace a link: ``link`` holds the keys that change. On a bad description the old link stays."""
-        if name not in self._links:
-            raise LinkError(f"no link {name!r}; there are: {', '.join(self._links) or 'none'}")
-        old = self._links[name][0].link.config
-        same_type = link.get("type", old.type) == old.type
-        merged = (
-            {**old.model_dump(mode="json", exclude_unset=True), "type": old.type, **link} if same_type else dict(link)
-        )
-        config = self._checked_link(name, merged)
-        await self._stop_link(name)
-        self._start_link(name, config)
+        """See `LinkTable.change`."""
+        await self.links.change(name, link)
 
     async def remove_link(self, name: str) -> None:
-        """Close a link for good. Raises LinkError if there is none of that name."""
-        if name not in self._links:
-            raise LinkError(f"no link {name!r}; there are: {', '.join(self._links) or 'none'}")
-        await self._stop_link(name)
+        """See `LinkTable.remove`."""
+        await self.links.remove(name)
 
     # -- what a person asks
 
@@ -321,24 +284,7 @@ class Daemon:
     def links_status(self) -> list[dict[str, Any]]:
         """Every link with its state, channels, counters and sources."""
         now = self.now()
-        rows = []
-        for name, (supervisor, _) in self._links.items():
-            link = supervisor.link
-            rows.append(
-                {
-                    "name": name,
-                    "type": link.config.type,
-                    "role": link.config.role,
-                    "state": supervisor.state,
-                    "since_s": round(now - supervisor.since, 1),
-                    "last_error": supervisor.last_error,
-                    "failures": supervisor.failures,
-                    "opened": supervisor.opened,
-                    **link.counters(),
-                    "channels": [self._channel_status(c, now) for c in link.channels],
-                }
-            )
-        return rows
+        return self.links.status(now, lambda channel: self._channel_status(channel, now))
 
     def _channel_status(self, channel: Channel, now: float) -> dict[str, Any]:
         return {
@@ -361,6 +307,8 @@ class Daemon:
             stats = channel.sources.get(key)
             if stats is not None:
                 found[channel.link.name] = stats.as_dict(self.now())
+                if channel.config.type == "replay":
+                    found[channel.link.name]["replayed"] = True
         return found
 
     def router_stats(self) -> dict[str, Any]:

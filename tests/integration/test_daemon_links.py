@@ -46,7 +46,7 @@ async def until(condition: Any) -> None:
 
 
 def peer_of(daemon: Daemon, name: str) -> Any:
-    link = daemon._links[name][0].link
+    link = daemon.links.link(name)
     assert isinstance(link, Memory)
     return link.peer
 

@@ -13,6 +13,7 @@ from skygcs.config.keylines import KeyPath
 from skygcs.config.models import (
     FleetConfig,
     LinkConfig,
+    ReplayLink,
     SerialLink,
     SimulatedLink,
     TcpClientLink,
@@ -61,6 +62,29 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
             )
         )
     return problems
+
+
+def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[str]:
+    """What conflicts if this link is added, or takes the place of the one of its name, as text for a person. What was
+    in conflict before, among others, is none of its concern."""
+    others = {n: other for n, other in config.links.items() if n != name}
+    before = conflicts(config.model_copy(update={"links": others}))
+    after = conflicts(config.model_copy(update={"links": {**others, name: link}}))
+    return [f"{'.'.join(map(str, p.path))}: {p.text}" for p in after if p not in before]
+
+
+def replay_warnings(links: Mapping[str, LinkConfig]) -> dict[str, str]:
+    """By the name of each replay that stands beside links which can carry vehicles, what to think of. A recording
+    never reaches a vehicle; but its vehicles stand in the same lists as live ones."""
+    live = [n for n, link in links.items() if link.enabled and link.role != "gcs" and not isinstance(link, ReplayLink)]
+    if not live:
+        return {}
+    text = (
+        f"a replay beside {', '.join(live)}: nothing of it is sent there, but its vehicles are listed beside live ones "
+        "(marked replayed, no orders to them), and one whose id is heard live is not shown from the file; "
+        "a daemon of its own keeps the two apart"
+    )
+    return {n: text for n, link in links.items() if link.enabled and isinstance(link, ReplayLink)}
 
 
 def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[Problem]:

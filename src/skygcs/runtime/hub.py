@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from typing import Any
 
 from skygcs.config.models import FleetConfig, LinkConfig, MessageName
@@ -28,6 +28,9 @@ OTHER_SOURCES = -1
 
 MAX_PARTED = 256
 """Closed channels whose counters per source are kept, in case the radio is plugged in again or the peer comes back."""
+
+MAX_REPLAYED = 4096
+"""As many sources of recordings are told from live ones as there may be routes."""
 
 _DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN)
 
@@ -50,6 +53,7 @@ def channel_policy(config: LinkConfig, dialect: Dialect) -> ChannelPolicy:
     return ChannelPolicy(
         role=config.role,
         link=config.name,
+        replayed=config.type == "replay",
         group=config.group,
         forward_unknown=config.role != "radio" if unknown is None else unknown,
         filter_in=MessageFilter(
@@ -82,7 +86,8 @@ class Hub:
 
     ``on_vehicle_frame(key, frame, channel label, now)`` gets every accepted frame (key is sysid<<8|compid);
     ``record(raw, unix_us)`` gets every accepted frame and every message of ours; ``on_note`` gets route changes;
-    ``on_fault`` gets the first of each kind of unexpected exception behind a frame.
+    ``on_fault`` gets the first of each kind of unexpected exception behind a frame; ``on_replayed(key, replayed)``
+    is told, before its first frame is shown, that a source is heard in a recording only, or on the air after all.
     """
 
     def __init__(
@@ -95,11 +100,14 @@ class Hub:
         record: Callable[[bytes, int], None] | None,
         on_note: Callable[[RouteNote, Channel | None], None],
         on_fault: Callable[[str], None],
+        on_replayed: Callable[[int, bool], None] = lambda key, replayed: None,
     ) -> None:
         own = config.daemon
         self.router = Router(own.sysid, own.compid, route_timeout_s=own.route_timeout_s)
         self.channels: dict[int, Channel] = {}
         self.faults = 0
+        self.replayed: set[int] = set()
+        """Sources (sysid<<8|compid) that were heard in a recording only: nobody is there to take an order."""
         self._config = config
         self.dialect = dialect
         self._loop = loop
@@ -108,6 +116,8 @@ class Hub:
         self._record = record
         self._on_note = on_note
         self._on_fault = on_fault
+        self._on_replayed = on_replayed
+        self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
         self._next_id = 1
         self._parted: dict[tuple[str, str], dict[int, SourceStats]] = {}
@@ -130,6 +140,13 @@ class Hub:
                 stats.restart()  # what was sent while nobody listened is not a loss of the link
             channel.sources = parted
         self.router.open(channel.id, channel_policy(channel.config, self.dialect))
+        if self._heartbeat is not None:
+            # not from within the link's own opening: it may not be ready to send yet
+            self._loop.call_soon(self._greet, channel, self._heartbeat)
+
+    def _greet(self, channel: Channel, heartbeat: OwnMessage) -> None:
+        if self.channels.get(channel.id) is channel:
+            self._send_on((channel.id,), heartbeat, Priority.HEARTBEAT, "heartbeat")
 
     def detach(self, channel: Channel, reason: str) -> None:
         """The channel is gone, with its routes. Idempotent."""
@@ -146,6 +163,7 @@ class Hub:
         decide = self.router.decide
         channels = self.channels
         channel_id = channel.id
+        shown = self._shown_of(channel)
         sources = channel.sources
         unix_us = time.time_ns() // 1000
         label = channel.link.name
@@ -168,7 +186,7 @@ class Hub:
                     continue
                 if self._record is not None:
                     self._record(raw, unix_us)
-                if frame.info is not None:
+                if frame.info is not None and (shown is None or shown(key)):
                     self._on_vehicle_frame(key, frame, label, now)
                 if self._taps:
                     self._tap(frame, channel, key, now)
@@ -176,6 +194,30 @@ class Hub:
                 self._fault(error)
         if self.router.notes:
             self._drain_notes()
+
+    def _shown_of(self, channel: Channel) -> Callable[[int], bool] | None:
+        """Which sources of this channel are shown to the fleet; None: all, and no source is known from a recording."""
+        if channel.config.type == "replay":
+            return self._shown_replayed
+        if not self.replayed:
+            return None
+        return self._shown_echo if channel.config.role == "gcs" else self._shown_live
+
+    def _shown_replayed(self, key: int) -> bool:
+        if key not in self.replayed and len(self.replayed) < MAX_REPLAYED:
+            self.replayed.add(key)
+            self._on_replayed(key, True)
+        return key in self.replayed
+
+    def _shown_live(self, key: int) -> bool:
+        if key in self.replayed:
+            self.replayed.discard(key)
+            self._on_replayed(key, False)
+        return True
+
+    def _shown_echo(self, key: int) -> bool:
+        """A ground station may hand back what it was shown of a recording."""
+        return key not in self.replayed
 
     def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
         """A message of ours was written; recorded once however many channels it goes to."""
@@ -193,29 +235,38 @@ class Hub:
         compid: int,
         priority: Priority,
         key: Hashable | None = None,
+        *,
+        everywhere: bool = False,
     ) -> bool:
         """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
 
-        False if nobody by that id was heard lately or every link refused. Raises ValueError as `pack` does.
+        ``everywhere`` takes every channel on which it was heard, as emergencies do. False if nobody by that id was
+        heard lately or every link refused. Raises ValueError as `pack` does.
         """
-        message = OwnMessage(info, info.pack(values), *self._own)
-        ids = self.router.route_own(sysid, compid, self._loop.time(), everywhere=priority is Priority.EMERGENCY)
+        ids = self.ways(sysid, compid, everywhere=everywhere or priority is Priority.EMERGENCY)
+        return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, key)
+
+    def ways(self, sysid: int, compid: int, *, everywhere: bool = False) -> tuple[int, ...]:
+        """Ids of the channels that a message of ours for this system takes now; sysid 0: for all vehicles."""
+        ids = self.router.route_own(sysid, compid, self._loop.time(), everywhere=everywhere)
         if sysid == 0:
             ids = tuple(i for i in ids if self.channels[i].config.role != "gcs")
-        return self._send_on(ids, message, priority, key)
+        return ids
 
     def send_heartbeat(self, info: MessageInfo, values: Mapping[str, Any]) -> None:
-        """Our heartbeat, on every channel whatever its role."""
-        message = OwnMessage(info, info.pack(values), *self._own)
+        """Our heartbeat, on every channel whatever its role; a channel that opens later is greeted with the newest."""
+        message = self._heartbeat = OwnMessage(info, info.pack(values), *self._own)
         self._send_on(tuple(self.channels), message, Priority.HEARTBEAT, "heartbeat")
 
-    def send_on_link(self, link: str, info: MessageInfo, values: Mapping[str, Any]) -> bool:
-        """A message of ours to every channel of one link, by a person's order."""
-        message = OwnMessage(info, info.pack(values), *self._own)
-        ids = tuple(c.id for c in self.channels.values() if c.link.name == link)
-        return self._send_on(ids, message, Priority.COMMAND, None)
+    def send_on(self, ids: Iterable[int], info: MessageInfo, values: Mapping[str, Any], priority: Priority) -> bool:
+        """A message of ours to exactly these channels; False if none of them took it."""
+        return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, None)
 
-    def _send_on(self, ids: tuple[int, ...], message: OwnMessage, priority: Priority, key: Hashable | None) -> bool:
+    def channels_of_link(self, link: str) -> tuple[int, ...]:
+        """Ids of the channels that are open on one link."""
+        return tuple(c.id for c in self.channels.values() if c.link.name == link)
+
+    def _send_on(self, ids: Iterable[int], message: OwnMessage, priority: Priority, key: Hashable | None) -> bool:
         sent = False
         for channel_id in ids:
             channel = self.channels.get(channel_id)

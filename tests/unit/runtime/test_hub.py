@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Hashable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from skygcs.config.models import FleetConfig, LinkConfig, MemoryLink, RateLimits
+from skygcs.config.models import FleetConfig, LinkConfig, MemoryLink, RateLimits, ReplayLink
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.routing import RouteNote
@@ -52,6 +53,7 @@ class Bench:
         self.recorded: list[bytes] = []
         self.notes: list[tuple[str, int]] = []
         self.faults: list[str] = []
+        self.replayed: list[tuple[int, bool]] = []
         self.hub = Hub(
             FleetConfig.model_validate({"daemon": daemon}),
             DIALECT,
@@ -60,6 +62,7 @@ class Bench:
             record=lambda raw, unix_us: self.recorded.append(raw),
             on_note=self.on_note,
             on_fault=self.faults.append,
+            on_replayed=lambda key, replayed: self.replayed.append((key, replayed)),
         )
 
     def on_vehicle_frame(self, key: int, frame: Frame, label: str, now: float) -> None:
@@ -71,7 +74,9 @@ class Bench:
         self.notes.append((note.kind, note.sysid))
 
     def channel(self, name: str, peer: str = "x", **keys: Any) -> PlainChannel:
-        config: LinkConfig = MemoryLink(name=name, **keys)
+        return self.channel_of(MemoryLink(name=name, **keys), peer)
+
+    def channel_of(self, config: LinkConfig, peer: str = "x") -> PlainChannel:
         channel = PlainChannel(PlainLink(config, self.hub, self.loop), peer)
         self.hub.attach(channel)
         return channel
@@ -144,6 +149,71 @@ async def test_the_heartbeat_goes_everywhere() -> None:
     assert {c.priorities[0] for c in channels} == {Priority.HEARTBEAT}
 
 
+async def test_a_channel_is_greeted_with_our_heartbeat_as_soon_as_it_is_open() -> None:
+    bench = Bench()
+    bench.hub.send_heartbeat(DIALECT.find("HEARTBEAT"), {"type": 6, "autopilot": 8, "mavlink_version": 3})
+    opened, gone = bench.channel("a"), bench.channel("b")
+    bench.hub.detach(gone, "closed at once")
+    assert opened.got == [], "not from within the link's own opening"
+    await asyncio.sleep(0)
+    assert [raw[7] for raw in opened.got] == [0]
+    assert opened.priorities == [Priority.HEARTBEAT]
+    assert gone.got == []
+
+
+async def test_a_message_everywhere_takes_every_channel_to_its_target_but_no_ground_station() -> None:
+    bench = Bench()
+    a, b, gcs = bench.channel("a"), bench.channel("b"), bench.channel("gcs", role="gcs")
+    bench.feed(a, heartbeat(7, seq=1))
+    bench.feed(b, heartbeat(7, seq=2), now=1.1)
+    for channel in (a, b, gcs):
+        channel.got.clear()
+    info = DIALECT.find("COMMAND_LONG")
+    assert bench.hub.send(info, {"target_system": 7, "command": 21}, 7, 1, Priority.COMMAND)
+    assert len(a.got) + len(b.got) == 1
+    assert bench.hub.send(info, {"target_system": 7, "command": 21}, 7, 1, Priority.COMMAND, everywhere=True)
+    assert len(a.got) + len(b.got) == 3
+    assert gcs.got == []
+
+
+REPLAY = ReplayLink(name="flight", file=Path("flight.tlog"))
+
+
+async def test_what_a_recording_orders_reaches_nobody_but_a_ground_station() -> None:
+    bench = Bench()
+    radio, peer, gcs = bench.channel("radio", role="radio"), bench.channel("peer"), bench.channel("gcs", role="gcs")
+    recording = bench.channel_of(REPLAY)
+    bench.feed(radio, heartbeat(7))
+    bench.feed(peer, heartbeat(8))
+    for channel in (radio, peer, gcs):
+        channel.got.clear()
+    gcs_heartbeat = heartbeat(255, 190, gcs=True)
+    order = message("COMMAND_LONG", 255, 190, target_system=7, target_component=1, command=400)
+    to_all = message("COMMAND_LONG", 255, 190, seq=1, command=400)
+    bench.feed(recording, gcs_heartbeat, order, to_all)
+    assert radio.got == peer.got == []
+    assert order not in gcs.got
+    assert gcs_heartbeat in gcs.got
+    assert not bench.hub.send(DIALECT.find("COMMAND_LONG"), {"target_system": 255}, 255, 190, Priority.COMMAND)
+    assert recording.got == []
+
+
+async def test_a_recorded_vehicle_is_told_from_a_live_one_and_gives_way_to_it() -> None:
+    bench = Bench()
+    recording, radio = bench.channel_of(REPLAY), bench.channel("radio", role="radio")
+    gcs = bench.channel("gcs", role="gcs")
+    key = 7 << 8 | 1
+    bench.feed(recording, heartbeat(7, seq=1))
+    assert bench.replayed == [(key, True)]
+    bench.feed(gcs, heartbeat(7, seq=99))
+    assert [link for _, _, link in bench.vehicle_frames] == ["flight"], "a ground station's echo of it is not shown"
+    bench.feed(radio, heartbeat(7, seq=50))
+    assert bench.replayed == [(key, True), (key, False)]
+    bench.feed(recording, heartbeat(7, seq=2))
+    assert [link for _, _, link in bench.vehicle_frames] == ["flight", "radio"]
+    assert bench.hub.replayed == set()
+
+
 async def test_counters_survive_a_replug_and_the_pause_is_no_loss() -> None:
     bench = Bench()
     radio = bench.channel("radio", "/dev/ttyUSB0")
@@ -201,6 +271,11 @@ async def test_a_known_frame_with_a_bad_crc_passes_only_where_that_is_configured
         bench.feed(radio, bad)
         assert len(gcs.got) == expected
         assert radio.parser.stats.bad_crc == 1
+
+
+def test_only_a_replay_is_routed_as_a_recording() -> None:
+    assert channel_policy(REPLAY, DIALECT).replayed
+    assert not channel_policy(MemoryLink(name="x"), DIALECT).replayed
 
 
 def test_a_policy_has_the_message_ids_of_its_names() -> None:

@@ -1,0 +1,203 @@
+"""The daemon's links by name: opened, changed, switched off and removed while it runs, one change at a time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
+from typing import Any
+
+from skygcs.config.checks import added_conflicts, replay_warnings
+from skygcs.config.loader import parse_link
+from skygcs.config.models import FleetConfig, LinkConfig
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle.events import Event
+from skygcs.errors import ConfigError, LinkError
+from skygcs.links.base import Channel, Link
+from skygcs.links.factory import make_link
+from skygcs.links.supervisor import LinkSupervisor
+from skygcs.runtime.hub import Hub
+
+
+class _Entry:
+    """One link: running under a supervisor, or switched off."""
+
+    __slots__ = ("config", "since", "supervisor", "task")
+
+    def __init__(
+        self, config: LinkConfig, since: float, supervisor: LinkSupervisor | None, task: asyncio.Task[None] | None
+    ) -> None:
+        self.config = config
+        self.since = since
+        self.supervisor = supervisor
+        self.task = task
+
+
+class LinkTable:
+    """`start` once, then `add`, `change` and `remove`, then `close`.
+
+    A change is carried through to its end even if whoever asked for it is cancelled meanwhile: half of one would leave
+    a link closed that nobody wanted closed.
+    """
+
+    def __init__(
+        self,
+        config: FleetConfig,
+        dialect: Dialect,
+        hub: Hub,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self._fleet_config = config
+        self._dialect = dialect
+        self._hub = hub
+        self._loop = loop
+        self._on_event = on_event
+        self._entries: dict[str, _Entry] = {}
+        self._group: asyncio.TaskGroup | None = None
+        self._lock = asyncio.Lock()
+        self._changes: set[asyncio.Task[None]] = set()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    @property
+    def configs(self) -> dict[str, LinkConfig]:
+        """Every link as it is configured now, those switched off as well."""
+        return {name: entry.config for name, entry in self._entries.items()}
+
+    def start(self, group: asyncio.TaskGroup) -> None:
+        """Open the links of the fleet file; from now on links run in this group."""
+        self._group = group
+        for name, config in self._fleet_config.links.items():
+            self._enter(name, config)
+        self._warn(self.configs)
+
+    async def close(self) -> None:
+        """Close all links, after the change that is under way; no further change is taken."""
+        async with self._lock:
+            self._group = None
+            for name in list(self._entries):
+                await self._leave(name)
+
+    async def add(self, name: str, link: Mapping[str, Any]) -> None:
+        """Open a further link. Raises LinkError if the name is taken, or the description is wrong or in conflict."""
+        await self._carried_through(self._add(name, link))
+
+    async def change(self, name: str, link: Mapping[str, Any]) -> None:
+        """Replace a link: ``link`` holds the keys that change. On a bad description the old link stays."""
+        await self._carried_through(self._change(name, link))
+
+    async def remove(self, name: str) -> None:
+        """Close a link for good. Raises LinkError if there is none of that name."""
+        await self._carried_through(self._remove(name))
+
+    def require(self, name: str) -> None:
+        """Raises LinkError if there is no link of that name."""
+        if name not in self._entries:
+            raise LinkError(f"no link {name!r}; there are: {', '.join(self._entries) or 'none'}")
+
+    def link(self, name: str) -> Link | None:
+        """The link object, None while it is switched off. Raises LinkError if there is none of that name."""
+        self.require(name)
+        supervisor = self._entries[name].supervisor
+        return None if supervisor is None else supervisor.link
+
+    # -- one change
+
+    async def _carried_through(self, change: Coroutine[Any, Any, None]) -> None:
+        task = self._loop.create_task(self._locked(change), name="link change")
+        self._changes.add(task)
+        task.add_done_callback(self._changed)
+        await asyncio.shield(task)
+
+    async def _locked(self, change: Coroutine[Any, Any, None]) -> None:
+        async with self._lock:
+            if self._group is None:
+                change.close()
+                raise LinkError("skygcs is shutting down")
+            await change
+
+    def _changed(self, task: asyncio.Task[None]) -> None:
+        self._changes.discard(task)
+        if not task.cancelled():
+            task.exception()  # looked at, for the case that whoever asked is gone
+
+    async def _add(self, name: str, link: Mapping[str, Any]) -> None:
+        if name in self._entries:
+            raise LinkError(f"there is a link {name!r} already; change or remove it")
+        config = self._checked(name, link)
+        self._enter(name, config)
+        self._warn({name: config})
+
+    async def _change(self, name: str, link: Mapping[str, Any]) -> None:
+        self.require(name)
+        old = self._entries[name].config
+        same_type = link.get("type", old.type) == old.type
+        kept = {**old.model_dump(mode="json", exclude_unset=True), "type": old.type} if same_type else {}
+        config = self._checked(name, {**kept, **link})
+        await self._leave(name)
+        self._enter(name, config)
+        self._warn({name: config})
+
+    async def _remove(self, name: str) -> None:
+        self.require(name)
+        await self._leave(name)
+        del self._entries[name]
+
+    def _checked(self, name: str, table: Mapping[str, Any]) -> LinkConfig:
+        try:
+            config = parse_link(name, dict(table), self._dialect)
+        except ConfigError as error:
+            raise LinkError(str(error)) from None
+        current = self._fleet_config.model_copy(update={"links": self.configs})
+        if problems := added_conflicts(current, name, config):
+            raise LinkError(f"link {name}: " + "; ".join(problems))
+        return config
+
+    def _enter(self, name: str, config: LinkConfig) -> None:
+        assert self._group is not None
+        if not config.enabled:
+            self._entries[name] = _Entry(config, self._loop.time(), None, None)
+            return
+        link = make_link(config, self._hub, self._loop)
+        supervisor = LinkSupervisor(link, self._on_event)
+        task = self._group.create_task(supervisor.run(), name=f"link {name}")
+        self._entries[name] = _Entry(config, self._loop.time(), supervisor, task)
+
+    async def _leave(self, name: str) -> None:
+        entry = self._entries[name]
+        if entry.task is not None:
+            entry.task.cancel()
+            await asyncio.wait({entry.task})  # which, unlike awaiting it, does not swallow a cancellation of our own
+
+    def _warn(self, which: Mapping[str, LinkConfig]) -> None:
+        for name, text in replay_warnings(self.configs).items():
+            if name in which:
+                self._on_event(Event("warning", None, None, f"links.{name}: {text}", {"link": name}))
+
+    # -- what a person asks
+
+    def status(self, now: float, channel_status: Callable[[Channel], dict[str, Any]]) -> list[dict[str, Any]]:
+        """Every link with its state, counters and channels; ``warning`` where it stands badly beside another."""
+        warnings = replay_warnings(self.configs)
+        rows = []
+        for name, entry in self._entries.items():
+            supervisor = entry.supervisor
+            row: dict[str, Any] = {"name": name, "type": entry.config.type, "role": entry.config.role}
+            if supervisor is None:
+                row |= {"state": "disabled", "since_s": round(now - entry.since, 1), "last_error": None}
+                row |= {"failures": 0, "opened": 0, "channels": []}
+            else:
+                row |= {
+                    "state": supervisor.state,
+                    "since_s": round(now - supervisor.since, 1),
+                    "last_error": supervisor.last_error,
+                    "failures": supervisor.failures,
+                    "opened": supervisor.opened,
+                    **supervisor.link.counters(),
+                    "channels": [channel_status(c) for c in supervisor.link.channels],
+                }
+            if name in warnings:
+                row["warning"] = warnings[name]
+            rows.append(row)
+        return rows

@@ -1,0 +1,113 @@
+"""Any message of the dialect, sent by a person or a program: to whom, over what, and what to say of it.
+
+It goes out behind orders (priority EXCHANGE), so that a stream of such messages holds up none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.dialect import ABSENT, MessageInfo
+from skygcs.errors import RefusedError
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.linktable import LinkTable
+
+
+def target_fields(info: MessageInfo) -> tuple[str | None, str | None]:
+    """Names of the fields that say which system and component a message is for ("target" in MANUAL_CONTROL)."""
+    at = {f.offset: f.name for f in info.fields}
+    system, component = info.target_system_offset, info.target_component_offset
+    return (None if system == ABSENT else at[system]), (None if component == ABSENT else at[component])
+
+
+class Postman:
+    """`send` for the RPC's messages.send."""
+
+    def __init__(self, hub: Hub, fleet: Fleet, links: LinkTable) -> None:
+        self._hub = hub
+        self._fleet = fleet
+        self._links = links
+
+    def send(
+        self, name: str, fields: Mapping[str, Any], target: str | list[str] | None = None, link: str | None = None
+    ) -> dict[str, Any]:
+        """Send it to the vehicles of ``target``, with their ids filled in; or to all on ``link``; or where its own
+        target field says (0: everyone). One without a target field and given none goes to every link with vehicles.
+
+        The answer's "sent" counts transmissions; "note" says who else hears what was meant for some. Raises KeyError
+        (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
+        """
+        info = self._hub.dialect.find(name)
+        system, _ = target_fields(info)
+        if target is not None and link is not None:
+            raise RefusedError("give either a target or a link, not both")
+        if link is not None:
+            self._links.require(link)
+            return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields)))
+        if target is not None:
+            return self._to_vehicles(info, fields, target)
+        if system is not None and system not in fields:
+            raise RefusedError(
+                f"{info.name} is for somebody: give a target (a vehicle, a group, all), a link, or its field {system} "
+                "(0: everyone)"
+            )
+        return self._to_field(info, fields)
+
+    def _to_field(self, info: MessageInfo, fields: Mapping[str, Any]) -> dict[str, Any]:
+        """Where the message's own target fields say; to all without such fields."""
+        system, component = target_fields(info)
+        sysid = int(fields.get(system, 0) or 0) if system is not None else 0
+        compid = int(fields.get(component, 0) or 0) if component is not None else 0
+        sent = self._on(self._hub.ways(sysid, compid), info, fields)
+        if not sent:
+            raise RefusedError(f"{info.name} was not sent: {self._why_not(sysid)}")
+        return self._answer(info, int(sent))
+
+    def _to_vehicles(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str]) -> dict[str, Any]:
+        meant = [(actor.sysid, actor.compid) for actor in self._fleet.resolve(target)]
+        system, component = target_fields(info)
+        sent = 0
+        if system is None:
+            ways = dict.fromkeys(way for sysid, compid in meant for way in self._hub.ways(sysid, compid))
+            sent = sum(self._on((way,), info, fields) for way in ways)
+            note = self._overheard(info, meant, set(ways))
+        else:
+            note = None
+            given = int(fields.get(system, 0) or 0)
+            if given and any(given != sysid for sysid, _ in meant):
+                raise RefusedError(f"{system}={given} says another target than {target}; leave one of them out")
+            for sysid, compid in meant:
+                addressed = {**fields, system: sysid}
+                if component is not None:
+                    addressed.setdefault(component, compid)
+                sent += self._on(self._hub.ways(sysid, compid), info, addressed)
+        if not sent:
+            raise RefusedError(f"{info.name} was not sent: {self._why_not(*(sysid for sysid, _ in meant))}")
+        return self._answer(info, sent, note)
+
+    def _on(self, ways: tuple[int, ...], info: MessageInfo, fields: Mapping[str, Any]) -> bool:
+        return self._hub.send_on(ways, info, fields, Priority.EXCHANGE)
+
+    def _overheard(self, info: MessageInfo, meant: list[tuple[int, int]], ways: set[int]) -> str | None:
+        """Who else is behind the same channels as those who are meant."""
+        others = [
+            actor.name
+            for key, actor in sorted(self._fleet.vehicles.items())
+            if (actor.sysid, actor.compid) not in meant and ways.intersection(self._hub.router.channels_of(key))
+        ]
+        if not others:
+            return None
+        shown = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
+        return f"{info.name} has no target field: on the same link {shown} got it as well"
+
+    def _why_not(self, *sysids: int) -> str:
+        if sysids and all(any(key >> 8 == sysid for key in self._hub.replayed) for sysid in sysids):
+            return "its target is heard in a recording only"
+        return "no link on which its target was heard"
+
+    @staticmethod
+    def _answer(info: MessageInfo, sent: int, note: str | None = None) -> dict[str, Any]:
+        return {"sent": sent, "message": info.name} | ({"note": note} if note is not None else {})
