@@ -105,7 +105,7 @@ def test_a_daemon_that_dies_is_said(tmp_path: Path) -> None:
         ("arm alpha,b", {"alpha,bravo"}),
         ("message watch HEARTB", {"HEARTBEAT"}),
         ("mode alpha AUTO.R", {"AUTO.RTL"}),
-        ("command alpha do_set_serv", {"DO_SET_SERVO"}),
+        ("command alpha DO_SET_SERV", {"DO_SET_SERVO"}),
         ("links remove r", {"radio"}),
         ("call vehicles.l", {"vehicles.land", "vehicles.list"}),
     ],

@@ -29,9 +29,9 @@ def messages(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def commands(ctx: typer.Context, incomplete: str) -> list[str]:
-    """MAV_CMD names of the daemon's dialect, without their prefix, in any case."""
+    """MAV_CMD names of the daemon's dialect, without their prefix."""
     found = _ask(ctx, "commands.list") or []
-    return [c["name"] for c in found if c["name"].startswith(incomplete.upper())]
+    return [c["name"] for c in found if c["name"].startswith(incomplete)]
 
 
 def links(ctx: typer.Context, incomplete: str) -> list[str]:
