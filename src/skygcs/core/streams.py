@@ -16,9 +16,13 @@ DEFAULT_RATES_HZ: Mapping[str, float] = {
     "GPS_RAW_INT": 0.5,
     "EXTENDED_SYS_STATE": 0.5,
     "SYSTEM_TIME": 0.2,
+    "EKF_STATUS_REPORT": 0.2,
 }
 """The nav profile of field-notes 10.2 (200 B/s per vehicle: fourteen on half of 57600 baud), the landed state and the
-clock (11 B/s more)."""
+clock (11 B/s more), and of ArduPilot the estimator (7 B/s more)."""
+
+ARDUPILOT_ONLY = frozenset({"EKF_STATUS_REPORT"})
+"""PX4 tells of its estimator by ESTIMATOR_STATUS, which it streams by itself."""
 
 STREAM_GROUPS: Mapping[str, int] = {
     "GLOBAL_POSITION_INT": 6,
@@ -26,6 +30,7 @@ STREAM_GROUPS: Mapping[str, int] = {
     "SYS_STATUS": 2,
     "GPS_RAW_INT": 2,
     "SYSTEM_TIME": 12,
+    "EKF_STATUS_REPORT": 12,
 }
 """MAV_DATA_STREAM of each message on ArduPilot (GCS_MAVLink stream tables): for firmware that knows no
 SET_MESSAGE_INTERVAL."""
@@ -70,14 +75,21 @@ class StreamKeeper:
         """The vehicle does not know this message, or a person took its rate in hand: it is not asked for again."""
         self._refused.add(name)
 
-    def due(self, now: float, last_at: Callable[[str], float | None]) -> tuple[str, float] | None:
-        """(message, rate in Hz) to ask for now, or None. ``last_at(name)``: when it last came, None if never."""
+    def due(
+        self, now: float, last_at: Callable[[str], float | None], *, ardupilot: bool = True
+    ) -> tuple[str, float] | None:
+        """(message, rate in Hz) to ask for now, or None. ``last_at(name)``: when it last came, None if never.
+
+        ``ardupilot``: whether it is one; what only ArduPilot has is not asked of others.
+        """
         if self._met_at is None:
             self._met_at = now
         if now < self._met_at + GRACE_S or now < self._stepped_at + STEP_S:
             return None
         for name, rate_hz in self.rates_hz.items():
-            if name in self._refused or not self._is_missing(name, rate_hz, now, last_at(name)):
+            if name in self._refused or (name in ARDUPILOT_ONLY and not ardupilot):
+                continue
+            if not self._is_missing(name, rate_hz, now, last_at(name)):
                 continue
             asked_at = self._asked_at.get(name)
             pause_s = self._pause_s.get(name, FIRST_PAUSE_S)

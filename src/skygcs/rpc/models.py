@@ -278,6 +278,7 @@ class VehicleState(Result):
     type: str | None
     firmware: str | None
     groups: list[str]
+    gcs_sysid: int | None = Field(description="Whose heartbeats its failsafe watches, once that parameter was read.")
     connected: bool
     duplicate_sysid: bool = Field(description="Two vehicles speak under this id: all that is told is a mixture.")
     replayed: bool = Field(description="It is heard in a recording only: orders to it are refused.")
@@ -306,7 +307,7 @@ class VehicleState(Result):
     rc: Part = Field(description="channels, rssi")
     imu: Part = Field(description="accel_mps2, gyro_radps, mag_gauss, pressure_hpa, temperature_degc")
     servos: Part = Field(description="pwm_us")
-    mission: Part = Field(description="seq")
+    mission: Part = Field(description="seq, count, last_ack (of the last transfer)")
     target_global: Part = Field(description="Where the autopilot says it goes: lat_deg, lon_deg, alt_m and more")
     target_local: Part = Field(description="The same in its local frame: pos_enu_m, vel_enu_mps, yaw_deg")
     target_attitude: Part = Field(description="quaternion, thrust, type_mask")

@@ -90,7 +90,7 @@ class Upkeep:
 
     def _keep_streams(self, now: float) -> None:
         """Ask for the next wanted message that does not come, in a task of its own: the answer takes a while."""
-        due = self._keeper.due(now, self._last_at)
+        due = self._keeper.due(now, self._last_at, ardupilot=self._vehicle.family == "ardupilot")
         if due is not None:
             name = f"{self._vehicle.name} asks for {due[0]}"
             self._asking = self._loop.create_task(self._ask_for(*due), name=name)

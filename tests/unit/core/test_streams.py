@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 
-from skygcs.core.streams import FIRST_PAUSE_S, GRACE_S, LONGEST_PAUSE_S, StreamKeeper
+from skygcs.core.streams import DEFAULT_RATES_HZ, FIRST_PAUSE_S, GRACE_S, LONGEST_PAUSE_S, STREAM_GROUPS, StreamKeeper
 
 RATES = {"GLOBAL_POSITION_INT": 2.0, "ATTITUDE": 1.0}
 
@@ -62,6 +62,20 @@ def test_refused_messages_are_left_alone_until_a_reboot() -> None:
     assert asked(keeper, 100.0, {}) == []
     keeper.restart()
     assert len(asked(keeper, 104.0, {}, start=100.0)) == 1
+
+
+def test_what_only_ardupilot_has_is_asked_of_no_other() -> None:
+    for ardupilot, wanted in ((True, ["EKF_STATUS_REPORT"]), (False, [])):
+        keeper, found = StreamKeeper({"EKF_STATUS_REPORT": 0.2}), []
+        for tick in range(60):
+            due = keeper.due(tick / 10, lambda name: None, ardupilot=ardupilot)
+            found += [due[0]] if due else []
+        assert found == wanted
+
+
+def test_the_estimator_is_among_what_is_asked_for_and_known_by_a_stream_of_old_firmware() -> None:
+    assert DEFAULT_RATES_HZ["EKF_STATUS_REPORT"] == 0.2
+    assert set(STREAM_GROUPS) >= set(DEFAULT_RATES_HZ) - {"EXTENDED_SYS_STATE"}
 
 
 def test_no_rates_ask_for_nothing() -> None:

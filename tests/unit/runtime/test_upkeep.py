@@ -72,6 +72,15 @@ async def test_a_rate_a_person_has_set_is_left_alone() -> None:
         assert SYSTEM_TIME in [i for i, _ in asked(ground)]
 
 
+async def test_the_estimator_of_an_ardupilot_is_asked_for_and_that_of_a_px4_comes_by_itself() -> None:
+    async with Ground(wanting(EKF_STATUS_REPORT=0.2)) as ground:
+        ScriptedVehicle(ground, 1, PX4)
+        ScriptedVehicle(ground, 2, ARDUPILOT)
+        await asyncio.sleep(8)
+        requests = [s for s in ground.sent if s.name == "COMMAND_LONG" and s.command == INTERVAL]
+        assert {(s.sysid, s.param1) for s in requests} == {(2, 193.0)}
+
+
 async def test_nobody_is_asked_while_lost() -> None:
     async with Ground(wanting(ATTITUDE=1.0)) as ground:
         vehicle = ScriptedVehicle(ground, 1, PX4)

@@ -63,7 +63,10 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "SCALED_IMU": _IMU,
     "RAW_IMU": _IMU,
     "SERVO_OUTPUT_RAW": _SERVO,
-    "MISSION_CURRENT": ("seq",),
+    "MISSION_CURRENT": ("seq", "total"),
+    "MISSION_COUNT": ("count",),
+    "MISSION_ACK": ("type",),
+    "PARAM_VALUE": ("param_id", "param_value"),
     "POSITION_TARGET_GLOBAL_INT": (
         "coordinate_frame",
         "type_mask",

@@ -290,7 +290,17 @@ def fold_servos(v: Values, decoder: Decoder) -> Folded | None:
 
 
 def fold_mission(v: Values, decoder: Decoder) -> Folded | None:
-    return {"seq": v["MISSION_CURRENT"][0]}
+    """``count`` of items; ``last_ack`` is the autopilot's last word on a transfer (MAV_MISSION_RESULT)."""
+    seq, total = v.get("MISSION_CURRENT", (None, 0))
+    (count,) = v.get("MISSION_COUNT", (None,))
+    if total:  # 0: it does not say; 65535: there is no mission
+        count = 0 if total == 65535 else total
+    last_ack = None
+    if "MISSION_ACK" in v:
+        (result,) = v["MISSION_ACK"]
+        name = decoder.dialect.enums.get("MAV_MISSION_RESULT", {}).get(result, str(result))
+        last_ack = name.removeprefix("MAV_MISSION_").lower()
+    return {"seq": seq, "count": count, "last_ack": last_ack}
 
 
 def _target_common(frame: int, mask: int, vx: float, vy: float, vz: float, yaw: float) -> Folded:
@@ -365,7 +375,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("rc", ("RC_CHANNELS", "RC_CHANNELS_RAW"), fold_rc),
     Section("imu", ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"), fold_imu),
     Section("servos", ("SERVO_OUTPUT_RAW",), fold_servos),
-    Section("mission", ("MISSION_CURRENT",), fold_mission),
+    Section("mission", ("MISSION_CURRENT", "MISSION_COUNT", "MISSION_ACK"), fold_mission, combine=True),
     Section("target_global", ("POSITION_TARGET_GLOBAL_INT",), fold_target_global),
     Section("target_local", ("POSITION_TARGET_LOCAL_NED",), fold_target_local),
     Section("target_attitude", ("ATTITUDE_TARGET",), fold_target_attitude),

@@ -25,6 +25,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
         "type": vehicle.enum_name("MAV_TYPE", vehicle.type),
         "firmware": vehicle.firmware,
         "groups": list(vehicle.groups),
+        "gcs_sysid": vehicle.gcs_sysid,
         "connected": vehicle.connected,
         "duplicate_sysid": vehicle.duplicate,
         "replayed": vehicle.replayed,

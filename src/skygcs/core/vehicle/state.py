@@ -66,6 +66,7 @@ class VehicleState(TypedDict):
     type: str
     firmware: str | None
     groups: list[str]
+    gcs_sysid: int | None
     connected: bool
     duplicate_sysid: bool
     replayed: bool

@@ -48,6 +48,9 @@ BOOT_TEXTS = ("ardupilot ready", "initialising ardupilot")
 BOOT_TEXT_MIN_UP_S = 30.0
 """A boot text of a vehicle met, or rebooted, less than this ago belongs to the start already known."""
 
+GCS_SYSID_PARAMETERS = (b"SYSID_MYGCS", b"MAV_GCS_SYSID")
+"""ArduPilot's, up to 4.6 and from 4.7 on."""
+
 BOOT_TIME_MESSAGES = ("ATTITUDE", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 
 Events = tuple[Event, ...]
@@ -88,6 +91,8 @@ class Vehicle:
         self.custom_mode = 0
         self.system_status = 0
         self.firmware: str | None = None
+        self.gcs_sysid: int | None = None
+        """The ground station whose heartbeats its failsafe watches, once its parameter has been read by anybody."""
         self.last_ack: Ack | None = None
         self.boot = BootClock()
         self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
@@ -113,6 +118,7 @@ class Vehicle:
             "COMMAND_ACK": self._on_command_ack,
             "AUTOPILOT_VERSION": self._on_autopilot_version,
             "HIGH_LATENCY2": self._on_high_latency,
+            "PARAM_VALUE": self._on_param_value,
         }
         able = self._decoder.read
         self._handlers = {self._decoder.msgid_of(n): handler for n, handler in handlers.items() if n in able}
@@ -345,6 +351,12 @@ class Vehicle:
     def _on_autopilot_version(self, payload: bytes, now: float) -> Events:
         version, _ = self._decoder.read["AUTOPILOT_VERSION"](payload)
         self.firmware = firmware_from_version(version) or self.firmware
+        return ()
+
+    def _on_param_value(self, payload: bytes, now: float) -> Events:
+        name, value = self._decoder.read["PARAM_VALUE"](payload)
+        if name.rstrip(b"\0") in GCS_SYSID_PARAMETERS and 0 < value <= 255:
+            self.gcs_sysid = int(value)
         return ()
 
     def _check_clocks(self, now: float) -> Events:

@@ -242,6 +242,29 @@ def test_both_estimators_say_whether_they_can_navigate() -> None:
     assert told(px4, voice.say(glitch))["estimator"]["ok"] is False
 
 
+def test_a_mission_has_a_count_and_the_last_word_on_its_transfer() -> None:
+    vehicle, voice = new()
+    mission = told(vehicle, voice.say(mav.MAVLink_mission_count_message(255, 25, 7)))["mission"]
+    assert (mission["seq"], mission["count"], mission["last_ack"]) == (None, 7, None)
+    frames = (mav.MAVLink_mission_current_message(3, 9), mav.MAVLink_mission_ack_message(255, 25, 13))
+    mission = told(vehicle, *map(voice.say, frames))["mission"]
+    assert (mission["seq"], mission["count"], mission["last_ack"]) == (3, 9, "invalid_sequence")
+    for total, count in ((0, 7), (65535, 0)):
+        state = told(vehicle, voice.say(mav.MAVLink_mission_current_message(0, total)))
+        assert state["mission"]["count"] == count
+
+
+@pytest.mark.parametrize("name", [b"SYSID_MYGCS", b"MAV_GCS_SYSID"])
+def test_whose_heartbeats_the_failsafe_watches_is_known_from_its_parameter(name: bytes) -> None:
+    vehicle, voice = new()
+    assert (
+        told(vehicle, voice.say(mav.MAVLink_param_value_message(b"SYSID_THISMAV", 3.0, 9, 1, 1)))["gcs_sysid"] is None
+    )
+    assert told(vehicle, voice.say(mav.MAVLink_param_value_message(name, 255.0, 9, 1, 1)))["gcs_sysid"] == 255
+    odd = voice.say(mav.MAVLink_param_value_message(name, NAN, 9, 1, 1))
+    assert told(vehicle, odd)["gcs_sysid"] == 255
+
+
 def test_rc_imu_servos_mission_and_vfr_have_their_place() -> None:
     vehicle, voice = new()
     rc = mav.MAVLink_rc_channels_message(1, 4, 1500, 1100, 0, 65535, *[1] * 14, 255)
