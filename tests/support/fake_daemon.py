@@ -146,6 +146,7 @@ class FakeVehicle:
             "type": "QUADROTOR",
             "firmware": "1.14.3" if self.autopilot == "px4" else "4.5.1",
             "groups": list(self.groups),
+            "gcs_sysid": None,
             "connected": known,
             "duplicate_sysid": self.duplicate,
             "replayed": self.replayed,
