@@ -207,6 +207,7 @@ class Daemon:
     def _on_note(self, note: RouteNote, channel: Channel | None) -> None:
         where = f"{channel.link.name} ({channel.peer})" if channel is not None else "a closed channel"
         who = f"{note.sysid}/{note.compid}"
+        recorded = channel is not None and channel.config.type == "replay"
         if note.kind in ("duplicate", "duplicate_over"):
             self.fleet.set_duplicate(note.sysid << 8 | note.compid, note.kind == "duplicate")
         text = {
@@ -215,7 +216,9 @@ class Daemon:
             "cleared": f"{who} restarted (SYSTEM_TIME went back), its routes are learned anew",
             "conflict": f"{where} sends frames with our own id {who}: they are dropped; "
             "give one of the two another daemon.sysid or daemon.compid",
-            "echo": f"{where} hands back frames of {who}, which is heard on a link of its own: they are dropped",
+            "echo": f"{who} in the recording {where} is heard live as well: the recorded one is not shown"
+            if recorded
+            else f"{where} hands back frames of {who}, which is heard on a link of its own: they are dropped",
             "duplicate": f"two vehicles with system id {note.sysid} are on the air, one of them on {where}: orders to "
             "it are refused, but for a forced disarm; switch one off and give it another id "
             "(PX4: MAV_SYS_ID, ArduPilot: SYSID_THISMAV)",

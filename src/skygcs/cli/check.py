@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from skygcs.config.checks import replay_warnings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
@@ -97,6 +98,7 @@ def _notes(config: FleetConfig) -> list[str]:
             notes.append(f"links.{name}: there is no {link.device} now; it is opened when it appears")
         if isinstance(link, ReplayLink) and not link.file.is_file():
             notes.append(f"links.{name}: there is no file {link.file} now")
+    notes += [f"links.{name}: {text}" for name, text in replay_warnings(config.links).items()]
     token = config.daemon.token_file
     if token is not None and not token.is_file():
         notes.append(f"daemon.token_file: there is no file {token} now")

@@ -192,6 +192,9 @@ def _links(method: str, json_output: bool, **params: Any) -> NoReturn:
         elif answer:
             screen = render.console()
             screen.print(render.links_table(answer, screen.width))
+            for row in answer:
+                if row.get("warning") and params.get("name") in (None, row["name"]):
+                    typer.echo(f"warning: {row['name']}: {row['warning']}", err=True)
         else:
             typer.echo("no links; add one: skygcs-cli links add NAME type=udp_server port=14550")
 

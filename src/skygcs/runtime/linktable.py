@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from skygcs.config.checks import added_conflicts, replay_warnings
@@ -81,15 +81,15 @@ class LinkTable:
 
     async def add(self, name: str, link: Mapping[str, Any]) -> None:
         """Open a further link. Raises LinkError if the name is taken, or the description is wrong or in conflict."""
-        await self._carried_through(self._add(name, link))
+        await self._carried_through(lambda: self._add(name, link))
 
     async def change(self, name: str, link: Mapping[str, Any]) -> None:
         """Replace a link: ``link`` holds the keys that change. On a bad description the old link stays."""
-        await self._carried_through(self._change(name, link))
+        await self._carried_through(lambda: self._change(name, link))
 
     async def remove(self, name: str) -> None:
         """Close a link for good. Raises LinkError if there is none of that name."""
-        await self._carried_through(self._remove(name))
+        await self._carried_through(lambda: self._remove(name))
 
     def require(self, name: str) -> None:
         """Raises LinkError if there is no link of that name."""
@@ -104,18 +104,17 @@ class LinkTable:
 
     # -- one change
 
-    async def _carried_through(self, change: Coroutine[Any, Any, None]) -> None:
+    async def _carried_through(self, change: Callable[[], Awaitable[None]]) -> None:
         task = self._loop.create_task(self._locked(change), name="link change")
         self._changes.add(task)
         task.add_done_callback(self._changed)
         await asyncio.shield(task)
 
-    async def _locked(self, change: Coroutine[Any, Any, None]) -> None:
+    async def _locked(self, change: Callable[[], Awaitable[None]]) -> None:
         async with self._lock:
             if self._group is None:
-                change.close()
                 raise LinkError("skygcs is shutting down")
-            await change
+            await change()
 
     def _changed(self, task: asyncio.Task[None]) -> None:
         self._changes.discard(task)

@@ -56,6 +56,18 @@ def test_what_is_right_is_summed_up(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert text in " ".join(out.split()), text
 
 
+def test_a_replay_beside_a_link_that_may_carry_vehicles_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(FLEET)
+    assert check(path) == 0
+    assert "note: links.flight: a replay beside radio: nothing of it is sent there" in capsys.readouterr().out
+    path.write_text(FLEET.replace("baud = [57600, 115200]", "enabled = false"))
+    assert check(path) == 0
+    assert "a replay beside" not in capsys.readouterr().out
+
+
 def test_a_fleet_without_links_and_vehicles_says_what_happens(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
