@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,9 @@ import pytest
 
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.routing import RouteNote
 from skygcs.core.tlog import iter_records
 from skygcs.daemon import Daemon
 from skygcs.errors import LinkError, RefusedError
@@ -29,7 +33,7 @@ async def running(tmp_path: Path, *, record: bool = False, **links: dict[str, An
     daemon = Daemon(config, load_dialect(config.dialect))
     task = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
+    await until(lambda: all(row["state"] in ("up", "disabled") for row in daemon.links_status()))
     try:
         yield daemon
     finally:
@@ -111,3 +115,180 @@ async def test_over_a_terrible_network_every_vehicle_is_still_found(tmp_path: Pa
             await asyncio.sleep(0.005)
         await until(lambda: len(daemon.fleet.vehicles) == 10)
         assert daemon.hub.faults == 0
+
+
+async def test_changes_that_race_leave_no_link_behind(tmp_path: Path) -> None:
+    async with running(tmp_path, gcs={"role": "gcs"}) as daemon:
+        attempts = [daemon.change_link("gcs", {"seed": n}) for n in range(5)]
+        attempts += [daemon.add_link("new", {"type": "memory"}) for _ in range(3)]
+        attempts += [daemon.remove_link("gcs"), daemon.add_link("gcs", {"type": "memory", "role": "gcs"})]
+        results = await asyncio.gather(*attempts, return_exceptions=True)
+        assert all(isinstance(r, LinkError) for r in results if r is not None)
+        await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
+        assert sorted(row["name"] for row in daemon.links_status()) == ["gcs", "new"]
+        assert len(daemon.hub.channels) == 2
+        running_links = [t for t in asyncio.all_tasks() if t.get_name().startswith("link ") and not t.done()]
+        assert sorted(t.get_name() for t in running_links) == ["link gcs", "link new"]
+
+
+async def test_a_change_whose_asker_goes_away_is_carried_through(tmp_path: Path) -> None:
+    async with running(tmp_path, gcs={"role": "gcs"}) as daemon:
+        change = asyncio.create_task(daemon.change_link("gcs", {"seed": 7}))
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        change.cancel()
+        await asyncio.wait({change})
+        assert change.cancelled()
+        await until(lambda: daemon.links.configs["gcs"].model_dump()["seed"] == 7)
+        await until(lambda: daemon.links_status()[0]["state"] == "up")
+
+
+async def test_a_link_in_conflict_with_another_is_refused_and_the_old_one_stays(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    async with running(tmp_path, radio={}) as daemon:
+        await daemon.add_link("gcs", {"type": "udp_server", "host": "127.0.0.1", "port": port, "enabled": False})
+        await daemon.add_link("loop", {"type": "udp_client", "host": "127.0.0.1", "port": port})
+        with pytest.raises(LinkError, match=f"links.loop.port: {port} is our own link gcs"):
+            await daemon.change_link("gcs", {"enabled": True})
+        await daemon.change_link("loop", {"enabled": False})
+        await daemon.add_link("sim", {"type": "simulated", "px4": 2, "first_sysid": 5})
+        with pytest.raises(LinkError, match="first_sysid: 6 is also a vehicle of the simulated link sim"):
+            await daemon.add_link("sim2", {"type": "simulated", "px4": 1, "first_sysid": 6})
+        with pytest.raises(LinkError, match="system ids above 255"):
+            await daemon.change_link("sim", {"first_sysid": 255})
+        assert [row["state"] for row in daemon.links_status() if row["name"] in ("radio", "sim")] == ["up", "up"]
+
+
+async def test_a_link_is_switched_off_and_on_at_run_time(tmp_path: Path) -> None:
+    async with running(tmp_path, radio={}, spare={"enabled": False}) as daemon:
+        states = {row["name"]: row["state"] for row in daemon.links_status()}
+        assert states == {"radio": "up", "spare": "disabled"}
+        await daemon.change_link("radio", {"enabled": False})
+        await daemon.change_link("spare", {"enabled": True})
+        await until(lambda: any(row["state"] == "up" for row in daemon.links_status()))
+        states = {row["name"]: row["state"] for row in daemon.links_status()}
+        assert states == {"radio": "disabled", "spare": "up"}
+        assert [c.link.name for c in daemon.hub.channels.values()] == ["spare"]
+        assert daemon.links.link("radio") is None
+        with pytest.raises(LinkError, match="already"):
+            await daemon.add_link("radio", {"type": "memory"})
+        await daemon.remove_link("radio")
+        assert [row["name"] for row in daemon.links_status()] == ["spare"]
+
+
+@contextlib.asynccontextmanager
+async def with_vehicles(tmp_path: Path, **links: dict[str, Any]) -> AsyncIterator[Daemon]:
+    """Vehicles 7 and 8 on the link "radio", 9 on "other"."""
+    async with running(tmp_path, radio={"role": "radio"}, other={"role": "vehicle"}, **links) as daemon:
+        peer_of(daemon, "radio").send(heartbeat(7) + heartbeat(8))
+        peer_of(daemon, "other").send(heartbeat(9))
+        await until(lambda: len(daemon.fleet.vehicles) == 3)
+        yield daemon
+
+
+def sent_to(daemon: Daemon, link: str, name: str) -> list[dict[str, Any]]:
+    dialect = daemon.dialect
+    frames = FrameParser(dialect).feed_datagram(b"".join(peer_of(daemon, link).received))
+    return [f.fields() for f in frames if f.name == name]
+
+
+async def test_the_target_field_is_filled_whatever_its_name(tmp_path: Path) -> None:
+    async with with_vehicles(tmp_path) as daemon:
+        assert daemon.send_message("MANUAL_CONTROL", {"x": 100}, "8") == {"sent": 1, "message": "MANUAL_CONTROL"}
+        await until(lambda: sent_to(daemon, "radio", "MANUAL_CONTROL"))
+        [fields] = sent_to(daemon, "radio", "MANUAL_CONTROL")
+        assert (fields["target"], fields["x"]) == (8, 100)
+        assert sent_to(daemon, "other", "MANUAL_CONTROL") == []
+
+
+async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_said(tmp_path: Path) -> None:
+    async with with_vehicles(tmp_path) as daemon:
+        with pytest.raises(
+            RefusedError, match=r"COMMAND_LONG is for somebody: give a target .* its field target_system"
+        ):
+            daemon.send_message("COMMAND_LONG", {"command": 400, "param1": 1.0})
+        with pytest.raises(RefusedError, match="its field target "):
+            daemon.send_message("MANUAL_CONTROL", {"x": 1})
+        with pytest.raises(RefusedError, match="not both"):
+            daemon.send_message("COMMAND_LONG", {"command": 400}, "7", "radio")
+        with pytest.raises(RefusedError, match="another target"):
+            daemon.send_message("COMMAND_LONG", {"command": 400, "target_system": 7}, "8")
+        await asyncio.sleep(0.05)
+        assert sent_to(daemon, "radio", "COMMAND_LONG") == sent_to(daemon, "other", "COMMAND_LONG") == []
+        daemon.send_message("COMMAND_LONG", {"command": 1, "target_system": 0})
+        daemon.send_message("COMMAND_LONG", {"command": 2}, link="other")
+        assert daemon.send_message("COMMAND_LONG", {"command": 3}, "all")["sent"] == 3
+        await until(lambda: len(sent_to(daemon, "other", "COMMAND_LONG")) == 3)
+        seen = [(f["command"], f["target_system"]) for f in sent_to(daemon, "radio", "COMMAND_LONG")]
+        assert seen == [(1, 0), (3, 7), (3, 8)]
+        seen = [(f["command"], f["target_system"]) for f in sent_to(daemon, "other", "COMMAND_LONG")]
+        assert seen == [(1, 0), (2, 0), (3, 9)]
+
+
+async def test_a_message_without_target_says_who_else_gets_it_and_goes_out_once_a_link(tmp_path: Path) -> None:
+    async with with_vehicles(tmp_path) as daemon:
+        values = {"text": "hello"}
+        answer = daemon.send_message("STATUSTEXT", values, "7")
+        assert answer["note"] == "STATUSTEXT has no target field: on the same link v8 got it as well"
+        assert "note" not in daemon.send_message("STATUSTEXT", values, "9")
+        assert daemon.send_message("STATUSTEXT", values, "all") == {"sent": 2, "message": "STATUSTEXT"}
+        await until(lambda: len(sent_to(daemon, "radio", "STATUSTEXT")) == 2)
+
+
+async def test_two_vehicles_of_one_id_are_told_and_refused_until_one_is_gone(tmp_path: Path) -> None:
+    async with with_vehicles(tmp_path) as daemon:
+        key = 7 << 8 | 1
+        channel = next(iter(daemon.hub.channels))
+        daemon.hub.router.notes.append(RouteNote("duplicate", 7, 1, channel))
+        daemon.hub.tick(daemon.now())
+        event = daemon.events[-1]
+        assert (event["kind"], event["vehicle"], event["sysid"]) == ("duplicate", "v7", 7)
+        assert "give it another id" in event["text"]
+        [outcome] = (await daemon.fleet.command_all("7", "arm")).values()
+        assert outcome.result == "refused"
+        assert daemon.fleet.vehicles[key].state(daemon.now())["duplicate_sysid"] is True
+        daemon.hub.router.notes.append(RouteNote("duplicate_over", 7, 1, channel))
+        daemon.hub.tick(daemon.now())
+        assert (daemon.events[-1]["kind"], daemon.events[-1]["data"]["change"]) == ("duplicate", "duplicate_over")
+        assert daemon.fleet.vehicles[key].state(daemon.now())["duplicate_sysid"] is False
+
+
+async def test_a_landing_takes_every_link_to_its_vehicle_at_once(tmp_path: Path) -> None:
+    async with with_vehicles(tmp_path) as daemon:
+        peer_of(daemon, "other").send(heartbeat(7, seq=9))
+        await until(lambda: len(daemon.hub.router.channels_of(7 << 8 | 1)) == 2)
+        landing = asyncio.create_task(daemon.fleet.command_all("7", "land"))
+        await until(lambda: sent_to(daemon, "radio", "COMMAND_LONG") and sent_to(daemon, "other", "COMMAND_LONG"))
+        attempts = [f["confirmation"] for link in ("radio", "other") for f in sent_to(daemon, link, "COMMAND_LONG")]
+        assert attempts == [0, 0], "not only when it is repeated"
+        landing.cancel()
+        await asyncio.wait({landing})
+
+
+@pytest.mark.parametrize("key", ["allow_src_sys_in", "block_src_sys_in", "allow_src_comp_in", "block_src_comp_in"])
+async def test_no_broadcast_goes_out_while_a_link_keeps_sources_out(tmp_path: Path, key: str) -> None:
+    async with running(tmp_path, radio={"role": "radio"}) as daemon:
+        peer_of(daemon, "radio").send(heartbeat(7) + heartbeat(8))
+        await until(lambda: len(daemon.fleet.vehicles) == 2)
+        await daemon.add_link("kept", {"type": "memory", key: [1]})
+        landing = asyncio.create_task(daemon.fleet.command_all("all", "land"))
+        await until(lambda: len(sent_to(daemon, "radio", "COMMAND_LONG")) >= 2)
+        targets = {f["target_system"] for f in sent_to(daemon, "radio", "COMMAND_LONG") if f["command"] == 21}
+        assert targets == {7, 8}
+        landing.cancel()
+        await asyncio.wait({landing})
+
+
+async def test_messages_give_way_to_orders_and_heartbeats(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with with_vehicles(tmp_path) as daemon:
+        used: list[Priority] = []
+        for channel in daemon.hub.channels.values():
+            monkeypatch.setattr(channel, "send", lambda out, priority, key=None: used.append(priority) or True)
+        daemon.send_message("STATUSTEXT", {}, "7")
+        daemon.send_message("STATUSTEXT", {}, link="radio")
+        daemon.send_message("STATUSTEXT", {})
+        daemon.send_message("COMMAND_LONG", {"target_system": 7})
+        assert set(used) <= {Priority.EXCHANGE, Priority.HEARTBEAT}
+        assert used.count(Priority.EXCHANGE) == 5
