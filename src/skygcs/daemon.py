@@ -19,9 +19,9 @@ import structlog
 from skygcs import __version__
 from skygcs.config.models import FleetConfig
 from skygcs.core.airtime import Priority
+from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.routing import RouteNote
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel

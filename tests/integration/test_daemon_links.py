@@ -14,8 +14,8 @@ import pytest
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink
 from skygcs.core.airtime import Priority
+from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing import RouteNote
 from skygcs.core.tlog import iter_records
 from skygcs.daemon import Daemon
 from skygcs.errors import LinkError, RefusedError

@@ -6,10 +6,11 @@ from collections import defaultdict
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
+from skygcs.core.decision import Decision
 from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing import Decision, Router
+from skygcs.core.routing import Router
 
 DIALECT = load_dialect(("ardupilotmega", "px4-extras"))
 

@@ -26,9 +26,8 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from dataclasses import dataclass
-from enum import Enum
 
+from skygcs.core.decision import Decision, RouteNote, Verdict
 from skygcs.core.dedup import SILENT_S, DuplicateFilter, ParallelChannels
 from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V2, Frame
@@ -54,37 +53,6 @@ JUST_BOOTED_MS = 10_000
 
 _MAV_TYPE_GCS = 6
 _MAV_AUTOPILOT_INVALID = 8
-
-
-class Verdict(Enum):
-    """What became of a frame. Values are the names of the counters."""
-
-    FORWARDED = "forwarded"
-    LOCAL = "local"
-    NOBODY = "nobody_else"
-    UNKNOWN_TARGET = "unknown_target"
-    DUPLICATE = "duplicate"
-    CONFLICT = "conflict"
-    FILTERED_IN = "filtered_in"
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """``destinations``: channel ids. ``local``: it is for us too (to us, or to all)."""
-
-    verdict: Verdict
-    destinations: tuple[int, ...] = ()
-    local: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class RouteNote:
-    """A change worth a log line: learned, expired, cleared, conflict, echo, duplicate or duplicate_over."""
-
-    kind: str
-    sysid: int
-    compid: int
-    channel_id: int
 
 
 _DUPLICATE = Decision(Verdict.DUPLICATE)

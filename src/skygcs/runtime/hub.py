@@ -13,12 +13,13 @@ from typing import Any
 
 from skygcs.config.models import FleetConfig, LinkConfig, MessageName
 from skygcs.core.airtime import Priority
+from skygcs.core.decision import RouteNote, Verdict
 from skygcs.core.filters import ChannelPolicy, MessageFilter
 from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing import RouteNote, Router, Verdict
+from skygcs.core.routing import Router
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, OwnMessage
 
 FrameTap = Callable[[Frame, Channel, float], None]

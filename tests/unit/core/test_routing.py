@@ -5,8 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from skygcs.core.decision import Verdict
 from skygcs.core.filters import ChannelPolicy, MessageFilter
-from skygcs.core.routing import MAX_ROUTES, Verdict
+from skygcs.core.routing import MAX_ROUTES
 from support.routed import RoutedNet, five_ports, heartbeat, message
 
 VEHICLE = ChannelPolicy(role="vehicle")

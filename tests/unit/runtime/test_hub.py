@@ -11,8 +11,8 @@ import pytest
 
 from skygcs.config.models import FleetConfig, LinkConfig, MemoryLink, RateLimits, ReplayLink
 from skygcs.core.airtime import Priority
+from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.routing import RouteNote
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
 from skygcs.runtime.hub import MAX_PARTED, OTHER_SOURCES, Hub, channel_policy
 from support.routed import DIALECT, heartbeat, message

@@ -1,0 +1,37 @@
+"""What the router says: what became of a frame, where it goes, and what changed in the table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Verdict(Enum):
+    """What became of a frame. Values are the names of the counters."""
+
+    FORWARDED = "forwarded"
+    LOCAL = "local"
+    NOBODY = "nobody_else"
+    UNKNOWN_TARGET = "unknown_target"
+    DUPLICATE = "duplicate"
+    CONFLICT = "conflict"
+    FILTERED_IN = "filtered_in"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """``destinations``: channel ids. ``local``: it is for us too (to us, or to all)."""
+
+    verdict: Verdict
+    destinations: tuple[int, ...] = ()
+    local: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RouteNote:
+    """A change worth a log line: learned, expired, cleared, conflict, echo, duplicate or duplicate_over."""
+
+    kind: str
+    sysid: int
+    compid: int
+    channel_id: int
