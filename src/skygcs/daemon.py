@@ -117,6 +117,7 @@ class Daemon:
             await self._stopping.wait()
             for clock in clocks:
                 clock.cancel()
+            self.fleet.close()  # who waits for an outcome is told before the links are gone
             await self.links.close()
 
     def stop(self) -> None:

@@ -13,7 +13,7 @@ from skygcs.cli import completion
 from skygcs.cli.connection import Exit, run, waiting
 from skygcs.cli.options import Json, Targets
 from skygcs.cli.render import outcome_lines, screen_width
-from skygcs.cli.values import NUMBERS, name_or_id, parse_number, parse_unset_number
+from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
 from skygcs.rpc.client import Client
 
 
@@ -34,7 +34,7 @@ def order(method: str, targets: str, json_output: bool, **params: Any) -> NoRetu
     run(command)
 
 
-Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying for S seconds.", min=0)]
+Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying for S seconds.", parser=finite)]
 
 
 def arm(
@@ -60,7 +60,7 @@ def takeoff(
     targets: Targets,
     height: Annotated[
         float | None,
-        typer.Argument(metavar="[HEIGHT]", help="Metres above the ground; default: the fleet file's."),
+        typer.Argument(metavar="[HEIGHT]", help="Metres above the ground; default: the fleet file's.", parser=finite),
     ] = None,
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
     wait: Wait = 0.0,
@@ -99,7 +99,9 @@ def goto(
     enu: Annotated[
         str | None, typer.Option("--enu", metavar="E,N,U", help="Metres east, north, up of the fleet's origin.")
     ] = None,
-    yaw: Annotated[float | None, typer.Option("--yaw", metavar="DEG", help="Heading, clockwise from north.")] = None,
+    yaw: Annotated[
+        float | None, typer.Option("--yaw", metavar="DEG", help="Heading, clockwise from north.", parser=finite)
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Although it is farther than the limit.")] = False,
     same_place: Annotated[
         bool, typer.Option("--same-place", help="Several vehicles: all to the very point; mind their heights.")
@@ -126,11 +128,8 @@ def goto(
 
 
 def _numbers(texts: list[str] | None, labels: tuple[str, ...]) -> list[float]:
-    """At most as many numbers as there are labels. Raises BadParameter, for unknown options, too."""
+    """At most as many numbers as there are labels. Raises BadParameter."""
     given = texts or []
-    for text in given:
-        if text.startswith("--"):
-            raise typer.BadParameter(f"no such option: {text}")
     if len(given) > len(labels):
         raise typer.BadParameter(f"{len(given)} numbers given; there are {' '.join(labels)}")
     return [parse_number(text, label) for text, label in zip(given, labels, strict=False)]
@@ -193,7 +192,7 @@ def interval(
 def stream(
     targets: Targets,
     name: Annotated[str, typer.Argument(metavar="STREAM", help="MAV_DATA_STREAM: POSITION, EXTRA1, … or number.")],
-    rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it.")],
+    rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it.", parser=finite)],
     json_output: Json = False,
 ) -> None:
     """Ask for a group of messages at a rate (older ArduPilot)."""
@@ -218,12 +217,16 @@ def command(
     ] = None,
     x: Annotated[int | None, typer.Option("--x", help="As on the wire: latitude * 1e7.")] = None,
     y: Annotated[int | None, typer.Option("--y", help="As on the wire: longitude * 1e7.")] = None,
-    z: Annotated[float | None, typer.Option("--z", help="Metres.")] = None,
+    z: Annotated[float | None, typer.Option("--z", metavar="Z", help="Metres.", parser=finite)] = None,
     json_output: Json = False,
 ) -> None:
     """Send any MAV_CMD and wait for its acknowledgement."""
     numbers = [parse_unset_number(p, f"PARAM{i}") for i, p in enumerate(params or [], 1)]
     more: dict[str, Any] = {}
+    if (x is None) != (y is None):
+        raise typer.BadParameter("--x and --y are one place: give both")
+    if frame is None and (x is not None or z is not None):
+        raise typer.BadParameter("--x, --y and --z are for COMMAND_INT: give --frame, too (GLOBAL_RELATIVE_ALT, …)")
     if frame is not None:
         more = {"int_frame": name_or_id(frame), "x": x, "y": y, "z": z}
     order("command", targets, json_output, command=name_or_id(name), params=numbers, **more)
@@ -235,5 +238,7 @@ def add_to(app: typer.Typer) -> None:
     further: tuple[Callable[..., None], ...] = (reboot, home, interval, stream, command)
     with_numbers = (takeoff, goto, home, interval, stream, command)
     for function in (*functions, *further):
-        settings = dict(NUMBERS) if function in with_numbers else {}
-        app.command(rich_help_panel="Orders", context_settings=settings)(function)
+        if function in with_numbers:
+            app.command(rich_help_panel="Orders", cls=NumbersCommand, context_settings=dict(NUMBERS))(function)
+        else:
+            app.command(rich_help_panel="Orders")(function)

@@ -13,6 +13,7 @@ import typer
 from skygcs.cli import completion, render
 from skygcs.cli.connection import Exit, run, waiting
 from skygcs.cli.options import Json, OptionalTargets
+from skygcs.cli.values import finite, parse_json
 from skygcs.rpc.client import Client
 
 SCREEN_HZ = 4.0
@@ -37,7 +38,9 @@ def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
 
 def watch(
     targets: OptionalTargets = "all",
-    rate_hz: Annotated[float, typer.Option("--rate", metavar="HZ", help="Updates per second, at most 20.")] = 2.0,
+    rate_hz: Annotated[
+        float, typer.Option("--rate", metavar="HZ", help="Updates per second, at most 20.", parser=finite)
+    ] = 2.0,
     fields: Annotated[
         str,
         typer.Option(
@@ -120,10 +123,11 @@ def events(
 def call(
     method: Annotated[str, typer.Argument(metavar="METHOD", autocompletion=completion.methods, help="Any RPC method.")],
     params: Annotated[str, typer.Argument(metavar="[JSON]", help="Its parameters, an object.")] = "{}",
+    _json: Annotated[bool, typer.Option("--json", help="It is JSON anyway.")] = False,
 ) -> None:
     """Call any method and print the result as JSON; `discover` lists them."""
     try:
-        given = json.loads(params)
+        given = parse_json(params)
     except ValueError as error:
         raise typer.BadParameter(f"not JSON: {error}") from None
     if not isinstance(given, dict):

@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
+import difflib
 import json
+import math
 from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 NUMBERS = {"ignore_unknown_options": True}
 """Context settings of commands whose arguments may be negative: "-79.2" is no option there."""
+
+
+class NumbersCommand(TyperCommand):
+    """A command with NUMBERS: one dash may begin a number, but two are always an option."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        known = [name for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)]
+        for arg in args:
+            name = arg.partition("=")[0]
+            if arg == "--":
+                break
+            if name.startswith("--") and name not in known:
+                close = difflib.get_close_matches(name, [k for k in known if k.startswith("--")], n=1)
+                ctx.fail(f"No such option: {name}" + (f" (did you mean {close[0]}?)" if close else ""))
+        return super().parse_args(ctx, args)
+
 
 _WORDS: dict[str, Any] = {"true": True, "false": False, "null": None, "none": None, "nan": None}
 
@@ -56,9 +75,34 @@ def parse_number(text: str, what: str) -> float:
         value = float(text)
     except ValueError:
         raise typer.BadParameter(f"{what}: {text!r} is not a number") from None
-    if value != value or value in (float("inf"), float("-inf")):
+    if not math.isfinite(value):
         raise typer.BadParameter(f"{what}: {text!r} is not a finite number")
     return value
+
+
+def finite(text: str | float) -> float:
+    """Parser of options and arguments that are numbers: typer's own lets nan and inf pass, which JSON cannot carry."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not a number") from None
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"{text!r} is not a finite number")
+    return value
+
+
+def parse_json(text: str, *, strict: bool = True) -> Any:
+    """JSON without NaN and Infinity (1e999 is one, too): an error if ``strict``, else null. Raises ValueError."""
+
+    def not_finite(number: str) -> None:
+        if strict:
+            raise ValueError(f"{number} is not a finite number")
+
+    def parse_float(number: str) -> float | None:
+        value = float(number)
+        return value if math.isfinite(value) else not_finite(number)
+
+    return json.loads(text, parse_constant=not_finite, parse_float=parse_float)
 
 
 def parse_unset_number(text: str, what: str) -> float | None:
@@ -78,4 +122,4 @@ def _integer(text: str) -> int:
 def _json(text: str) -> Any:
     if not text.startswith(("[", "{", '"')):
         raise ValueError
-    return json.loads(text)
+    return parse_json(text, strict=False)

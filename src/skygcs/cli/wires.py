@@ -11,7 +11,7 @@ import typer
 from skygcs.cli import completion, render
 from skygcs.cli.connection import Exit, fail, run
 from skygcs.cli.options import Json, LinkName, MessageName
-from skygcs.cli.values import NUMBERS, name_or_id, parse_pairs
+from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_pairs
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 
@@ -29,7 +29,8 @@ def watch_messages(
         str, typer.Option("--from", metavar="TARGETS", help="Only from these.", autocompletion=completion.targets)
     ] = "all",
     rate_hz: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="At most so many of each name and source.")
+        float | None,
+        typer.Option("--rate", metavar="HZ", help="At most so many of each name and source.", parser=finite),
     ] = None,
     count: Annotated[int, typer.Option("--count", metavar="N", help="End after so many.", min=1)] = sys.maxsize,
     json_output: Json = False,
@@ -49,7 +50,7 @@ def watch_messages(
     run(command)
 
 
-@messages.command("send", context_settings=dict(NUMBERS))
+@messages.command("send", cls=NumbersCommand, context_settings=dict(NUMBERS))
 def send_message(
     name: MessageName,
     fields: Annotated[list[str] | None, typer.Argument(metavar="[FIELD=VALUE …]", help="Others are 0.")] = None,
