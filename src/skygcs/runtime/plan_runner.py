@@ -58,7 +58,7 @@ class PlanRunner:
             if step.skip_if_met and step.expect is not None and step.expect.met(self._vehicle, self._loop.time()):
                 continue
             outcome = await self._step(step, plan, order)
-            attempts += outcome.attempts
+            attempts = max(attempts, outcome.attempts)  # steps are no repeats of each other
             texts += [t for t in outcome.status_texts if t not in texts]
             if outcome.result == "unsupported" and step.instead:
                 queue = list(step.instead) + queue

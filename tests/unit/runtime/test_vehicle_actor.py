@@ -222,6 +222,7 @@ async def test_px4_takes_off_to_an_amsl_altitude_after_leaving_a_manual_mode() -
         outcome = await actor.takeoff(10)
         assert (outcome.ok, outcome.message) == (True, "taking off to 10 m")
         assert [c for c, _ in vehicle.commands()] == [MODE, ARM, TAKEOFF]
+        assert outcome.attempts == 1  # three steps, none of them repeated
         assert (vehicle.got[0].param2, vehicle.got[0].param3) == (4, 3)
         takeoff = vehicle.got[-1]
         assert takeoff.param7 == pytest.approx(HOME[2] + 10)
