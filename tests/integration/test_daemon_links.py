@@ -18,7 +18,7 @@ from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.tlog import iter_records
 from skygcs.daemon import Daemon
-from skygcs.errors import LinkError, RefusedError
+from skygcs.errors import ConfigError, LinkError, RefusedError
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.rpc.client import connect
 from support.routed import heartbeat, message
@@ -75,9 +75,9 @@ async def test_a_link_added_changed_and_removed_at_run_time(tmp_path: Path) -> N
 
 async def test_a_wrong_description_changes_nothing_and_says_what_is_wrong(tmp_path: Path) -> None:
     async with running(tmp_path, radio={}) as daemon:
-        with pytest.raises(LinkError, match="ATITUDE"):
+        with pytest.raises(ConfigError, match="ATITUDE"):
             await daemon.change_link("radio", {"allow_msg_id_in": ["ATITUDE"]})
-        with pytest.raises(LinkError, match="port"):
+        with pytest.raises(ConfigError, match="port"):
             await daemon.add_link("x", {"type": "udp_server", "port": "many"})
         with pytest.raises(LinkError, match="already"):
             await daemon.add_link("radio", {"type": "memory"})

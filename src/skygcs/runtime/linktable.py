@@ -11,7 +11,7 @@ from skygcs.config.loader import parse_link
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle.events import Event
-from skygcs.errors import ConfigError, LinkError
+from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link
 from skygcs.links.factory import make_link
 from skygcs.links.supervisor import LinkSupervisor
@@ -80,7 +80,8 @@ class LinkTable:
                 await self._leave(name)
 
     async def add(self, name: str, link: Mapping[str, Any]) -> None:
-        """Open a further link. Raises LinkError if the name is taken, or the description is wrong or in conflict."""
+        """Open a further link. Raises LinkError if the name is taken or the link in conflict, ConfigError if the
+        description is wrong."""
         await self._carried_through(lambda: self._add(name, link))
 
     async def change(self, name: str, link: Mapping[str, Any]) -> None:
@@ -144,10 +145,7 @@ class LinkTable:
         del self._entries[name]
 
     def _checked(self, name: str, table: Mapping[str, Any]) -> LinkConfig:
-        try:
-            config = parse_link(name, dict(table), self._dialect)
-        except ConfigError as error:
-            raise LinkError(str(error)) from None
+        config = parse_link(name, dict(table), self._dialect)
         current = self._fleet_config.model_copy(update={"links": self.configs})
         if problems := added_conflicts(current, name, config):
             raise LinkError(f"link {name}: " + "; ".join(problems))
