@@ -16,11 +16,13 @@ import typer
 
 from skygcs.cli.render import screen_width, wrapped
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
-from skygcs.rpc.address import TOKEN_FILE_VARIABLE
+from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, tcp_address
 from skygcs.rpc.client import Client, connect
 
-INVALID_PARAMS = -32602
-"""JSON-RPC's code for what is a usage error on this side."""
+USAGE_ERRORS = (-32601, -32602)
+"""JSON-RPC's codes (no such method, wrong parameters) for what is a usage error on this side."""
+
+NOT_AUTHENTICATED = -32004
 
 SPINNER_DELAY_S = 0.3
 """A quick answer needs no spinner."""
@@ -61,7 +63,12 @@ def fail(text: str) -> None:
 
 
 def client(socket: str | None = None) -> Client:
-    """The daemon that --socket, $SKYGCS_SOCKET or the default names. Raises SkygcsError without a readable token."""
+    """The daemon that --socket, $SKYGCS_SOCKET or the default names. Raises SkygcsError without a readable token,
+    BadParameter for an address that is none."""
+    try:
+        tcp_address(client_address(socket))
+    except ValueError as error:
+        raise typer.BadParameter(f"--socket: {error}") from None
     token_file = os.environ.get(TOKEN_FILE_VARIABLE)
     token = None
     if token_file:
@@ -70,6 +77,13 @@ def client(socket: str | None = None) -> Client:
         except (OSError, UnicodeError) as error:
             raise SkygcsError(f"cannot read the token file {token_file}: {error}") from None
     return connect(socket, token=token)
+
+
+def _token_advice() -> str:
+    token_file = os.environ.get(TOKEN_FILE_VARIABLE)
+    if token_file:
+        return f"the token in {token_file} is wrong: it is not the one of this daemon"
+    return "the daemon wants a token: --token-file FILE"
 
 
 @contextlib.asynccontextmanager
@@ -114,8 +128,8 @@ def _guarded(command: Callable[[], int | None]) -> int:
         fail(str(error))
         return Exit.UNREACHABLE
     except RpcError as error:
-        fail(str(error))
-        return Exit.USAGE if error.code == INVALID_PARAMS else Exit.FAILED
+        fail(_token_advice() if error.code == NOT_AUTHENTICATED else str(error))
+        return Exit.USAGE if error.code in USAGE_ERRORS else Exit.FAILED
     except (SkygcsError, OSError) as error:
         fail(str(error))
         return Exit.FAILED

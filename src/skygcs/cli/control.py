@@ -26,7 +26,24 @@ class _Anywhere(TyperGroup):
     """Takes the global options wherever they stand: after the command is where people type them."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, hoisted(args))
+        return super().parse_args(ctx, hoisted(json_last(args)))
+
+
+def json_last(args: list[str]) -> list[str]:
+    """The same arguments with a --json that stands before the command behind it, where it belongs."""
+    skipped = 0
+    for i, arg in enumerate(args):
+        if skipped:
+            skipped -= 1
+        elif arg in GLOBAL_OPTIONS:
+            skipped = 1
+        elif arg == "--json":
+            rest = args[i + 1 :]
+            end = rest.index("--") if "--" in rest else len(rest)
+            return [*args[:i], *rest[:end], "--json", *rest[end:]] if rest else args
+        elif not arg.startswith("-"):
+            break
+    return args
 
 
 def hoisted(args: list[str]) -> list[str]:

@@ -94,15 +94,13 @@ def finite(text: str | float) -> float:
 def parse_json(text: str, *, strict: bool = True) -> Any:
     """JSON without NaN and Infinity (1e999 is one, too): an error if ``strict``, else null. Raises ValueError."""
 
-    def not_finite(number: str) -> None:
-        if strict:
-            raise ValueError(f"{number} is not a finite number")
+    def number(literal: str) -> float | None:
+        value = float(literal)
+        if strict and not math.isfinite(value):
+            raise ValueError(f"{literal} is not a finite number")
+        return value if math.isfinite(value) else None
 
-    def parse_float(number: str) -> float | None:
-        value = float(number)
-        return value if math.isfinite(value) else not_finite(number)
-
-    return json.loads(text, parse_constant=not_finite, parse_float=parse_float)
+    return json.loads(text, parse_constant=number, parse_float=number)
 
 
 def parse_unset_number(text: str, what: str) -> float | None:

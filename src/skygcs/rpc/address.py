@@ -17,6 +17,17 @@ def default_socket_path() -> Path:
     return Path(f"/tmp/skygcs-{os.getuid()}") / "skygcs.sock"
 
 
+def tcp_address(address: str) -> tuple[str, int] | None:
+    """Host and port of ``tcp://HOST:PORT``, None for a path. Raises ValueError for what is neither."""
+    scheme, there_is, rest = address.partition("://")
+    if not there_is:
+        return None
+    host, _, port = rest.rpartition(":")
+    if scheme != "tcp" or not host or not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise ValueError(f"{address} is neither a path nor of the form tcp://HOST:PORT")
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
 def client_address(address: str | os.PathLike[str] | None = None) -> str:
     """What a client connects to: the argument, else $SKYGCS_SOCKET, else the default path.
 

@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Self, cast
 
 from skygcs.errors import DaemonUnreachable, RpcError
-from skygcs.rpc.address import client_address
+from skygcs.rpc.address import client_address, tcp_address
 from skygcs.rpc.inbox import Inbox, Latest, Queue
 
 _OnAnswer = Callable[[Any, "RpcError | None"], None]
@@ -62,13 +62,13 @@ class Client:
         """Connect. Raises DaemonUnreachable, and RpcError for a wrong token."""
         loop = asyncio.get_running_loop()
         try:
-            if self.address.startswith("tcp://"):
-                host, _, port = self.address.removeprefix("tcp://").rpartition(":")
-                if not port.isdigit():
-                    raise DaemonUnreachable(self.address, "not of the form tcp://HOST:PORT")
-                _, self._wire = await loop.create_connection(lambda: _Wire(self.address), host, int(port))
+            tcp = tcp_address(self.address)
+            if tcp is not None:
+                _, self._wire = await loop.create_connection(lambda: _Wire(self.address), *tcp)
             else:
                 _, self._wire = await loop.create_unix_connection(lambda: _Wire(self.address), self.address)
+        except ValueError as error:
+            raise DaemonUnreachable(self.address, str(error)) from None
         except OSError as error:
             raise DaemonUnreachable(self.address, os.strerror(error.errno) if error.errno else str(error)) from None
         if self._token is not None and self.address.startswith("tcp://"):

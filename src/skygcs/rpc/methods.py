@@ -110,12 +110,15 @@ async def vehicles_request(context: Context, params: m.RequestParams) -> JsonObj
 
 async def vehicles_stream(context: Context, params: m.StreamParams) -> JsonObject:
     """Ask for a group of messages at a rate (REQUEST_DATA_STREAM)."""
+    _check_entry(context.daemon.dialect, "MAV_DATA_STREAM", params.stream, "stream")
     return await _order(context, "request_stream", params)
 
 
 async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObject:
     """Send any MAV_CMD and wait for its acknowledgement."""
     _check_command(context.daemon.dialect, params.command)
+    if params.int_frame is not None:
+        _check_entry(context.daemon.dialect, "MAV_FRAME", params.int_frame, "int_frame")
     return await _order(context, "command", params)
 
 
@@ -255,6 +258,16 @@ def _check_command(dialect: Dialect, command: str | int) -> None:
     raise InvalidParams(
         ("command", f"{text} commands.list lists them" if near else f"{text}; commands.list lists them")
     )
+
+
+def _check_entry(dialect: Dialect, enum: str, given: str | int, param: str) -> None:
+    """Raises InvalidParams for a name that is no entry of ``enum``, with or without its prefix; any number may be."""
+    if isinstance(given, int) or given.isdigit():
+        return
+    known = [name.removeprefix(f"{enum}_") for name in dialect.enums.get(enum, {}).values()]
+    if given.upper().removeprefix(f"{enum}_") not in known:
+        echo = given[: dispatch.MAX_ECHO_CHARS]
+        raise InvalidParams((param, f"{enum} has no entry {echo!r}; it has: {', '.join(known)}"))
 
 
 def _checked_fields(dialect: Dialect, info: MessageInfo, fields: JsonObject) -> JsonObject:

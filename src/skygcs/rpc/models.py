@@ -6,6 +6,7 @@ not validated when they are sent.
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
@@ -14,10 +15,17 @@ MAX_TELEMETRY_HZ = 20.0
 """Telemetry goes out on a 50 ms grid; autopilots send position at 4 to 10 Hz, over a radio slower still."""
 
 
+_RANGE = re.compile(r"([0-9]{1,3})\s*-\s*([0-9]{1,3})")
+
+
 def _targets(value: Any) -> str | list[str]:
     items = value if isinstance(value, list) else [value]
     if not items or not all(isinstance(i, str | int) and not isinstance(i, bool) and str(i).strip() for i in items):
         raise ValueError('give a system id, a name, a group, "1,3", "2-5", "all", or a list of these')
+    for part in ",".join(map(str, items)).split(","):
+        ends = _RANGE.fullmatch(part.strip())
+        if ends is not None and int(ends[1]) > int(ends[2]):
+            raise ValueError(f"range {part.strip()!r} runs backwards; did you mean {ends[2]}-{ends[1]}?")
     return [str(i) for i in items] if isinstance(value, list) else str(value)
 
 
@@ -168,6 +176,14 @@ class CommandParams(TargetsParams):
     y: int | None = Field(None, description="COMMAND_INT's y as on the wire (longitude in 1e-7 degrees).")
     z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
 
+    @model_validator(mode="after")
+    def _whole_place(self) -> Self:
+        if (self.x is None) != (self.y is None):
+            raise ValueError("give both x and y, or neither")
+        if self.int_frame is None and (self.x is not None or self.z is not None):
+            raise ValueError("x, y and z are for COMMAND_INT: give int_frame, too")
+        return self
+
 
 class LatestParams(TargetParams):
     name: MessageName
@@ -248,7 +264,7 @@ class Outcome(Result):
         "lost",
     ] = Field(description="The autopilot's answer in words; refused: by skygcs itself; lost: the vehicle went silent.")
     message: str = Field(description="One line for a person.")
-    attempts: int
+    attempts: int = Field(description="Transmissions of the most repeated step; with wait_s, of all tries together.")
     elapsed_s: float
     status_texts: list[str] = Field(description="Status texts of the vehicle while the order ran.")
 

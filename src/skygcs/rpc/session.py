@@ -313,7 +313,8 @@ class Session(asyncio.Protocol):
         assert self._token is not None
         if not isinstance(request_id, str | int | None) or not hmac.compare_digest(given, self._token.encode()):
             self._hub.counters["auth_failures"] += 1
-            self._reply(error_reply(None, dispatch.NOT_AUTHENTICATED, 'first: auth {"token": "…"}, with the right one'))
+            text = "the token is wrong" if given else 'a token is wanted; the first request is: auth {"token": "…"}'
+            self._reply(error_reply(None, dispatch.NOT_AUTHENTICATED, text))
             self._hang_up()
             return
         self.authenticated = True

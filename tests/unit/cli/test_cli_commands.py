@@ -22,17 +22,22 @@ DONE, FAILED, USAGE, UNREACHABLE = 0, 1, 2, 3
 class Fleet:
     """A served fake daemon on a loop of its own, and the command line in this thread."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, token: str | None = None) -> None:
         self.socket = folder / "s.sock"
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever)
         self._thread.start()
         self.daemon = FakeDaemon()
-        self._server = RpcServer(self.daemon, self.socket)
+        self._server = RpcServer(self.daemon, self.socket, tcp_port=None if token is None else 0, token=token)
         self._do(self._server.start())
 
     def _do(self, coroutine: Any) -> None:
         asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(10)
+
+    @property
+    def tcp_address(self) -> str:
+        assert self._server.tcp_address is not None
+        return f"tcp://127.0.0.1:{self._server.tcp_address[1]}"
 
     def later(self, delay_s: float, action: Callable[[], None]) -> None:
         self._loop.call_soon_threadsafe(self._loop.call_later, delay_s, action)
@@ -121,7 +126,30 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["message", "send", "COMMAND_LONG", "--to", "1", "--link", "radio"], USAGE, "not both"),
         (["nonsense"], USAGE, "nonsense"),
         (["interval", "all", "NONSENSE", "1"], USAGE, "NONSENSE"),
-        (["call", "daemon.inf"], FAILED, "did you mean daemon.info"),
+        (["call", "daemon.inf"], USAGE, "did you mean daemon.info"),
+        (["call", "vehicles.takeoff", '{"targets": "all", "height_m": NaN}'], USAGE, "NaN is not a finite number"),
+        (["call", "vehicles.takeoff", '{"targets": "all", "height_m": 1e999}'], USAGE, "not a finite number"),
+        (["takeoff", "all", "nan"], USAGE, "'nan' is not a finite number"),
+        (["takeoff", "all", "inf"], USAGE, "'inf' is not a finite number"),
+        (["takeoff", "all", "high"], USAGE, "'high' is not a number"),
+        (["takeoff", "all", "5", "--wait", "inf"], USAGE, "not a finite number"),
+        (["arm", "all", "--wait", "-1"], USAGE, "wait_s"),
+        (["goto", "all", "1", "2", "--yaw", "nan"], USAGE, "not a finite number"),
+        (["stream", "all", "POSITION", "inf"], USAGE, "not a finite number"),
+        (["command", "all", "192", "--frame", "6", "--z", "nan"], USAGE, "not a finite number"),
+        (["watch", "--rate", "nan"], USAGE, "not a finite number"),
+        (["message", "watch", "--rate", "inf"], USAGE, "not a finite number"),
+        (["command", "alpha", "DO_REPOSITION", "--frame", "6", "--x", "43"], USAGE, "give both"),
+        (["command", "alpha", "DO_REPOSITION", "--x", "43", "--y", "5"], USAGE, "give --frame"),
+        (["call", "vehicles.command", '{"targets": 1, "command": 192, "int_frame": 6, "x": 1}'], USAGE, "both x and y"),
+        (["call", "vehicles.command", '{"targets": 1, "command": 192, "z": 1}'], USAGE, "give int_frame"),
+        (["command", "alpha", "DO_REPOSITION", "--frame", "NONSENSE"], USAGE, "GLOBAL_RELATIVE_ALT"),
+        (["stream", "all", "NONSENSE", "1"], USAGE, "POSITION"),
+        (["arm", "2-1"], USAGE, "did you mean 1-2?"),
+        (["message", "send", "ATTITUDE", "--target", "all"], USAGE, "No such option: --target"),
+        (["takeoff", "all", "--hieght=3"], USAGE, "No such option: --hieght"),
+        (["goto", "all", "1", "2", "--yow", "3"], USAGE, "did you mean --yaw?"),
+        (["interval", "all", "ATTITUDE", "1", "--force"], USAGE, "No such option: --force"),
         (["call", "daemon.info", "{"], USAGE, "not JSON"),
         (["call", "daemon.info", "[]"], USAGE, "object"),
         (["message", "send", "ATTITUDE", "rol=1"], USAGE, "rol"),
@@ -217,6 +245,40 @@ def test_a_token_file_that_cannot_be_read_is_said(tmp_path: Path, monkeypatch: p
     monkeypatch.setenv("SKYGCS_TOKEN_FILE", "restored after the test")
     result = CliRunner().invoke(app, ["status", "--token-file", str(tmp_path / "none")])
     assert result.exit_code == FAILED and "token file" in result.output
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:abc", "http://127.0.0.1:80", "tcp://:5", "tcp://h:99999"])
+def test_an_address_that_is_none_is_a_usage_error(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
+    result = CliRunner().invoke(app, ["status", "--socket", address])
+    assert result.exit_code == USAGE
+    assert "tcp://HOST:PORT" in result.output
+
+
+def test_a_token_that_is_missing_or_wrong_is_told_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
+    monkeypatch.setenv("SKYGCS_TOKEN_FILE", "")
+    fleet = Fleet(tmp_path, token="open sesame")
+    try:
+        missing = CliRunner().invoke(app, ["status", "--socket", fleet.tcp_address])
+        assert missing.exit_code == FAILED
+        assert "the daemon wants a token: --token-file FILE" in missing.output
+        (tmp_path / "token").write_text("open barley")
+        for command in ("status", "watch"):
+            args = [command, "--socket", fleet.tcp_address, "--token-file", str(tmp_path / "token")]
+            wrong = CliRunner().invoke(app, args)
+            assert wrong.exit_code == FAILED
+            assert f"the token in {tmp_path / 'token'} is wrong" in wrong.output
+    finally:
+        fleet.close()
+
+
+def test_json_is_taken_wherever_it_stands(fleet: Fleet) -> None:
+    assert json.loads(fleet.run("--json", "status", "2"))[0]["name"] == "bravo"
+    assert json.loads(fleet.run("--json", "message", "list", "HEARTBEAT"))[0]["id"] == 0
+    assert json.loads(fleet.run("call", "vehicles.get", '{"target": 2}', "--json"))["name"] == "bravo"
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from skygcs.cli.values import name_or_id, parse_number, parse_pairs, parse_unset
         ("1,2,-3.5", [1, 2, -3.5]),
         ("[1, 2]", [1, 2]),
         ("1,nan", [1, None]),
+        ("[1, NaN, 1e999]", [1, None, None]),
         ('{"a": 1}', {"a": 1}),
         ('"123"', "123"),
         ("hello", "hello"),
