@@ -103,6 +103,15 @@ def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[
     return problems
 
 
+def dialect_problems(dialect: Dialect) -> list[Problem]:
+    """A dialect in which nobody could be found or commanded."""
+    missing = [name for name in ("HEARTBEAT", "COMMAND_LONG", "COMMAND_ACK") if name not in dialect.by_name]
+    if not missing:
+        return []
+    text = f"{dialect.name} has no {' and no '.join(missing)}; name one that has beside it: "
+    return [Problem(("dialect",), text + '["ardupilotmega", "px4-extras"], for instance')]
+
+
 def stream_problems(config: FleetConfig, dialect: Dialect) -> list[Problem]:
     """Messages in a ``streams`` key that the dialect does not have: nobody could be asked for them."""
     return [

@@ -15,7 +15,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from skygcs.config.checks import Problem, conflicts, message_problems, stream_problems
+from skygcs.config.checks import Problem, conflicts, dialect_problems, message_problems, stream_problems
 from skygcs.config.dialects import load_dialect
 from skygcs.config.keylines import KeyPath, key_lines, line_of
 from skygcs.config.models import (
@@ -82,6 +82,7 @@ def load_fleet(path: Path | str) -> FleetConfig:
         except DialectError as error:
             problems.append(Problem(("dialect",), str(error)))
         else:
+            problems += dialect_problems(dialect)
             problems += message_problems(config.links, dialect) + stream_problems(config, dialect)
     if problems or config is None:
         raise ConfigError(str(path), _shown(problems, lines))

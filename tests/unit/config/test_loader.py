@@ -370,3 +370,9 @@ def test_no_text_makes_it_raise_anything_but_a_config_error(
         load_fleet(path)
     except ConfigError as error:
         assert error.problems and all("\n" not in p for p in error.problems)
+
+
+def test_a_dialect_in_which_no_vehicle_could_be_found_is_a_problem(tmp_path: Path) -> None:
+    [problem] = problems(tmp_path, 'dialect = "px4-extras"\n')
+    assert problem.startswith("dialect (line 1): px4-extras has no HEARTBEAT and no COMMAND_LONG")
+    assert "ardupilotmega" in problem
