@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 
 from skygcs import __version__
 from skygcs.cli import gains, orders, reading
-from skygcs.cli.connection import run_offline
+from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.wires import links, messages
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
@@ -104,18 +104,18 @@ def _root(
 
 @tlog.command("info")
 def _tlog_info(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="A tlog, or bytes as they came from a link.")],
+    files: Annotated[list[str], typer.Argument(metavar="FILE …", help="Tlogs, or bytes as they came from a link.")],
     dialect: Annotated[
         str | None, typer.Option("--dialect", metavar="NAME", help="Default: all of pymavlink's, and PX4's own.")
     ] = None,
     json_output: Json = False,
 ) -> None:
-    """Count a file's records, messages, sources and vehicles."""
+    """Count each file's records, messages, sources and vehicles."""
 
     def command() -> int:
-        from skygcs.cli.tlog import tlog_info
+        from skygcs.cli.tlog import tlog_infos
 
-        return tlog_info(Path(file), json_output, dialect)
+        return tlog_infos([Path(file) for file in files], json_output, dialect, fail)
 
     run_offline(command)
 

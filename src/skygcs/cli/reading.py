@@ -14,7 +14,7 @@ from skygcs.cli import completion, render
 from skygcs.cli.connection import Exit, run, waiting
 from skygcs.cli.options import Json, OptionalTargets
 from skygcs.cli.values import finite, parse_json
-from skygcs.rpc.client import Client
+from skygcs.rpc.client import EVENT_KINDS, Client
 
 SCREEN_HZ = 4.0
 """How often a live table is drawn anew."""
@@ -98,10 +98,16 @@ def _line(state: dict[str, Any], fields: Sequence[str]) -> str:
 def events(
     follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on with what happens, until Ctrl-C.")] = False,
     limit: Annotated[int, typer.Option("--limit", "-n", metavar="N", help="So many past ones.", min=0)] = 20,
-    kind: Annotated[list[str] | None, typer.Option("--kind", help="Only these kinds (may be repeated).")] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option("--kind", metavar="KIND", help="Only these kinds (may be repeated).")
+    ] = None,
     json_output: Json = False,
 ) -> None:
     """Show what happened: found and lost vehicles, arming, modes, texts, links."""
+
+    unknown = [k for k in kind or () if k not in EVENT_KINDS]
+    if unknown:
+        raise typer.BadParameter(f"--kind: no kind {', '.join(unknown)}; there are: {', '.join(EVENT_KINDS)}")
 
     def show(event: dict[str, Any]) -> None:
         typer.echo(json.dumps(event) if json_output else render.event_line(event))
@@ -110,8 +116,11 @@ def events(
         news = gcs.events(kinds=kind) if follow else None
         if limit:
             past = await gcs.call("events.recent", limit=10000 if kind else limit)
-            for event in [e for e in past if not kind or e["kind"] in kind][-limit:]:
+            wanted = [e for e in past if not kind or e["kind"] in kind][-limit:]
+            for event in wanted:
                 show(event)
+            if not (wanted or follow or json_output):
+                typer.echo(f"no event of kind {', '.join(kind)} yet" if kind else "no event yet")
         if news is not None:
             async for event in news:
                 show(event)

@@ -1,4 +1,4 @@
-"""`skygcs-cli tlog info FILE`: what is in a tlog or a raw capture. Needs no daemon."""
+"""`skygcs-cli tlog info FILE…`: what is in a tlog or a raw capture. Needs no daemon."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import mmap
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -153,9 +153,41 @@ class Progress:
             self._bar.stop()
 
 
+def tlog_infos(files: Sequence[Path], json_output: bool, dialect: str | None, fail: Callable[[str], None]) -> int:
+    """Print what is in each file; 0 if all of them are good. JSON is a list, each answer with its "file".
+
+    A file that cannot be read or holds no MAVLink is told to ``fail``, and does not keep the others from being shown.
+    """
+    if len(files) == 1:
+        return tlog_info(files[0], json_output, dialect)
+    table = offline_dialect() if dialect is None else load_dialect(dialect)
+    answers = []
+    for file in files:
+        try:
+            kind, answer = _counted(file, table)
+        except SkygcsError as error:
+            fail(str(error))
+            continue
+        answers.append({"file": str(file), **answer})
+        if not json_output:
+            _show(file, kind, answer)
+    if json_output:
+        print(json.dumps(answers, indent=1))
+    return int(len(answers) < len(files))
+
+
 def tlog_info(file: Path, json_output: bool = False, dialect: str | None = None) -> int:
     """Print what is in ``file``; 0. Raises SkygcsError for a file that cannot be read or holds no MAVLink."""
-    table = offline_dialect() if dialect is None else load_dialect(dialect)
+    kind, answer = _counted(file, offline_dialect() if dialect is None else load_dialect(dialect))
+    if json_output:
+        print(json.dumps(answer, indent=1))
+    else:
+        _show(file, kind, answer)
+    return 0
+
+
+def _counted(file: Path, table: Dialect) -> tuple[str, dict[str, Any]]:
+    """What kind of file it is, and what is in it."""
     with _mapped(file) as data:
         kind = sniff(data, table) or ("tlog" if file.suffix == ".tlog" else None)
         census = Census(table)
@@ -170,11 +202,7 @@ def tlog_info(file: Path, json_output: bool = False, dialect: str | None = None)
     answer = census.as_dict()
     if not answer["records"]:
         raise SkygcsError(f"{file}: no MAVLink in it, neither as a tlog nor as a raw capture")
-    if json_output:
-        print(json.dumps(answer, indent=1))
-    else:
-        _show(file, "tlog" if kind == "tlog" else "raw capture", answer)
-    return 0
+    return "tlog" if kind == "tlog" else "raw capture", answer
 
 
 @contextmanager

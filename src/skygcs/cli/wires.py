@@ -11,7 +11,7 @@ import typer
 from skygcs.cli import completion, render
 from skygcs.cli.connection import Exit, fail, run
 from skygcs.cli.options import Json, LinkName, MessageName
-from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_pairs
+from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_link, parse_pairs
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 
@@ -142,6 +142,8 @@ def list_messages(
         if json_output:
             typer.echo(json.dumps(found, indent=2))
             return
+        if not found:
+            typer.echo(f"no message of the dialect has {part!r} in its name")
         for message in found:
             fields = ", ".join(f"{f['name']} {f['type']}" for f in message["fields"])
             typer.echo(f"{message['id']:>5} {message['name']}: {fields}")
@@ -163,20 +165,24 @@ def list_links(json_output: Json = False) -> None:
 
 
 PAIRS = Annotated[
-    list[str], typer.Argument(metavar="KEY=VALUE …", help="As in the fleet file: type=udp_server port=14550.")
+    list[str],
+    typer.Argument(
+        metavar="KEY=VALUE …",
+        help="As in the fleet file: type=udp_server port=14550 allow_msg_id_in=HEARTBEAT,ATTITUDE.",
+    ),
 ]
 
 
 @links.command("add")
 def add_link(name: LinkName, pairs: PAIRS, json_output: Json = False) -> None:
     """Add a link until the daemon ends: `links add qgc type=udp_client host=10.0.0.5 port=14550`."""
-    _links("links.add", json_output, name=name, link=parse_pairs(pairs))
+    _links("links.add", json_output, name=name, link=parse_link(pairs))
 
 
 @links.command("change")
 def change_link(name: LinkName, pairs: PAIRS, json_output: Json = False) -> None:
     """Close a link and open it again with these keys changed."""
-    _links("links.change", json_output, name=name, link=parse_pairs(pairs))
+    _links("links.change", json_output, name=name, link=parse_link(pairs))
 
 
 @links.command("remove")

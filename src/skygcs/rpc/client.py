@@ -34,6 +34,31 @@ Outcomes = dict[str, dict[str, Any]]
 """By vehicle name: ok, result, message, attempts, elapsed_s, status_texts. Orders never raise for a vehicle's "no"."""
 
 
+EVENT_KINDS = (
+    "vehicle_discovered",
+    "vehicle_lost",
+    "vehicle_back",
+    "armed",
+    "disarmed",
+    "mode",
+    "landed",
+    "system_status",
+    "statustext",
+    "reboot",
+    "failsafe",
+    "command",
+    "conflict",
+    "duplicate",
+    "link_up",
+    "link_down",
+    "route",
+    "recorder",
+    "warning",
+    "fault",
+)
+"""What an event may be about, for `Client.events` and events.recent."""
+
+
 def connect(address: str | os.PathLike[str] | None = None, *, token: str | None = None) -> Client:
     """A client for ``async with``. Default address: $SKYGCS_SOCKET, else the user's own socket.
 

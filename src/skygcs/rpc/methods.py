@@ -163,7 +163,7 @@ def links_list(context: Context, _: m.NoParams) -> list[JsonObject]:
     return context.daemon.links_status()
 
 
-async def links_add(context: Context, params: m.LinkParams) -> list[JsonObject]:
+async def links_add(context: Context, params: m.LinkAddParams) -> list[JsonObject]:
     """Add a link at run time (until the daemon ends; the fleet file is not changed)."""
     await context.daemon.add_link(params.name, params.link)
     return context.daemon.links_status()
@@ -345,7 +345,7 @@ METHODS: dict[str, Method[Context]] = {
         Method("messages.list", m.NoParams, messages_list, list[m.MessageType]),
         Method("commands.list", m.NoParams, commands_list, list[m.CommandType]),
         Method("links.list", m.NoParams, links_list, list[dict[str, Any]]),
-        Method("links.add", m.LinkParams, links_add, list[dict[str, Any]], _LINK),
+        Method("links.add", m.LinkAddParams, links_add, list[dict[str, Any]], _LINK),
         Method("links.change", m.LinkParams, links_change, list[dict[str, Any]], _LINK),
         Method("links.remove", m.LinkNameParams, links_remove, list[dict[str, Any]], _LINK),
         Method("router.stats", m.NoParams, router_stats),

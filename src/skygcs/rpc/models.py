@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
 
 MAX_TELEMETRY_HZ = 20.0
 """Telemetry goes out on a 50 ms grid; autopilots send position at 4 to 10 Hz, over a radio slower still."""
@@ -63,6 +63,12 @@ Enu = Annotated[
     Field(min_length=3, max_length=3, description="[east, north, up] in metres from the fleet's origin."),
 ]
 LinkName = Annotated[str, Field(min_length=1, max_length=64, description="The link's name.")]
+
+
+def _new_link_name(name: str) -> str:
+    if not re.fullmatch(r"[\w.:-]+", name, re.ASCII):
+        raise ValueError("a link's name is made of letters, digits, _ - . and :")
+    return name
 
 
 class Params(BaseModel):
@@ -203,6 +209,10 @@ class SendParams(Params):
 class LinkParams(Params):
     name: LinkName
     link: dict[str, Any] = Field(description="The link's table as in the fleet file, with its type.")
+
+
+class LinkAddParams(LinkParams):
+    name: Annotated[LinkName, AfterValidator(_new_link_name)]
 
 
 class LinkNameParams(Params):

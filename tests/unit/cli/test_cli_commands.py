@@ -13,6 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.control import app
+from skygcs.core.vehicle.events import Event
+from skygcs.rpc.client import EVENT_KINDS
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
 
@@ -158,6 +160,10 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["watch", "--fields", "batery.volts"], USAGE, "batery"),
         (["watch", "--rate", "50"], USAGE, "20"),
         (["links", "remove", "nope"], FAILED, "no link nope"),
+        (["links", "add", "bad name", "type=memory"], USAGE, "a link's name is made of"),
+        (["events", "--kind", "foo"], USAGE, "no kind foo; there are: vehicle_discovered, "),
+        (["events", "--kind", "fault"], DONE, "no event of kind fault yet"),
+        (["message", "list", "zzz"], DONE, "no message of the dialect has 'zzz' in its name"),
         (["links", "add", "x", "port=1"], USAGE, "links.x.type: is missing"),
     ],
 )
@@ -217,11 +223,21 @@ def test_links_are_listed_added_changed_and_removed(fleet: Fleet) -> None:
     assert fleet.json("links")[0]["name"] == "radio"
     assert "qgc" in fleet.run("links", "add", "qgc", "type=udp_client", "host=10.0.0.5", "port=14550")
     assert fleet.daemon.links["qgc"] == {"type": "udp_client", "host": "10.0.0.5", "port": 14550}
+    fleet.run("links", "add", "few", "type=memory", "allow_msg_id_in=HEARTBEAT,30", "block_msg_id_out=ATTITUDE")
+    assert fleet.daemon.links.pop("few") == {
+        "type": "memory",
+        "allow_msg_id_in": ["HEARTBEAT", 30],
+        "block_msg_id_out": ["ATTITUDE"],
+    }
     fleet.run("links", "change", "qgc", "type=udp_server", "port=1")
     assert fleet.daemon.links["qgc"]["type"] == "udp_server"
     assert [link["name"] for link in fleet.json("links", "remove", "qgc")] == ["radio"]
     fleet.run("links", "remove", "radio")
     assert "no links" in fleet.run("links", "list")
+
+
+def test_the_kinds_of_events_are_those_that_events_document() -> None:
+    assert set(EVENT_KINDS) == set((Event.__doc__ or "").partition("Kinds in use:")[2].split())
 
 
 def test_any_method_can_be_called_and_all_are_listed(fleet: Fleet) -> None:

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
+from skygcs.cli.control import app
 from skygcs.cli.tlog import tlog_info
 from skygcs.core.tlog import encode_record
 from skygcs.errors import DialectError, SkygcsError
@@ -155,3 +157,17 @@ def test_a_person_gets_the_same_as_tables(tmp_path: Path, capsys: pytest.Capture
     assert tlog_info(tlog(tmp_path / "[odd] name.tlog", frame("SYS_STATUS"))) == 0
     out, _ = capsys.readouterr()
     assert "[odd] name.tlog: tlog, 1 records" in out and "no vehicle" in out
+
+
+def test_several_files_are_a_list_and_a_bad_one_does_not_hide_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [tlog(tmp_path / f"{name}.tlog", frame("SYS_STATUS")) for name in ("a", "b")]
+    bad = tmp_path / "none.tlog"
+    result = CliRunner().invoke(app, ["tlog", "info", str(files[0]), str(bad), str(files[1]), "--json"])
+    assert result.exit_code == 1
+    assert [(a["file"], a["records"]) for a in json.loads(result.stdout)] == [(str(file), 1) for file in files]
+    assert "none.tlog: No such file" in result.stderr
+    shown = CliRunner().invoke(app, ["tlog", "info", *map(str, files)])
+    assert shown.exit_code == 0
+    assert "a.tlog: tlog, 1 records" in shown.output and "b.tlog: tlog, 1 records" in shown.output
