@@ -23,6 +23,11 @@ USAGE_ERRORS = (-32601, -32602)
 """JSON-RPC's codes (no such method, wrong parameters) for what is a usage error on this side."""
 
 NOT_AUTHENTICATED = -32004
+COMMANDS = {
+    "messages.list": "skygcs-cli message list",
+    "commands.list": "skygcs-cli call commands.list",
+    "rpc.discover": "skygcs-cli discover",
+}
 
 SPINNER_DELAY_S = 0.3
 """A quick answer needs no spinner."""
@@ -79,6 +84,13 @@ def client(socket: str | None = None) -> Client:
     return connect(socket, token=token)
 
 
+def _in_commands(text: str) -> str:
+    """What an error text of the RPC advises, as a command."""
+    for method, command in COMMANDS.items():
+        text = text.replace(f"{method} lists", f"{command} lists")
+    return text
+
+
 def _token_advice() -> str:
     token_file = os.environ.get(TOKEN_FILE_VARIABLE)
     if token_file:
@@ -128,7 +140,7 @@ def _guarded(command: Callable[[], int | None]) -> int:
         fail(str(error))
         return Exit.UNREACHABLE
     except RpcError as error:
-        fail(_token_advice() if error.code == NOT_AUTHENTICATED else str(error))
+        fail(_token_advice() if error.code == NOT_AUTHENTICATED else _in_commands(str(error)))
         return Exit.USAGE if error.code in USAGE_ERRORS else Exit.FAILED
     except (SkygcsError, OSError) as error:
         fail(str(error))

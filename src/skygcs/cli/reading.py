@@ -177,9 +177,10 @@ def info(json_output: Json = False) -> None:
         if json_output:
             typer.echo(json.dumps(answer, indent=2))
             return
-        for section, values in answer.items():
-            for key, value in values.items():
-                typer.echo(f"{f'{section}.{key}':<24} {value}")
+        rows = [(f"{section}.{key}", value) for section, values in answer.items() for key, value in values.items()]
+        width = max(len(key) for key, _ in rows)
+        for key, value in rows:
+            typer.echo(f"{key:<{width}}  {render.plain(value)}")
 
     run(command)
 

@@ -112,15 +112,22 @@ def status_table(states: Iterable[State], fields: Sequence[str] = (), width: int
     columns = ("name", *fields) if fields else STATUS_COLUMNS
     rows = [(str(s["name"]), *(field_text(s, f) for f in fields)) if fields else status_cells(s) for s in states]
     shown = range(len(columns)) if fields else _fitting(columns, rows, width, STATUS_LEAVES_OUT, ("last text",))
+    if not fields and len(columns) - 1 in shown:  # the last text is cut to the room that is left, and never wrapped
+        others = sum(max(len(columns[i]), *(len(row[i]) for row in rows), 0) + 2 for i in shown[:-1])
+        rows = [(*row[:-1], _cut(row[-1], max(width - others, WRAPPING_COLUMNS))) for row in rows]
     table = Table(box=None, pad_edge=False, header_style="bold")
     for i in shown:
         right = columns[i] in ("id", "alt", "loss", "age")
-        table.add_column(columns[i], justify="right" if right else "left", no_wrap=columns[i] != "last text")
+        table.add_column(columns[i], justify="right" if right else "left", no_wrap=True)
     for state, row in zip(states, rows, strict=True):
         styles = [""] * len(row) if fields else _styles(state)
         cells = [Text(row[i], style=styles[i]) for i in shown]
         table.add_row(*cells, style="dim" if state.get("connected") is False else None)
     return table
+
+
+def _cut(text: str, columns: int) -> str:
+    return text if len(text) <= columns else text[: columns - 1] + "…"
 
 
 def _fitting(
@@ -147,7 +154,7 @@ def field_text(state: State, path: str) -> str:
             value = value[int(part)]
         else:
             return "-"
-    return _plain(value)
+    return plain(value)
 
 
 def screen_width(stream: Any) -> int | None:
@@ -204,7 +211,7 @@ def event_line(event: Mapping[str, Any]) -> str:
 def message_line(message: Mapping[str, Any]) -> str:
     """Source, name and every field of one message."""
     source = message.get("vehicle") or f"{message.get('sysid')}/{message.get('compid')}"
-    fields = " ".join(f"{k}={_plain(v)}" for k, v in message["fields"].items())
+    fields = " ".join(f"{k}={plain(v)}" for k, v in message["fields"].items())
     lost = f"  [{message['dropped']} lost before this one]" if message.get("dropped") else ""
     return f"{source} {message['name']} {fields}{lost}"
 
@@ -248,7 +255,7 @@ def _channel_cells(channel: Mapping[str, Any]) -> tuple[str, ...]:
     more = f" +{len(sources) - 8}" if len(sources) > 8 else ""
     keys = ("rx_frames", "tx_frames", "tx_dropped", "bad_crc", "unknown")
     noise = _unit(counters.get("skipped_bytes"), "B", 0)
-    return (str(channel.get("peer", "")), *(_plain(counters.get(k)) for k in keys), noise, ", ".join(heard) + more)
+    return (str(channel.get("peer", "")), *(plain(counters.get(k)) for k in keys), noise, ", ".join(heard) + more)
 
 
 def duration(seconds: object) -> str:
@@ -287,7 +294,7 @@ def _styles(state: State) -> list[str]:
     return list(styles.values())
 
 
-def _plain(value: object) -> str:
+def plain(value: object) -> str:
     match value:
         case None:
             return "-"
@@ -296,14 +303,15 @@ def _plain(value: object) -> str:
         case float():
             return f"{value:.7g}"
         case list():
-            return "[" + ", ".join(_plain(v) for v in value) + "]"
+            return "[" + ", ".join(plain(v) for v in value) + "]"
         case Mapping():
-            return " ".join(f"{k}={_plain(v)}" for k, v in value.items())
+            return " ".join(f"{k}={plain(v)}" for k, v in value.items())
     return str(value)
 
 
 def _unit(value: object, unit: str, digits: int) -> str:
-    return f"{value:.{digits}f} {unit}" if isinstance(value, int | float) else ""
+    # adding 0.0 makes 0.0 of the -0.0 that rounding left
+    return f"{round(value, digits) + 0.0:.{digits}f} {unit}" if isinstance(value, int | float) else ""
 
 
 def _number(value: object, default: float) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import functools
+import re
 from itertools import islice
 from typing import Any, Protocol
 
@@ -19,6 +20,7 @@ from skygcs.rpc.ports import Daemon, JsonObject, Vehicle, resolve, state_of
 from skygcs.rpc.subscriptions import find_message
 
 COMMAND_PREFIX = "MAV_CMD_"
+_INTEGER = re.compile(r"(u?)int(8|16|32|64)_t")
 
 
 class Context(Protocol):
@@ -289,18 +291,43 @@ def _checked_fields(dialect: Dialect, info: MessageInfo, fields: JsonObject) -> 
 
 def _field_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
     """JSON's null as NaN, digits as text where the field is text, enum entries ("A" or "A|B") by their value."""
-    if isinstance(value, list):
-        return [_field_value(dialect, field, v) for v in value]
-    if field.type in ("float", "double"):
-        return float("nan") if value is None else value
+    if field.array_length and field.type != "char":
+        if not isinstance(value, list):
+            raise ValueError(f"is {field.type}[{field.array_length}]: give a list of numbers, not {_echo(value)}")
+        return [_number_value(dialect, field, v) for v in value]
+    return _number_value(dialect, field, value)
+
+
+def _number_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
+    if field.type in ("float", "double") and value is None:
+        return float("nan")
     if field.type == "char":
         return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
     if isinstance(value, str) and field.enum:
-        try:
-            return sum(dialect.enum_value(field.enum, part.strip()) for part in set(value.split("|")))
-        except KeyError as error:
-            raise ValueError(error.args[0]) from None
+        return sum(_entry(dialect, field.enum, part.strip()) for part in set(value.split("|")))
+    if isinstance(value, str):
+        raise ValueError(f"is {field.type}, not {_echo(value)}")
+    if isinstance(value, int) and (match := _INTEGER.fullmatch(field.type)) is not None:
+        bits = int(match[2])
+        least, most = (0, 2**bits - 1) if match[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        if not least <= value <= most:
+            raise ValueError(f"is {field.type}: {least} to {most}, not {_echo(value)}")
     return value
+
+
+def _entry(dialect: Dialect, enum: str, name: str) -> int:
+    """The value of an enum's entry. Raises ValueError that names close ones: a name often lacks only its prefix."""
+    try:
+        return dialect.enum_value(enum, name)
+    except KeyError as error:
+        known = list(dialect.enums.get(enum, {}).values())
+        close = [entry for entry in known if entry.endswith(f"_{name.upper()}")]
+        close = close or difflib.get_close_matches(name.upper()[: dispatch.MAX_ECHO_CHARS], known, n=3)
+        raise ValueError(error.args[0] + (f"; did you mean {', '.join(close)}?" if close else "")) from None
+
+
+def _echo(value: object) -> str:
+    return repr(value)[: dispatch.MAX_ECHO_CHARS]
 
 
 def _describe(info: MessageInfo) -> JsonObject:

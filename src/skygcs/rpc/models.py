@@ -224,7 +224,9 @@ class RecentParams(Params):
 
 
 class SubscribeParams(Params):
-    topic: Literal["telemetry", "events", "messages"]
+    topic: Literal["telemetry", "events", "messages"] = Field(
+        description='The notifications are called "telemetry", "event", "message": one of them each time.'
+    )
     targets: Targets = "all"
     rate_hz: float | None = Field(
         None,

@@ -7,6 +7,7 @@ updates), events and messages wait in bounded queues whose losses are counted an
 from __future__ import annotations
 
 import asyncio
+import difflib
 
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.rpc.dispatch import InvalidParams
@@ -83,4 +84,6 @@ def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:
     try:
         return dialect.find(name)
     except KeyError as error:
-        raise InvalidParams((param, f"{error.args[0]}; messages.list lists them")) from None
+        close = difflib.get_close_matches(str(name)[:80].upper(), dialect.by_name, n=3)
+        hint = f"did you mean {', '.join(close)}?" if close else "messages.list lists them"
+        raise InvalidParams((param, f"{error.args[0]}; {hint}")) from None

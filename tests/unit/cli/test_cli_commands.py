@@ -160,6 +160,13 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["watch", "--fields", "batery.volts"], USAGE, "batery"),
         (["watch", "--rate", "50"], USAGE, "20"),
         (["links", "remove", "nope"], FAILED, "no link nope"),
+        (["message", "send", "UTIAS"], USAGE, "skygcs-cli message list lists them"),
+        (["message", "send", "ATITUDE"], USAGE, "did you mean ATTITUDE"),
+        (["message", "send", "STATUSTEXT", "severity=300"], USAGE, "is uint8_t: 0 to 255, not 300"),
+        (["message", "send", "STATUSTEXT", "severity=INFO"], USAGE, "did you mean MAV_SEVERITY_INFO?"),
+        (["message", "send", "ATTITUDE_QUATERNION_COV", "q=1"], USAGE, "is float[4]: give a list of numbers, not 1"),
+        (["message", "send", "ATTITUDE_QUATERNION_COV", "q=a,b,c,d"], USAGE, "not 'a,b,c,d'"),
+        (["message", "send", "ATTITUDE", "roll=x"], USAGE, "is float, not 'x'"),
         (["links", "add", "bad name", "type=memory"], USAGE, "a link's name is made of"),
         (["events", "--kind", "foo"], USAGE, "no kind foo; there are: vehicle_discovered, "),
         (["events", "--kind", "fault"], DONE, "no event of kind fault yet"),
@@ -209,6 +216,8 @@ def test_messages_are_watched_sent_and_looked_up(fleet: Fleet) -> None:
     fleet.run("message", "send", "COMMAND_LONG", "command=400", "--to", "alpha")
     fleet.run("message", "send", "COMMAND_LONG", "command=400", "target_system=0")
     assert [entry[2] for entry in fleet.daemon.sent[-2:]] == ["alpha", None]
+    fleet.run("message", "send", "ATTITUDE_QUATERNION_COV", "q=1,0,nan,0")
+    assert str(fleet.daemon.sent[-1][1]["q"]) == "[1, 0, nan, 0]"
     fleet.run("message", "send", "ATTITUDE", "roll=-0.5", "pitch=nan", "--link", "radio")
     assert fleet.daemon.sent[-1][1]["roll"] == -0.5
     assert "was not sent" in fleet.run("message", "send", "ATTITUDE", "--link", "dead", code=FAILED)
@@ -247,6 +256,7 @@ def test_any_method_can_be_called_and_all_are_listed(fleet: Fleet) -> None:
     assert "vehicles.takeoff" in fleet.run("discover")
     assert fleet.json("discover")["openrpc"].startswith("1.")
     assert fleet.json("info")["daemon"]["version"]
+    assert "recorder.recording  true" in fleet.run("info").splitlines()
 
 
 def test_nobody_at_the_socket_is_exit_code_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

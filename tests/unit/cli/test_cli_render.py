@@ -149,6 +149,18 @@ def test_on_a_terminal_long_lines_are_wrapped_between_words_below_their_text() -
     assert render.wrapped("a\n  b c", 4) == "a\n  b\nc"
 
 
+def test_a_height_that_rounds_to_nothing_has_no_sign() -> None:
+    cells = render.status_cells(state(position={"alt_rel_m": -0.04}))
+    assert cells[render.STATUS_COLUMNS.index("alt")] == "0.0 m ground"
+
+
+def test_a_long_last_text_is_cut_instead_of_wrapped() -> None:
+    texts = [{"severity": "info", "level": 6, "text": "all is well, " * 8, "age_s": 1.0}]
+    lines = text_of(render.status_table([state(status_texts=texts)], width=140), 140).splitlines()
+    assert len(lines) == 2
+    assert lines[1].startswith("alpha") and lines[1].rstrip().endswith("…")
+
+
 def test_events_and_messages_are_one_line_and_tell_what_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TZ", "UTC")
     time.tzset()
