@@ -168,6 +168,7 @@ def home(
             show_default=False,
         ),
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Also in the air, or farther than the limit.")] = False,
     json_output: Json = False,
 ) -> None:
     """Set home: where it stands, or a place."""
@@ -175,7 +176,7 @@ def home(
     if len(numbers) == 1:
         raise typer.BadParameter("give LAT LON [ALT], or nothing: home is where it stands")
     params = dict(zip(("lat_deg", "lon_deg", "alt_amsl_m"), numbers, strict=False))
-    order("set_home", targets, json_output, **params)
+    order("set_home", targets, json_output, force=force, **params)
 
 
 def interval(

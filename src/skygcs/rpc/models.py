@@ -147,6 +147,7 @@ class SetHomeParams(TargetsParams):
     alt_amsl_m: float | None = Field(
         None, description="Altitude above mean sea level in metres; null: that of the home it has."
     )
+    force: bool = Field(False, description="Also in the air, and farther away than the configured limit.")
 
     @model_validator(mode="after")
     def _place_or_none(self) -> Self:

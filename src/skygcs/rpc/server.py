@@ -18,10 +18,10 @@ import structlog
 
 from skygcs.errors import LinkError
 from skygcs.rpc.dispatch import Dispatcher
-from skygcs.rpc.hub import Hub
 from skygcs.rpc.methods import METHODS, Context
 from skygcs.rpc.ports import Daemon, JsonObject
 from skygcs.rpc.session import Session
+from skygcs.rpc.sessions import Sessions
 
 MAX_SUN_PATH_BYTES = 107
 """Linux's sockaddr_un holds 108 bytes with the closing NUL."""
@@ -47,7 +47,7 @@ class RpcServer:
         self._daemon = daemon
         self._tcp_port = tcp_port
         self._token = token
-        self._hub: Hub | None = None
+        self._hub: Sessions | None = None
         self._servers: list[asyncio.AbstractServer] = []
         self._socket_inode: tuple[int, int] | None = None
         self._lock_fd = -1
@@ -55,7 +55,7 @@ class RpcServer:
     async def start(self) -> None:
         """Listen. Raises LinkError if another daemon has the socket, or it cannot be made."""
         loop = asyncio.get_running_loop()
-        self._hub = hub = Hub(self._daemon, Dispatcher[Context](METHODS), loop)
+        self._hub = hub = Sessions(self._daemon, Dispatcher[Context](METHODS), loop)
         try:
             listener = self._bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener)
@@ -84,7 +84,7 @@ class RpcServer:
         """Counters: sessions now and ever, requests, errors, drops."""
         return self._hub.stats() if self._hub is not None else {}
 
-    async def _listen_tcp(self, loop: asyncio.AbstractEventLoop, hub: Hub) -> None:
+    async def _listen_tcp(self, loop: asyncio.AbstractEventLoop, hub: Sessions) -> None:
         token = self._token
         assert token is not None
         try:

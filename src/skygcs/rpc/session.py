@@ -14,7 +14,7 @@ import structlog
 from skygcs.rpc import dispatch
 from skygcs.rpc import models as m
 from skygcs.rpc.dispatch import InvalidParams, LimitExceeded, error_reply, parse
-from skygcs.rpc.hub import Hub
+from skygcs.rpc.sessions import Sessions
 from skygcs.rpc.subscriptions import Subscription
 
 MAX_LINE_BYTES = 1 << 20
@@ -51,7 +51,7 @@ _log = structlog.get_logger(__name__)
 class Session(asyncio.Protocol):
     """A connection. ``token`` is None where the socket's mode is the protection."""
 
-    def __init__(self, hub: Hub, token: str | None) -> None:
+    def __init__(self, hub: Sessions, token: str | None) -> None:
         self.daemon = hub.daemon
         self.tasks: set[asyncio.Task[None]] = set()
         self.authenticated = token is None
@@ -273,7 +273,7 @@ class Session(asyncio.Protocol):
     def _run(self, replies: list[dispatch.Reply], *, batch: bool) -> None:
         """Finish what takes time in a task of its own, which ends with the client at the latest.
 
-        What a task of the hub does (`Hub.outlive`) is only waited for here.
+        What a task of the hub does (`Sessions.outlive`) is only waited for here.
         """
         coroutines = [reply for reply in replies if isinstance(reply, Coroutine)]
 

@@ -201,11 +201,17 @@ class VehicleActor:
         alt_amsl_m: float | None = None,
         force: bool = False,
     ) -> Outcome:
-        """Without arguments: where it is now. In the air only with ``force``."""
+        """Without arguments: where it is now. In the air, or farther than goto_limit_m, only with ``force``."""
         return await self._run(
             "home",
             lambda now: orders.set_home(
-                self.vehicle, now, lat_deg=lat_deg, lon_deg=lon_deg, alt_amsl_m=alt_amsl_m, force=force
+                self.vehicle,
+                now,
+                lat_deg=lat_deg,
+                lon_deg=lon_deg,
+                alt_amsl_m=alt_amsl_m,
+                limit_m=self.config.goto_limit_m,
+                force=force,
             ),
         )
 

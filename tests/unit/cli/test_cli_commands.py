@@ -86,9 +86,10 @@ def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert fleet.order("goto", "alpha", "-43.1", "-79.2")[1]["height_m"] is None
     assert fleet.order("goto", "alpha", "--enu", "-5,3,2", "--force")[1]["enu_m"] == [-5, 3, 2]
     assert fleet.order("reboot", "alpha") == ("reboot", {"force": False})
-    assert fleet.order("home", "alpha")[1] == {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None}
-    assert fleet.order("home", "alpha", "-43", "-79", "180")[1] == {"lat_deg": -43, "lon_deg": -79, "alt_amsl_m": 180}
-    assert fleet.order("home", "alpha", "-43", "-79")[1] == {"lat_deg": -43, "lon_deg": -79, "alt_amsl_m": None}
+    here = {"lat_deg": -43, "lon_deg": -79, "force": False}
+    assert fleet.order("home", "alpha")[1] == {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None, "force": False}
+    assert fleet.order("home", "alpha", "-43", "-79", "180")[1] == {**here, "alt_amsl_m": 180}
+    assert fleet.order("home", "alpha", "-43", "-79")[1] == {**here, "alt_amsl_m": None}
     assert fleet.order("interval", "alpha", "ATTITUDE", "10")[1] == {"message": "ATTITUDE", "rate_hz": 10}
     assert fleet.order("interval", "alpha", "30", "default")[1] == {"message": 30, "rate_hz": None}
     assert fleet.order("stream", "alpha", "POSITION", "4")[1] == {"stream": "POSITION", "rate_hz": 4}

@@ -17,7 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skygcs.errors import LinkError
-from skygcs.rpc import hub, session
+from skygcs.rpc import session
+from skygcs.rpc import sessions as session_table
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
 
@@ -118,7 +119,7 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
         ("hold", {}, ("hold", {})),
         ("goto", {"lat_deg": 43, "lon_deg": -79, "height_m": 5}, ("goto", place)),
         ("reboot", {"force": True}, ("reboot", {"force": True})),
-        ("set_home", {}, ("set_home", {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None})),
+        ("set_home", {}, ("set_home", {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None, "force": False})),
         (
             "interval",
             {"message": "ATTITUDE", "rate_hz": None},
@@ -231,7 +232,8 @@ async def test_a_command_that_is_none_is_told_once_with_near_ones(bench: Bench) 
 async def test_a_home_needs_no_altitude_but_both_coordinates(bench: Bench) -> None:
     peer = await bench.connect()
     assert "result" in await peer.call("vehicles.set_home", targets="alpha", lat_deg=43, lon_deg=-79)
-    assert bench.daemon.vehicle("alpha").orders[-1][1] == {"lat_deg": 43, "lon_deg": -79, "alt_amsl_m": None}
+    place = {"lat_deg": 43, "lon_deg": -79, "alt_amsl_m": None, "force": False}
+    assert bench.daemon.vehicle("alpha").orders[-1][1] == place
     for part in ({"lat_deg": 43}, {"lon_deg": 1, "alt_amsl_m": 2}, {"alt_amsl_m": 180}):
         assert "error" in await peer.call("vehicles.set_home", targets="alpha", **part)
 
@@ -338,7 +340,7 @@ async def test_a_landing_counts_although_its_client_is_gone_before_it_has_begun(
 async def test_orders_without_client_are_bounded_and_end_with_the_daemon(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hub, "MAX_WITHOUT_CLIENT", 2)
+    monkeypatch.setattr(session_table, "MAX_WITHOUT_CLIENT", 2)
     peer = await bench.connect()
     alpha = bench.daemon.vehicle("alpha")
     alpha.delay_s = 30.0

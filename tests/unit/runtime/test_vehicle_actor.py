@@ -618,6 +618,18 @@ async def test_home_is_set_here_or_at_a_place() -> None:
         assert (await actor.set_home(lat_deg=0.0, lon_deg=0.0, alt_amsl_m=1.0)).result == "refused"
 
 
+async def test_a_home_farther_than_the_limit_is_refused_unless_insisted_on() -> None:
+    """A return to launch would fly there."""
+    async with Ground() as ground:
+        vehicle, actor = await one(ground)
+        far = {"lat_deg": HOME[0] + 1.0, "lon_deg": HOME[1]}
+        outcome = await actor.set_home(**far)
+        assert outcome.result == "refused"
+        assert "it would return there" in outcome.message and "--force" in outcome.message
+        assert vehicle.got == []
+        assert (await actor.set_home(**far, force=True)).ok
+
+
 async def test_home_is_not_moved_in_the_air_unless_insisted_on() -> None:
     async with Ground() as ground:
         vehicle, actor = await flying(ground)

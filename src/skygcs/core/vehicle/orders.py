@@ -137,10 +137,12 @@ def set_home(
     lat_deg: float | None = None,
     lon_deg: float | None = None,
     alt_amsl_m: float | None = None,
+    limit_m: float = math.inf,
     force: bool = False,
 ) -> Plan:
     """Without arguments: where it is now. The altitude defaults to that of its home. In the air every height it flies
-    by is counted from its home, so that is left alone there unless ``force``."""
+    by is counted from its home, so that is left alone there unless ``force``; and a return would fly to a home that is
+    farther than ``limit_m``, so that takes ``force``, too."""
     require_connected(vehicle, now)
     if not force and vehicle.armed and vehicle.in_air(now) is not False:
         raise RefusedError(f"it is in the air, and its heights are counted from its home: land first, or {FORCE_HINT}")
@@ -149,6 +151,12 @@ def set_home(
     if lat_deg is None or lon_deg is None:
         raise RefusedError("a home needs both latitude and longitude")
     _check_coordinate(lat_deg, lon_deg)
+    here = _fresh_position(vehicle, now)
+    away = 0.0 if here is None else distance_m(here[0], here[1], lat_deg, lon_deg)
+    if away > limit_m and not force:
+        raise RefusedError(
+            f"that is {away:.0f} m away, and it would return there; the limit is {limit_m:g} m; {FORCE_HINT}"
+        )
     alt = vehicle.home_alt_amsl_m() if alt_amsl_m is None else alt_amsl_m
     if alt is None:
         raise RefusedError("its home altitude is not known; give one")

@@ -20,7 +20,7 @@ MAX_WITHOUT_CLIENT = 256
 that connects, orders and leaves in a loop must not make the daemon keep more and more."""
 
 
-class Hub:
+class Sessions:
     """What all sessions share."""
 
     def __init__(self, daemon: Daemon, dispatcher: Dispatcher[Context], loop: asyncio.AbstractEventLoop) -> None:
