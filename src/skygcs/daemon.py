@@ -108,10 +108,12 @@ class Daemon:
     async def _run_inner(self) -> None:
         async with asyncio.TaskGroup() as group:
             clocks = [
-                group.create_task(self._heartbeat(), name="heartbeat"),
-                group.create_task(self._tick_fleet(), name="fleet tick"),
-                group.create_task(self._tick_hub(), name="hub tick"),
+                group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
+                group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
             ]
+            if self.config.daemon.heartbeat:
+                beat = self._every(HEARTBEAT_PERIOD_S, self._beat)
+                clocks.append(group.create_task(beat, name="heartbeat"))
             self.links.start(group)
             self.ready.set()
             await self._stopping.wait()
@@ -132,24 +134,18 @@ class Daemon:
         """Wait until somebody asked the daemon to stop."""
         await self._stopping.wait()
 
-    async def _heartbeat(self) -> None:
-        if not self.config.daemon.heartbeat:
-            return
-        info = self.dialect.find("HEARTBEAT")
+    async def _every(self, period_s: float, action: Callable[[], None]) -> None:
+        """One clock of the daemon. A fault behind one tick is told once and does not ground the fleet."""
+        while True:
+            try:
+                action()
+            except Exception as error:
+                self.hub.fault(error)
+            await asyncio.sleep(period_s)
+
+    def _beat(self) -> None:
         values = {"type": 6, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
-        while True:
-            self.hub.send_heartbeat(info, values)
-            await asyncio.sleep(HEARTBEAT_PERIOD_S)
-
-    async def _tick_fleet(self) -> None:
-        while True:
-            await asyncio.sleep(FLEET_TICK_S)
-            self.fleet.tick(self.loop.time())
-
-    async def _tick_hub(self) -> None:
-        while True:
-            await asyncio.sleep(1.0)
-            self.hub.tick(self.loop.time())
+        self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
     # -- sending
 
@@ -231,7 +227,7 @@ class Daemon:
         self.on_event(Event(kind, name, note.sysid, text, {"change": note.kind, "compid": note.compid}))
 
     def _on_fault(self, text: str) -> None:
-        self.on_event(Event("fault", None, None, f"internal fault behind a frame, please report it: {text}", {}))
+        self.on_event(Event("fault", None, None, f"internal fault, please report it: {text}", {}))
 
     def subscribe_events(self, watcher: Callable[[dict[str, Any]], None]) -> Callable[[], None]:
         """Call ``watcher`` with every event from now on; returns how to stop it."""

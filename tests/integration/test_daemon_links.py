@@ -292,3 +292,20 @@ async def test_messages_give_way_to_orders_and_heartbeats(tmp_path: Path, monkey
         daemon.send_message("COMMAND_LONG", {"target_system": 7})
         assert set(used) <= {Priority.EXCHANGE, Priority.HEARTBEAT}
         assert used.count(Priority.EXCHANGE) == 5
+
+
+async def test_a_fault_in_one_vehicles_tick_grounds_nobody_and_is_told_once(tmp_path: Path) -> None:
+    async with running(tmp_path, radio={}) as daemon:
+        peer_of(daemon, "radio").send(heartbeat(7) + heartbeat(8))
+        await until(lambda: len(daemon.fleet.vehicles) == 2)
+        broken, sound = daemon.fleet.vehicles.values()
+        ticks: list[float] = []
+
+        def fails(now: float) -> None:
+            raise RuntimeError("a fault of one vehicle")
+
+        broken.tick = fails  # type: ignore[method-assign]
+        sound.tick = ticks.append  # type: ignore[method-assign]
+        await until(lambda: len(ticks) > 2)
+        assert [e["kind"] for e in daemon.events].count("fault") == 1
+        assert daemon.hub.faults > 2

@@ -97,8 +97,15 @@ class Fleet:
             self._discover(key, frame, channel_label, now)
 
     def tick(self, now: float) -> None:
+        """Every vehicle's turn, whatever becomes of another's; the first exception is raised after the last turn."""
+        fault: Exception | None = None
         for actor in self.vehicles.values():
-            actor.tick(now)
+            try:
+                actor.tick(now)
+            except Exception as error:
+                fault = fault or error
+        if fault is not None:
+            raise fault
 
     def close(self) -> None:
         """End all orders in flight as cancelled."""

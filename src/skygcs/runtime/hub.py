@@ -192,7 +192,7 @@ class Hub:
                 if self._taps:
                     self._tap(frame, channel, key, now)
             except Exception as error:
-                self._fault(error)
+                self.fault(error)
         if self.router.notes:
             self._drain_notes()
 
@@ -328,8 +328,8 @@ class Hub:
             note = notes.popleft()
             self._on_note(note, self.channels.get(note.channel_id))
 
-    def _fault(self, error: Exception) -> None:
-        """An exception behind a frame is our bug: counted, told once per kind, never into the loop."""
+    def fault(self, error: Exception) -> None:
+        """An exception behind a frame or a tick is our bug: counted, told once per kind, never into the loop."""
         self.faults += 1
         kind = f"{type(error).__name__}: {error}"[:200]
         if kind not in self._fault_kinds and len(self._fault_kinds) < 64:
