@@ -9,27 +9,18 @@ import difflib
 import functools
 import re
 from itertools import islice
-from typing import Any, Protocol
+from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
-from skygcs.errors import TargetError
 from skygcs.rpc import dispatch, openrpc
 from skygcs.rpc import models as m
+from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.ports import Daemon, JsonObject, Vehicle, resolve, state_of
+from skygcs.rpc.ports import JsonObject, resolve, state_of
 from skygcs.rpc.subscriptions import find_message
 
 COMMAND_PREFIX = "MAV_CMD_"
 _INTEGER = re.compile(r"(u?)int(8|16|32|64)_t")
-
-
-class Context(Protocol):
-    """What a method knows of who asks: the daemon, and the session's subscriptions."""
-
-    @property
-    def daemon(self) -> Daemon: ...
-    def subscribe(self, params: m.SubscribeParams) -> int: ...
-    def unsubscribe(self, number: int) -> None: ...
 
 
 def daemon_info(context: Context, _: m.NoParams) -> JsonObject:
@@ -45,75 +36,75 @@ def vehicles_list(context: Context, params: m.ListParams) -> list[JsonObject]:
 
 def vehicles_get(context: Context, params: m.TargetParams) -> JsonObject:
     """The state of one vehicle."""
-    return state_of(context.daemon, _one(context.daemon, params.target))
+    return state_of(context.daemon, one_vehicle(context.daemon, params.target))
 
 
 async def vehicles_arm(context: Context, params: m.ArmParams) -> JsonObject:
     """Arm."""
-    return await _order(context, "arm", params)
+    return await order(context, "arm", params)
 
 
 async def vehicles_disarm(context: Context, params: m.DisarmParams) -> JsonObject:
     """Disarm; in flight only with force."""
-    return await _order(context, "disarm", params)
+    return await order(context, "disarm", params)
 
 
 async def vehicles_mode(context: Context, params: m.ModeParams) -> JsonObject:
     """Set the flight mode by the autopilot's own name for it."""
-    return await _outcomes(context, params.targets, "set_mode", name=params.mode)
+    return await outcomes(context, params.targets, "set_mode", name=params.mode)
 
 
 async def vehicles_takeoff(context: Context, params: m.TakeoffParams) -> JsonObject:
     """Take off to a height above the ground it stands on."""
-    return await _order(context, "takeoff", params)
+    return await order(context, "takeoff", params)
 
 
 async def vehicles_land(context: Context, params: m.TargetsParams) -> JsonObject:
     """Land where it is."""
-    return await _order(context, "land", params)
+    return await order(context, "land", params)
 
 
 async def vehicles_rtl(context: Context, params: m.TargetsParams) -> JsonObject:
     """Return to launch and land there."""
-    return await _order(context, "rtl", params)
+    return await order(context, "rtl", params)
 
 
 async def vehicles_hold(context: Context, params: m.TargetsParams) -> JsonObject:
     """Stop and hold position."""
-    return await _order(context, "hold", params)
+    return await order(context, "hold", params)
 
 
 async def vehicles_goto(context: Context, params: m.GotoParams) -> JsonObject:
     """Fly to a place, given in degrees and height above home or in metres about the fleet's origin."""
-    return await _order(context, "goto", params)
+    return await order(context, "goto", params)
 
 
 async def vehicles_reboot(context: Context, params: m.RebootParams) -> JsonObject:
     """Reboot the autopilot; armed only with force."""
-    return await _order(context, "reboot", params)
+    return await order(context, "reboot", params)
 
 
 async def vehicles_set_home(context: Context, params: m.SetHomeParams) -> JsonObject:
     """Set the autopilot's home: a place, or (without one) where it stands."""
-    return await _order(context, "set_home", params)
+    return await order(context, "set_home", params)
 
 
 async def vehicles_interval(context: Context, params: m.IntervalParams) -> JsonObject:
     """Ask for one message at a rate (SET_MESSAGE_INTERVAL)."""
     find_message(context.daemon.dialect, params.message, "message")
-    return await _order(context, "set_message_interval", params)
+    return await order(context, "set_message_interval", params)
 
 
 async def vehicles_request(context: Context, params: m.RequestParams) -> JsonObject:
     """Ask for one message once; it is there (messages.latest) when the outcome is good."""
     find_message(context.daemon.dialect, params.message, "message")
-    return await _order(context, "request_message", params)
+    return await order(context, "request_message", params)
 
 
 async def vehicles_stream(context: Context, params: m.StreamParams) -> JsonObject:
     """Ask for a group of messages at a rate (REQUEST_DATA_STREAM)."""
     _check_entry(context.daemon.dialect, "MAV_DATA_STREAM", params.stream, "stream")
-    return await _order(context, "request_stream", params)
+    return await order(context, "request_stream", params)
 
 
 async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObject:
@@ -121,13 +112,13 @@ async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObj
     _check_command(context.daemon.dialect, params.command)
     if params.int_frame is not None:
         _check_entry(context.daemon.dialect, "MAV_FRAME", params.int_frame, "int_frame")
-    return await _order(context, "command", params)
+    return await order(context, "command", params)
 
 
 def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | None:
     """The last message of one name from one vehicle, or null if none came yet."""
     info = find_message(context.daemon.dialect, params.name, "name")
-    return _one(context.daemon, params.target).latest(info.name)
+    return one_vehicle(context.daemon, params.target).latest(info.name)
 
 
 def messages_send(context: Context, params: m.SendParams) -> JsonObject:
@@ -223,25 +214,6 @@ def rpc_discover(context: Context, _: m.NoParams) -> JsonObject:
 def _document() -> JsonObject:
     """Made once, on the first question: it takes 15 ms."""
     return openrpc.document(METHODS.values())
-
-
-async def _order(context: Context, order: str, params: m.TargetsParams) -> JsonObject:
-    """An order whose arguments are the parameters."""
-    return await _outcomes(context, params.targets, order, **params.model_dump(exclude={"targets"}))
-
-
-async def _outcomes(context: Context, targets: str | list[str], order: str, **arguments: Any) -> JsonObject:
-    """The same order to every target at the same time, and what became of it on each."""
-    outcomes = await context.daemon.fleet.command_all(targets, order, **arguments)
-    return {"outcomes": {name: outcome.as_dict() for name, outcome in outcomes.items()}}
-
-
-def _one(daemon: Daemon, target: str) -> Vehicle:
-    vehicles = resolve(daemon, target)
-    if len(vehicles) != 1:
-        names = ", ".join(v.name for v in vehicles[:10]) or "none"
-        raise TargetError(f"{target} names {len(vehicles)} vehicles ({names}); give one")
-    return vehicles[0]
 
 
 def _check_command(dialect: Dialect, command: str | int) -> None:

@@ -18,7 +18,8 @@ import structlog
 
 from skygcs.errors import LinkError
 from skygcs.rpc.dispatch import Dispatcher
-from skygcs.rpc.methods import METHODS, Context
+from skygcs.rpc.context import Context
+from skygcs.rpc.methods import METHODS
 from skygcs.rpc.ports import Daemon, JsonObject
 from skygcs.rpc.session import Session
 from skygcs.rpc.sessions import Sessions

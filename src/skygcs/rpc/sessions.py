@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Coroutine
 from typing import TYPE_CHECKING, Any
 
+from skygcs.rpc.context import Context
 from skygcs.rpc.dispatch import Dispatcher
-from skygcs.rpc.methods import Context
 from skygcs.rpc.ports import Daemon, JsonObject
 from skygcs.rpc.subscriptions import Feeds
 
