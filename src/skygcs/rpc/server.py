@@ -17,8 +17,8 @@ from pathlib import Path
 import structlog
 
 from skygcs.errors import LinkError
-from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.context import Context
+from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.ports import Daemon, JsonObject
 from skygcs.rpc.session import Session
