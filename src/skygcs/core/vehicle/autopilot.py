@@ -30,6 +30,7 @@ from dataclasses import dataclass
 
 from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.mavlink import modes
+from skygcs.core.mavlink.type_masks import ALL, position_target_mask
 from skygcs.core.vehicle.plan import LIFT_OFF_S, ArmedIs, LiftedOff, ModeIn, Plan, Step, TargetNear
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -59,10 +60,6 @@ FRAME_GLOBAL_RELATIVE_ALT_INT = 6
 
 CHANGE_MODE = 1.0
 """MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
-
-POSITION_ONLY = 0xDF8
-POSITION_AND_YAW = 0x9F8
-"""type_mask of SET_POSITION_TARGET_*."""
 
 NAN = math.nan
 
@@ -240,7 +237,7 @@ def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step
     yaw = to.yaw_deg
     values = {
         "coordinate_frame": FRAME_GLOBAL_RELATIVE_ALT_INT,
-        "type_mask": POSITION_ONLY if yaw is None else POSITION_AND_YAW,
+        "type_mask": position_target_mask(pos=ALL, yaw=yaw is not None),
         "lat_int": round(to.lat_deg * 1e7),
         "lon_int": round(to.lon_deg * 1e7),
         "alt": to.height_m,

@@ -1,0 +1,249 @@
+"""Setpoints as messages: (name, field values), ready to pack; whoever sends them fills in whom they are for.
+
+Rule: the masks and the frames of setpoints are chosen here and nowhere else. In goes ENU (x east, y north, z up; yaw 0
+is east, counter-clockwise), out goes what an autopilot flies by. What the firmwares make of it, read in their sources
+(PX4 1.11 and 1.14 mavlink_receiver.cpp, ArduCopter 4.5 and 4.7 GCS_MAVLink_Copter.cpp):
+
+    SET_ATTITUDE_TARGET
+        PX4         thrust is thrust, for the rotorcraft types it lists; of others it is dropped
+        ArduCopter  thrust is a climb rate unless GUID_OPTIONS has bit 3; without a thrust, with a quaternion that is
+                    not 1 +- 1e-3 long or with some of the rates only it does not follow (4.7: it stops and holds)
+    SET_POSITION_TARGET_LOCAL_NED
+        PX4         every axis by a position, a velocity or an acceleration; x and y in pairs, z by itself
+        ArduCopter  each of the three whole or not at all: one ignored axis ignores the whole of it
+    SET_POSITION_TARGET_GLOBAL_INT
+        PX4         position whole or not at all; 1.14 refuses frame 0 (GLOBAL) and has the sign of frame 6
+                    (GLOBAL_RELATIVE_ALT_INT) wrong
+        ArduCopter  frames 0 and 5 both are AMSL; a velocity rides along, an acceleration does not
+
+So an AMSL position goes in frame 5, which both take. time_boot_ms is ours and only for logs: neither checks it.
+Everything that is not a number, or that nobody can mean, is a RefusedError: a setpoint is flown as it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from skygcs.core.mavlink.modes import Family
+from skygcs.core.mavlink.type_masks import ALL, ATTITUDE_AND_THRUST, NONE, Axes, position_target_mask
+from skygcs.errors import RefusedError
+
+Message = tuple[str, dict[str, Any]]
+"""Name of the message and its fields, but for target_system and target_component."""
+
+Vector = tuple[float, float, float]
+Partial = tuple[float | None, float | None, float | None]
+"""East, north, up; None leaves the axis to another kind of value."""
+
+FRAME_LOCAL_NED = 1
+FRAME_GLOBAL_INT = 5
+"""MAV_FRAME: NED about the vehicle's own estimator origin, and WGS84 with AMSL altitude."""
+
+UNIT_TOLERANCE = 1e-3
+"""ArduCopter's: for a quaternion that is not of length 1 within it, it stops and holds."""
+
+MAX_SPEED_MPS = 100.0
+MAX_ACCELERATION_MPS2 = 100.0
+"""No multirotor does either; a larger one is a wrong unit or a wrong sign somewhere before."""
+
+MAX_LOCAL_M = 100_000.0
+"""Farther from its estimator's origin than that no vehicle is sent in a flat frame."""
+
+MAX_ALTITUDE_M = 20_000.0
+
+LEAST_BOOST_COSINE = 0.1
+"""ArduCopter's angle boost divides by no less (AC_AttitudeControl_Multi::get_throttle_boosted)."""
+
+UINT32 = 0xFFFF_FFFF
+
+NOTHING: Partial = (None, None, None)
+
+
+def attitude_target(
+    attitude_ned_frd: Sequence[float], thrust: float, boot_ms: int, *, angle_boost: bool = False
+) -> Message:
+    """SET_ATTITUDE_TARGET: attitude (w, x, y, z), FRD body in NED world, and collective thrust of 0 to 1.
+
+    ``angle_boost``: the autopilot divides the thrust by the cosine of the tilt itself (ArduCopter with ATC_ANGLE_BOOST,
+    its default), which a thrust along the body's axis must not be: it is multiplied beforehand.
+    Body rates are left to the autopilot. Raises RefusedError.
+    """
+    if len(attitude_ned_frd) != 4:
+        raise RefusedError(f"an attitude is a quaternion of 4 numbers (w, x, y, z), not {len(attitude_ned_frd)}")
+    w, x, y, z = (_finite("an attitude", value) for value in attitude_ned_frd)
+    length = math.sqrt(w * w + x * x + y * y + z * z)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise RefusedError(f"an attitude quaternion of length {length:g} is none; it has to be 1 within 0.001")
+    if not 0.0 <= thrust <= 1.0:  # also false for NaN
+        raise RefusedError(f"a thrust of {thrust:g} is not between 0 and 1")
+    if angle_boost:
+        thrust *= max(LEAST_BOOST_COSINE, 1.0 - 2.0 * (x * x + y * y))
+    values = {
+        "time_boot_ms": boot_ms & UINT32,
+        "type_mask": ATTITUDE_AND_THRUST,
+        "q": [w, x, y, z],
+        "thrust": thrust,
+    }
+    return "SET_ATTITUDE_TARGET", values
+
+
+def velocity_target(
+    vel_enu_mps: Sequence[float],
+    yaw_enu_rad: float | None,
+    boot_ms: int,
+    *,
+    acc_enu_mps2: Sequence[float] | None = None,
+) -> Message:
+    """SET_POSITION_TARGET_LOCAL_NED with a velocity, over ground, and an acceleration fed forward if there is one.
+
+    Both autopilots take it. Without a yaw PX4 keeps the heading and ArduCopter turns as WP_YAW_BEHAVIOR says (by
+    default into the direction of flight). Raises RefusedError.
+    """
+    vel = _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
+    acc = None if acc_enu_mps2 is None else _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)
+    return _local(NOTHING, vel, NOTHING if acc is None else acc, yaw_enu_rad, boot_ms)
+
+
+def position_target(
+    lat_deg: float,
+    lon_deg: float,
+    alt_amsl_m: float,
+    yaw_enu_rad: float | None,
+    boot_ms: int,
+    family: Family,
+    *,
+    vel_enu_mps: Sequence[float] | None = None,
+) -> Message:
+    """SET_POSITION_TARGET_GLOBAL_INT: a place on earth, and the velocity to pass it with if there is one.
+
+    Raises RefusedError, for a coordinate of exactly 0 as well: that is one nobody filled in.
+    """
+    _require_known(family)
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):  # also false for NaN
+        raise RefusedError(f"{lat_deg:g}, {lon_deg:g} is no place on earth (latitude -90..90, longitude -180..180)")
+    lat_int, lon_int = round(lat_deg * 1e7), round(lon_deg * 1e7)
+    if lat_int == 0 or lon_int == 0:
+        raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
+    alt_m = _within("an altitude", alt_amsl_m, MAX_ALTITUDE_M)
+    vel = None if vel_enu_mps is None else _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
+    values = {
+        "time_boot_ms": boot_ms & UINT32,
+        "coordinate_frame": FRAME_GLOBAL_INT,
+        "type_mask": position_target_mask(pos=ALL, vel=NONE if vel is None else ALL, yaw=yaw_enu_rad is not None),
+        "lat_int": lat_int,
+        "lon_int": lon_int,
+        "alt": alt_m,
+        **({} if vel is None else _ned(("vx", "vy", "vz"), vel)),
+        **_yaw(yaw_enu_rad),
+    }
+    return "SET_POSITION_TARGET_GLOBAL_INT", values
+
+
+def position_target_local(
+    pos_local_enu_m: Sequence[float],
+    yaw_enu_rad: float | None,
+    boot_ms: int,
+    family: Family,
+    *,
+    vel_enu_mps: Sequence[float] | None = None,
+    acc_enu_mps2: Sequence[float] | None = None,
+) -> Message:
+    """SET_POSITION_TARGET_LOCAL_NED: a point about the vehicle's *own* estimator origin, which is not the fleet's, and
+    the velocity and acceleration to pass it with. Raises RefusedError."""
+    pos = _vector("a local position", pos_local_enu_m, MAX_LOCAL_M)
+    vel = NOTHING if vel_enu_mps is None else _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
+    acc = NOTHING if acc_enu_mps2 is None else _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)
+    _require_known(family)
+    if family == "ardupilot" and acc_enu_mps2 is not None and vel_enu_mps is None:
+        raise RefusedError("ArduPilot takes an acceleration with a position only if a velocity comes with both")
+    return _local(pos, vel, acc, yaw_enu_rad, boot_ms)
+
+
+def mixed_target(
+    pos_local_enu_m: Partial, vel_enu_mps: Partial, yaw_enu_rad: float | None, boot_ms: int, family: Family
+) -> Message:
+    """SET_POSITION_TARGET_LOCAL_NED with a position in one direction and a velocity in the other: across and up.
+
+    An axis may have both. Raises RefusedError where the autopilot would not do it: ArduPilot ignores a whole position
+    for one ignored axis of it.
+    """
+    _require_known(family)
+    groups = (("position", pos_local_enu_m, MAX_LOCAL_M), ("velocity", vel_enu_mps, MAX_SPEED_MPS))
+    for what, values, most in groups:
+        for value in values:
+            if value is not None:
+                _within(f"a {what}", value, most)
+        if (values[0] is None) != (values[1] is None):
+            raise RefusedError(f"east and north {what} have to be given together")
+        if family == "ardupilot" and 0 < sum(v is None for v in values) < 3:
+            raise RefusedError(f"ArduPilot takes a {what} in all three directions or not at all")
+    for axis, pos, vel in zip(("east", "north", "up"), pos_local_enu_m, vel_enu_mps, strict=True):
+        if pos is None and vel is None:
+            raise RefusedError(f"{axis} has neither a position nor a velocity")
+    return _local(pos_local_enu_m, vel_enu_mps, NOTHING, yaw_enu_rad, boot_ms)
+
+
+def yaw_ned_rad(yaw_enu_rad: float) -> float:
+    """ENU yaw -> compass yaw (0 north, clockwise) in [-pi, pi), as setpoints carry it."""
+    wrapped = math.fmod(math.pi / 2 - yaw_enu_rad, math.tau)
+    if wrapped < -math.pi:
+        wrapped += math.tau
+    elif wrapped >= math.pi:
+        wrapped -= math.tau
+    return wrapped
+
+
+def _local(pos: Partial, vel: Partial, acc: Partial, yaw_enu_rad: float | None, boot_ms: int) -> Message:
+    values = {
+        "time_boot_ms": boot_ms & UINT32,
+        "coordinate_frame": FRAME_LOCAL_NED,
+        "type_mask": position_target_mask(
+            pos=_given(pos), vel=_given(vel), acc=_given(acc), yaw=yaw_enu_rad is not None
+        ),
+        **_ned(("x", "y", "z"), pos),
+        **_ned(("vx", "vy", "vz"), vel),
+        **_ned(("afx", "afy", "afz"), acc),
+        **_yaw(yaw_enu_rad),
+    }
+    return "SET_POSITION_TARGET_LOCAL_NED", values
+
+
+def _given(enu: Partial) -> Axes:
+    """Which of north, east, down there are."""
+    return enu[1] is not None, enu[0] is not None, enu[2] is not None
+
+
+def _ned(names: tuple[str, str, str], enu: Partial) -> dict[str, float]:
+    east, north, up = enu
+    ned = (north, east, None if up is None else -up)
+    return {name: value for name, value in zip(names, ned, strict=True) if value is not None}
+
+
+def _yaw(yaw_enu_rad: float | None) -> dict[str, float]:
+    return {} if yaw_enu_rad is None else {"yaw": yaw_ned_rad(_finite("a yaw", yaw_enu_rad))}
+
+
+def _vector(what: str, values: Sequence[float], most: float) -> Vector:
+    if len(values) != 3:
+        raise RefusedError(f"{what} is east, north, up: three numbers, not {len(values)}")
+    east, north, up = (_within(what, value, most) for value in values)
+    return east, north, up
+
+
+def _within(what: str, value: float, most: float) -> float:
+    if not abs(value) <= most:  # also false for NaN
+        raise RefusedError(f"{what} of {value:g} is not between {-most:g} and {most:g}")
+    return float(value)
+
+
+def _finite(what: str, value: float) -> float:
+    if not math.isfinite(value):
+        raise RefusedError(f"{what} of {value:g} is no number to fly by")
+    return float(value)
+
+
+def _require_known(family: Family) -> None:
+    if family == "generic":
+        raise RefusedError("skygcs knows the setpoints of PX4 and ArduPilot only")
