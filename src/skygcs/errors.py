@@ -3,6 +3,7 @@
 SkygcsError                  base; str() is one line for a person, never a traceback
 ├── ConfigError              the user's file: fleet TOML (file, key, what to do); carries every problem at once
 ├── DialectError             the user's message XML (file, line)
+├── TraceError               a control trace that cannot be read (line, reason)
 ├── LinkError                a device or an address: could not be opened, or broke
 ├── TargetError              a target that names no vehicle ("7", "alpha")
 ├── RefusedError             an order skygcs itself refuses (unsafe, wrong state); says how to insist if one can
@@ -38,6 +39,15 @@ class DialectError(SkygcsError):
         self.reason = reason
         where = path if line is None else f"{path}:{line}"
         super().__init__(f"{where}: {reason}")
+
+
+class TraceError(SkygcsError):
+    """A control trace that cannot be read. ``line`` (1-based) is the one that is wrong."""
+
+    def __init__(self, line: int, reason: str) -> None:
+        self.line = line
+        self.reason = reason
+        super().__init__(f"line {line}: {reason}")
 
 
 class LinkError(SkygcsError):

@@ -1,0 +1,269 @@
+"""The trace: one vehicle's control at full rate as CSV, exact enough to run the law over it again (control-trace.md).
+
+    # format = "skygcs control trace 1"          lines with # are remarks: a key and its value as JSON
+    # vehicle = "alpha"
+    # anchor = {"lat_deg": …, "lon_deg": …, "alt_amsl_m": …}
+    t_s,dt_s,way,…                               the columns, once
+    # config = {…}                               holds from the next row on; again when the gains change
+    # memory = {…}                               what the next step began with, where that is not what the last one left
+    0.0,0.02,attitude,…                          a row per tick; a cell without a value is empty
+
+Floats are written by `repr`, so that what is read is, bit for bit, what was written. Positions are ENU about the
+anchor, angles in radians, yaw 0 = east and counter-clockwise positive; the rest is as in skygcs.core.control.cascade.
+A line ends with a newline: a last one without is what a crash left, and is not counted.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from skygcs.core.control.cascade import Memory, Vector, step, velocity_setpoint
+from skygcs.core.control.config import AxisGains, ControlConfig
+from skygcs.core.control.trace_row import (
+    ATTITUDE,
+    COLUMNS,
+    FIRST_OUTPUT,
+    POSITION,
+    VELOCITY,
+    WAYS,
+    TraceRow,
+    cells,
+    decode_row,
+    encode,
+)
+from skygcs.errors import ConfigError, TraceError
+
+__all__ = [
+    "ATTITUDE",
+    "COLUMNS",
+    "POSITION",
+    "VELOCITY",
+    "WAYS",
+    "Entry",
+    "Mismatch",
+    "Trace",
+    "TraceHead",
+    "TraceRow",
+    "TraceWriter",
+    "decode",
+    "encode",
+    "encode_head",
+    "rerun",
+]
+
+FORMAT = "skygcs control trace 1"
+
+LARGEST_LINE = 4096
+"""Characters. A row has at most 35 cells of 24 and the names of all limits (some 950), a config remark some 400."""
+
+
+@dataclass(frozen=True, slots=True)
+class TraceHead:
+    """What holds for a whole trace. The anchor is where its (0, 0, 0) is."""
+
+    vehicle: str
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A row as it was read, with what it needs to be run again."""
+
+    line: int
+    """Of the file, 1-based."""
+    row: TraceRow
+    config: ControlConfig
+    memory: Memory | None
+    """What the step began with; None: with what the last one left."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """One cell that the law answers differently now."""
+
+    line: int
+    column: str
+    recorded: str
+    computed: str
+
+
+class TraceWriter:
+    """Text of a trace, to be written as it comes. Repeats config and memory only where they changed."""
+
+    def __init__(self, head: TraceHead) -> None:
+        self._head: TraceHead | None = head
+        self._config: ControlConfig | None = None
+        self._memory: Memory | None = None
+
+    def lines(self, row: TraceRow, config: ControlConfig, before: Memory, after: Memory) -> str:
+        """Everything this tick adds to the file, newlines included.
+
+        ``before``: the memory handed to `step`; ``after``: what it returned. Where no step was made, both are the one
+        that is kept.
+        """
+        text = ""
+        if self._head is not None:
+            text, self._head = encode_head(self._head), None
+        if config != self._config:
+            text += _remark("config", asdict(config))
+            self._config = config
+        if before != self._memory:
+            text += _remark("memory", asdict(before))
+        self._memory = after
+        return text + encode(row) + "\n"
+
+
+def encode_head(head: TraceHead) -> str:
+    """The remarks at the beginning and the line of columns."""
+    anchor = {"lat_deg": head.lat_deg, "lon_deg": head.lon_deg, "alt_amsl_m": head.alt_amsl_m}
+    remarks = (("format", FORMAT), ("vehicle", head.vehicle), ("anchor", anchor))
+    return "".join(_remark(key, value) for key, value in remarks) + ",".join(COLUMNS) + "\n"
+
+
+class Trace:
+    """A trace being read: ``head`` is known, iterating gives the entries, once.
+
+    Iterating raises TraceError (line, reason) at the first line that is none of a trace.
+    """
+
+    def __init__(self, head: TraceHead, entries: Iterator[Entry]) -> None:
+        self.head = head
+        self._entries = entries
+
+    def __iter__(self) -> Iterator[Entry]:
+        return self._entries
+
+
+def decode(lines: Iterable[str]) -> Trace:
+    """Read a trace from its lines, newlines kept. Reads the head at once; raises TraceError if it has none."""
+    numbered = enumerate(lines, 1)
+    remarks: dict[str, Any] = {}
+    for number, line in numbered:
+        whole = _whole(number, line)
+        if whole is None:
+            break
+        if not whole.startswith("#"):
+            if tuple(whole.split(",")) != COLUMNS:
+                raise TraceError(number, "these are not the columns of a control trace")
+            return Trace(_head(number, remarks), _entries(numbered))
+        key, value = _remark_of(number, whole)
+        if len(remarks) >= 16 and key not in remarks:
+            raise TraceError(number, "too many remarks before the columns")
+        remarks[key] = value
+    raise TraceError(1, "no line of columns: not a control trace, or one that was cut before its first row")
+
+
+def rerun(entries: Iterable[Entry]) -> Iterator[Mismatch]:
+    """Run the law over what was recorded; gives every cell that does not come out bit for bit as it was recorded.
+
+    Rows of ``position``, and those in which nothing was sent, have nothing of ours to compare. After a mismatch the
+    law goes on with what it computed itself, so that one wrong cell of the input shows in all that followed from it.
+    """
+    memory = Memory()
+    for entry in entries:
+        if entry.memory is not None:
+            memory = entry.memory
+        row = entry.row
+        if row.estimate is None or row.reference is None or row.way not in (ATTITUDE, VELOCITY):
+            continue
+        if row.way == ATTITUDE:
+            output, memory = step(entry.config, memory, row.estimate, row.reference, row.dt_s, following=row.following)
+            again = row.with_output(output, memory)
+        else:
+            again = row.with_velocity(velocity_setpoint(entry.config, row.estimate, row.reference))
+        recorded, computed = cells(row)[FIRST_OUTPUT:], cells(again)[FIRST_OUTPUT:]
+        if recorded != computed:
+            for column, was, now in zip(COLUMNS[FIRST_OUTPUT:], recorded, computed, strict=True):
+                if was != now:
+                    yield Mismatch(entry.line, column, was, now)
+
+
+# --- writing ---------------------------------------------------------------------------------------------------------
+
+
+def _remark(key: str, value: object) -> str:
+    return f"# {key} = {json.dumps(value)}\n"
+
+
+# --- reading ---------------------------------------------------------------------------------------------------------
+
+
+def _whole(number: int, line: str) -> str | None:
+    """The line without its newline; None for one without, which was never finished."""
+    if len(line) > LARGEST_LINE:
+        raise TraceError(number, f"longer than {LARGEST_LINE} characters: no line of a control trace")
+    return line.removesuffix("\n").removesuffix("\r") if line.endswith("\n") else None
+
+
+def _remark_of(number: int, line: str) -> tuple[str, Any]:
+    key, equals, text = line[1:].partition("=")
+    try:
+        if not equals:
+            raise ValueError("there is no =")
+        return key.strip(), json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise TraceError(number, f"a remark that is not '# key = JSON': {error}") from None
+
+
+def _head(number: int, remarks: dict[str, Any]) -> TraceHead:
+    if remarks.get("format") != FORMAT:
+        raise TraceError(number, f"its format is {remarks.get('format')!r}; this skygcs reads {FORMAT!r}")
+    try:
+        anchor = remarks["anchor"]
+        place = (float(anchor["lat_deg"]), float(anchor["lon_deg"]), float(anchor["alt_amsl_m"]))
+        return TraceHead(str(remarks["vehicle"]), *place)
+    except (KeyError, TypeError, ValueError) as error:
+        raise TraceError(number, f"remarks 'vehicle' and 'anchor' are missing or wrong: {error}") from None
+
+
+def _entries(numbered: Iterator[tuple[int, str]]) -> Iterator[Entry]:
+    config: ControlConfig | None = None
+    memory: Memory | None = None
+    for number, line in numbered:
+        whole = _whole(number, line)
+        if whole is None:
+            return
+        if not whole:
+            continue
+        if whole.startswith("#"):
+            key, value = _remark_of(number, whole)
+            if key == "config":
+                config = _config(number, value)
+            elif key == "memory":
+                memory = _memory(number, value)
+            continue
+        if config is None:
+            raise TraceError(number, "a row before the remark 'config'")
+        yield Entry(number, decode_row(number, whole), config, memory)
+        memory = None
+
+
+def _config(number: int, value: Any) -> ControlConfig:
+    try:
+        return ControlConfig(**{**value, "xy": AxisGains(**value["xy"]), "z": AxisGains(**value["z"])})
+    except ConfigError as error:
+        raise TraceError(number, f"config: {'; '.join(error.problems)}") from None
+    except (KeyError, TypeError) as error:
+        raise TraceError(number, f"config: {error}") from None
+
+
+def _memory(number: int, value: Any) -> Memory:
+    try:
+        error = value["vel_error_enu_mps"]
+        return Memory(
+            _vector(value["integral_enu"]),
+            None if error is None else _vector(error),
+            _vector(value["slope_enu_mps2"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise TraceError(number, f"memory: {error}") from None
+
+
+def _vector(value: Any) -> Vector:
+    x, y, z = value
+    return float(x), float(y), float(z)
