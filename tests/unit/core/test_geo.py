@@ -10,8 +10,10 @@ from pymap3d.vincenty import vdist
 from skygcs.core import geo
 from skygcs.core.geo import Origin
 
-TORONTO = Origin(43.7806, -79.4653, 180.0)
+HOME = (43.7806, -79.4653, 180.0)
+TORONTO = Origin(*HOME)
 
+headings = st.floats(-360, 360)
 places = st.tuples(st.floats(-85, 85), st.floats(-179.9, 179.9), st.floats(-100, 5000))
 offsets = st.tuples(*[st.floats(-20_000, 20_000)] * 2, st.floats(-500, 3000))
 
@@ -33,6 +35,63 @@ def ecef_enu(lat: float, lon: float, alt: float, origin: Origin) -> tuple[float,
     east = -sq * d[0] + cq * d[1]
     north = -sp * cq * d[0] - sp * sq * d[1] + cp * d[2]
     return east, north, cp * cq * d[0] + cp * sq * d[1] + sp * d[2]
+
+
+@given(places, offsets, headings)
+def test_both_ways_of_converting_agree_and_come_back_within_a_millimetre(
+    place: tuple[float, float, float], offset: tuple[float, float, float], heading: float
+) -> None:
+    origin = Origin(*place, x_heading_deg=heading)
+    frame = geo.EnuFrame(origin)
+    fast, slow = frame.to_geodetic(*offset), geo.geodetic_from_enu(*offset, origin)
+    assert frame.from_geodetic(*slow) == pytest.approx(offset, abs=1e-4)
+    assert geo.enu_from_geodetic(*fast, origin) == pytest.approx(offset, abs=1e-4)
+    assert frame.from_geodetic(*fast) == pytest.approx(offset, abs=1e-3)
+    assert geo.enu_from_geodetic(*slow, origin) == pytest.approx(offset, abs=1e-3)
+
+
+@given(places, offsets, headings)
+def test_x_points_along_its_heading_and_y_to_the_left_of_it(
+    place: tuple[float, float, float], offset: tuple[float, float, float], heading: float
+) -> None:
+    origin, turned = Origin(*place), Origin(*place, x_heading_deg=heading)
+    east, north, up = geo.enu_from_geodetic(*geo.geodetic_from_enu(*offset, turned), origin)
+    sin, cos = math.sin(math.radians(heading)), math.cos(math.radians(heading))
+    x, y, _ = offset
+    assert (east, north) == pytest.approx((x * sin - y * cos, x * cos + y * sin), abs=1e-3)
+    assert up == pytest.approx(offset[2], abs=1e-3)
+
+
+def test_with_x_to_the_north_north_is_x_and_west_is_y() -> None:
+    origin = Origin(*HOME, x_heading_deg=0.0)
+    assert geo.world_from_enu((1.0, 2.0, 3.0), origin) == pytest.approx((2.0, -1.0, 3.0))
+    assert geo.enu_from_world((2.0, -1.0, 3.0), origin) == pytest.approx((1.0, 2.0, 3.0))
+    assert geo.world_yaw_rad(0.0, origin) == 0.0
+    assert geo.world_yaw_rad(270.0, origin) == pytest.approx(math.pi / 2)
+    assert geo.heading_from_world_yaw_deg(math.pi / 2, origin) == pytest.approx(270.0)
+
+
+def test_plain_enu_turns_nothing_to_the_last_bit() -> None:
+    vector = (0.1, 1 / 3, -7e-9)
+    assert geo.world_from_enu(vector, TORONTO) == vector
+    assert geo.enu_from_world(vector, TORONTO) == vector
+    assert geo.world_yaw_rad(90.0, TORONTO) == 0.0
+
+
+@given(headings, st.tuples(*[st.floats(-50, 50)] * 3), st.floats(0, 359.9))
+def test_velocities_and_yaws_come_back_and_keep_their_length_and_their_place_to_each_other(
+    heading: float, velocity: tuple[float, float, float], course: float
+) -> None:
+    origin = Origin(*HOME, x_heading_deg=heading)
+    world = geo.world_from_enu(velocity, origin)
+    assert geo.enu_from_world(world, origin) == pytest.approx(velocity, abs=1e-12)
+    assert math.hypot(*world) == pytest.approx(math.hypot(*velocity))
+    yaw = geo.world_yaw_rad(course, origin)
+    assert -math.pi <= yaw < math.pi
+    back = geo.heading_from_world_yaw_deg(yaw, origin)
+    assert geo.wrap_deg_180(back - course) == pytest.approx(0, abs=1e-9)
+    nose = (math.sin(math.radians(course)), math.cos(math.radians(course)), 0.0)
+    assert geo.world_from_enu(nose, origin) == pytest.approx((math.cos(yaw), math.sin(yaw), 0.0), abs=1e-9)
 
 
 @given(places, offsets)
