@@ -1,0 +1,366 @@
+"""Whether a vehicle may be sent setpoints now, and which: asked once per tick, before the law and before any message.
+
+    any fact of ...                                                      engaging    flying     afterwards
+    ─────────────────────────────────────────────────────────────────────────────────────────────────────
+    1 not ours  lost, rebooted, not armed, on the ground,                release     release    nothing more
+                autopilot in a mode that does not follow us (flying)
+    2 unsafe    no state or older than position_stale_s, NaN, no fix,    release     hold       nothing more
+                no position, vehicle or reference outside the fence,
+                battery low, autopilot refuses our setpoints
+    3 unfit     state older than stale_s                                 position    position   │ as it is; higher
+                delay p95 above velocity_delay_s, or rate below 2 Hz     position    position   │ again only after
+                delay p95 above attitude_delay_s or not measured yet,    velocity    velocity   │ return_after_s of
+                rate below rate_min_hz, attitude_refused                                        │ all well, if set
+    4 none of these                                                      wanted      wanted
+
+The first row that applies decides. *Release* comes before *hold* because hold is an order, and a vehicle that is not
+ours (any more) is given none: whoever took it, its failsafe included, is not fought. A vehicle that is not following
+yet (engaging) is not ours either, so what would be a hold there only ends the attempt. *Hold* comes before the ways
+because no way of control is safe with it. Both are final until `Guard.reset`: coming back from them means changing the
+autopilot's mode, which is for a person to order. Within row 3 falling is immediate and climbing needs
+``return_after_s``: so the way cannot chatter, whatever the facts do.
+
+A single late tick moves nothing until it is ``stale_s`` late: the delays are judged by their 95th percentile. A number
+that is NaN counts as bad wherever it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal, NamedTuple
+
+from skygcs.core.control.cascade import LARGEST_INPUT, Estimate
+from skygcs.errors import ConfigError
+
+Action = Literal["send", "hold", "release"]
+
+STREAM_MIN_HZ = 2.0
+"""PX4 leaves OFFBOARD below 2 setpoints a second, and ArduPilot flies on with the last velocity for up to 3 s."""
+
+FUTURE_SLACK_S = 0.1
+"""A state may be so much younger than the tick (it came in meanwhile). What is dated later has another clock."""
+
+
+class Way(StrEnum):
+    """Who closes the loops: all here, the outer one here, none here."""
+
+    ATTITUDE = "attitude"
+    VELOCITY = "velocity"
+    POSITION = "position"
+
+
+WAYS = (Way.ATTITUDE, Way.VELOCITY, Way.POSITION)
+"""In the order of falling back."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuardConfig:
+    """The limits; arithmetic in docs/explanation/control-guard.md. Raises ConfigError, with every problem at once."""
+
+    attitude_delay_s: float = 0.1
+    """Most delay (p95 of state age plus the setpoint's way up) for attitude: half of what z bears with the gains of
+    the seed (0.213 s), the rest is for the airframe's lag. `analysis.why_not_delay` tells it of other gains."""
+    velocity_delay_s: float = 0.5
+    """The same for velocity; what is closed here then is the outer P loop, which bears π/2 s at 1/s."""
+    stale_s: float = 0.5
+    """With a newest state older than this, in any single tick, neither attitude nor velocity."""
+    position_stale_s: float = 2.0
+    """With one older than this nothing at all. Four states lost at 2 Hz, the slowest stream that is controlled by."""
+    battery_min_percent: float | None = 20.0
+    """Below it hold; None: not watched."""
+    return_after_s: float | None = None
+    """A higher way that has been possible for so long without a break is taken again; None: never by itself."""
+
+    def __post_init__(self) -> None:
+        problems = [
+            f"{name}: {value} is not in {low:g}..{high:g}"
+            for name, value, low, high in (
+                ("attitude_delay_s", self.attitude_delay_s, 0.001, 1.0),
+                ("velocity_delay_s", self.velocity_delay_s, 0.001, 5.0),
+                ("stale_s", self.stale_s, 0.01, 5.0),
+                ("position_stale_s", self.position_stale_s, 0.01, 60.0),
+                ("battery_min_percent", self.battery_min_percent, 0.0, 100.0),
+                ("return_after_s", self.return_after_s, 1.0, 3600.0),
+            )
+            if value is not None and not low <= value <= high
+        ]
+        if self.attitude_delay_s > self.velocity_delay_s:
+            problems.append(
+                f"attitude_delay_s: {self.attitude_delay_s} is above velocity_delay_s ({self.velocity_delay_s}), "
+                "but attitude bears less delay"
+            )
+        if self.stale_s > self.position_stale_s:
+            problems.append(
+                f"stale_s: {self.stale_s} is above position_stale_s ({self.position_stale_s}), "
+                "but position setpoints bear older states"
+            )
+        if problems:
+            raise ConfigError("guard", problems)
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """All the guard looks at in one tick. None is "not known"; what that means is said where it is not obvious."""
+
+    connected: bool
+    armed: bool
+    following: bool
+    """The autopilot is in the mode that obeys setpoints."""
+    state_age_s: float | None
+    """Of the newest position; None: there never was one."""
+    rtt_p95_s: float | None
+    delay_p95_s: float | None
+    """As `DelayMeter` gives them. Not measured yet: no attitude. Velocity then rests on ``stale_s``."""
+    estimate: Estimate | None
+    """About the vehicle's anchor. None: no position."""
+    finite: bool
+    """No NaN in what the vehicle told of its state and attitude."""
+    fix_ok: bool
+    airborne: bool | None
+    """False, which is landed for sure, ends control; None does not: many autopilots do not say."""
+    battery_percent: float | None
+    """None, not told, is fine: the autopilot has a battery failsafe of its own."""
+    inside_fence: bool
+    reference_inside_fence: bool
+    rate_hz: float
+    """Setpoints per second that the link's budget leaves to this vehicle."""
+    rate_min_hz: float
+    """Least of them for attitude."""
+    refusing: str | None
+    """Why the autopilot does not take our setpoints or our mode, in its own words."""
+    engaging: bool = False
+    """Setpoints are sent so that the mode may be entered: it need not follow yet."""
+    rebooted: bool = False
+    """Since control began: its time since boot ran backwards."""
+    attitude_refused: str | None = None
+    """Why this autopilot cannot be given attitude and thrust (ArduPilot: thrust means climb rate), if it cannot."""
+    position_breach: str | None = None
+    reference_breach: str | None = None
+    """The texts of `Fence.why_not`, to be told instead of a sentence without figures."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What may be done in this tick.
+
+    send: setpoints for ``way``. hold: order a hold once (when ``changed``), send nothing. release: send nothing at all.
+    """
+
+    action: Action
+    way: Way | None
+    """None unless sending."""
+    reasons: tuple[str, ...]
+    """Why it is not what was wanted, for the operator: the figure and its limit. Empty if it is."""
+    changed: bool
+    """To be told now. Once per change of action or way, and once per new kind of reason within one."""
+    kinds: tuple[str, ...] = ()
+    """The reasons' kinds, for programs; without figures."""
+
+
+class Refusal(NamedTuple):
+    """One thing that stands against sending."""
+
+    kind: str
+    text: str
+
+
+class Guard:
+    """Remembers the way, and that an end is an end. One per vehicle and engagement.
+
+    Ask `why_not` before control begins, then `check` in every tick and do what it says, whatever was wanted.
+    Begins on the wanted way: what is wrong with it is found, and told, by the first check.
+    """
+
+    __slots__ = ("_cause", "_clear_since", "_ended", "_told", "_way", "config", "wanted")
+
+    def __init__(self, config: GuardConfig, wanted: Way) -> None:
+        self.config = config
+        self.reset(wanted)
+
+    @property
+    def way(self) -> Way | None:
+        """The present one; None after a hold or a release."""
+        return None if self._ended else self._way
+
+    def reset(self, wanted: Way) -> None:
+        """Begin anew, on the wanted way: somebody ordered control again."""
+        self.wanted = wanted
+        self._way = wanted
+        self._ended: Verdict | None = None
+        self._told: set[str] = set()
+        self._cause: tuple[Refusal, ...] = ()
+        self._clear_since: dict[Way, float] = {}
+
+    def why_not(self, facts: Facts) -> tuple[str, ...]:
+        """All that stands against the wanted way at this moment. Changes nothing."""
+        found = (*_not_ours(facts), *_unsafe(self.config, facts), *_unfit(self.config, facts, self.wanted))
+        return tuple(refusal.text for refusal in found)
+
+    def check(self, facts: Facts, now: float) -> Verdict:
+        """What may be done in this tick. After a hold or a release the same again and again, with its first reasons."""
+        if self._ended:
+            return self._ended
+        if refusals := tuple(_not_ours(facts)):
+            return self._end("release", refusals[:1])  # the first is the cause, what follows its consequence
+        if refusals := tuple(_unsafe(self.config, facts)):
+            return self._end("release" if facts.engaging else "hold", refusals)
+        refused = {way: tuple(_unfit(self.config, facts, way)) for way in self._ways()}
+        self._note_clear(refused, now)
+        before = self._way
+        self._way = self._chosen(refused, now)
+        if self._way != before:
+            self._told.clear()
+        return self._sending(refused, self._way != before, now)
+
+    def _end(self, action: Action, refusals: tuple[Refusal, ...]) -> Verdict:
+        reasons, kinds = tuple(r.text for r in refusals), tuple(r.kind for r in refusals)
+        self._ended = Verdict(action, None, reasons, changed=False, kinds=kinds)
+        return Verdict(action, None, reasons, changed=True, kinds=kinds)
+
+    def _ways(self) -> tuple[Way, ...]:
+        """The wanted way and what it may fall back to."""
+        return WAYS[WAYS.index(self.wanted) :]
+
+    def _note_clear(self, refused: dict[Way, tuple[Refusal, ...]], now: float) -> None:
+        for way, refusals in refused.items():
+            if refusals:
+                self._clear_since.pop(way, None)
+            elif self._clear_since.setdefault(way, now) > now:  # a clock that ran backwards proves nothing
+                self._clear_since[way] = now
+
+    def _chosen(self, refused: dict[Way, tuple[Refusal, ...]], now: float) -> Way:
+        """The highest way that may be taken; the last, position, is never refused."""
+        after_s = self.config.return_after_s
+        for way in self._ways():
+            if refused[way]:
+                continue
+            if WAYS.index(way) >= WAYS.index(self._way):
+                return way
+            if after_s is not None and now - self._clear_since[way] >= after_s:
+                return way
+        return WAYS[-1]
+
+    def _sending(self, refused: dict[Way, tuple[Refusal, ...]], moved: bool, now: float) -> Verdict:
+        above = [way for way in self._ways() if WAYS.index(way) < WAYS.index(self._way)]
+        present = tuple({r.kind: r for way in above for r in refused[way]}.values())
+        self._cause = present or (self._cause if above else ())
+        reasons, kinds = [r.text for r in self._cause], tuple(r.kind for r in self._cause)
+        possible = next((way for way in above if not refused[way]), None)
+        if possible:
+            reasons.append(self._return_text(possible, now - self._clear_since[possible]))
+        news = not self._told.issuperset(kinds)
+        self._told.update(kinds)
+        return Verdict("send", self._way, tuple(reasons), changed=moved or news, kinds=kinds)
+
+    def _return_text(self, way: Way, clear_s: float) -> str:
+        since = f"{way} has been possible again for {clear_s:.1f} s"
+        if self.config.return_after_s is None:
+            return f"{since}; it does not return by itself, order {way} again"
+        return f"{since}; it returns after {self.config.return_after_s:g} s"
+
+
+def _not_ours(facts: Facts) -> Iterator[Refusal]:
+    """Row 1. In the order of cause and consequence: a vehicle that rebooted is also disarmed and in another mode."""
+    if not facts.connected:
+        yield Refusal("lost", "the vehicle is not heard any more")
+    if facts.rebooted:
+        yield Refusal("rebooted", "the autopilot rebooted: it knows nothing of what was ordered before")
+    if not facts.armed:
+        yield Refusal("not_armed", "the vehicle is not armed")
+    if facts.airborne is False:
+        # On the ground the loop is open: an integrator winds up against the earth, a sideways error tips the vehicle
+        # over, an upward one is a take-off nobody ordered.
+        yield Refusal("on_ground", "the vehicle is on the ground, where setpoints tip it over: take off first")
+    if not facts.following and not facts.engaging:
+        yield Refusal(
+            "mode",
+            "the autopilot left the mode that follows skygcs: a pilot, another station or its failsafe took over",
+        )
+
+
+def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
+    """Row 2."""
+    if facts.state_age_s is None:
+        yield Refusal("no_state", "no position has come from the vehicle yet")
+    elif _too_old(facts.state_age_s, config.position_stale_s):
+        yield Refusal("silent", _age_text(facts.state_age_s, config.position_stale_s, "any setpoint"))
+    if not facts.finite:
+        yield Refusal(
+            "not_finite", "the vehicle tells of its state or attitude with numbers that are not numbers (NaN)"
+        )
+    if not facts.fix_ok:
+        yield Refusal("no_fix", "the vehicle has no usable position fix")
+    if facts.estimate is None:
+        yield Refusal("no_position", "the vehicle's position is not known")
+    elif not _usable(facts.estimate):
+        position = ", ".join(f"{value:g}" for value in (*facts.estimate.pos_enu_m, *facts.estimate.vel_enu_mps))
+        yield Refusal(
+            "estimate", f"position and velocity ({position}) are not all numbers up to {LARGEST_INPUT:g} m and m/s"
+        )
+    if not facts.inside_fence:
+        yield Refusal("fence", facts.position_breach or "the vehicle is outside the control fence")
+    if not facts.reference_inside_fence:
+        yield Refusal("fence_reference", facts.reference_breach or "the place to go to is outside the control fence")
+    floor, battery = config.battery_min_percent, facts.battery_percent
+    if floor is not None and battery is not None and not battery >= floor:
+        yield Refusal("battery", f"the battery is at {battery:g} % (limit {floor:g} %)")
+    if facts.refusing is not None:
+        yield Refusal("refusing", f"the autopilot refuses: {facts.refusing or 'it does not say why'}")
+
+
+def _unfit(config: GuardConfig, facts: Facts, way: Way) -> Iterator[Refusal]:
+    """Row 3. Nothing for position: what it cannot bear is row 2."""
+    if way is Way.POSITION:
+        return
+    if facts.state_age_s is None or _too_old(facts.state_age_s, config.stale_s):
+        age_s = float("nan") if facts.state_age_s is None else facts.state_age_s
+        yield Refusal("stale", _age_text(age_s, config.stale_s, "attitude and velocity"))
+    delay_s = facts.delay_p95_s
+    if way is Way.VELOCITY:
+        if delay_s is not None and not delay_s <= config.velocity_delay_s:
+            yield Refusal("velocity_delay", _delay_text(delay_s, config.velocity_delay_s, way))
+        if not facts.rate_hz >= STREAM_MIN_HZ:
+            yield Refusal(
+                "velocity_rate",
+                f"the link leaves {facts.rate_hz:.3g} setpoints per second (velocity needs {STREAM_MIN_HZ:g}, "
+                "or the autopilot takes the stream for lost)",
+            )
+        return
+    if facts.rtt_p95_s is None or delay_s is None:
+        yield Refusal("unmeasured", "round trip not measured yet, so nobody knows the delay attitude would have")
+    elif not (facts.rtt_p95_s >= 0 and delay_s <= config.attitude_delay_s):
+        yield Refusal("attitude_delay", _delay_text(delay_s, config.attitude_delay_s, way))
+    if not facts.rate_hz >= facts.rate_min_hz:
+        yield Refusal("attitude_rate", _rate_text(facts.rate_hz, facts.rate_min_hz))
+    if facts.attitude_refused is not None:
+        yield Refusal("attitude_refused", facts.attitude_refused)
+
+
+def _too_old(age_s: float, limit_s: float) -> bool:
+    """NaN is, and what comes from the future is: its age is not known."""
+    return not -FUTURE_SLACK_S <= age_s <= limit_s
+
+
+def _usable(estimate: Estimate) -> bool:
+    return all(abs(value) <= LARGEST_INPUT for value in (*estimate.pos_enu_m, *estimate.vel_enu_mps))
+
+
+def _age_text(age_s: float, limit_s: float, what: str) -> str:
+    return f"state is {age_s:.2f} s old (limit for {what} {limit_s:g} s)"
+
+
+def _delay_text(delay_s: float, limit_s: float, way: Way) -> str:
+    return f"state age plus the way up is {delay_s:.3f} s in 95 of 100 ticks (limit for {way} {limit_s:g} s)"
+
+
+def _rate_text(rate_hz: float, least_hz: float) -> str:
+    """The arithmetic: what a setpoint is held on average is delay, half a period of it."""
+    text = f"the link leaves {rate_hz:.3g} setpoints per second (attitude needs {least_hz:.3g})"
+    if rate_hz > 0 and least_hz > 0:
+        text += (
+            f": each is held until the next, on average {0.5 / rate_hz:.3f} s of delay on top, "
+            f"instead of {0.5 / least_hz:.3f} s"
+        )
+    return text
