@@ -11,14 +11,17 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle.autopilot import firmware_name
 from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.commander import Commander
+from skygcs.runtime.commander import SUPERSEDED, Commander
 
-MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot"})
+MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release"})
 """Orders that take the place of what is still going on."""
 
 EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
 """Orders that end a flight: they go out over every link to the vehicle from the first transmission on."""
 
+RESEND_S = 0.5
+"""A message whose answer is waited for is sent again after this long: more than a round trip of a busy radio would take
+all its capacity for repeats, and the answer is waited for a few seconds only."""
 
 REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
 """What a vehicle answers that does not do it."""
@@ -91,14 +94,9 @@ class PlanRunner:
         if self._vehicle.duplicate and not plan.emergency:
             return two_of_one_id(self._vehicle)
         expect = step.expect
-        met = None if expect is None else lambda: expect.met(self._vehicle, self._loop.time())
         if step.message is not None:
-            name, values = step.message
-            if name not in self._dialect.by_name:
-                return Outcome(False, "refused", f"dialect {self._dialect.name} has no {name}")
-            if not self._commander.transmit(name, values):
-                return Outcome(False, "lost", "could not be sent: no link leads to it")
-            return Outcome(True, "accepted", "sent", 1)
+            return await self._message_step(step, order)
+        met = None if expect is None else lambda: expect.met(self._vehicle, self._loop.time())
         spec = step.command
         assert spec is not None
 
@@ -119,6 +117,34 @@ class PlanRunner:
             return outcome
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
+
+    async def _message_step(self, step: Step, order: int) -> Outcome:
+        """Nothing acknowledges a message: it is sent again until what it is sent for has come, or the time is over."""
+        assert step.message is not None
+        name, values = step.message
+        if name not in self._dialect.by_name:
+            return Outcome(False, "refused", f"dialect {self._dialect.name} has no {name}")
+        started, attempts = self._loop.time(), 0
+
+        def answered() -> bool:
+            return step.expect is not None and step.expect.met(self._vehicle, self._loop.time())
+
+        while True:
+            if not self._commander.transmit(name, values):
+                return Outcome(False, "lost", "could not be sent: no link leads to it", attempts)
+            attempts += 1
+            if step.expect is None or step.expect_s == 0:
+                return Outcome(True, "accepted", "sent", attempts)
+            left_s = started + step.expect_s - self._loop.time()
+            await self._commander.until(lambda: self.order != order or answered(), min(RESEND_S, left_s))
+            elapsed_s = self._loop.time() - started
+            if answered():
+                return Outcome(True, "accepted", "answered", attempts, elapsed_s)
+            if self.order != order:
+                return Outcome(False, "cancelled", SUPERSEDED, attempts, elapsed_s)
+            if left_s <= RESEND_S:
+                unmet = step.expect.unmet(self._vehicle, self._loop.time())
+                return Outcome(False, "timeout", f"timeout: {unmet}", attempts, elapsed_s)
 
     def _explained(self, outcome: Outcome, step: Step) -> Outcome:
         """A refusal without a word of why says at least what was asked."""

@@ -81,8 +81,8 @@ def set_mode(vehicle: Vehicle, name: str) -> Plan:
         number = modes.mode_number(vehicle.autopilot, vehicle.type, name)
     except KeyError as error:
         raise RefusedError(str(error.args[0])) from None
-    step = _mode_step(vehicle, number)
-    return Plan("mode", (step,), f"mode {_mode_name(vehicle, number)}")
+    step = mode_step(vehicle, number)
+    return Plan("mode", (step,), f"mode {mode_name(vehicle, number)}")
 
 
 def arm(*, force: bool = False) -> Plan:
@@ -129,7 +129,7 @@ def hold(vehicle: Vehicle) -> Plan:
     if not wanted:
         raise RefusedError("skygcs knows no mode of this autopilot that holds its position")
     number = modes.mode_number(vehicle.autopilot, vehicle.type, wanted)
-    step = _mode_step(vehicle, number, or_disarmed=True)
+    step = mode_step(vehicle, number, or_disarmed=True)
     return Plan("hold", (step,), f"holding in {wanted}")
 
 
@@ -190,17 +190,19 @@ def _arm_step(*, force: bool = False, skip_if_met: bool = False) -> Step:
     return Step("arm", spec, expect=ArmedIs(True), skip_if_met=skip_if_met, undo=undo)
 
 
-def _mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_if_met: bool = False) -> Step:
+def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_if_met: bool = False) -> Step:
+    """DO_SET_MODE to a custom_mode, shown by the heartbeat."""
     if vehicle.family == "px4":
         params = (float(modes.CUSTOM_MODE_ENABLED), float(number >> 16 & 0xFF), float(number >> 24 & 0xFF))
     else:
         params = (float(modes.CUSTOM_MODE_ENABLED), float(number), 0.0)
     expect = ModeIn(frozenset({number}), or_disarmed)
-    name = f"mode {_mode_name(vehicle, number)}"
+    name = f"mode {mode_name(vehicle, number)}"
     return Step(name, CommandSpec(DO_SET_MODE, params), expect=expect, skip_if_met=skip_if_met)
 
 
-def _mode_name(vehicle: Vehicle, number: int) -> str:
+def mode_name(vehicle: Vehicle, number: int) -> str:
+    """What this vehicle's firmware calls a custom_mode."""
     return modes.mode_name(vehicle.autopilot, vehicle.type, modes.CUSTOM_MODE_ENABLED, number)
 
 
@@ -219,14 +221,14 @@ def _px4_takeoff(vehicle: Vehicle, from_amsl_m: float, height_m: float) -> tuple
     lifted = LiftedOff(from_amsl_m)
     steps = [_arm_step(skip_if_met=True), Step("takeoff", climb, expect=lifted, expect_s=LIFT_OFF_S)]
     if not vehicle.armed:
-        steps.insert(0, _mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"), skip_if_met=True))
+        steps.insert(0, mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"), skip_if_met=True))
     return tuple(steps)
 
 
 def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float | None) -> tuple[Step, ...]:
     climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m))
     return (
-        _mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True),
+        mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True),
         _arm_step(skip_if_met=True),
         Step("takeoff", climb, expect=LiftedOff(from_amsl_m), expect_s=LIFT_OFF_S),
     )
@@ -245,7 +247,7 @@ def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step
     }
     position_target = 87.0
     return (
-        _mode_step(vehicle, guided, skip_if_met=True),
+        mode_step(vehicle, guided, skip_if_met=True),
         Step("goto", message=("SET_POSITION_TARGET_GLOBAL_INT", values), expect_s=0),
         Step("target", CommandSpec(REQUEST_MESSAGE, (position_target,)), expect=TargetNear(to.lat_deg, to.lon_deg)),
     )

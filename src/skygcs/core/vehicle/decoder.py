@@ -66,7 +66,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "MISSION_CURRENT": ("seq", "total"),
     "MISSION_COUNT": ("count",),
     "MISSION_ACK": ("type",),
-    "PARAM_VALUE": ("param_id", "param_value"),
+    "PARAM_VALUE": ("param_id", "param_value", "param_type"),
     "POSITION_TARGET_GLOBAL_INT": (
         "coordinate_frame",
         "type_mask",

@@ -92,6 +92,21 @@ class MessageAfter:
         return f"no {self.message} came"
 
 
+@dataclass(frozen=True, slots=True)
+class ParamKnown:
+    """A parameter of `parameters.WATCHED` was told since ``last_at``, when it was told before (None: never)."""
+
+    name: str
+    last_at: float | None
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        told_at = vehicle.parameters.told_at(self.name)
+        return told_at is not None and told_at != self.last_at
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return f"it does not tell its parameter {self.name}"
+
+
 TARGET_TOLERANCE_M = 2.0
 """POSITION_TARGET_GLOBAL_INT repeats the target within its own rounding; metres are another target."""
 
@@ -116,7 +131,8 @@ class TargetNear:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """``command`` is acknowledged and repeated, ``message`` is sent once. Exactly one of them is given.
+    """``command`` is acknowledged and repeated; ``message`` is sent once, or with an expectation to wait for again and
+    again until that is met. Exactly one of them is given.
 
     ``expect_s``: how long to wait for the expectation; 0 does not wait for it (it then only explains a lost ACK).
     ``skip_if_met``: nothing is sent if the state is as wanted already. ``undo`` is carried out if a later step fails.

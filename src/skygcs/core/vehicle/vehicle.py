@@ -16,6 +16,8 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
 from skygcs.core.vehicle.fold import Folded
+from skygcs.core.vehicle.launch import LaunchHeight
+from skygcs.core.vehicle.parameters import Parameters
 from skygcs.core.vehicle.readings import Readings, Slot
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.state import (
@@ -81,6 +83,8 @@ class Vehicle:
         self.groups = groups
         self.timeout_s = timeout_s
         self.origin: Origin | None = None
+        self.origin_generation = 0
+        """Counts the fleet's origins: positions of the same number are in the same frame."""
         self.connected = False
         self.duplicate = False
         self.replayed = False
@@ -95,6 +99,8 @@ class Vehicle:
         """The ground station whose heartbeats its failsafe watches, once its parameter has been read by anybody."""
         self.last_ack: Ack | None = None
         self.boot = BootClock()
+        self.launch = LaunchHeight()
+        self.parameters = Parameters()
         self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
         self._decoder = decoder or Decoder(dialect)
         self.readings = Readings(self._decoder)
@@ -151,6 +157,7 @@ class Vehicle:
         elif now - self._rates_at >= RATE_PERIOD_S:
             self.readings.sample(now - self._rates_at)
             self._rates_at = now
+            self.launch.look(self, now)
             events += self._check_clocks(now)
         return tuple(events)
 
@@ -220,6 +227,14 @@ class Vehicle:
         home = self.section("home")
         return None if home is None else float(home["alt_amsl_m"])
 
+    def param(self, name: str) -> float | None:
+        """A parameter of `parameters.WATCHED`; None if nobody has read it since the vehicle started."""
+        return self.parameters.value(name)
+
+    def ground_alt_amsl_m(self) -> float | None:
+        """Of the ground it took off from; if nobody saw it take off, of its home."""
+        return self.home_alt_amsl_m() if self.launch.alt_amsl_m is None else self.launch.alt_amsl_m
+
     def snapshot(self, now: float, unix_now: float | None = None) -> VehicleState:
         """The whole state. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
         return take_snapshot(self, now, unix_now)
@@ -237,7 +252,7 @@ class Vehicle:
         return str(value) if name is None else name.removeprefix(enum + "_")
 
     def enu_m(self) -> list[float] | None:
-        """Position about the fleet's origin; None without position or origin."""
+        """Position along the axes of the fleet's world frame; None without position or origin."""
         position = self.section("position")
         if position is None or self.origin is None or position["lat_deg"] is None:
             return None
@@ -277,7 +292,7 @@ class Vehicle:
     ) -> Events:
         events: list[Event] = []
         first = self._known_since is None
-        armed, mode, failsafe = self.armed, self.mode, self.failsafe
+        armed, mode, failsafe, connected = self.armed, self.mode, self.failsafe, self.connected
         self.type, self.autopilot = vehicle_type, autopilot
         self.base_mode, self.custom_mode, self.system_status = base_mode, custom_mode, system_status
         if not self.connected:
@@ -289,6 +304,8 @@ class Vehicle:
             events.append(self._event("vehicle_back", f"back after {gone:.1f} s", {"gone_s": round(gone, 1)}))
         if self.armed != armed:
             kind = "armed" if self.armed else "disarmed"
+            if self.armed:
+                self.launch.armed(seen=connected)
             events.append(self._event(kind, kind, {"mode": self.mode}))
         if self.mode != mode:
             events.append(self._event("mode", f"mode {self.mode}, was {mode}", {"mode": self.mode, "was": mode}))
@@ -336,6 +353,8 @@ class Vehicle:
         if landed == self._landed:
             return ()
         was, self._landed = self._landed, landed
+        if landed == "on_ground":
+            self.launch.touched_down()
         if was == "undefined":
             return ()
         return (self._event("landed", landed.replace("_", " "), {"landed": landed, "was": was}),)
@@ -354,7 +373,8 @@ class Vehicle:
         return ()
 
     def _on_param_value(self, payload: bytes, now: float) -> Events:
-        name, value = self._decoder.read["PARAM_VALUE"](payload)
+        name, value, kind = self._decoder.read["PARAM_VALUE"](payload)
+        self.parameters.note(name, value, kind, now, bytewise=self.autopilot == modes.AUTOPILOT_PX4)
         if name.rstrip(b"\0") in GCS_SYSID_PARAMETERS and 0 < value <= 255:
             self.gcs_sysid = int(value)
         return ()
@@ -382,5 +402,6 @@ class Vehicle:
         """What was known of the life before is no longer true, but for the heartbeat."""
         self._known_since = now
         self._landed = "undefined"
+        self.parameters.forget()
         self.readings.forget_before(now, keep="HEARTBEAT")
         return self._event("reboot", text, {})

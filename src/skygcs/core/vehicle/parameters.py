@@ -1,0 +1,59 @@
+"""The few parameters of an autopilot that decide how it takes setpoints, as far as anybody has read them aloud."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+WATCHED = frozenset(
+    {
+        "ATC_ANGLE_BOOST",
+        "COM_OBL_RC_ACT",
+        "COM_OF_LOSS_T",
+        "COM_RC_IN_MODE",
+        "GUID_OPTIONS",
+        "GUID_TIMEOUT",
+        "MOT_THST_EXPO",
+        "MOT_THST_HOVER",
+        "MPC_THR_HOVER",
+        "THR_MDL_FAC",
+    }
+)
+"""Names not among them are not kept: a vehicle has a thousand."""
+
+INTEGER_FORMAT = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
+"""struct codes of the integer types among MAV_PARAM_TYPE."""
+
+
+class Parameters:
+    """Values of `WATCHED` by name, each with the time it was told. They may change; a reboot forgets them all."""
+
+    __slots__ = ("_values",)
+
+    def __init__(self) -> None:
+        self._values: dict[str, tuple[float, float]] = {}
+
+    def note(self, raw_name: bytes, wire_value: float, param_type: int, now: float, *, bytewise: bool) -> None:
+        """A PARAM_VALUE came. ``bytewise``: integers lie in the float field byte by byte, as PX4 puts them
+        (PARAM_ENCODE_BYTEWISE); else they are cast to float, as ArduPilot does (PARAM_ENCODE_C_CAST)."""
+        name = raw_name.rstrip(b"\0").decode("ascii", "replace")
+        if name not in WATCHED:
+            return
+        code = INTEGER_FORMAT.get(param_type)
+        value = wire_value
+        if code is not None and bytewise:
+            value = float(struct.unpack_from("<" + code, struct.pack("<f", wire_value))[0])
+        if math.isfinite(value):
+            self._values[name] = (value, now)
+
+    def value(self, name: str) -> float | None:
+        """None if it was not told since the vehicle started."""
+        known = self._values.get(name)
+        return None if known is None else known[0]
+
+    def told_at(self, name: str) -> float | None:
+        known = self._values.get(name)
+        return None if known is None else known[1]
+
+    def forget(self) -> None:
+        self._values.clear()
