@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import cos, log, sqrt, tau
+
 _MASK = 0xFFFFFFFFFFFFFFFF
 
 
@@ -31,3 +33,7 @@ class Chance:
 
     def happens(self, probability: float) -> bool:
         return probability > 0.0 and self.fraction() < probability
+
+    def normal(self) -> float:
+        """Mean 0, standard deviation 1 (Box and Muller 1958)."""
+        return sqrt(-2.0 * log(1.0 - self.fraction())) * cos(tau * self.fraction())

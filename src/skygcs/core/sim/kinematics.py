@@ -7,20 +7,15 @@ autopilot makes them move. ENU metres about the point where the vehicle was firs
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, copysign, cos, degrees, hypot, pi, radians, remainder, sin, sqrt
+from math import atan2, copysign, cos, hypot, pi, radians, remainder, sin, sqrt
 
-GRAVITY_MPS2 = 9.81
+from skygcs.core.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, wrap_pi
 
 POSITION_GAIN_PER_S = 1.0
 """Speed per metre of distance close to the target (PX4's MPC_XY_P 0.95, ArduCopter's PSC_POSXY_P 1.0)."""
 
 ACCEL_UP_MPS2 = 2.5
 """ArduCopter's WPNAV_ACCEL_Z 1.0 and PX4's MPC_ACC_UP_MAX 4.0 have this between them."""
-
-ARRIVED_M = 0.3
-"""Closer than this and slower than ARRIVED_MPS is there."""
-
-ARRIVED_MPS = 0.3
 
 TOP_SPEED_MPS = 30.0
 SLOWEST = 0.05
@@ -32,11 +27,6 @@ TERMINAL_MPS = 40.0
 EARTH_A_M = 6378137.0
 EARTH_E2 = 6.69437999014e-3
 """WGS84 (NIMA TR8350.2): semi-major axis and first eccentricity squared."""
-
-
-def wrap_pi(angle_rad: float) -> float:
-    """Into [-pi, pi]."""
-    return remainder(angle_rad, 2 * pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,74 +98,34 @@ def approach_speed(distance_m: float, accel_mps2: float, top_mps: float) -> floa
     return min(sqrt(2 * accel_mps2 * (distance_m - near / 2)), top_mps)
 
 
-class Motion:
-    """Position, velocity and attitude of one vehicle."""
+class Motion(Body):
+    """A vehicle that moves like this. It has no attitude to command: an `AttitudeSetpoint` lets it stop and hold."""
 
-    __slots__ = (
-        "accel_enu_mps2",
-        "east_m",
-        "north_m",
-        "pitch_rad",
-        "roll_rad",
-        "up_m",
-        "vel_e_mps",
-        "vel_n_mps",
-        "vel_u_mps",
-        "yaw_rad",
-        "yaw_rate_radps",
-    )
+    __slots__ = ("floor_m",)
 
     def __init__(self, yaw_rad: float = 0.0) -> None:
-        self.east_m = 0.0
-        self.north_m = 0.0
-        self.up_m = 0.0
-        self.vel_e_mps = 0.0
-        self.vel_n_mps = 0.0
-        self.vel_u_mps = 0.0
-        self.accel_enu_mps2 = (0.0, 0.0, 0.0)
-        self.yaw_rad = wrap_pi(yaw_rad)
-        self.yaw_rate_radps = 0.0
-        self.roll_rad = 0.0
-        self.pitch_rad = 0.0
+        super().__init__(yaw_rad)
+        self.floor_m = 0.0
 
-    @property
-    def on_ground(self) -> bool:
-        return self.up_m <= 0.0 and self.vel_u_mps <= 0.0
-
-    @property
-    def groundspeed_mps(self) -> float:
-        return hypot(self.vel_e_mps, self.vel_n_mps)
-
-    @property
-    def heading_deg(self) -> float:
-        """Compass heading, [0, 360)."""
-        return degrees(self.yaw_rad) % 360.0
-
-    def distance_m(self, east_m: float, north_m: float, up_m: float) -> float:
-        return hypot(east_m - self.east_m, north_m - self.north_m, up_m - self.up_m)
-
-    def is_at(self, east_m: float, north_m: float, up_m: float) -> bool:
-        """Near the point and nearly still."""
-        near = self.distance_m(east_m, north_m, up_m) < ARRIVED_M
-        return near and hypot(self.groundspeed_mps, self.vel_u_mps) < ARRIVED_MPS
-
-    def step(self, dt_s: float, setpoint: Setpoint | None, limits: Limits) -> None:
+    def step(self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | None, limits: Limits) -> None:
         """Move on by ``dt_s``. Without a setpoint the motors give no lift: it stays on the ground, or falls."""
+        if isinstance(setpoint, AttitudeSetpoint):
+            setpoint = Setpoint((None, None, None))
         before = (self.vel_e_mps, self.vel_n_mps, self.vel_u_mps)
         if setpoint is None:
             self.yaw_rate_radps = 0.0
             if self.on_ground:
-                self._rest()
+                self.rest()
                 return
             self.vel_u_mps = max(self.vel_u_mps - GRAVITY_MPS2 * dt_s, -TERMINAL_MPS)
         else:
             self._steer(dt_s, setpoint, limits)
             self._turn(dt_s, setpoint, limits)
         self.up_m += self.vel_u_mps * dt_s
-        if self.up_m <= 0.0:
-            self.up_m = 0.0
+        if self.up_m <= self.floor_m:
+            self.up_m = self.floor_m
             if self.vel_u_mps <= 0.0:
-                self._rest()
+                self.rest()
                 return
         self.east_m += self.vel_e_mps * dt_s
         self.north_m += self.vel_n_mps * dt_s
@@ -185,11 +135,6 @@ class Motion:
             (self.vel_u_mps - before[2]) / dt_s,
         )
         self._tilt(dt_s)
-
-    def _rest(self) -> None:
-        self.vel_e_mps = self.vel_n_mps = self.vel_u_mps = 0.0
-        self.accel_enu_mps2 = (0.0, 0.0, 0.0)
-        self.roll_rad = self.pitch_rad = 0.0
 
     def _steer(self, dt_s: float, setpoint: Setpoint, limits: Limits) -> None:
         east, north, up = setpoint.pos_enu_m

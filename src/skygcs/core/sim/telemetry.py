@@ -10,7 +10,7 @@ from math import atan2, cos, degrees, nan, sin
 from typing import TYPE_CHECKING, Any
 
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim.kinematics import GRAVITY_MPS2
+from skygcs.core.sim.body import GRAVITY_MPS2, Body, quaternion_of
 
 if TYPE_CHECKING:
     from skygcs.core.sim.vehicle import SimVehicle
@@ -150,27 +150,22 @@ def attitude(v: SimVehicle, now: float) -> Fields:
         "roll": motion.roll_rad,
         "pitch": motion.pitch_rad,
         "yaw": motion.yaw_rad,
+        **_rates(motion),
+    }
+
+
+def _rates(motion: Body) -> Fields:
+    return {
+        "rollspeed": motion.roll_rate_radps,
+        "pitchspeed": motion.pitch_rate_radps,
         "yawspeed": motion.yaw_rate_radps,
     }
 
 
-def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """(w, x, y, z) of the rotation yaw, then pitch, then roll."""
-    cr, sr = cos(roll / 2), sin(roll / 2)
-    cp, sp = cos(pitch / 2), sin(pitch / 2)
-    cy, sy = cos(yaw / 2), sin(yaw / 2)
-    return (
-        cr * cp * cy + sr * sp * sy,
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-    )
-
-
 def attitude_quaternion(v: SimVehicle, now: float) -> Fields:
     motion = v.motion
-    w, x, y, z = quaternion(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
-    return {"time_boot_ms": v.boot_ms, "q1": w, "q2": x, "q3": y, "q4": z, "yawspeed": motion.yaw_rate_radps}
+    w, x, y, z = quaternion_of(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
+    return {"time_boot_ms": v.boot_ms, "q1": w, "q2": x, "q3": y, "q4": z, **_rates(motion)}
 
 
 def vfr_hud(v: SimVehicle, now: float) -> Fields:

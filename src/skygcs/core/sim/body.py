@@ -1,0 +1,122 @@
+"""A vehicle in space: where it is, how it moves and how it lies. What moves it is in `kinematics` and `quad`.
+
+ENU metres about the point where the vehicle was first powered; the ground is flat, up 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, degrees, hypot, pi, remainder, sin
+
+GRAVITY_MPS2 = 9.81
+
+ARRIVED_M = 0.3
+"""Closer than this and slower than ARRIVED_MPS is there."""
+
+ARRIVED_MPS = 0.3
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+def wrap_pi(angle_rad: float) -> float:
+    """Into [-pi, pi]."""
+    return remainder(angle_rad, 2 * pi)
+
+
+def quaternion_of(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaternion:
+    """(w, x, y, z) of the rotation yaw, then pitch, then roll: FRD body vectors into NED ones."""
+    cr, sr = cos(roll_rad / 2), sin(roll_rad / 2)
+    cp, sp = cos(pitch_rad / 2), sin(pitch_rad / 2)
+    cy, sy = cos(yaw_rad / 2), sin(yaw_rad / 2)
+    return (
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeSetpoint:
+    """How to lie and how hard to push: what SET_ATTITUDE_TARGET asks for.
+
+    ``attitude_ned_frd`` turns FRD body vectors into NED ones (w, x, y, z), of unit length; None keeps level and the
+    yaw there is. ``thrust`` is collective and normalised (0..1); None: the autopilot's height controller follows
+    ``climb_mps`` instead.
+    """
+
+    attitude_ned_frd: Quaternion | None
+    thrust: float | None = None
+    climb_mps: float = 0.0
+
+
+class Body:
+    """Position, velocity and attitude of one vehicle. Yaw is compass yaw: 0 north, clockwise."""
+
+    __slots__ = (
+        "accel_enu_mps2",
+        "east_m",
+        "north_m",
+        "pitch_rad",
+        "pitch_rate_radps",
+        "roll_rad",
+        "roll_rate_radps",
+        "up_m",
+        "vel_e_mps",
+        "vel_n_mps",
+        "vel_u_mps",
+        "yaw_rad",
+        "yaw_rate_radps",
+    )
+
+    def __init__(self, yaw_rad: float = 0.0) -> None:
+        self.east_m = 0.0
+        self.north_m = 0.0
+        self.up_m = 0.0
+        self.vel_e_mps = 0.0
+        self.vel_n_mps = 0.0
+        self.vel_u_mps = 0.0
+        self.accel_enu_mps2: Vector = (0.0, 0.0, 0.0)
+        self.yaw_rad = wrap_pi(yaw_rad)
+        self.yaw_rate_radps = 0.0
+        self.roll_rad = 0.0
+        self.pitch_rad = 0.0
+        self.roll_rate_radps = 0.0
+        self.pitch_rate_radps = 0.0
+
+    @property
+    def on_ground(self) -> bool:
+        return self.up_m <= 0.0 and self.vel_u_mps <= 0.0
+
+    @property
+    def groundspeed_mps(self) -> float:
+        return hypot(self.vel_e_mps, self.vel_n_mps)
+
+    @property
+    def heading_deg(self) -> float:
+        """Compass heading, [0, 360)."""
+        return degrees(self.yaw_rad) % 360.0
+
+    @property
+    def pos_enu_m(self) -> Vector:
+        return self.east_m, self.north_m, self.up_m
+
+    @property
+    def vel_enu_mps(self) -> Vector:
+        return self.vel_e_mps, self.vel_n_mps, self.vel_u_mps
+
+    def distance_m(self, east_m: float, north_m: float, up_m: float) -> float:
+        return hypot(east_m - self.east_m, north_m - self.north_m, up_m - self.up_m)
+
+    def is_at(self, east_m: float, north_m: float, up_m: float) -> bool:
+        """Near the point and nearly still."""
+        near = self.distance_m(east_m, north_m, up_m) < ARRIVED_M
+        return near and hypot(self.groundspeed_mps, self.vel_u_mps) < ARRIVED_MPS
+
+    def rest(self) -> None:
+        """Lie still and level where it is."""
+        self.vel_e_mps = self.vel_n_mps = self.vel_u_mps = 0.0
+        self.accel_enu_mps2 = (0.0, 0.0, 0.0)
+        self.roll_rad = self.pitch_rad = 0.0
+        self.roll_rate_radps = self.pitch_rate_radps = 0.0

@@ -1,0 +1,149 @@
+"""The autopilot's own position and velocity controllers, as both firmwares have them, on a rigid body.
+
+    setpoint ─> trajectory within the limits (`kinematics`) ──pos, vel, acc──> P ─> PI ─> attitude, thrust
+
+The trajectory is shaped first and tracked then (PX4's position smoothing, ArduPilot's input shaping), so that a far
+goto neither saturates nor overshoots. It waits for a body that cannot keep up.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, radians, sin, tan
+
+from skygcs.core.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, Quaternion, Vector, quaternion_of
+from skygcs.core.sim.kinematics import Limits, Motion, Setpoint
+
+POSITION_XY_PER_S = 1.0
+POSITION_Z_PER_S = 1.5
+"""Velocity per metre behind the trajectory (PX4's MPC_XY_P 0.95 and MPC_Z_P 1.0, ArduCopter's PSC_POSZ_P 1.0)."""
+
+VELOCITY_XY_PER_S = 2.0
+VELOCITY_Z_PER_S = 4.0
+"""Acceleration per m/s behind (PX4's MPC_XY_VEL_P_ACC 1.8 and MPC_Z_VEL_P_ACC 4.0)."""
+
+INTEGRAL_XY_PER_S2 = 0.6
+INTEGRAL_Z_PER_S2 = 2.0
+"""PX4's MPC_XY_VEL_I_ACC 0.4 and MPC_Z_VEL_I_ACC 2.0."""
+
+INTEGRAL_MAX_MPS2 = 5.0
+"""Drag at 12 m/s of wind; vertically a battery at half its nominal thrust."""
+
+TILT_MAX_RAD = radians(35)
+"""ArduCopter's ANGLE_MAX is 30 to 45 degrees, PX4's MPC_TILTMAX_AIR 45."""
+
+LEASH_XY_M = 2.0
+LEASH_Z_M = 1.0
+"""The trajectory runs no farther ahead of the body than this."""
+
+IDLE_THRUST = 0.08
+"""Propellers turn, nothing lifts."""
+
+LEAST_THRUST = 0.12
+"""In the air: below it the attitude loop has no authority (PX4's MPC_THR_MIN)."""
+
+MOST_THRUST = 1.0
+
+
+class Steering:
+    """What the autopilot remembers from tick to tick: where its trajectory is, and the integrals (ENU, m/s²)."""
+
+    __slots__ = ("_hover_thrust", "_integral", "_trajectory")
+
+    def __init__(self, hover_thrust: float) -> None:
+        self._hover_thrust = hover_thrust
+        self._trajectory: Motion | None = None
+        self._integral = [0.0, 0.0, 0.0]
+
+    def restart(self) -> None:
+        """Forget everything: the motors stopped."""
+        self._trajectory = None
+        self._integral = [0.0, 0.0, 0.0]
+
+    def step(
+        self, body: Body, dt_s: float, setpoint: Setpoint | AttitudeSetpoint, limits: Limits, error_enu_m: Vector
+    ) -> tuple[Quaternion, float]:
+        """Attitude (NED/FRD) and thrust for the next ``dt_s``. ``error_enu_m``: believed minus true position."""
+        if isinstance(setpoint, AttitudeSetpoint):
+            attitude = setpoint.attitude_ned_frd
+            if setpoint.thrust is not None:
+                self._trajectory = None
+                return attitude or quaternion_of(0.0, 0.0, body.yaw_rad), setpoint.thrust
+            follow = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
+        else:
+            attitude, follow = None, setpoint
+        east, north, up = body.east_m + error_enu_m[0], body.north_m + error_enu_m[1], body.up_m + error_enu_m[2]
+        path = self._trajectory
+        if path is None:
+            path = self._trajectory = self._begin(body, east, north, up)
+        path.step(dt_s, follow, limits)
+        if body.on_ground and path.vel_u_mps <= 0.0:
+            self.restart()
+            return quaternion_of(0.0, 0.0, body.yaw_rad), IDLE_THRUST
+        held_e, _, held_u = follow.pos_enu_m
+        if held_e is None:
+            path.east_m, path.north_m = east, north
+        if held_u is None and not isinstance(setpoint, AttitudeSetpoint):
+            path.up_m = up
+        accel_u = self._vertical(body, path, up, dt_s)
+        if isinstance(setpoint, AttitudeSetpoint):
+            path.vel_e_mps, path.vel_n_mps = body.vel_e_mps, body.vel_n_mps
+            path.yaw_rad = body.yaw_rad
+            level_share = max(0.5, cos(body.roll_rad) * cos(body.pitch_rad))
+            thrust = self._hover_thrust * (GRAVITY_MPS2 + accel_u) / GRAVITY_MPS2 / level_share
+            return attitude or quaternion_of(0.0, 0.0, body.yaw_rad), _bounded(thrust)
+        accel_e, accel_n = self._horizontal(body, path, (east, north), GRAVITY_MPS2 + accel_u, dt_s)
+        return self._lean(accel_e, accel_n, GRAVITY_MPS2 + accel_u, path.yaw_rad)
+
+    def _begin(self, body: Body, east_m: float, north_m: float, up_m: float) -> Motion:
+        path = Motion(body.yaw_rad)
+        path.floor_m = float("-inf")  # the body meets the ground, not the trajectory
+        path.east_m, path.north_m, path.up_m = east_m, north_m, up_m
+        path.vel_e_mps, path.vel_n_mps, path.vel_u_mps = body.vel_enu_mps
+        return path
+
+    def _vertical(self, body: Body, path: Motion, up_m: float, dt_s: float) -> float:
+        behind = path.up_m - up_m
+        if abs(behind) > LEASH_Z_M:
+            behind = LEASH_Z_M if behind > 0.0 else -LEASH_Z_M
+            path.up_m = up_m + behind
+        error = path.vel_u_mps + POSITION_Z_PER_S * behind - body.vel_u_mps
+        held = self._integral[2] + INTEGRAL_Z_PER_S2 * error * dt_s
+        self._integral[2] = max(-INTEGRAL_MAX_MPS2, min(INTEGRAL_MAX_MPS2, held))
+        accel = path.accel_enu_mps2[2] + VELOCITY_Z_PER_S * error + self._integral[2]
+        return max(-0.7 * GRAVITY_MPS2, min(GRAVITY_MPS2, accel))
+
+    def _horizontal(
+        self, body: Body, path: Motion, at: tuple[float, float], lift_mps2: float, dt_s: float
+    ) -> tuple[float, float]:
+        behind_e, behind_n = path.east_m - at[0], path.north_m - at[1]
+        behind = hypot(behind_e, behind_n)
+        if behind > LEASH_XY_M:
+            behind_e, behind_n = behind_e * LEASH_XY_M / behind, behind_n * LEASH_XY_M / behind
+            path.east_m, path.north_m = at[0] + behind_e, at[1] + behind_n
+        error_e = path.vel_e_mps + POSITION_XY_PER_S * behind_e - body.vel_e_mps
+        error_n = path.vel_n_mps + POSITION_XY_PER_S * behind_n - body.vel_n_mps
+        held = self._integral
+        accel_e = path.accel_enu_mps2[0] + VELOCITY_XY_PER_S * error_e + held[0]
+        accel_n = path.accel_enu_mps2[1] + VELOCITY_XY_PER_S * error_n + held[1]
+        asked, most = hypot(accel_e, accel_n), lift_mps2 * tan(TILT_MAX_RAD)
+        if asked > most:  # and no integration into the limit
+            return accel_e * most / asked, accel_n * most / asked
+        held[0] += INTEGRAL_XY_PER_S2 * error_e * dt_s
+        held[1] += INTEGRAL_XY_PER_S2 * error_n * dt_s
+        size = hypot(held[0], held[1])
+        if size > INTEGRAL_MAX_MPS2:
+            held[0], held[1] = held[0] * INTEGRAL_MAX_MPS2 / size, held[1] * INTEGRAL_MAX_MPS2 / size
+        return accel_e, accel_n
+
+    def _lean(self, accel_e: float, accel_n: float, lift_mps2: float, yaw_rad: float) -> tuple[Quaternion, float]:
+        """The attitude whose up axis lies along this push, the nose at the yaw, and the thrust that makes it."""
+        ahead = accel_n * cos(yaw_rad) + accel_e * sin(yaw_rad)
+        right = accel_e * cos(yaw_rad) - accel_n * sin(yaw_rad)
+        pitch = atan2(-ahead, lift_mps2)
+        roll = atan2(right, hypot(ahead, lift_mps2))
+        push = hypot(ahead, right, lift_mps2)
+        return quaternion_of(roll, pitch, yaw_rad), _bounded(self._hover_thrust * push / GRAVITY_MPS2)
+
+
+def _bounded(thrust: float) -> float:
+    return max(LEAST_THRUST, min(MOST_THRUST, thrust))
