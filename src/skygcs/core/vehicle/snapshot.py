@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from skygcs.core.exchange.command import RESULT_NAMES
+from skygcs.core.geo import world_from_enu, wrap_deg_180
 from skygcs.core.vehicle.state import SEVERITY, SYSTEM_STATUS, Part, VehicleState, name_of
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
     sections = vehicle.readings.sections(now)
     position = sections["position"]
     if position is not None:
-        position["enu_m"] = vehicle.enu_m()
+        position |= _in_the_world(vehicle, position)
     state: dict[str, Any] = {
         "name": vehicle.name,
         "sysid": vehicle.sysid,
@@ -52,6 +53,26 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
         "links": {},
     }
     return state  # type: ignore[return-value]  # the keys of `VehicleState`; a test compares them
+
+
+def _in_the_world(vehicle: Vehicle, position: Part) -> Part:
+    """What is known of a position only with the fleet's origin, and with the ground the vehicle took off from."""
+    origin, launch_amsl_m = vehicle.origin, vehicle.launch.alt_amsl_m
+    velocity = yaw_deg = height_m = None
+    if launch_amsl_m is not None and position["lat_deg"] is not None:
+        height_m = round(position["alt_amsl_m"] - launch_amsl_m, 3)
+    if origin is not None:
+        velocity = [round(v, 3) for v in world_from_enu(tuple(position["vel_enu_mps"]), origin)]
+        if position["heading_deg"] is not None:
+            yaw_deg = round(wrap_deg_180(origin.x_heading_deg - position["heading_deg"]), 2)
+    return {
+        "takeoff_alt_amsl_m": launch_amsl_m,
+        "alt_takeoff_m": height_m,
+        "enu_m": vehicle.enu_m(),
+        "vel_world_mps": velocity,
+        "yaw_world_deg": yaw_deg,
+        "origin_generation": vehicle.origin_generation,
+    }
 
 
 def _last_ack(vehicle: Vehicle, now: float) -> Part | None:

@@ -402,6 +402,7 @@ class Vehicle:
         """What was known of the life before is no longer true, but for the heartbeat."""
         self._known_since = now
         self._landed = "undefined"
+        self.launch.forget()
         self.parameters.forget()
         self.readings.forget_before(now, keep="HEARTBEAT")
         return self._event("reboot", text, {})
