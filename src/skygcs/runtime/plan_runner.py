@@ -66,6 +66,8 @@ class PlanRunner:
             if outcome.result == "unsupported" and step.instead:
                 queue = list(step.instead) + queue
                 continue
+            if not outcome.ok and step.optional and order == self.order:
+                continue
             if not outcome.ok:
                 outcome = self._explained(outcome, step)
                 message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"

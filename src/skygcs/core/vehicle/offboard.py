@@ -5,8 +5,8 @@
     ArduCopter  GUIDED. It enters with a position; without setpoints of velocity or attitude for GUID_TIMEOUT (3 s) it
                 levels and stops. Thrust of SET_ATTITUDE_TARGET is a climb rate unless GUID_OPTIONS has bit 3.
 
-The order of things: `entry_refusal`; for attitude `read_parameter` of all `attitude_parameters`, `attitude_refusal`;
-start streaming; `enter`; and if that fails, or when it is over, `leave`.
+The order of things: `entry_refusal`; for attitude `ask_parameters` and `attitude_refusal`; start streaming;
+`enter`; and if that fails, or when it is over, `leave`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,14 @@ PX4_THRUST_TYPES = frozenset({2, 3, 4, 13, 14, 15})
 """Quadrotor, coaxial, helicopter, hexa-, octo- and tricopter: PX4 1.14's fill_thrust knows these MAV_TYPEs; any other
 rotorcraft, a generic one too, it would fly with no thrust at all. (VTOLs are no multirotors for skygcs' law.)"""
 
-PARAM_WAIT_S = 2.0
-"""Four requests: ArduPilot answers from a background task, within 0.1 s; the rest is the radio."""
+PARAM_WAIT_S = 3.0
+"""Six requests: ArduPilot answers from a background task, within 0.1 s; the rest is the radio."""
+
+OPTIONAL_WAIT_S = 1.0
+
+COPTER_PARAMETERS = (("GUID_OPTIONS", False), ("ATC_ANGLE_BOOST", True), ("MOT_THST_HOVER", True))
+PX4_PARAMETERS = (("MPC_THR_HOVER", True),)
+"""What flying by attitude has to know, and whether it can do without."""
 
 FLIES_ITSELF = frozenset(
     {
@@ -79,7 +85,7 @@ def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
 def attitude_refusal(vehicle: Vehicle) -> str | None:
     """Why it must not be sent attitude and thrust; None if it may be.
 
-    Of an ArduCopter it has to be known (`read_parameter`) that thrust is thrust: a controller that means thrust and is
+    Of an ArduCopter it has to be known (`ask_parameters`) that thrust is thrust: a controller that means thrust and is
     taken for a climb rate climbs or sinks without end.
     """
     if vehicle.family == "px4":
@@ -116,21 +122,23 @@ def told_hover_thrust(vehicle: Vehicle) -> float | None:
     return vehicle.param("MPC_THR_HOVER" if vehicle.family == "px4" else "MOT_THST_HOVER")
 
 
-def attitude_parameters(vehicle: Vehicle) -> tuple[str, ...]:
-    """Names of the parameters that `attitude_refusal` and `boosts_thrust` rest on."""
-    return ("GUID_OPTIONS", "ATC_ANGLE_BOOST") if vehicle.family == "ardupilot" else ()
+def ask_parameters(vehicle: Vehicle, now: float) -> Plan:
+    """Read what flying by attitude has to know: all anew, because anybody may have changed it since it was told."""
+    wanted = PX4_PARAMETERS if vehicle.family == "px4" else COPTER_PARAMETERS
+    steps = tuple(ask_parameter(name, after=now, optional=optional) for name, optional in wanted)
+    return Plan("parameters", steps, "parameters read")
 
 
-def read_parameter(vehicle: Vehicle, name: str) -> Plan:
+def ask_parameter(name: str, *, after: float, optional: bool = False) -> Step:
     """PARAM_REQUEST_READ by name, one of `parameters.WATCHED`, until PARAM_VALUE comes; nothing else answers it, and a
-    name the firmware does not know nothing at all. Told before or not, it is asked anew."""
-    step = Step(
+    name the firmware does not know nothing at all."""
+    return Step(
         f"read {name}",
         message=("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1}),
-        expect=ParamKnown(name, vehicle.parameters.told_at(name)),
-        expect_s=PARAM_WAIT_S,
+        expect=ParamKnown(name, after),
+        expect_s=OPTIONAL_WAIT_S if optional else PARAM_WAIT_S,
+        optional=optional,
     )
-    return Plan("parameter", (step,), f"{name} read")
 
 
 def enter(vehicle: Vehicle) -> Plan:

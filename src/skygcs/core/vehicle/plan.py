@@ -94,14 +94,14 @@ class MessageAfter:
 
 @dataclass(frozen=True, slots=True)
 class ParamKnown:
-    """A parameter of `parameters.WATCHED` was told since ``last_at``, when it was told before (None: never)."""
+    """A parameter of `parameters.WATCHED` was told, by whomever it was asked for, at or after that time."""
 
     name: str
-    last_at: float | None
+    after: float
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
         told_at = vehicle.parameters.told_at(self.name)
-        return told_at is not None and told_at != self.last_at
+        return told_at is not None and told_at >= self.after
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
         return f"it does not tell its parameter {self.name}"
@@ -137,7 +137,7 @@ class Step:
     ``expect_s``: how long to wait for the expectation; 0 does not wait for it (it then only explains a lost ACK).
     ``skip_if_met``: nothing is sent if the state is as wanted already. ``undo`` is carried out if a later step fails.
     ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` is what its
-    refusal means, for a vehicle that gives no reason itself.
+    refusal means, for a vehicle that gives no reason itself. An ``optional`` step may fail: the plan goes on.
     """
 
     name: str
@@ -149,6 +149,7 @@ class Step:
     undo: Step | None = None
     instead: tuple[Step, ...] = ()
     refused: str = ""
+    optional: bool = False
 
 
 @dataclass(frozen=True, slots=True)
