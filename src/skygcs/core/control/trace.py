@@ -131,12 +131,33 @@ class Trace:
     Iterating raises TraceError (line, reason) at the first line that is none of a trace.
     """
 
-    def __init__(self, head: TraceHead, entries: Iterator[Entry]) -> None:
+    def __init__(self, head: TraceHead, numbered: Iterator[tuple[int, str]]) -> None:
         self.head = head
-        self._entries = entries
+        self.cut_line: int | None = None
+        """The last line, if it was never finished; known at the end."""
+        self._numbered = numbered
 
     def __iter__(self) -> Iterator[Entry]:
-        return self._entries
+        config: ControlConfig | None = None
+        memory: Memory | None = None
+        for number, line in self._numbered:
+            whole = _whole(number, line)
+            if whole is None:
+                self.cut_line = number
+                return
+            if not whole:
+                continue
+            if whole.startswith("#"):
+                key, value = _remark_of(number, whole)
+                if key == "config":
+                    config = _config(number, value)
+                elif key == "memory":
+                    memory = _memory(number, value)
+                continue
+            if config is None:
+                raise TraceError(number, "a row before the remark 'config'")
+            yield Entry(number, decode_row(number, whole), config, memory)
+            memory = None
 
 
 def decode(lines: Iterable[str]) -> Trace:
@@ -150,7 +171,7 @@ def decode(lines: Iterable[str]) -> Trace:
         if not whole.startswith("#"):
             if tuple(whole.split(",")) != COLUMNS:
                 raise TraceError(number, "these are not the columns of a control trace")
-            return Trace(_head(number, remarks), _entries(numbered))
+            return Trace(_head(number, remarks), numbered)
         key, value = _remark_of(number, whole)
         if len(remarks) >= 16 and key not in remarks:
             raise TraceError(number, "too many remarks before the columns")
@@ -219,28 +240,6 @@ def _head(number: int, remarks: dict[str, Any]) -> TraceHead:
         return TraceHead(str(remarks["vehicle"]), *place)
     except (KeyError, TypeError, ValueError) as error:
         raise TraceError(number, f"remarks 'vehicle' and 'anchor' are missing or wrong: {error}") from None
-
-
-def _entries(numbered: Iterator[tuple[int, str]]) -> Iterator[Entry]:
-    config: ControlConfig | None = None
-    memory: Memory | None = None
-    for number, line in numbered:
-        whole = _whole(number, line)
-        if whole is None:
-            return
-        if not whole:
-            continue
-        if whole.startswith("#"):
-            key, value = _remark_of(number, whole)
-            if key == "config":
-                config = _config(number, value)
-            elif key == "memory":
-                memory = _memory(number, value)
-            continue
-        if config is None:
-            raise TraceError(number, "a row before the remark 'config'")
-        yield Entry(number, decode_row(number, whole), config, memory)
-        memory = None
 
 
 def _config(number: int, value: Any) -> ControlConfig:

@@ -30,7 +30,7 @@ class TraceRow:
     """One tick: what the law was given, and what came of it. ``with_output`` fills in the latter."""
 
     t_s: float
-    """Since the trace began, monotonic."""
+    """Of the loop's clock, which has no date: only differences mean anything."""
     dt_s: float
     """Measured since the last tick, as handed to `step`: not clamped."""
     way: str | None
