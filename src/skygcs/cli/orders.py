@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -23,15 +23,19 @@ def order(method: str, targets: str, json_output: bool, **params: Any) -> NoRetu
     async def command(gcs: Client) -> int:
         async with waiting(f"{method} {targets}"):
             answer = await gcs.call(f"vehicles.{method}", targets=targets, **params)
-        outcomes: dict[str, dict[str, Any]] = answer["outcomes"]
-        if json_output:
-            typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
-        else:
-            for line in outcome_lines(outcomes, screen_width(sys.stdout)):
-                typer.echo(line)
-        return Exit.DONE if all(o["ok"] for o in outcomes.values()) else Exit.FAILED
+        return tell_outcomes(answer["outcomes"], json_output)
 
     run(command)
+
+
+def tell_outcomes(outcomes: Mapping[str, Mapping[str, Any]], json_output: bool) -> int:
+    """Print what became of an order, one line per vehicle; gives the exit code."""
+    if json_output:
+        typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
+    else:
+        for line in outcome_lines(outcomes, screen_width(sys.stdout)):
+            typer.echo(line)
+    return Exit.DONE if all(o["ok"] for o in outcomes.values()) else Exit.FAILED
 
 
 Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying for S seconds.", parser=finite)]

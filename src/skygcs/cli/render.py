@@ -111,7 +111,7 @@ def status_table(states: Iterable[State], fields: Sequence[str] = (), width: int
     states = list(states)
     columns = ("name", *fields) if fields else STATUS_COLUMNS
     rows = [(str(s["name"]), *(field_text(s, f) for f in fields)) if fields else status_cells(s) for s in states]
-    shown = range(len(columns)) if fields else _fitting(columns, rows, width, STATUS_LEAVES_OUT, ("last text",))
+    shown = range(len(columns)) if fields else fitting(columns, rows, width, STATUS_LEAVES_OUT, ("last text",))
     if not fields and len(columns) - 1 in shown:  # the last text is cut to the room that is left, and never wrapped
         others = sum(max(len(columns[i]), *(len(row[i]) for row in rows), 0) + 2 for i in shown[:-1])
         rows = [(*row[:-1], _cut(row[-1], max(width - others, WRAPPING_COLUMNS))) for row in rows]
@@ -130,7 +130,7 @@ def _cut(text: str, columns: int) -> str:
     return text if len(text) <= columns else text[: columns - 1] + "…"
 
 
-def _fitting(
+def fitting(
     columns: Sequence[str], rows: Sequence[Sequence[str]], width: int, leave_out: Sequence[str], wrapping: Sequence[str]
 ) -> list[int]:
     """Indices of the columns that have room, two spaces between them."""
@@ -240,7 +240,7 @@ def links_table(links: Iterable[Mapping[str, Any]], width: int = PIPE_WIDTH) -> 
         rows += [(*(head if i == 0 else ("",) * 4), *cells) for i, cells in enumerate(channels)]
         styles += [{"down": "red", "disabled": "dim"}.get(state)] * len(channels)
     table = Table(box=None, pad_edge=False, header_style="bold")
-    shown = _fitting(LINK_COLUMNS, rows, width, LINKS_LEAVE_OUT, ("peer", "sources"))
+    shown = fitting(LINK_COLUMNS, rows, width, LINKS_LEAVE_OUT, ("peer", "sources"))
     for i in shown:
         table.add_column(LINK_COLUMNS[i], no_wrap=LINK_COLUMNS[i] not in ("peer", "sources"))
     for row, style in zip(rows, styles, strict=True):
