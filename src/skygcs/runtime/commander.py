@@ -212,7 +212,9 @@ class Commander:
         """Send a message without acknowledgement to the vehicle. Raises KeyError if the dialect lacks it."""
         sysid, compid = self.target
         info = self._dialect.by_name[message]
-        return self._send(info, {**values, "target_system": sysid, "target_component": compid}, sysid, compid, priority)
+        target = {"target_system": sysid, "target_component": compid}
+        addressed = {**values, **{f.name: target[f.name] for f in info.fields if f.name in target}}
+        return self._send(info, addressed, sysid, compid, priority)
 
     def on_ack(self, ack: Ack, now: float) -> None:
         """A COMMAND_ACK of this vehicle, whomever it answers."""

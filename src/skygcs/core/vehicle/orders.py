@@ -150,7 +150,7 @@ def set_home(
         return autopilot.set_home(None)
     if lat_deg is None or lon_deg is None:
         raise RefusedError("a home needs both latitude and longitude")
-    _check_coordinate(lat_deg, lon_deg)
+    check_coordinate(lat_deg, lon_deg)
     here = _fresh_position(vehicle, now)
     away = 0.0 if here is None else distance_m(here[0], here[1], lat_deg, lon_deg)
     if away > limit_m and not force:
@@ -347,13 +347,13 @@ def _fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] 
 
 def _from_enu(vehicle: Vehicle, enu_m: Sequence[float], home_amsl_m: float) -> Destination:
     if len(enu_m) != 3:
-        raise RefusedError(f"enu_m is east, north, up: three numbers, not {len(enu_m)}")
+        raise RefusedError(f"enu_m is x, y, up (east, north, up): three numbers, not {len(enu_m)}")
     for value, most in zip(enu_m, (MAX_ENU_M, MAX_ENU_M, MAX_HEIGHT_M), strict=True):
         _require_within("an ENU coordinate", value, most)
     if vehicle.origin is None:
-        raise RefusedError("the fleet has no origin yet, so ENU means nothing; set [origin] or use lat and lon")
+        raise RefusedError("the fleet has no origin yet, so ENU means nothing; set one, or use lat and lon")
     lat, lon, alt = geodetic_from_enu(enu_m[0], enu_m[1], enu_m[2], vehicle.origin)
-    _check_coordinate(lat, lon)
+    check_coordinate(lat, lon)
     return Destination(lat, lon, alt, alt - home_amsl_m)
 
 
@@ -370,7 +370,7 @@ def _from_geodetic(
         lat_deg, lon_deg = here[:2]
     if lat_deg is None or lon_deg is None:
         raise RefusedError("a place needs both latitude and longitude")
-    _check_coordinate(lat_deg, lon_deg)
+    check_coordinate(lat_deg, lon_deg)
     if height_m is None:
         return Destination(lat_deg, lon_deg, here[2], here[2] - home_amsl_m)
     _require_within("a height", height_m, MAX_HEIGHT_M)
@@ -382,8 +382,8 @@ def is_place(lat_deg: float, lon_deg: float) -> bool:
     return 0 < abs(lat_deg) <= 90 and 0 < abs(lon_deg) <= 180
 
 
-def _check_coordinate(lat_deg: float, lon_deg: float) -> None:
-    """A coordinate of exactly 0 is a forgotten one: the seed's own script would have flown to 0, 0."""
+def check_coordinate(lat_deg: float, lon_deg: float) -> None:
+    """Raises RefusedError. A coordinate of exactly 0 is a forgotten one: the seed's script would have flown to 0, 0."""
     if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180):  # also false for NaN
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} is no place on earth (latitude -90..90, longitude -180..180)")
     if lat_deg == 0 or lon_deg == 0:
