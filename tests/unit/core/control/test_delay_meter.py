@@ -1,0 +1,174 @@
+"""Delay of a link: percentiles as numpy has them, bounded, and unmoved by pongs that are lost, double or strange."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.control import delay
+from skygcs.core.control.delay import DelayMeter, p95
+
+ages = st.floats(0.0, 10.0)
+
+
+def answered(meter: DelayMeter, rtt_s: float, now: float) -> None:
+    meter.on_pong(meter.ping(now), now + rtt_s)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=200))
+def test_percentile_is_that_of_numpy(values: list[float]) -> None:
+    assert p95(values) == pytest.approx(float(np.percentile(values, 95)), rel=1e-12, abs=1e-12)
+
+
+def test_percentile_of_infinite_values_is_never_nan() -> None:
+    assert p95([]) is None
+    assert p95([1.0, math.inf]) == math.inf
+    assert p95([1.0, math.inf, math.inf]) == math.inf
+    assert p95([1.0] * 30 + [math.inf]) == 1.0
+
+
+@given(st.lists(st.tuples(st.floats(0.001, 0.5), ages), min_size=1, max_size=100), st.lists(ages, min_size=1))
+def test_delay_is_that_of_numpy_on_the_window(ticks: list[tuple[float, float]], trips: list[float]) -> None:
+    meter, now, seen = DelayMeter(), 0.0, []
+    for pause, age in ticks:
+        now += pause
+        meter.on_tick(age, now)
+        seen.append((now, age))
+    window = [age for at, age in seen if now - at <= delay.WINDOW_S]
+    believed = []
+    for trip in trips:
+        now += 1.0
+        answered(meter, trip, now)
+        if (now + trip) - now <= delay.ROUND_TRIP_VALID_S:
+            believed.append((now + trip) - now)
+    if not believed:
+        assert meter.rtt_p95_s is None
+        assert meter.delay_p95_s is None
+        return
+    rtt = float(np.percentile(believed[-delay.ROUND_TRIPS :], 95))
+    assert meter.rtt_p95_s == pytest.approx(rtt, abs=1e-9)
+    assert meter.delay_p95_s == pytest.approx(float(np.percentile([a + rtt / 2 for a in window], 95)), abs=1e-9)
+
+
+def test_ages_counted_from_reception_get_both_ways() -> None:
+    meter = DelayMeter(share=1.0)
+    answered(meter, 0.04, 0.0)
+    meter.on_tick(0.02, 0.1)
+    assert meter.delay_p95_s == pytest.approx(0.06)
+
+
+def test_one_late_tick_in_a_window_moves_nothing_and_a_gap_of_states_does() -> None:
+    meter = DelayMeter()
+    answered(meter, 0.0, 0.0)
+    for n in range(150):
+        meter.on_tick(0.4 if n == 75 else 0.02, 0.1 + n * 0.02)
+    assert meter.delay_p95_s == pytest.approx(0.02)
+    for n in range(10):
+        meter.on_tick(0.02 + n * 0.02 + 0.1, 3.1 + n * 0.02)
+    assert (meter.delay_p95_s or 0.0) > 0.1
+
+
+def test_of_21_round_trips_one_late_pong_moves_nothing_and_the_second_does() -> None:
+    meter = DelayMeter()
+    for n in range(21):
+        answered(meter, 0.5 if n == 10 else 0.03, float(n))
+    assert meter.rtt_p95_s == pytest.approx(0.03)
+    answered(meter, 0.5, 21.0)
+    assert meter.rtt_p95_s == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("unknown", [None, math.nan, math.inf])
+def test_a_state_of_unknown_age_is_infinitely_old(unknown: float | None) -> None:
+    meter = DelayMeter()
+    answered(meter, 0.03, 0.0)
+    meter.on_tick(unknown, 0.1)
+    assert meter.delay_p95_s == math.inf
+
+
+def test_nothing_is_known_before_a_pong_and_a_tick() -> None:
+    meter = DelayMeter()
+    assert (meter.rtt_p95_s, meter.delay_p95_s) == (None, None)
+    meter.on_tick(0.02, 0.0)
+    assert meter.delay_p95_s is None
+    other = DelayMeter()
+    answered(other, 0.03, 0.0)
+    assert other.delay_p95_s is None
+
+
+def test_round_trips_are_forgotten_when_no_pong_comes_any_more() -> None:
+    meter = DelayMeter()
+    answered(meter, 0.03, 0.0)
+    for n in range(1, 10):
+        meter.ping(float(n))
+        meter.on_tick(0.02, float(n))
+        assert (meter.delay_p95_s is None) == (n > 5)
+
+
+def test_strange_pongs_are_counted_and_change_nothing() -> None:
+    meter = DelayMeter()
+    token = meter.ping(10.0)
+    meter.on_pong(token + 1, 10.01)  # of nobody here
+    meter.on_pong(token, 10.02)
+    meter.on_pong(token, 10.9)  # twice
+    late = meter.ping(11.0)
+    meter.on_pong(late, 11.0 + delay.ROUND_TRIP_VALID_S + 0.1)
+    early = meter.ping(20.0)
+    meter.on_pong(early, 19.0)
+    assert meter.strange == 4
+    assert meter.rtt_p95_s == pytest.approx(0.02)
+
+
+def test_pings_five_times_in_the_first_second_and_then_once_a_second() -> None:
+    meter, sent = DelayMeter(), []
+    for n in range(0, 500):
+        now = n / 100
+        if meter.due_ping(now):
+            meter.ping(now)
+            sent.append(now)
+    assert sent == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.8, 2.8, 3.8, 4.8], abs=0.03)
+
+
+def test_pings_at_once_when_the_clock_ran_backwards() -> None:
+    meter = DelayMeter()
+    meter.ping(1000.0)
+    assert not meter.due_ping(1000.1)
+    assert meter.due_ping(3.0)
+
+
+steps = st.tuples(st.sampled_from(["tick", "ping", "pong", "stranger"]), st.floats(-5.0, 5.0), st.floats())
+
+
+@given(st.lists(steps, max_size=300))
+def test_no_sequence_raises_or_grows_or_gives_nan(sequence: list[tuple[str, float, float]]) -> None:
+    meter, now, tokens = DelayMeter(), 100.0, [0]
+    for what, pause, number in sequence:
+        now += pause
+        match what:
+            case "tick":
+                meter.on_tick(number, now)
+            case "ping":
+                tokens.append(meter.ping(now))
+            case "pong":
+                meter.on_pong(tokens[-1 - int(abs(pause)) % len(tokens)], now)
+            case _:
+                meter.on_pong(-7, now)
+        meter.due_ping(now)
+        for value in (meter.rtt_p95_s, meter.delay_p95_s):
+            assert value is None or value >= 0
+    assert tokens == sorted(set(tokens))
+
+
+def test_memory_is_bounded_however_fast_the_loop_and_however_dead_the_link() -> None:
+    meter = DelayMeter()
+    for n in range(5000):
+        meter.ping(n * 0.0001)
+        meter.on_tick(0.01, n * 0.0001)
+    for n in range(100):
+        answered(meter, 0.01, 1.0 + n)
+    assert len(meter._ages) == delay.MAX_TICKS
+    assert len(meter._sent) <= delay.UNDER_WAY
+    assert len(meter._trips) == delay.ROUND_TRIPS

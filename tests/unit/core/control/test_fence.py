@@ -1,0 +1,120 @@
+"""The control fence: where a vehicle may be, where it may be sent, and that the box stands on earth."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.control.fence import Fence
+from skygcs.core.geo import Origin, enu_from_geodetic, geodetic_from_enu
+from skygcs.errors import ConfigError
+
+ORIGIN = Origin(43.78, -79.46, 170.0)
+FENCE = Fence(ORIGIN)
+
+
+def at(x_m: float, y_m: float, up_m: float, origin: Origin = ORIGIN) -> tuple[float, float, float]:
+    return geodetic_from_enu(x_m, y_m, up_m, origin)
+
+
+@pytest.mark.parametrize(
+    ("point", "vehicle", "reference"),
+    [
+        ((0.0, 0.0, 5.0), True, True),
+        ((47.9, -47.9, 17.9), True, True),
+        ((49.9, 0.0, 5.0), True, False),
+        ((0.0, -49.9, 5.0), True, False),
+        ((0.0, 0.0, 19.9), True, False),
+        ((50.1, 0.0, 5.0), False, False),
+        ((-50.1, 0.0, 5.0), False, False),
+        ((0.0, 50.1, 5.0), False, False),
+        ((0.0, 0.0, 20.1), False, False),
+        ((0.0, 0.0, 0.1), True, True),
+        ((0.0, 0.0, -1.9), True, False),
+        ((0.0, 0.0, -2.1), False, False),
+    ],
+)
+def test_keeps_vehicles_in_the_box_and_references_a_margin_inside_with_a_soft_floor(
+    point: tuple[float, float, float], vehicle: bool, reference: bool
+) -> None:
+    assert FENCE.contains(*at(*point)) is vehicle
+    assert FENCE.contains(*at(*point), reference=True) is reference
+
+
+def test_says_where_it_is_and_what_the_limit_is() -> None:
+    assert FENCE.why_not(*at(51.24, 0, 5)) == "the vehicle is at x 51.2 m (limit -50..50 m, the fence)"
+    assert FENCE.why_not(*at(0, -49, 5), reference=True) == (
+        "the place to go to is at y -49.0 m (limit -48..48 m, the fence less 2 m of margin)"
+    )
+    assert FENCE.why_not(*at(0, 0, 5)) is None
+
+
+def test_stands_along_the_axes_of_its_origin() -> None:
+    north_up = Origin(43.78, -79.46, 170.0, x_heading_deg=0.0)
+    corridor = Fence(north_up, x_m=(0.0, 40.0), y_m=(-5.0, 5.0))
+    assert corridor.contains(*at(0.0, 30.0, 5.0))  # true north
+    assert not corridor.contains(*at(30.0, 0.0, 5.0))
+
+
+@given(st.floats(-60, 60), st.floats(-60, 60), st.floats(-4, 24), st.floats(0, 359))
+def test_agrees_with_the_frame_of_its_origin_everywhere(x: float, y: float, up: float, heading: float) -> None:
+    origin = Origin(-33.9, 151.2, 40.0, x_heading_deg=heading)
+    place = geodetic_from_enu(x, y, up, origin)
+    seen = enu_from_geodetic(*place, origin)
+    nearest = min(abs(abs(seen[0]) - 50), abs(abs(seen[1]) - 50), abs(seen[2] - 20), abs(seen[2] + 2))
+    inside = abs(seen[0]) <= 50 and abs(seen[1]) <= 50 and -2 <= seen[2] <= 20
+    if nearest > 1e-3:
+        assert Fence(origin).contains(*place) is inside
+
+
+@given(
+    *[st.floats(-70, 70)] * 2,
+    st.floats(-4, 24),
+    st.tuples(*[st.floats(-2000, 2000)] * 2, st.floats(-100, 100)),
+    st.floats(0, 359),
+    st.floats(0, 359),
+)
+def test_seen_from_an_anchor_it_is_the_same_fence(
+    x: float, y: float, up: float, anchor_m: tuple[float, float, float], heading: float, anchor_heading: float
+) -> None:
+    origin = Origin(43.78, -79.46, 170.0, x_heading_deg=heading)
+    anchor = Origin(*geodetic_from_enu(*anchor_m, origin), x_heading_deg=anchor_heading)
+    place = geodetic_from_enu(x, y, up, origin)
+    local = Fence(origin).seen_from(anchor)
+    seen = enu_from_geodetic(*place, anchor)
+    for reference, walls, top, floor in ((False, 50, 20, -2), (True, 48, 18, 0)):
+        if min(abs(abs(x) - walls), abs(abs(y) - walls), abs(up - top), abs(up - floor)) > 2e-3:
+            assert local.contains(seen, reference=reference) is Fence(origin).contains(*place, reference=reference)
+
+
+def test_seen_from_an_anchor_nan_is_outside() -> None:
+    assert not FENCE.seen_from(ORIGIN).contains((math.nan, 0.0, 1.0))
+    assert not FENCE.seen_from(ORIGIN).contains((0.0, 0.0, math.inf))
+
+
+@given(st.tuples(st.floats(), st.floats(), st.floats()))
+def test_no_number_whatsoever_raises_or_is_inside_by_mistake(place: tuple[float, float, float]) -> None:
+    for reference in (False, True):
+        reason = FENCE.why_not(*place, reference=reference)
+        assert FENCE.contains(*place, reference=reference) is (reason is None)
+        if not all(map(math.isfinite, place)):
+            assert reason is not None and "no place on earth" in reason
+
+
+def test_where_a_reference_may_be_a_vehicle_may_be() -> None:
+    for n in range(-120, 121):
+        place = at(n * 0.5, 0.0, 1.0)
+        assert FENCE.contains(*place) or not FENCE.contains(*place, reference=True)
+
+
+def test_refuses_a_box_with_nothing_in_it_and_tells_every_problem() -> None:
+    with pytest.raises(ConfigError) as error:
+        Fence(ORIGIN, x_m=(5.0, 5.0), up_m=(0.0, math.nan), margin_m=-1.0)
+    assert [p.split(":")[0] for p in error.value.problems] == ["x_m", "up_m", "margin_m"]
+    with pytest.raises(ConfigError):
+        Fence(ORIGIN, x_m=(-2.0, 2.0), margin_m=2.0)
+    with pytest.raises(ConfigError):
+        Fence(ORIGIN, margin_m=math.nan)
