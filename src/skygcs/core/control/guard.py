@@ -335,7 +335,7 @@ def _unfit(config: GuardConfig, facts: Facts, way: Way) -> Iterator[Refusal]:
     if not facts.rate_hz >= facts.rate_min_hz:
         yield Refusal("attitude_rate", _rate_text(facts.rate_hz, facts.rate_min_hz))
     if facts.attitude_refused is not None:
-        yield Refusal("attitude_refused", facts.attitude_refused)
+        yield Refusal("attitude_refused", facts.attitude_refused or "the autopilot cannot be given attitude and thrust")
 
 
 def _too_old(age_s: float, limit_s: float) -> bool:

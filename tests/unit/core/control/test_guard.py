@@ -1,0 +1,439 @@
+"""The guard: row by row of its table, and what it never does whatever the facts are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.control.cascade import Estimate
+from skygcs.core.control.guard import WAYS, Facts, Guard, GuardConfig, Verdict, Way
+from skygcs.errors import ConfigError
+
+NAN = math.nan
+HERE = Estimate((1.0, 2.0, 3.0), (0.1, 0.0, 0.0))
+WELL = Facts(
+    connected=True,
+    armed=True,
+    following=True,
+    state_age_s=0.02,
+    rtt_p95_s=0.03,
+    delay_p95_s=0.05,
+    estimate=HERE,
+    finite=True,
+    fix_ok=True,
+    airborne=True,
+    battery_percent=80.0,
+    inside_fence=True,
+    reference_inside_fence=True,
+    rate_hz=50.0,
+    rate_min_hz=20.0,
+    refusing=None,
+)
+CONFIG = GuardConfig()
+RETURNING = GuardConfig(return_after_s=5.0)
+
+
+def but(**changes: Any) -> Facts:
+    return replace(WELL, **changes)
+
+
+def checked(facts: Facts, wanted: Way = Way.ATTITUDE, config: GuardConfig = CONFIG) -> Verdict:
+    return Guard(config, wanted).check(facts, 0.0)
+
+
+@pytest.mark.parametrize("wanted", WAYS)
+def test_sends_what_is_wanted_while_all_is_well_and_has_nothing_to_tell(wanted: Way) -> None:
+    guard = Guard(CONFIG, wanted)
+    for n in range(100):
+        assert guard.check(WELL, n * 0.02) == Verdict("send", wanted, (), changed=False)
+    assert guard.why_not(WELL) == ()
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind"),
+    [
+        ({"connected": False}, "lost"),
+        ({"rebooted": True}, "rebooted"),
+        ({"armed": False}, "not_armed"),
+        ({"airborne": False}, "on_ground"),
+        ({"following": False}, "mode"),
+    ],
+)
+@pytest.mark.parametrize("wanted", WAYS)
+def test_releases_a_vehicle_that_is_not_ours(changes: dict[str, Any], kind: str, wanted: Way) -> None:
+    verdict = checked(but(**changes), wanted)
+    assert (verdict.action, verdict.way, verdict.changed, verdict.kinds) == ("release", None, True, (kind,))
+    assert len(verdict.reasons) == 1
+
+
+HOLDS = [
+    ({"state_age_s": None}, "no_state", "no position has come"),
+    ({"state_age_s": 2.01}, "silent", "state is 2.01 s old (limit for any setpoint 2 s)"),
+    ({"state_age_s": NAN}, "silent", "state is nan s old"),
+    ({"state_age_s": -0.2}, "silent", "state is -0.20 s old"),
+    ({"finite": False}, "not_finite", "NaN"),
+    ({"fix_ok": False}, "no_fix", "no usable position fix"),
+    ({"estimate": None}, "no_position", "not known"),
+    ({"estimate": Estimate((NAN, 0, 0), (0, 0, 0))}, "estimate", "(nan, 0, 0, 0, 0, 0)"),
+    ({"estimate": Estimate((0, 0, 0), (0, 0, math.inf))}, "estimate", "inf"),
+    ({"estimate": Estimate((0, 2e6, 0), (0, 0, 0))}, "estimate", "2e+06"),
+    ({"inside_fence": False}, "fence", "the vehicle is outside the control fence"),
+    ({"inside_fence": False, "position_breach": "the vehicle is at x 51.2 m"}, "fence", "x 51.2 m"),
+    ({"reference_inside_fence": False}, "fence_reference", "the place to go to is outside"),
+    ({"reference_inside_fence": False, "reference_breach": "is at x 99 m"}, "fence_reference", "x 99 m"),
+    ({"battery_percent": 19.0}, "battery", "the battery is at 19 % (limit 20 %)"),
+    ({"battery_percent": NAN}, "battery", "nan %"),
+    ({"refusing": "mode change denied"}, "refusing", "the autopilot refuses: mode change denied"),
+    ({"refusing": ""}, "refusing", "it does not say why"),
+]
+
+
+@pytest.mark.parametrize(("changes", "kind", "words"), HOLDS)
+@pytest.mark.parametrize("wanted", WAYS)
+def test_holds_where_no_way_is_safe(changes: dict[str, Any], kind: str, words: str, wanted: Way) -> None:
+    verdict = checked(but(**changes), wanted)
+    assert (verdict.action, verdict.way, verdict.changed, verdict.kinds) == ("hold", None, True, (kind,))
+    assert words in verdict.reasons[0]
+
+
+@pytest.mark.parametrize(("changes", "kind", "words"), HOLDS)
+def test_does_not_order_a_hold_to_a_vehicle_that_is_not_following_yet(
+    changes: dict[str, Any], kind: str, words: str
+) -> None:
+    verdict = checked(but(**changes, following=False, engaging=True))
+    assert (verdict.action, verdict.kinds) == ("release", (kind,))
+
+
+def test_may_send_so_that_the_mode_can_be_entered_but_not_after() -> None:
+    guard = Guard(CONFIG, Way.ATTITUDE)
+    assert guard.check(but(following=False, engaging=True), 0.0).action == "send"
+    assert guard.check(WELL, 1.0).action == "send"
+    assert guard.check(but(following=False), 2.0).action == "release"
+
+
+def test_fights_nobody_however_unsafe_it_is() -> None:
+    verdict = checked(but(following=False, inside_fence=False, battery_percent=1.0, finite=False))
+    assert (verdict.action, verdict.kinds) == ("release", ("mode",))
+
+
+def test_tells_every_reason_of_a_hold_and_the_cause_of_a_release() -> None:
+    assert checked(but(fix_ok=False, estimate=None, battery_percent=3.0)).kinds == ("no_fix", "no_position", "battery")
+    assert checked(but(rebooted=True, armed=False, following=False, airborne=False)).kinds == ("rebooted",)
+
+
+UNFIT = [
+    ({"state_age_s": 0.51}, Way.POSITION, "stale", "state is 0.51 s old (limit for attitude and velocity 0.5 s)"),
+    (
+        {"delay_p95_s": 0.101},
+        Way.VELOCITY,
+        "attitude_delay",
+        "is 0.101 s in 95 of 100 ticks (limit for attitude 0.1 s)",
+    ),
+    ({"delay_p95_s": 0.501}, Way.POSITION, "velocity_delay", "limit for velocity 0.5 s"),
+    ({"delay_p95_s": math.inf}, Way.POSITION, "velocity_delay", "inf s"),
+    ({"delay_p95_s": NAN}, Way.POSITION, "velocity_delay", "nan s"),
+    ({"rtt_p95_s": NAN}, Way.VELOCITY, "attitude_delay", "limit for attitude"),
+    ({"rtt_p95_s": None, "delay_p95_s": None}, Way.VELOCITY, "unmeasured", "round trip not measured yet"),
+    ({"rtt_p95_s": None}, Way.VELOCITY, "unmeasured", "round trip not measured yet"),
+    (
+        {"rate_hz": 8.0},
+        Way.VELOCITY,
+        "attitude_rate",
+        "the link leaves 8 setpoints per second (attitude needs 20): each is held until the next, on average 0.062 s "
+        "of delay on top, instead of 0.025 s",
+    ),
+    ({"rate_hz": 1.9}, Way.POSITION, "velocity_rate", "the link leaves 1.9 setpoints per second (velocity needs 2"),
+    ({"rate_hz": 0.0}, Way.POSITION, "attitude_rate", "the link leaves 0 setpoints per second (attitude needs 20)"),
+    ({"rate_hz": NAN}, Way.POSITION, "attitude_rate", "nan"),
+    ({"attitude_refused": "thrust means climb rate"}, Way.VELOCITY, "attitude_refused", "thrust means climb rate"),
+]
+
+
+@pytest.mark.parametrize(("changes", "way", "kind", "words"), UNFIT)
+def test_falls_at_once_to_the_highest_way_that_bears_it(
+    changes: dict[str, Any], way: Way, kind: str, words: str
+) -> None:
+    verdict = checked(but(**changes))
+    assert (verdict.action, verdict.way, verdict.changed) == ("send", way, True)
+    assert words in verdict.reasons[verdict.kinds.index(kind)]
+
+
+@pytest.mark.parametrize(("changes", "way", "kind", "words"), UNFIT)
+def test_position_bears_all_of_it(changes: dict[str, Any], way: Way, kind: str, words: str) -> None:
+    assert checked(but(**changes), Way.POSITION) == Verdict("send", Way.POSITION, (), changed=False)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"state_age_s": 0.5, "delay_p95_s": 0.1, "battery_percent": 20.0, "rate_hz": 20.0},
+        {"battery_percent": None, "airborne": None},
+        {"state_age_s": -0.01},
+        {"state_age_s": 0.3},
+    ],
+)
+def test_limits_themselves_and_what_is_merely_unknown_are_fine(changes: dict[str, Any]) -> None:
+    assert checked(but(**changes)) == Verdict("send", Way.ATTITUDE, (), changed=False)
+
+
+def test_velocity_needs_no_round_trip() -> None:
+    assert checked(but(rtt_p95_s=None, delay_p95_s=None, rate_hz=5.0), Way.VELOCITY).reasons == ()
+
+
+def test_an_end_is_final_and_told_once_with_its_first_reason() -> None:
+    guard = Guard(RETURNING, Way.ATTITUDE)
+    first = guard.check(but(battery_percent=10.0), 0.0)
+    for n, facts in enumerate([WELL, but(armed=False), but(battery_percent=5.0), WELL] * 50):
+        assert guard.check(facts, float(n)) == replace(first, changed=False)
+        assert guard.way is None
+    guard.reset(Way.VELOCITY)
+    assert guard.way is Way.VELOCITY
+    assert guard.check(WELL, 1000.0) == Verdict("send", Way.VELOCITY, (), changed=False)
+
+
+def test_stays_down_by_itself_and_says_what_to_do() -> None:
+    guard = Guard(CONFIG, Way.ATTITUDE)
+    assert guard.check(but(delay_p95_s=0.2), 0.0).changed
+    verdicts = [guard.check(WELL, n * 0.02) for n in range(1, 5000)]
+    assert {(v.action, v.way, v.changed) for v in verdicts} == {("send", Way.VELOCITY, False)}
+    assert verdicts[-1].kinds == ("attitude_delay",)
+    assert verdicts[-1].reasons[-1] == (
+        "attitude has been possible again for 100.0 s; it does not return by itself, order attitude again"
+    )
+
+
+def test_returns_after_all_was_well_for_so_long_without_a_break() -> None:
+    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard.check(but(delay_p95_s=0.2), 0.0)
+    assert guard.check(WELL, 1.0).reasons[-1] == ("attitude has been possible again for 0.0 s; it returns after 5 s")
+    assert guard.check(but(rate_hz=10.0), 5.9).way is Way.VELOCITY
+    assert guard.check(WELL, 6.0).way is Way.VELOCITY
+    assert guard.check(WELL, 10.9).way is Way.VELOCITY
+    assert guard.check(WELL, 11.0) == Verdict("send", Way.ATTITUDE, (), changed=True)
+    assert not guard.check(WELL, 11.02).changed
+
+
+def test_climbs_as_far_as_it_may() -> None:
+    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard.check(but(state_age_s=0.6), 0.0)
+    assert guard.way is Way.POSITION
+    slow = but(delay_p95_s=0.2)
+    assert guard.check(slow, 1.0).way is Way.POSITION
+    climbed = guard.check(slow, 6.0)
+    assert (climbed.way, climbed.changed, climbed.kinds) == (Way.VELOCITY, True, ("attitude_delay",))
+
+
+def test_time_that_runs_backwards_proves_no_recovery() -> None:
+    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard.check(but(delay_p95_s=0.2), 1000.0)
+    guard.check(WELL, 1000.0)
+    assert guard.check(WELL, 10.0).way is Way.VELOCITY
+    assert guard.check(WELL, 14.9).way is Way.VELOCITY
+    assert guard.check(WELL, 15.0).way is Way.ATTITUDE
+
+
+def test_a_new_kind_of_reason_is_told_once_and_flicker_is_not() -> None:
+    guard = Guard(CONFIG, Way.ATTITUDE)
+    guard.check(but(delay_p95_s=0.2), 0.0)
+    assert not guard.check(but(delay_p95_s=0.3), 0.1).changed
+    assert guard.check(but(delay_p95_s=0.3, rate_hz=10.0), 0.2).changed
+    for n in range(100):
+        assert not guard.check(WELL if n % 2 else but(rate_hz=10.0), 0.3 + n).changed
+
+
+def test_why_not_tells_everything_and_changes_nothing() -> None:
+    guard = Guard(CONFIG, Way.ATTITUDE)
+    found = guard.why_not(but(armed=False, fix_ok=False, rtt_p95_s=None))
+    assert [text.split(",")[0] for text in found] == [
+        "the vehicle is not armed",
+        "the vehicle has no usable position fix",
+        "round trip not measured yet",
+    ]
+    assert guard.check(WELL, 0.0) == Verdict("send", Way.ATTITUDE, (), changed=False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"attitude_delay_s": NAN}, "attitude_delay_s"),
+        ({"attitude_delay_s": 0.6}, "attitude_delay_s"),
+        ({"stale_s": 3.0}, "stale_s"),
+        ({"position_stale_s": 61.0}, "position_stale_s"),
+        ({"battery_min_percent": 101.0}, "battery_min_percent"),
+        ({"return_after_s": 0.5}, "return_after_s"),
+    ],
+)
+def test_refuses_limits_that_make_no_sense(changes: dict[str, float], name: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        GuardConfig(**changes)
+    assert [problem.split(":")[0] for problem in error.value.problems] == [name]
+
+
+def test_battery_may_be_left_to_the_autopilot() -> None:
+    assert checked(but(battery_percent=1.0), config=GuardConfig(battery_min_percent=None)).action == "send"
+
+
+# For any facts in any order. Each fact is well most of the time, so that the sequences get somewhere.
+
+number = st.one_of(st.none(), st.floats(), st.floats(0.0, 3.0))
+
+
+def mostly(well: Any, other: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    return st.integers(0, 7).flatmap(lambda n: other if n == 0 else st.just(well))
+
+
+vectors = st.tuples(*[st.floats(-2e6, 2e6) | st.floats()] * 3)
+OTHER: dict[str, st.SearchStrategy[Any]] = {
+    "state_age_s": number,
+    "rtt_p95_s": number,
+    "delay_p95_s": number,
+    "battery_percent": number,
+    "rate_hz": st.floats() | st.floats(0.0, 60.0),
+    "rate_min_hz": st.floats() | st.floats(0.0, 60.0),
+    "estimate": st.none() | st.builds(Estimate, vectors, vectors),
+    "airborne": st.sampled_from([None, False]),
+    "refusing": st.text(max_size=5),
+    "attitude_refused": st.text(max_size=5),
+    "position_breach": st.text(max_size=5),
+    "reference_breach": st.text(max_size=5),
+}
+any_facts = st.builds(
+    Facts, **{f.name: mostly(getattr(WELL, f.name), OTHER.get(f.name, st.booleans())) for f in fields(Facts)}
+)
+fit_facts = st.builds(
+    but,
+    state_age_s=mostly(0.02, st.floats(0.0, 1.9)),
+    delay_p95_s=mostly(0.05, number),
+    rtt_p95_s=mostly(0.03, number),
+    rate_hz=mostly(50.0, st.floats(0.0, 60.0)),
+)
+sequences = st.lists(st.tuples(st.one_of(any_facts, fit_facts, st.just(WELL)), st.floats(0.0, 4.0)), max_size=40)
+configs = st.sampled_from([CONFIG, RETURNING])
+ways = st.sampled_from(WAYS)
+
+
+def run(config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]) -> list[tuple[Facts, Verdict]]:
+    guard, now, found = Guard(config, wanted), 0.0, []
+    for facts, pause in sequence:
+        now += pause
+        found.append((facts, guard.check(facts, now)))
+    return found
+
+
+def bears_attitude(facts: Facts) -> bool:
+    """The oracle: every condition of attitude, said positively so that NaN fails each."""
+    estimate = facts.estimate
+    return (
+        facts.connected
+        and facts.armed
+        and (facts.following or facts.engaging)
+        and not facts.rebooted
+        and facts.airborne is not False
+        and facts.finite
+        and facts.fix_ok
+        and facts.inside_fence
+        and facts.reference_inside_fence
+        and facts.refusing is None
+        and facts.attitude_refused is None
+        and estimate is not None
+        and all(-1e6 <= value <= 1e6 for value in (*estimate.pos_enu_m, *estimate.vel_enu_mps))
+        and facts.state_age_s is not None
+        and -0.1 <= facts.state_age_s <= 0.5
+        and facts.rtt_p95_s is not None
+        and facts.rtt_p95_s >= 0
+        and facts.delay_p95_s is not None
+        and facts.delay_p95_s <= 0.1
+        and facts.rate_hz >= facts.rate_min_hz
+        and (facts.battery_percent is None or facts.battery_percent >= 20)
+    )
+
+
+@given(configs, ways, sequences)
+def test_never_sends_attitude_unless_every_condition_of_it_holds(
+    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+) -> None:
+    for facts, verdict in run(config, wanted, sequence):
+        if verdict.action == "send" and verdict.way is Way.ATTITUDE:
+            assert bears_attitude(facts)
+
+
+@given(any_facts)
+def test_sends_attitude_wherever_every_condition_of_it_holds(facts: Facts) -> None:
+    verdict = checked(facts)
+    assert (verdict.way is Way.ATTITUDE) is bears_attitude(facts)
+
+
+@given(configs, ways, sequences)
+def test_never_goes_above_what_was_wanted(
+    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+) -> None:
+    for _, verdict in run(config, wanted, sequence):
+        assert (verdict.way is None) is (verdict.action != "send")
+        if verdict.way is not None:
+            assert WAYS.index(verdict.way) >= WAYS.index(wanted)
+
+
+@given(configs, ways, sequences)
+def test_tells_every_change_once_and_nothing_that_is_no_change(
+    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+) -> None:
+    before: tuple[str, Way | None] = ("send", wanted)
+    told: set[str] = set()
+    for _, verdict in run(config, wanted, sequence):
+        what = (verdict.action, verdict.way)
+        if what != before:
+            told = set()
+        assert verdict.changed is (what != before or not told.issuperset(verdict.kinds))
+        told.update(verdict.kinds)
+        before = what
+
+
+@given(ways, sequences)
+def test_never_climbs_by_itself_unless_configured(wanted: Way, sequence: list[tuple[Facts, float]]) -> None:
+    lowest = WAYS.index(wanted)
+    for _, verdict in run(CONFIG, wanted, sequence):
+        if verdict.way is not None:
+            assert WAYS.index(verdict.way) >= lowest
+            lowest = WAYS.index(verdict.way)
+
+
+@given(ways, sequences)
+def test_never_climbs_earlier_than_configured(wanted: Way, sequence: list[tuple[Facts, float]]) -> None:
+    guard, now, lower_since, before = Guard(RETURNING, wanted), 0.0, 0.0, wanted
+    for facts, pause in sequence:
+        now += pause
+        way = guard.check(facts, now).way
+        if way is None:
+            return
+        if WAYS.index(way) < WAYS.index(before):
+            assert now - lower_since >= 5.0 - 1e-9
+        if way is not before:
+            lower_since = lower_since if WAYS.index(way) < WAYS.index(before) else now
+        before = way
+
+
+@given(configs, ways, sequences)
+def test_sends_nothing_after_a_hold_or_a_release(
+    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+) -> None:
+    ended: Verdict | None = None
+    for _, verdict in run(config, wanted, sequence):
+        if ended is not None:
+            assert verdict == replace(ended, changed=False)
+        elif verdict.action != "send":
+            assert verdict.changed
+            ended = verdict
+
+
+@given(configs, ways, sequences)
+def test_says_why_whenever_it_is_not_what_was_wanted(
+    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+) -> None:
+    for _, verdict in run(config, wanted, sequence):
+        assert bool(verdict.reasons) is (verdict.way is not wanted)
+        assert len(set(verdict.kinds)) == len(verdict.kinds)
