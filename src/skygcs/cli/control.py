@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from skygcs import __version__
-from skygcs.cli import gains, orders, reading
+from skygcs.cli import emergency, gains, orders, reading
 from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.wires import links, messages
@@ -122,6 +122,7 @@ def _tlog_info(
 
 reading.add_to(app)
 orders.add_to(app)
+emergency.add_to(app)
 app.add_typer(messages, name="message", rich_help_panel="Looking")
 app.add_typer(links, name="links", rich_help_panel="Looking")
 app.add_typer(tlog, name="tlog", rich_help_panel="Looking")

@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
-from skygcs.rpc import dispatch, openrpc
+from skygcs.rpc import control, dispatch, openrpc
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -72,6 +72,12 @@ async def vehicles_rtl(context: Context, params: m.TargetsParams) -> JsonObject:
 async def vehicles_hold(context: Context, params: m.TargetsParams) -> JsonObject:
     """Stop and hold position."""
     return await order(context, "hold", params)
+
+
+async def vehicles_stop(context: Context, params: m.StopParams) -> JsonObject:
+    """Emergency stop: sent over every link and repeated for up to 30 s until the vehicle shows it or refuses it, also
+    to vehicles that are lost."""
+    return await order(context, "stop", params)
 
 
 async def vehicles_goto(context: Context, params: m.GotoParams) -> JsonObject:
@@ -311,6 +317,7 @@ def _describe(info: MessageInfo) -> JsonObject:
 
 
 _ORDER = (dispatch.TARGET_ERROR,)
+_STOP = (*_ORDER, dispatch.REFUSED)
 _LINK = (dispatch.LINK_ERROR, dispatch.REFUSED)
 
 METHODS: dict[str, Method[Context]] = {
@@ -326,6 +333,7 @@ METHODS: dict[str, Method[Context]] = {
         Method("vehicles.land", m.TargetsParams, vehicles_land, m.Outcomes, _ORDER, outlives_client=True),
         Method("vehicles.rtl", m.TargetsParams, vehicles_rtl, m.Outcomes, _ORDER, outlives_client=True),
         Method("vehicles.hold", m.TargetsParams, vehicles_hold, m.Outcomes, _ORDER, outlives_client=True),
+        Method("vehicles.stop", m.StopParams, vehicles_stop, m.Outcomes, _STOP, outlives_client=True),
         Method("vehicles.goto", m.GotoParams, vehicles_goto, m.Outcomes, _ORDER),
         Method("vehicles.reboot", m.RebootParams, vehicles_reboot, m.Outcomes, _ORDER),
         Method("vehicles.set_home", m.SetHomeParams, vehicles_set_home, m.Outcomes, _ORDER),
@@ -352,6 +360,7 @@ METHODS: dict[str, Method[Context]] = {
         Method("recorder.status", m.NoParams, recorder_status),
         Method("subscribe", m.SubscribeParams, subscribe, m.Subscription, (*_ORDER, dispatch.LIMIT_EXCEEDED)),
         Method("unsubscribe", m.UnsubscribeParams, unsubscribe, m.Subscription),
+        *control.METHODS,
         Method("rpc.discover", m.NoParams, rpc_discover),
     )
 }

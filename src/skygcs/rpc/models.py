@@ -116,6 +116,18 @@ class TakeoffParams(TargetsParams):
     )
 
 
+class StopParams(TargetsParams):
+    action: Literal["hold", "land", "kill"] = Field(
+        "hold", description="hold where it is, land there, or kill: stop the motors, and what flies falls."
+    )
+    confirm: str | None = Field(
+        None,
+        max_length=100,
+        description='kill only: "kill-" and the number of vehicles it is for, as "kill-3"; without it the refusal names'
+        " them and the word.",
+    )
+
+
 class GotoParams(TargetsParams):
     lat_deg: Lat | None = None
     lon_deg: Lon | None = None
@@ -319,6 +331,9 @@ class VehicleState(Result):
     system_status: str | None
     landed: str | None
     failsafe: bool | None
+    control: dict[str, Any] | None = Field(
+        description="How skygcs flies it by setpoints, as control.status tells; null: it does not."
+    )
     gps: Part = Field(description="fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec")
     position: Part = Field(
         description="lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps, enu_m, time_boot_s"

@@ -155,7 +155,7 @@ class Commander:
 
         The first transmission takes the best link, repeats take every one that leads to the vehicle: the best may be
         the very one that loses them. ``everywhere``: the first one as well. ``wanted``: it moves the vehicle, and a
-        newer order may take its place (`supersede`); asked when its turn has come.
+        newer order may take its place (`supersede`); asked when its turn has come. An emergency's turn is at once.
         """
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
             return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
@@ -167,7 +167,14 @@ class Commander:
         if emergency:
             self.stop(spec.command, "cancelled", "an emergency order took its place")
             return await self._exchange(
-                line, spec, Priority.EMERGENCY, EMERGENCY_TIMERS_S, satisfied, on_report, everywhere=True, moving=True
+                line,
+                spec,
+                Priority.EMERGENCY,
+                EMERGENCY_TIMERS_S,
+                satisfied,
+                on_report,
+                everywhere=True,
+                moving=wanted is not None,
             )
         if line.waiting >= MAX_WAITING:
             return Outcome(False, "refused", f"{line.waiting} commands of the same kind are waiting already")
@@ -248,9 +255,9 @@ class Commander:
 
     def supersede(self, specs: Collection[CommandSpec]) -> None:
         """A newer order moves the vehicle: older ones are not repeated any more. One of the very same commands goes on,
-        and so does an emergency."""
+        and so does one that was run without ``wanted``."""
         for command, running in list(self._running.items()):
-            if running.moving and running.exchange.spec not in specs and running.priority is not Priority.EMERGENCY:
+            if running.moving and running.exchange.spec not in specs:
                 self.stop(command, "cancelled", SUPERSEDED)
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle import discovery, orders, targets
+from skygcs.core.vehicle import discovery, orders, stop, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
@@ -36,6 +36,7 @@ ORDERS = frozenset(
         "land",
         "rtl",
         "hold",
+        "stop",
         "goto",
         "reboot",
         "set_home",
@@ -51,7 +52,7 @@ BROADCAST = frozenset({"land", "rtl"})
 """Orders for all that may go out as one frame. A broadcast also reaches vehicles that nobody here has heard of: it must
 be good for any of them. A disarming would drop one that flies, and a mode has another number on another type."""
 
-KEPT = frozenset({"land", "rtl", "hold", "disarm"})
+KEPT = frozenset({"land", "rtl", "hold", "stop", "disarm"})
 """Orders that end a flight are carried on to their outcome, even if whoever gave them goes away meanwhile."""
 
 MAX_KEPT = 64
@@ -159,11 +160,15 @@ class Fleet:
 
         Raises TargetError before anything is sent. An order for all that one frame can carry goes out as a broadcast;
         each vehicle's answer is still collected, and who did not answer is sent its own. When the caller is cancelled,
-        the orders of `KEPT` go on, all others end.
+        the orders of `KEPT` go on, all others end. Raises RefusedError for a stop that has to be confirmed and is not
+        (``confirm``, see `core.vehicle.stop`).
         """
         if order not in ORDERS:
             raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
         actors = self.resolve(expression)
+        if order == "stop":
+            confirm = arguments.pop("confirm", None)
+            stop.require_confirmed(arguments["action"], [a.name for a in actors], confirm)
         work = self._command(actors, order, args, arguments)
         if order not in KEPT or len(self._kept) >= MAX_KEPT:
             return await work

@@ -27,6 +27,10 @@ REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"}
 """What a vehicle answers that does not do it."""
 
 
+UNHEARD = frozenset({"timeout", "lost"})
+"""Outcomes of an order that did not reach the vehicle, or that it took and does not show."""
+
+
 class PlanRunner:
     """One per vehicle. ``order`` counts the orders that moved it; ``on_report(order, percent)`` is told of progress."""
 
@@ -60,7 +64,7 @@ class PlanRunner:
             step = queue.pop(0)
             if step.skip_if_met and step.expect is not None and step.expect.met(self._vehicle, self._loop.time()):
                 continue
-            outcome = await self._step(step, plan, order)
+            outcome = await self._given(step, plan, order)
             attempts = max(attempts, outcome.attempts)  # steps are no repeats of each other
             texts += [t for t in outcome.status_texts if t not in texts]
             if outcome.result == "unsupported" and step.instead:
@@ -92,6 +96,18 @@ class PlanRunner:
                 )
         return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
 
+    async def _given(self, step: Step, plan: Plan, order: int) -> Outcome:
+        """One step, again and again if the plan persists: what is answered by silence may have been heard by nobody."""
+        started, attempts = self._loop.time(), 0
+        while True:
+            outcome = await self._step(step, plan, order)
+            attempts += outcome.attempts
+            elapsed_s = self._loop.time() - started
+            newer = order != self.order and not plan.final
+            if outcome.ok or newer or elapsed_s >= plan.persist_s or outcome.result not in UNHEARD:
+                return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
+            self._report(plan.order, None)
+
     async def _step(self, step: Step, plan: Plan, order: int) -> Outcome:
         if self._vehicle.duplicate and not plan.emergency:
             return two_of_one_id(self._vehicle)
@@ -111,7 +127,7 @@ class PlanRunner:
             satisfied=met,
             on_report=lambda percent: self._report(plan.order, percent),
             everywhere=plan.order in EVERYWHERE,
-            wanted=wanted if plan.order in MOVING else None,
+            wanted=wanted if plan.order in MOVING and not plan.final else None,
         )
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
             return outcome

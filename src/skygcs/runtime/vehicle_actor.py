@@ -21,9 +21,11 @@ from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import orders
+from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
@@ -163,6 +165,10 @@ class VehicleActor:
 
     async def hold(self) -> Outcome:
         return await self._run("hold", lambda now: orders.hold(self.vehicle, now))
+
+    async def stop(self, action: Action) -> Outcome:
+        """Emergency stop; see `core.vehicle.stop`. A kill is to be confirmed by whoever calls (`Fleet.command_all`)."""
+        return await self._run("stop", lambda now: stopping.stop(self.vehicle, now, action))
 
     async def goto(
         self,

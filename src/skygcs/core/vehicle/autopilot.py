@@ -91,7 +91,7 @@ def arm(*, force: bool = False) -> Plan:
 
 def disarm(*, force: bool = False) -> Plan:
     spec = CommandSpec(COMPONENT_ARM_DISARM, (0.0, FORCE_ARM_MAGIC if force else 0.0))
-    return Plan("disarm", (Step("disarm", spec, expect=ArmedIs(False)),), "disarmed", emergency=force)
+    return Plan("disarm", (Step("disarm", spec, expect=ArmedIs(False)),), "disarmed", emergency=force, final=force)
 
 
 def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan:

@@ -154,10 +154,16 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """``done`` is the outcome's message when all steps have worked."""
+    """``done`` is the outcome's message when all steps have worked.
+
+    ``emergency``: sent over every link, before anything else, and to whom plain orders are not sent. For ``persist_s``
+    its steps are given again until the vehicle shows them or refuses. ``final``: no newer order takes its place.
+    """
 
     order: str
     steps: tuple[Step, ...]
     done: str
     emergency: bool = False
+    persist_s: float = 0.0
+    final: bool = False
     data: Mapping[str, Any] = field(default_factory=dict)
