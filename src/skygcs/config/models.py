@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from skygcs.core.geo import EAST_DEG
 from skygcs.core.streams import DEFAULT_RATES_HZ
 
 Sysid = Annotated[int, Field(ge=1, le=255)]
@@ -230,11 +231,21 @@ class VehicleConfig(Model):
 
 
 class OriginConfig(Model):
-    """[origin]: the fleet's world frame. ENU positions are shown only when it is set here or at run time."""
+    """[origin]: the fleet's world frame. ENU positions are shown only when it is set here or at run time.
+
+    The keys are the fields of `core.geo.Origin`.
+    """
 
     lat_deg: Annotated[float, Field(ge=-90, le=90)]
     lon_deg: Annotated[float, Field(ge=-180, le=180)]
     alt_amsl_m: float
+    x_heading_deg: Annotated[float, Field(ge=-360, le=360)] = EAST_DEG
+
+    @model_validator(mode="after")
+    def _somewhere(self) -> OriginConfig:
+        if self.lat_deg == 0 or self.lon_deg == 0:
+            raise ValueError("lat_deg and lon_deg: a coordinate of exactly 0 is most likely one never filled in")
+        return self
 
 
 class FleetConfig(Model):

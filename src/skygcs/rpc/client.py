@@ -47,6 +47,7 @@ EVENT_KINDS = (
     "reboot",
     "failsafe",
     "command",
+    "origin",
     "conflict",
     "duplicate",
     "link_up",

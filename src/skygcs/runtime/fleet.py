@@ -9,7 +9,7 @@ from typing import Any
 from skygcs.config.models import FleetConfig, VehicleConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.exchange.command import CommandSpec, Outcome
-from skygcs.core.geo import Origin
+from skygcs.core.geo import Origin, world_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import discovery, orders, stop, targets
@@ -21,6 +21,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.runtime.commander import Carrier, SendFn
 from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
+from skygcs.runtime.world import OnOriginChange, World
 
 __all__ = ["Fleet", "OnEvent", "SendFn"]
 
@@ -40,6 +41,7 @@ ORDERS = frozenset(
         "goto",
         "reboot",
         "set_home",
+        "push_origin",
         "set_message_interval",
         "request_stream",
         "request_message",
@@ -75,9 +77,8 @@ class Fleet:
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
-        self.origin: Origin | None = None
-        if config.origin is not None:
-            self.origin = Origin(config.origin.lat_deg, config.origin.lon_deg, config.origin.alt_amsl_m)
+        origin = None if config.origin is None else Origin(**config.origin.model_dump())
+        self.world = World(origin, self.vehicles, on_event)
         self._dialect = dialect
         self._send = send
         self._loop = loop
@@ -147,11 +148,35 @@ class Fleet:
             raise TargetError(f"{expression!r} names {len(found)} vehicles; one is wanted")
         return found[0]
 
-    def set_origin(self, origin: Origin | None) -> None:
-        """The world frame of the whole fleet, from now on."""
-        self.origin = origin
-        for actor in self.vehicles.values():
-            actor.set_origin(origin)
+    @property
+    def origin(self) -> Origin | None:
+        """Of the world frame all positions are told in; None: there is none yet."""
+        return self.world.origin
+
+    @property
+    def origin_generation(self) -> int:
+        """Increases with every change of the origin."""
+        return self.world.generation
+
+    def on_origin_change(self, listener: OnOriginChange) -> Callable[[], None]:
+        """See `World.on_change`."""
+        return self.world.on_change(listener)
+
+    def set_origin(self, origin: Origin | None, *, force: bool = False) -> None:
+        """See `World.set`."""
+        self.world.set(origin, force=force)
+
+    def set_origin_from(self, target: str | int, *, heading: bool = False, force: bool = False) -> None:
+        """See `World.set_from_vehicle`. Raises TargetError, too."""
+        self.world.set_from_vehicle(self.find(target), self._loop.time(), heading=heading, force=force)
+
+    async def push_origin(
+        self, expression: str | int | Sequence[str | int], *, home: bool = False, force: bool = False
+    ) -> dict[str, Outcome]:
+        """Tell each vehicle the origin; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
+        if self.origin is None:
+            raise RefusedError("there is no origin to tell; set one first")
+        return await self.command_all(expression, "push_origin", self.origin, home=home, force=force)
 
     async def command_all(
         self, expression: str | int | Sequence[str | int], order: str, /, *args: Any, **arguments: Any
@@ -248,8 +273,9 @@ class Fleet:
         places: dict[VehicleActor, dict[str, Any]] = {}
         for actor, (east_m, north_m) in offsets_en_m({a: place[:2] for a, place in here.items()}).items():
             lat_deg, lon_deg = arguments.get("lat_deg"), arguments.get("lon_deg")
-            if enu_m is not None and len(enu_m) == 3:
-                places[actor] = {"enu_m": [enu_m[0] + east_m, enu_m[1] + north_m, enu_m[2]]}
+            if enu_m is not None and len(enu_m) == 3 and self.origin is not None:
+                x_m, y_m, _ = world_from_enu((east_m, north_m, 0.0), self.origin)
+                places[actor] = {"enu_m": [enu_m[0] + x_m, enu_m[1] + y_m, enu_m[2]]}
             elif lat_deg is not None and lon_deg is not None and is_place(lat_deg, lon_deg):
                 # what is no place is left as it is: every vehicle refuses it with the reason
                 lat, lon = moved(lat_deg, lon_deg, (east_m, north_m))
@@ -303,13 +329,13 @@ class Fleet:
             timeout_s=daemon.vehicle_timeout_s,
             decoder=self._decoder,
         )
-        vehicle.origin = self.origin
         vehicle.duplicate = key in self._duplicates
         vehicle.replayed = key in self._replayed
         actor = VehicleActor(
             vehicle, config, (daemon.sysid, daemon.compid), self._dialect, self._send, self._loop, self._on_event
         )
         self.vehicles[key] = actor
+        self.world.join(actor)
         actor.on_frame(frame, channel_label, now)
         kind = vehicle.snapshot(now)["type"]
         data = {"compid": frame.compid, "autopilot": vehicle.family, "type": kind, "link": channel_label}

@@ -29,6 +29,7 @@ from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
+from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.plan_runner import MOVING, PlanRunner, two_of_one_id
 from skygcs.runtime.upkeep import Planner, Upkeep
 
@@ -110,9 +111,10 @@ class VehicleActor:
     def duplicate(self, value: bool) -> None:
         self.vehicle.duplicate = value
 
-    def set_origin(self, origin: Origin | None) -> None:
-        """The fleet's world frame from now on."""
+    def set_origin(self, origin: Origin | None, generation: int) -> None:
+        """The fleet's world frame from now on, and its number; see `World`."""
         self.vehicle.origin = origin
+        self.vehicle.origin_generation = generation
 
     def on_frame(self, frame: Frame, channel: str, now: float) -> None:
         """One frame of this vehicle. Hot; never raises."""
@@ -220,6 +222,17 @@ class VehicleActor:
                 force=force,
             ),
         )
+
+    async def push_origin(self, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
+        """Tell the vehicle the origin, and with ``home`` make it its home. Armed only with ``force``."""
+        return self._told("origin", await self._cancellable("origin", self._push_origin(origin, home, force)))
+
+    async def _push_origin(self, origin: Origin, home: bool, force: bool) -> Outcome:
+        told = await push_origin(self._attempt, self.vehicle, self._dialect, origin, force=force)
+        if not home or told.result == "refused":
+            return told
+        limit_m = self.config.goto_limit_m
+        return both(told, await self._attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
         """0 turns it off, None goes back to the vehicle's own rate. From then on the rate is the caller's to keep."""
