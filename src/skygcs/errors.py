@@ -3,6 +3,7 @@
 SkygcsError                  base; str() is one line for a person, never a traceback
 ├── ConfigError              the user's file: fleet TOML (file, key, what to do); carries every problem at once
 ├── DialectError             the user's message XML (file, line)
+├── PlanFileError            a plan, mission or fence file that cannot be used (file, line or item)
 ├── TraceError               a control trace that cannot be read (line, reason)
 ├── LinkError                a device or an address: could not be opened, or broke
 ├── TargetError              a target that names no vehicle ("7", "alpha")
@@ -48,6 +49,16 @@ class TraceError(SkygcsError):
         self.line = line
         self.reason = reason
         super().__init__(f"line {line}: {reason}")
+
+
+class PlanFileError(SkygcsError):
+    """A plan, mission or fence file that is not one. ``where`` is "line 7", "item 3", or empty for the whole file."""
+
+    def __init__(self, source: str, where: str, reason: str) -> None:
+        self.source = source
+        self.where = where
+        self.reason = reason
+        super().__init__(": ".join(part for part in (source, where, reason) if part))
 
 
 class LinkError(SkygcsError):

@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from skygcs import __version__
 from skygcs.cli import emergency, gains, orders, reading
 from skygcs.cli.connection import fail, run_offline
+from skygcs.cli.missions import missions
 from skygcs.cli.options import Json
 from skygcs.cli.wires import links, messages
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
@@ -126,6 +127,7 @@ emergency.add_to(app)
 app.add_typer(messages, name="message", rich_help_panel="Looking")
 app.add_typer(links, name="links", rich_help_panel="Looking")
 app.add_typer(tlog, name="tlog", rich_help_panel="Looking")
+app.add_typer(missions, name="mission")
 gains.add_to(app)
 
 

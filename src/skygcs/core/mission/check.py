@@ -1,0 +1,275 @@
+"""What is wrong with a plan before it is sent: every finding with the number of its item.
+
+An error is what an autopilot would refuse, or fly to a place nobody meant; a warning is what may be meant. What depends
+on the autopilot is told for the one that is given, or with its name where none is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from skygcs.core.geo import distance_m
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mission.fence_check import FenceArea, fence_problems
+from skygcs.core.mission.item import (
+    DO_JUMP,
+    DO_JUMP_TAG,
+    FENCE_COMMANDS,
+    GLOBAL,
+    GLOBAL_FRAMES,
+    JUMP_TAG,
+    MISSION_FRAME,
+    NAV_RETURN,
+    NAV_TAKEOFF,
+    NAV_WAYPOINT,
+    RALLY_POINT,
+    RELATIVE_ALT,
+    MissionItem,
+    MissionType,
+)
+from skygcs.core.mission.plan import MissionPlan, PlannedHome
+
+MAX_HEIGHT_M = 500.0
+"""Default limit above home; as for take-off heights."""
+
+MAX_DISTANCE_M = 1000.0
+"""Default limit of the distance from the vehicle, else from home; as for a goto."""
+
+MIN_FLIGHT_HEIGHT_M = 0.5
+"""A waypoint below it is on the ground."""
+
+TAKEOFFS = frozenset({NAV_TAKEOFF, 24, 84})
+"""NAV_TAKEOFF, NAV_TAKEOFF_LOCAL, NAV_VTOL_TAKEOFF."""
+
+ENDS_ON_GROUND = frozenset({NAV_RETURN, 21, 23, 85})
+"""Commands whose altitude may be 0, or is not used: return, and the landings."""
+
+NEEDS_PLACE = frozenset({NAV_WAYPOINT, 82, 36})
+"""Waypoint, spline waypoint, arc waypoint: without a position they are none."""
+
+FLOWN_PLACE = NEEDS_PLACE | {17, 18, 19, 21, 22, 31, 84, 85, 94}
+"""NAV commands whose x and y are where the vehicle flies."""
+
+Family = Literal["px4", "ardupilot"]
+Place = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckLimits:
+    """``max_items``: what the vehicle can hold, home included; None: not known."""
+
+    max_height_m: float = MAX_HEIGHT_M
+    max_distance_m: float = MAX_DISTANCE_M
+    max_items: int | None = None
+
+
+DEFAULT_LIMITS = CheckLimits()
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """``item`` is the number in its list, from 1; None for the list as a whole."""
+
+    error: bool
+    kind: MissionType
+    item: int | None
+    text: str
+
+    def __str__(self) -> str:
+        where = self.kind.word if self.item is None else f"{self.kind.word} item {self.item}"
+        return f"{where}: {self.text}"
+
+
+def check_plan(
+    plan: MissionPlan,
+    dialect: Dialect,
+    limits: CheckLimits = DEFAULT_LIMITS,
+    *,
+    family: Family | None = None,
+    vehicle: Place | None = None,
+) -> tuple[Finding, ...]:
+    """Everything that is wrong, in the order of the items. ``vehicle``: (lat_deg, lon_deg) where it is now."""
+    return (
+        *_home_findings(plan.home),
+        *_counts(plan, limits, family),
+        *_mission(plan, dialect, limits, family, vehicle),
+        *fence_findings(plan, family),
+        *_rally(plan, limits, vehicle),
+    )
+
+
+def errors(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    return tuple(finding for finding in findings if finding.error)
+
+
+def _home_findings(home: PlannedHome | None) -> Iterator[Finding]:
+    if home is not None and not (abs(home.lat_deg) <= 90 and abs(home.lon_deg) <= 180):
+        yield Finding(True, MissionType.MISSION, None, f"home at {home.lat_deg}, {home.lon_deg} is no place on earth")
+
+
+def _counts(plan: MissionPlan, limits: CheckLimits, family: Family | None) -> Iterator[Finding]:
+    if limits.max_items is None:
+        return
+    for kind in plan.holds():
+        count = len(plan.items(kind)) + (kind is MissionType.MISSION and family == "ardupilot")
+        if count > limits.max_items:
+            yield Finding(True, kind, None, f"{count} items are too many: the vehicle holds {limits.max_items}")
+
+
+def _mission(
+    plan: MissionPlan, dialect: Dialect, limits: CheckLimits, family: Family | None, vehicle: Place | None
+) -> Iterator[Finding]:
+    commands = dialect.enums.get("MAV_CMD", {})
+    reference, what = _reference(plan, vehicle)
+    tags = {item.params[0] for item in plan.mission if item.command == JUMP_TAG}
+    for number, item in enumerate(plan.mission, 1):
+        texts = [
+            *_command(item, commands, dialect.name),
+            *_place(item, family),
+            *_altitude(item, limits, plan.home),
+            *_jump(item, number, len(plan.mission), tags),
+            *_far(item, reference, what, limits),
+        ]
+        for is_error, text in texts:
+            yield Finding(is_error, MissionType.MISSION, number, text)
+    yield from _start(plan.mission)
+
+
+def _start(items: tuple[MissionItem, ...]) -> Iterator[Finding]:
+    first = next(((n, i) for n, i in enumerate(items, 1) if i.moves), None)
+    if first is not None and first[1].command not in TAKEOFFS:
+        text = "the mission does not begin with a take-off; a vehicle on the ground will not start it"
+        yield Finding(False, MissionType.MISSION, first[0], text)
+
+
+def _reference(plan: MissionPlan, vehicle: Place | None) -> tuple[Place | None, str]:
+    """What distances are measured from, and its name."""
+    if vehicle is not None:
+        return vehicle, "the vehicle"
+    if plan.home is not None:
+        return (plan.home.lat_deg, plan.home.lon_deg), "home"
+    first = next((item.position for item in plan.mission if item.position is not None and _flies_to(item)), None)
+    return first, "the first place of the mission"
+
+
+def _flies_to(item: MissionItem) -> bool:
+    return item.command in FLOWN_PLACE
+
+
+def _command(item: MissionItem, commands: dict[int, str], dialect: str) -> Iterator[tuple[bool, str]]:
+    if item.command in FENCE_COMMANDS or item.command == RALLY_POINT:
+        name = commands.get(item.command, str(item.command))
+        yield True, f"{name} belongs in a {'rally' if item.command == RALLY_POINT else 'fence'} list, not in a mission"
+    elif item.command not in commands:
+        yield True, f"command {item.command} is unknown to the dialect {dialect}"
+
+
+def _place(item: MissionItem, family: Family | None) -> Iterator[tuple[bool, str]]:
+    if item.frame in GLOBAL_FRAMES:
+        if item.position is not None:
+            lat, lon = item.position
+            if not (abs(lat) <= 90 and abs(lon) <= 180):
+                yield True, f"{lat}, {lon} is no place on earth"
+        elif item.command in NEEDS_PLACE:
+            zero = (item.x, item.y) == (0, 0)
+            if family == "px4" or not zero:
+                yield True, "has no position" + (" (0, 0)" if zero else "")
+            elif family is None:
+                yield False, "is at 0, 0: an ArduPilot takes that for where it is then, a PX4 flies there"
+    elif item.frame == MISSION_FRAME and item.command in NEEDS_PLACE:
+        yield True, "is a waypoint in frame MISSION, which has no position"
+
+
+def _altitude(item: MissionItem, limits: CheckLimits, home: PlannedHome | None) -> Iterator[tuple[bool, str]]:
+    if item.command not in FLOWN_PLACE or item.command in ENDS_ON_GROUND:
+        return
+    if item.z is None:
+        yield True, "the altitude is not set (NaN)"
+        return
+    height_m: float | None = item.z
+    above = "above home" if item.frame == RELATIVE_ALT else "above the terrain"
+    if item.frame == GLOBAL:
+        height_m = None if home is None else item.z - home.alt_amsl_m
+        above = "above home"
+    elif item.frame not in GLOBAL_FRAMES:
+        return
+    if height_m is None:
+        return
+    if height_m > limits.max_height_m:
+        yield True, f"the altitude is {height_m:g} m {above}, over the limit of {limits.max_height_m:g} m"
+    elif height_m < 0:
+        yield False, f"the altitude is {-height_m:g} m below {above.removeprefix('above ')}"
+    elif height_m < MIN_FLIGHT_HEIGHT_M and item.command in TAKEOFFS:
+        yield True, f"a take-off to {height_m:g} m"
+    elif height_m < MIN_FLIGHT_HEIGHT_M:
+        yield False, f"the altitude is {height_m:g} m {above}: on the ground (an ArduPilot keeps its height for 0)"
+
+
+def _jump(item: MissionItem, number: int, count: int, tags: set[float | None]) -> Iterator[tuple[bool, str]]:
+    target, repeat = item.params[0], item.params[1]
+    if item.command == DO_JUMP_TAG and target not in tags:
+        yield True, f"jumps to tag {_shown(target)}, which no item has"
+    if item.command != DO_JUMP:
+        return
+    if target is None or not target.is_integer() or not 1 <= target <= count:
+        yield True, f"jumps to item {_shown(target)}; the mission has 1 to {count}"
+    elif target == number:
+        yield True, "jumps to itself"
+    if repeat is None or repeat < -1 or not repeat.is_integer():
+        yield True, f"repeats {_shown(repeat)} times; it must be a count, or -1 for ever"
+
+
+def _far(item: MissionItem, reference: Place | None, what: str, limits: CheckLimits) -> Iterator[tuple[bool, str]]:
+    if reference is None or item.position is None or not _flies_to(item):
+        return
+    off_m = distance_m(*reference, *item.position)
+    if off_m > limits.max_distance_m:
+        yield True, f"is {off_m:,.0f} m from {what}, over the limit of {limits.max_distance_m:,.0f} m"
+
+
+def fence_findings(plan: MissionPlan, family: Family | None = None) -> Iterator[Finding]:
+    """What is wrong with the fence itself, and where the mission and the rally points come into conflict with it."""
+    sound = True
+    for shape, text, is_error in fence_problems(plan.fence):
+        sound = sound and not is_error
+        yield Finding(is_error, MissionType.FENCE, None, f"{shape}: {text}")
+    if not sound or not plan.fence:
+        return
+    area = FenceArea(plan.fence, any_inclusion=family == "px4")
+    before: Place | None = None
+    for kind in (MissionType.MISSION, MissionType.RALLY):
+        for number, item in enumerate(plan.items(kind), 1):
+            if item.position is None or not (_flies_to(item) or kind is MissionType.RALLY):
+                continue
+            if conflict := area.conflict(item.position):
+                yield Finding(True, kind, number, conflict)
+            elif (
+                kind is MissionType.MISSION and before is not None and (crossed := area.crossed(before, item.position))
+            ):
+                yield Finding(False, kind, number, f"the way to it {crossed}")
+            before = item.position
+        before = None
+    if plan.home is not None and (conflict := area.conflict((plan.home.lat_deg, plan.home.lon_deg))):
+        yield Finding(False, MissionType.FENCE, None, f"home {conflict}")
+
+
+def _rally(plan: MissionPlan, limits: CheckLimits, vehicle: Place | None) -> Iterator[Finding]:
+    reference, what = _reference(plan, vehicle)
+    for number, item in enumerate(plan.rally, 1):
+        if item.position is None:
+            yield Finding(True, MissionType.RALLY, number, "has no position")
+            continue
+        if item.z is None:
+            yield Finding(True, MissionType.RALLY, number, "the altitude is not set (NaN)")
+        if reference is None:
+            continue
+        off_m = distance_m(*reference, *item.position)
+        if off_m > limits.max_distance_m:
+            text = f"is {off_m:,.0f} m from {what}, over the limit of {limits.max_distance_m:,.0f} m"
+            yield Finding(True, MissionType.RALLY, number, text)
+
+
+def _shown(value: float | None) -> str:
+    return "nothing" if value is None else f"{value:g}"

@@ -1,0 +1,179 @@
+"""Whether a fence's shapes are shapes, and what is inside them.
+
+Plane geometry in metres about a corner of the fence: over the kilometres of a flying site the error is a millionth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from skygcs.core.geo import EARTH_RADIUS_M
+from skygcs.core.mission.fence import Corner, FencePlan, FencePolygon
+
+Point = tuple[float, float]
+
+MIN_AREA_M2 = 1.0
+"""A polygon of less encloses nothing that flies."""
+
+MAX_RADIUS_M = 100_000.0
+"""No fence of a small vehicle is larger; a radius in millimetres or of 1e9 is a mistake."""
+
+MAX_CORNERS = 1000
+"""Of one polygon: the check for self-intersection compares every pair of edges. ArduPilot's store ends far below."""
+
+
+def fence_problems(fence: FencePlan) -> Iterator[tuple[str, str, bool]]:
+    """(shape, what is wrong with it, whether that is an error); a shape is named with the items it is uploaded as."""
+    item = 1
+    for n, polygon in enumerate(fence.polygons, 1):
+        count = len(polygon.corners)
+        name = f"polygon {n} (item {item})" if count < 2 else f"polygon {n} (items {item} to {item + count - 1})"
+        for is_error, text in _polygon_problems(polygon):
+            yield name, text, is_error
+        item += count
+    for n, circle in enumerate(fence.circles, 1):
+        if not 0 < circle.radius_m <= MAX_RADIUS_M:
+            text = f"a radius of {circle.radius_m:g} m is not between 0 and {MAX_RADIUS_M:g} m"
+            yield f"circle {n} (item {item})", text, True
+        item += 1
+
+
+def _polygon_problems(polygon: FencePolygon) -> Iterator[tuple[bool, str]]:
+    corners = list(polygon.corners)
+    if len(corners) > MAX_CORNERS:
+        yield True, f"{len(corners)} corners are more than {MAX_CORNERS}"
+        return
+    if len(corners) > 1 and corners[0] == corners[-1]:
+        yield False, "the last corner repeats the first one; a polygon is closed without it"
+        corners.pop()
+    distinct = len(set(corners))
+    if distinct < 3:
+        yield (
+            True,
+            f"is not closed: it has {distinct} different corner{'s' if distinct != 1 else ''}, not three or more",
+        )
+        return
+    repeated = next((n for n in range(1, len(corners)) if corners[n] == corners[n - 1]), None)
+    if repeated is not None:
+        yield False, f"corner {repeated + 1} is at the same place as corner {repeated}"
+        corners = [c for n, c in enumerate(corners) if n == 0 or c != corners[n - 1]]
+    plane = _Plane(corners[0])
+    points = [plane.xy(corner) for corner in corners]
+    if crossing := _self_crossing(points):
+        a, b = crossing
+        yield True, f"crosses itself: the edges from corner {a + 1} and from corner {b + 1} meet"
+    elif abs(_area_m2(points)) < MIN_AREA_M2:
+        yield True, f"encloses {abs(_area_m2(points)):.2g} m²: its corners lie in one line"
+
+
+class FenceArea:
+    """Where one may be. ``any_inclusion``: to be inside one of several inclusion shapes is enough, as for a PX4; else
+    it must be all of them, as for an ArduPilot by default."""
+
+    def __init__(self, fence: FencePlan, *, any_inclusion: bool) -> None:
+        first = fence.polygons[0].corners[0] if fence.polygons else (0.0, 0.0)
+        if not fence.polygons and fence.circles:
+            first = fence.circles[0].center
+        self._plane = _Plane(first)
+        self._any = any_inclusion
+        self._polygons = [
+            (f"polygon {n}", p.inclusion, [self._plane.xy(c) for c in p.corners])
+            for n, p in enumerate(fence.polygons, 1)
+        ]
+        self._circles = [
+            (f"circle {n}", c.inclusion, self._plane.xy(c.center), c.radius_m) for n, c in enumerate(fence.circles, 1)
+        ]
+
+    def conflict(self, place: Corner) -> str | None:
+        """Why one may not be there; None if one may."""
+        point = self._plane.xy(place)
+        held = [(name, inclusion, _inside(point, corners)) for name, inclusion, corners in self._polygons]
+        held += [(n, inclusion, math.dist(point, center) <= r) for n, inclusion, center, r in self._circles]
+        for name, inclusion, inside in held:
+            if not inclusion and inside:
+                return f"is inside the exclusion {name}"
+        inclusions = [(name, inside) for name, inclusion, inside in held if inclusion]
+        outside = [name for name, inside in inclusions if not inside]
+        if outside and not (self._any and len(outside) < len(inclusions)):
+            return f"is outside the inclusion {', '.join(outside)}"
+        return None
+
+    def crossed(self, a: Corner, b: Corner) -> str | None:
+        """Which fence the straight way from one allowed place to another passes through; None for none."""
+        start, end = self._plane.xy(a), self._plane.xy(b)
+        for name, inclusion, corners in self._polygons:
+            if self._any and inclusion:
+                continue
+            edges = zip(corners, [*corners[1:], corners[0]], strict=True)
+            if any(_segments_meet(start, end, p, q) for p, q in edges):
+                return f"leaves the inclusion {name}" if inclusion else f"leads through the exclusion {name}"
+        for name, inclusion, center, radius_m in self._circles:
+            if not inclusion and _distance_to_segment(center, start, end) <= radius_m:
+                return f"leads through the exclusion {name}"
+        return None
+
+
+class _Plane:
+    """Metres east and north of a place."""
+
+    def __init__(self, origin: Corner) -> None:
+        self._lat, self._lon = origin
+        self._per_deg = math.radians(EARTH_RADIUS_M)
+        self._shrink = math.cos(math.radians(origin[0]))
+
+    def xy(self, place: Corner) -> Point:
+        east_deg = (place[1] - self._lon + 180.0) % 360.0 - 180.0  # a fence may lie across the date line
+        return east_deg * self._per_deg * self._shrink, (place[0] - self._lat) * self._per_deg
+
+
+def _area_m2(points: Sequence[Point]) -> float:
+    pairs = zip(points, [*points[1:], points[0]], strict=True)
+    return sum(ax * by - bx * ay for (ax, ay), (bx, by) in pairs) / 2
+
+
+def _self_crossing(points: Sequence[Point]) -> tuple[int, int] | None:
+    """The numbers of two edges that are not neighbours and meet."""
+    count = len(points)
+    for a in range(count):
+        for b in range(a + 2, count):
+            if a == 0 and b == count - 1:
+                continue
+            if _segments_meet(points[a], points[a + 1], points[b], points[(b + 1) % count]):
+                return a, b
+    return None
+
+
+def _segments_meet(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether two segments have a point in common, ends included."""
+    d1, d2, d3, d4 = _turn(c, d, a), _turn(c, d, b), _turn(a, b, c), _turn(a, b, d)
+    if ((d1 > 0 > d2) or (d1 < 0 < d2)) and ((d3 > 0 > d4) or (d3 < 0 < d4)):
+        return True
+    ends = ((d1, c, d, a), (d2, c, d, b), (d3, a, b, c), (d4, a, b, d))
+    return any(turn == 0 and _between(p, q, r) for turn, p, q, r in ends)
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _between(a: Point, b: Point, c: Point) -> bool:
+    return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])
+
+
+def _inside(point: Point, corners: Sequence[Point]) -> bool:
+    """Even-odd rule."""
+    x, y = point
+    inside = False
+    for (ax, ay), (bx, by) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        if (ay > y) != (by > y) and x < ax + (y - ay) * (bx - ax) / (by - ay):
+            inside = not inside
+    return inside
+
+
+def _distance_to_segment(point: Point, a: Point, b: Point) -> float:
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    length2 = dx * dx + dy * dy
+    along = 0.0 if length2 == 0 else ((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / length2
+    along = min(1.0, max(0.0, along))
+    return math.hypot(point[0] - a[0] - along * dx, point[1] - a[1] - along * dy)

@@ -1,0 +1,180 @@
+"""One item of a mission, a fence or a rally list, as MISSION_ITEM_INT carries it.
+
+What cannot travel is not in an item: numbers are rounded to the float32 of the wire, positions to its integers, and the
+two names MAVLink has for each global frame are one. So an item that was uploaded, downloaded, written to a file and
+read again compares equal to itself.
+
+Protocol: https://mavlink.io/en/services/mission.html
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+UNSET_INT = 2**31 - 1
+"""x or y of a global frame that is not set: the integer form of NaN (PX4 reads it so)."""
+
+MAX_ITEMS = 65535
+"""MISSION_COUNT.count and seq are uint16."""
+
+GLOBAL, MISSION_FRAME, RELATIVE_ALT, TERRAIN_ALT = 0, 2, 3, 10
+"""MAV_FRAME values that missions are made of."""
+
+_ONE_NAME = {5: GLOBAL, 6: RELATIVE_ALT, 11: TERRAIN_ALT}
+"""The ..._INT frames mean the same in MISSION_ITEM_INT, and both autopilots take either."""
+
+GLOBAL_FRAMES = frozenset({GLOBAL, RELATIVE_ALT, TERRAIN_ALT})
+LOCAL_FRAMES = frozenset({1, 4, 7, 8, 9, 12, 20, 21})
+
+NAV_WAYPOINT, NAV_RETURN, NAV_LAND, NAV_TAKEOFF = 16, 20, 21, 22
+NAV_LAST = 95
+"""MAV_CMD_NAV_LAST: smaller ids move the vehicle, larger ones are conditions and actions."""
+DO_JUMP, JUMP_TAG, DO_JUMP_TAG = 177, 600, 601
+FENCE_RETURN, POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = 5000, 5001, 5002, 5003, 5004
+FENCE_COMMANDS = frozenset(range(5000, 5005))
+RALLY_POINT = 5100
+
+
+class MissionType(IntEnum):
+    """MAV_MISSION_TYPE."""
+
+    MISSION = 0
+    FENCE = 1
+    RALLY = 2
+
+    @property
+    def word(self) -> str:
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class MissionItem:
+    """``params`` are param1 to param4 and ``z`` is param7; None is not set, NaN on the wire. ``x`` and ``y`` are as on
+    the wire: degrees * 1e7 in a global frame (`UNSET_INT`: not set), metres * 1e4 in a local one, else plain integers.
+
+    Raises ValueError for what MISSION_ITEM_INT cannot carry; says which field.
+    """
+
+    command: int
+    frame: int = RELATIVE_ALT
+    params: tuple[float | None, float | None, float | None, float | None] = (0.0, 0.0, 0.0, 0.0)
+    x: int = 0
+    y: int = 0
+    z: float | None = 0.0
+    autocontinue: bool = True
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.command <= 0xFFFF:
+            raise ValueError(f"command {self.command} is not between 0 and 65535")
+        if not 0 <= self.frame <= 0xFF:
+            raise ValueError(f"frame {self.frame} is not between 0 and 255")
+        for name, value in (("x", self.x), ("y", self.y)):
+            if not -(2**31) <= value <= UNSET_INT:
+                raise ValueError(f"{name} = {value} does not fit in 32 bits")
+        put = object.__setattr__
+        put(self, "frame", _ONE_NAME.get(self.frame, self.frame))
+        put(self, "params", tuple(float32(value, f"param{n}") for n, value in enumerate(self.params, 1)))
+        put(self, "z", float32(self.z, "param7"))
+
+    @classmethod
+    def from_params(cls, command: int, frame: int, params: tuple[float | None, ...], autocontinue: bool) -> MissionItem:
+        """An item from the seven numbers that files hold: x and y in degrees, metres or plain. Raises ValueError."""
+        p1, p2, p3, p4, p5, p6, p7 = params
+        frame = _ONE_NAME.get(frame, frame)
+        x, y = wire_int(frame, p5, "param5"), wire_int(frame, p6, "param6")
+        return cls(command, frame, (p1, p2, p3, p4), x, y, p7, autocontinue)
+
+    @classmethod
+    def from_fields(cls, fields: Mapping[str, Any]) -> MissionItem:
+        """From a MISSION_ITEM_INT. Raises ValueError for infinite numbers."""
+        return cls(
+            fields["command"],
+            fields["frame"],
+            (fields["param1"], fields["param2"], fields["param3"], fields["param4"]),
+            fields["x"],
+            fields["y"],
+            fields["z"],
+            bool(fields["autocontinue"]),
+        )
+
+    def values(self) -> dict[str, Any]:
+        """Fields of MISSION_ITEM_INT, without target, seq, current and type."""
+        numbers = {f"param{n}": math.nan if value is None else value for n, value in enumerate(self.params, 1)}
+        return {
+            "frame": self.frame,
+            "command": self.command,
+            "autocontinue": int(self.autocontinue),
+            **numbers,
+            "x": self.x,
+            "y": self.y,
+            "z": math.nan if self.z is None else self.z,
+        }
+
+    @property
+    def seven(self) -> tuple[float | None, ...]:
+        """The seven numbers that files hold, in their shortest form; the inverse of `from_params`."""
+        p1, p2, p3, p4, z = (None if value is None else shortest(value) for value in (*self.params, self.z))
+        return p1, p2, p3, p4, file_number(self.frame, self.x), file_number(self.frame, self.y), z
+
+    @property
+    def position(self) -> tuple[float, float] | None:
+        """(lat_deg, lon_deg); None without one. 0, 0 is none: ArduPilot takes it for "where the vehicle is then"."""
+        if self.frame not in GLOBAL_FRAMES or UNSET_INT in (self.x, self.y) or (self.x, self.y) == (0, 0):
+            return None
+        return self.x / 1e7, self.y / 1e7
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a NAV command: one that the vehicle flies, not does."""
+        return self.command < NAV_LAST
+
+
+def float32(value: float | None, name: str) -> float | None:
+    """What remains of a number on the wire; None for NaN. Raises ValueError for what is not finite there."""
+    if value is None or math.isnan(value):
+        return None
+    try:
+        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    except OverflowError:
+        rounded = math.inf
+    if math.isinf(rounded):
+        raise ValueError(f"{name} = {value:g} is infinite or too large for a 32-bit float")
+    return rounded
+
+
+def shortest(value: float) -> float:
+    """The float with the fewest digits that is the same float32: 0.1, not 0.10000000149011612; for files."""
+    for digits in range(6, 10):
+        text = f"{value:.{digits}g}"
+        if float32(float(text), "") == value:
+            return float(text)
+    return value
+
+
+def wire_int(frame: int, value: float | None, name: str) -> int:
+    """x or y of MISSION_ITEM_INT for a number as files hold it. Raises ValueError."""
+    if value is None or math.isnan(value):
+        return UNSET_INT if frame in GLOBAL_FRAMES else 0
+    scaled = value * _scale(frame)
+    if math.isinf(scaled):
+        raise ValueError(f"{name} is infinite")
+    return round(scaled)
+
+
+def file_number(frame: int, wire: int) -> float | None:
+    """The inverse of `wire_int`."""
+    if frame in GLOBAL_FRAMES and wire == UNSET_INT:
+        return None
+    scale = _scale(frame)
+    return float(wire) if scale == 1 else wire / scale
+
+
+def _scale(frame: int) -> float:
+    if frame in GLOBAL_FRAMES:
+        return 1e7
+    return 1e4 if frame in LOCAL_FRAMES else 1.0

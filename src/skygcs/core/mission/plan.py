@@ -1,0 +1,106 @@
+"""What a plan file holds: a mission, a fence, rally points and the home they were planned from.
+
+Items are numbered from 1, as QGroundControl and Mission Planner show them, and a DO_JUMP names that number. On the wire
+it is another matter: an ArduPilot keeps its home as item 0, so that its sequence numbers are ours; a PX4 has no such
+item, and both sequence numbers and jump targets are one less there (`to_wire`, `from_wire`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from skygcs.core.mission.fence import FencePlan, fence_from_items, fence_items
+from skygcs.core.mission.item import DO_JUMP, GLOBAL, NAV_WAYPOINT, MissionItem, MissionType
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedHome:
+    """Where the plan begins; its altitude is AMSL."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+    def item(self) -> MissionItem:
+        """Item 0 of an ArduPilot."""
+        return MissionItem.from_params(
+            NAV_WAYPOINT, GLOBAL, (0.0, 0.0, 0.0, 0.0, self.lat_deg, self.lon_deg, self.alt_amsl_m), True
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class PlanSettings:
+    """What a .plan says of the vehicle it was made for; kept for the file, not used. Speeds in m/s."""
+
+    firmware_type: int = 0
+    vehicle_type: int = 2
+    cruise_speed_mps: float = 15.0
+    hover_speed_mps: float = 5.0
+
+
+DEFAULT_SETTINGS = PlanSettings()
+NO_FENCE = FencePlan()
+
+
+@dataclass(frozen=True, slots=True)
+class MissionPlan:
+    """``rally`` items are all NAV_RALLY_POINT."""
+
+    mission: tuple[MissionItem, ...] = ()
+    fence: FencePlan = NO_FENCE
+    rally: tuple[MissionItem, ...] = ()
+    home: PlannedHome | None = None
+    settings: PlanSettings = DEFAULT_SETTINGS
+
+    def holds(self) -> tuple[MissionType, ...]:
+        """Which of the three lists are not empty."""
+        counts = {
+            MissionType.MISSION: len(self.mission),
+            MissionType.FENCE: len(fence_items(self.fence)),
+            MissionType.RALLY: len(self.rally),
+        }
+        return tuple(kind for kind, count in counts.items() if count)
+
+    def items(self, kind: MissionType) -> tuple[MissionItem, ...]:
+        """The items of one list, without home."""
+        match kind:
+            case MissionType.MISSION:
+                return self.mission
+            case MissionType.FENCE:
+                return fence_items(self.fence)
+            case MissionType.RALLY:
+                return self.rally
+
+    def with_items(self, kind: MissionType, items: tuple[MissionItem, ...]) -> MissionPlan:
+        """The same plan with another list. Raises ValueError for a fence whose items do not make one."""
+        match kind:
+            case MissionType.MISSION:
+                return replace(self, mission=items)
+            case MissionType.FENCE:
+                return replace(self, fence=fence_from_items(items))
+            case MissionType.RALLY:
+                return replace(self, rally=items)
+
+
+def shifted_jumps(items: tuple[MissionItem, ...], by: int) -> tuple[MissionItem, ...]:
+    """The items with every DO_JUMP's target moved; one that is not set stays so."""
+    return tuple(
+        replace(item, params=(item.params[0] + by, *item.params[1:]))
+        if item.command == DO_JUMP and item.params[0] is not None
+        else item
+        for item in items
+    )
+
+
+def to_wire(items: tuple[MissionItem, ...], home_item: MissionItem | None) -> tuple[MissionItem, ...]:
+    """The items of a *mission* as they are sent: behind ``home_item`` to an ArduPilot, without (None) to a PX4.
+
+    Fence and rally lists travel as they are."""
+    if home_item is not None:
+        return (home_item, *items)
+    return shifted_jumps(items, -1)
+
+
+def from_wire(items: tuple[MissionItem, ...], *, first_is_home: bool) -> tuple[MissionItem, ...]:
+    """The inverse of `to_wire` for what was downloaded."""
+    return items[1:] if first_is_home else shifted_jumps(items, 1)

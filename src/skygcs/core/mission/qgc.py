@@ -1,0 +1,390 @@
+"""QGroundControl's JSON: .plan files, and the .mission files of its older versions.
+
+Complex items (survey, corridor scan, fixed-wing and VTOL landing, structure scan) become the simple items that they
+stand for: of the others those are stored in the file, a structure scan's are computed (`structure`). Written files hold
+simple items only, so what a plan knew of polygons and cameras is not in a converted one.
+
+Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon
+from skygcs.core.mission.item import DO_JUMP, MAX_ITEMS, RALLY_POINT, RELATIVE_ALT, MissionItem, shortest
+from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings
+from skygcs.core.mission.structure import StructureScan, structure_items
+from skygcs.errors import PlanFileError
+
+PLAN_VERSION = 1
+MISSION_VERSION = 2
+OLD_MISSION_VERSIONS = (1, 2)
+SECTION_VERSIONS = (1, 2)
+"""Of the fence and rally sections: version 1 had one polygon without a kind."""
+
+
+@dataclass(slots=True)
+class _File:
+    """What is being read: gives errors their place and collects what the user should know."""
+
+    source: str
+    notes: list[str] = field(default_factory=list)
+
+    def error(self, where: str, reason: str) -> PlanFileError:
+        return PlanFileError(self.source, where, reason)
+
+    def number(self, value: Any, where: str) -> float | None:
+        """A number, or None for null. JSON's NaN, which some programs write, is the same as null."""
+        if value is None or (isinstance(value, float) and value != value):
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.error(where, f"must be a number, not {_short(value)}")
+        try:
+            number = float(value)
+        except OverflowError:  # JSON's integers have no end
+            number = math.inf
+        if math.isinf(number):
+            raise self.error(where, "is not a finite number")
+        return number
+
+    def given(self, value: Any, where: str) -> float:
+        number = self.number(value, where)
+        if number is None:
+            raise self.error(where, "must be a number, not null or NaN")
+        return number
+
+    def whole(self, value: Any, where: str) -> int:
+        number = self.given(value, where)
+        if number != int(number):
+            raise self.error(where, f"must be a whole number, not {_short(value)}")
+        return int(number)
+
+    def table(self, value: Any, where: str) -> dict[str, Any]:
+        if not isinstance(value, dict):
+            raise self.error(where, f"must be an object, not {_short(value)}")
+        return value
+
+    def array(self, value: Any, where: str, length: int | None = None) -> list[Any]:
+        if not isinstance(value, list):
+            raise self.error(where, f"must be a list, not {_short(value)}")
+        if length is not None and len(value) != length:
+            raise self.error(where, f"must hold {length} numbers, not {len(value)}")
+        return value
+
+    def place(self, value: Any, where: str) -> tuple[float, float]:
+        lat, lon = (self.given(v, where) for v in self.array(value, where)[:2])
+        return lat, lon
+
+
+def read_qgc(text: str, source: str) -> tuple[MissionPlan, tuple[str, ...]]:
+    """(plan, notes for the user). Raises PlanFileError with the line or the item."""
+    file = _File(source)
+    try:
+        root = file.table(json.loads(text), "")
+    except json.JSONDecodeError as error:
+        raise file.error(f"line {error.lineno}", f"not JSON: {error.msg}") from None
+    except RecursionError:
+        raise file.error("", "not a plan: nested too deeply") from None
+    plan = _plan(file, root) if "fileType" in root or "mission" in root else _old_mission(file, root)
+    return plan, tuple(file.notes)
+
+
+def _plan(file: _File, root: dict[str, Any]) -> MissionPlan:
+    kind = root.get("fileType", "Plan")
+    if kind != "Plan":
+        raise file.error("", f'fileType must be "Plan", not {_short(kind)}')
+    _version(file, root, "", (PLAN_VERSION,))
+    plan = MissionPlan(
+        fence=_fence(file, file.table(root.get("geoFence", {}), "geoFence")),
+        rally=_rally(file, file.table(root.get("rallyPoints", {}), "rallyPoints")),
+    )
+    if "mission" not in root:
+        file.notes.append("the file holds no mission")
+        return plan
+    mission = file.table(root["mission"], "mission")
+    _version(file, mission, "mission", (MISSION_VERSION,))
+    items = _items(file, file.array(mission.get("items", []), "mission.items"))
+    settings = PlanSettings(
+        firmware_type=file.whole(mission.get("firmwareType", 0), "mission.firmwareType"),
+        vehicle_type=file.whole(mission.get("vehicleType", 2), "mission.vehicleType"),
+        cruise_speed_mps=file.given(mission.get("cruiseSpeed", 15), "mission.cruiseSpeed"),
+        hover_speed_mps=file.given(mission.get("hoverSpeed", 5), "mission.hoverSpeed"),
+    )
+    home = _home(file, mission.get("plannedHomePosition"), "mission.plannedHomePosition")
+    return MissionPlan(items, plan.fence, plan.rally, home, settings)
+
+
+def _old_mission(file: _File, root: dict[str, Any]) -> MissionPlan:
+    """A .mission file: the mission section alone."""
+    if "items" not in root:
+        raise file.error("", "is JSON, and neither a QGroundControl plan nor a mission: it has no items")
+    _version(file, root, "", OLD_MISSION_VERSIONS)
+    if root.get("complexItems"):
+        raise file.error("complexItems", "surveys of this old format hold no waypoints; save the plan again")
+    items = _items(file, file.array(root["items"], "items"))
+    settings = PlanSettings(firmware_type=file.whole(root.get("firmwareType", 0), "firmwareType"))
+    home = _home(file, root.get("plannedHomePosition"), "plannedHomePosition")
+    return MissionPlan(items, home=home, settings=settings)
+
+
+def _version(file: _File, table: dict[str, Any], where: str, supported: tuple[int, ...]) -> None:
+    if "version" not in table:
+        raise file.error(where, "has no version")
+    if table["version"] not in supported or isinstance(table["version"], bool):
+        known = " or ".join(map(str, supported))
+        raise file.error(where, f"version {_short(table['version'])} is not supported, only {known} is")
+
+
+def _home(file: _File, value: Any, where: str) -> PlannedHome | None:
+    if value is None:
+        return None
+    if isinstance(value, dict):  # version 1 of .mission: a simple item
+        value = value.get("coordinate")
+    lat, lon, alt = (file.number(v, where) for v in file.array(value, where, 3))
+    if lat is None or lon is None:
+        return None
+    return PlannedHome(lat, lon, 0.0 if alt is None else alt)
+
+
+def _items(file: _File, entries: list[Any]) -> tuple[MissionItem, ...]:
+    items: list[MissionItem] = []
+    numbered: list[tuple[int, int]] = []
+    """(number in the file, number by counting)"""
+    for entry in entries:
+        where = f"item {len(items) + 1}"
+        table = file.table(entry, where)
+        if table.get("type") == "ComplexItem":
+            items += _complex(file, table, where, numbered, len(items))
+        elif table.get("type", "SimpleItem") in ("SimpleItem", "missionItem"):
+            _number_of(file, table, where, numbered, len(items) + 1)
+            items.append(_simple(file, table, where))
+        else:
+            raise file.error(where, f"type {_short(table.get('type'))} is neither SimpleItem nor ComplexItem")
+        if len(items) > MAX_ITEMS:
+            raise file.error(where, f"MAVLink can number {MAX_ITEMS} items")
+    _check_numbers(file, numbered, any(item.command == DO_JUMP for item in items))
+    return tuple(items)
+
+
+def _number_of(file: _File, table: dict[str, Any], where: str, numbered: list[tuple[int, int]], counted: int) -> None:
+    number = table.get("doJumpId", table.get("id"))
+    if number is not None:
+        numbered.append((file.whole(number, f"{where}: doJumpId"), counted))
+
+
+def _check_numbers(file: _File, numbered: list[tuple[int, int]], jumps: bool) -> None:
+    """Refuse a gap: an item is missing there. Numbers that are no sequence at all do no harm if nothing uses them."""
+    ids = [number for number, _ in numbered]
+    if any(b <= a for a, b in itertools.pairwise(ids)):
+        if jumps:
+            raise file.error("", "the items' numbers (doJumpId) are out of order, and a DO_JUMP names one of them")
+        file.notes.append("the items' numbers (doJumpId) are out of order; they were numbered again")
+        return
+    for number, counted in numbered:
+        if number > counted:
+            raise file.error(f"item {counted}", f"is missing: the next one in the file is number {number}")
+        if number < counted:
+            raise file.error(f"item {counted}", f"has the number (doJumpId) {number}")
+
+
+def _simple(file: _File, table: dict[str, Any], where: str) -> MissionItem:
+    for key in ("command", "frame"):
+        if key not in table:
+            raise file.error(where, f"has no {key}")
+    frame = file.whole(table["frame"], f"{where}: frame")
+    seven = _seven(file, table, where)
+    if frame == 2 and any(v is not None and v != round(v) for v in seven[4:6]):
+        file.notes.append(f"{where}: in frame MISSION param5 and param6 travel as whole numbers; they were rounded")
+    try:
+        return MissionItem.from_params(
+            file.whole(table["command"], f"{where}: command"),
+            frame,
+            seven,
+            table.get("autoContinue", True) is not False,
+        )
+    except ValueError as error:
+        raise file.error(where, str(error)) from None
+
+
+def _seven(file: _File, table: dict[str, Any], where: str) -> tuple[float | None, ...]:
+    """params has all seven; the older form has four, or param1 to param4, and a coordinate."""
+    if "coordinate" in table:
+        first = table["params"] if "params" in table else [table.get(f"param{n}", 0) for n in range(1, 5)]
+        values = [
+            *file.array(first, f"{where}: params", 4),
+            *file.array(table["coordinate"], f"{where}: coordinate", 3),
+        ]
+    else:
+        values = file.array(table.get("params"), f"{where}: params", 7)
+    return tuple(file.number(value, f"{where}: param{n}") for n, value in enumerate(values, 1))
+
+
+def _complex(
+    file: _File, table: dict[str, Any], where: str, numbered: list[tuple[int, int]], before: int
+) -> list[MissionItem]:
+    kind = table.get("complexItemType")
+    if kind == "StructureScan":
+        items = _structure(file, table, where)
+        file.notes.append(f"{where}: structure scan, {len(items)} items computed as QGroundControl does")
+        return items
+    stored = table.get("TransectStyleComplexItem", table)
+    stored = file.table(stored, f"{where}: TransectStyleComplexItem").get("Items")
+    if not isinstance(stored, list) or not stored:
+        raise file.error(where, f"{_short(kind)} holds no items; open the plan in QGroundControl and save it again")
+    items = []
+    for n, entry in enumerate(stored, before + 1):
+        inner = file.table(entry, f"item {n}")
+        _number_of(file, inner, f"item {n}", numbered, n)
+        items.append(_simple(file, inner, f"item {n}"))
+    file.notes.append(f"{where}: {kind}, expanded to its {len(items)} stored items")
+    return items
+
+
+def _structure(file: _File, table: dict[str, Any], where: str) -> list[MissionItem]:
+    _version(file, table, where, (3,))
+    camera = file.table(table.get("CameraCalc"), f"{where}: CameraCalc")
+    outline = file.array(table.get("polygon"), f"{where}: polygon")
+
+    def of(source: dict[str, Any], key: str) -> float:
+        return file.given(source.get(key), f"{where}: {key}")
+
+    scan = StructureScan(
+        outline=tuple(file.place(corner, f"{where}: polygon") for corner in outline),
+        distance_m=of(camera, "DistanceToSurface"),
+        layers=file.whole(table.get("Layers"), f"{where}: Layers"),
+        layer_height_m=of(camera, "AdjustedFootprintFrontal"),
+        trigger_distance_m=of(camera, "AdjustedFootprintSide"),
+        entrance_height_m=of(table, "EntranceAltitude"),
+        bottom_height_m=of(table, "ScanBottomAlt"),
+        top_height_m=of(table, "StructureHeight"),
+        from_top=table.get("StartFromTop") is True,
+        gimbal_pitch_deg=of(table, "GimbalPitch"),
+    )
+    try:
+        return list(structure_items(scan))
+    except ValueError as error:
+        raise file.error(where, str(error)) from None
+
+
+def _fence(file: _File, section: dict[str, Any]) -> FencePlan:
+    if section:
+        _version(file, section, "geoFence", SECTION_VERSIONS)
+    polygons = [
+        _polygon(file, entry, f"fence polygon {n}")
+        for n, entry in enumerate(file.array(section.get("polygons", []), "geoFence.polygons"), 1)
+    ]
+    if section.get("polygon"):
+        polygons.append(_polygon(file, {"polygon": section["polygon"]}, "fence polygon 1"))
+    circles = [
+        _circle(file, entry, f"fence circle {n}")
+        for n, entry in enumerate(file.array(section.get("circles", []), "geoFence.circles"), 1)
+    ]
+    back = section.get("breachReturn")
+    return FencePlan(tuple(polygons), tuple(circles), None if back is None else _return_point(file, back))
+
+
+def _polygon(file: _File, entry: Any, where: str) -> FencePolygon:
+    table = file.table(entry, where)
+    corners = tuple(file.place(corner, where) for corner in file.array(table.get("polygon"), where))
+    try:
+        return FencePolygon(table.get("inclusion", True) is not False, corners)
+    except ValueError as error:
+        raise file.error(where, str(error)) from None
+
+
+def _circle(file: _File, entry: Any, where: str) -> FenceCircle:
+    table = file.table(entry, where)
+    circle = file.table(table.get("circle"), where)
+    center = file.place(circle.get("center"), f"{where}: center")
+    radius_m = file.given(circle.get("radius"), f"{where}: radius")
+    try:
+        return FenceCircle(table.get("inclusion", True) is not False, center, radius_m)
+    except ValueError as error:
+        raise file.error(where, str(error)) from None
+
+
+def _return_point(file: _File, value: Any) -> tuple[float, float, float]:
+    lat, lon, height_m = (file.given(v, "breachReturn") for v in file.array(value, "breachReturn", 3))
+    return lat, lon, height_m
+
+
+def _rally(file: _File, section: dict[str, Any]) -> tuple[MissionItem, ...]:
+    if section:
+        _version(file, section, "rallyPoints", SECTION_VERSIONS)
+    items = []
+    for n, point in enumerate(file.array(section.get("points", []), "rallyPoints.points"), 1):
+        where = f"rally point {n}"
+        place = tuple(file.number(v, where) for v in file.array(point, where, 3))
+        try:
+            items.append(MissionItem.from_params(RALLY_POINT, RELATIVE_ALT, (0.0, 0.0, 0.0, 0.0, *place), True))
+        except ValueError as error:
+            raise file.error(where, str(error)) from None
+    return tuple(items)
+
+
+def write_qgc(plan: MissionPlan) -> str:
+    """The plan as a .plan file. Raises ValueError naming a rally point whose height is not above home: the format has
+    no other."""
+    for n, item in enumerate(plan.rally, 1):
+        if item.frame != RELATIVE_ALT:
+            raise ValueError(f"rally point {n} is in frame {item.frame}; a .plan holds heights above home only")
+    home = plan.home
+    document = {
+        "fileType": "Plan",
+        "groundStation": "skygcs",
+        "version": PLAN_VERSION,
+        "mission": {
+            "version": MISSION_VERSION,
+            "firmwareType": plan.settings.firmware_type,
+            "vehicleType": plan.settings.vehicle_type,
+            "cruiseSpeed": plan.settings.cruise_speed_mps,
+            "hoverSpeed": plan.settings.hover_speed_mps,
+            "plannedHomePosition": None if home is None else [home.lat_deg, home.lon_deg, home.alt_amsl_m],
+            "items": [_item_entry(n, item) for n, item in enumerate(plan.mission, 1)],
+        },
+        "geoFence": _fence_entry(plan.fence),
+        "rallyPoints": {"version": 2, "points": [item.seven[4:] for item in plan.rally]},
+    }
+    return json.dumps(document, indent=4, allow_nan=False) + "\n"
+
+
+def _item_entry(number: int, item: MissionItem) -> dict[str, Any]:
+    return {
+        "type": "SimpleItem",
+        "doJumpId": number,
+        "command": item.command,
+        "frame": item.frame,
+        "params": item.seven,
+        "autoContinue": item.autocontinue,
+    }
+
+
+def _fence_entry(fence: FencePlan) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "version": 2,
+        "polygons": [
+            {"inclusion": p.inclusion, "polygon": [list(corner) for corner in p.corners], "version": 1}
+            for p in fence.polygons
+        ],
+        "circles": [
+            {
+                "circle": {"center": list(c.center), "radius": shortest(c.radius_m)},
+                "inclusion": c.inclusion,
+                "version": 1,
+            }
+            for c in fence.circles
+        ],
+    }
+    if fence.return_point is not None:
+        entry["breachReturn"] = list(fence.return_point)
+    return entry
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value, default=str)
+    return text if len(text) <= 40 else text[:37] + "..."

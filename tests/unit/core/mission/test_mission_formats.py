@@ -1,0 +1,339 @@
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.geo import distance_m
+from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon, fence_from_items, fence_items
+from skygcs.core.mission.formats import MAX_FILE_BYTES, Imported, format_of, read_plan, write_plan
+from skygcs.core.mission.item import UNSET_INT, MissionItem, MissionType
+from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings, from_wire, to_wire
+from skygcs.errors import PlanFileError
+from support.public_data import public_file, public_folder
+
+# what the data's own README counts, home lines taken off: (mission, polygons, circles, has home)
+PUBLIC = {
+    "mavsdk-mission_planner_sample.txt": (4, 0, 0, False),
+    "mavsdk-qgroundcontrol_sample.plan": (6, 0, 0, True),
+    "mavsdk-qgroundcontrol_sample_with_structured_scan.plan": (1 + 18, 0, 0, True),
+    "mavsdk-qgroundcontrol_sample_with_survey.plan": (1 + 12, 0, 0, True),
+    "mavsdk-qgroundcontrol_sample_without_mission.plan": (0, 0, 0, False),
+    "eagle-SampleMission.waypoints": (3, 0, 0, True),
+    "eagle-MTownTestMission.waypoints": (6, 0, 0, True),
+    "eagle-MTownTestFence.waypoints": (0, 1, 2, True),
+    "px4-MC_mission_box.plan": (6, 0, 0, True),
+    "qgc-MissionPlanner.waypoints": (5, 0, 0, True),
+    "qgc-OldFileFormat.mission": (6, 0, 0, True),
+    "ap-copter_mission.txt": (12, 0, 0, True),
+    "ap-mission_pyramids.plan": (10, 0, 0, True),
+    "px4-geofence_avoid.plan": (5, 2, 1, True),
+}
+WRONG_VERSIONS = {
+    "mavsdk-qgroundcontrol_sample_wrong_mission_version.plan": "mission: version 7",
+    "mavsdk-qgroundcontrol_sample_wrong_overall_version.plan": "version 42",
+}
+
+
+def public(name: str) -> Imported:
+    return read_plan(public_file(f"missions/{name}").read_bytes(), name)
+
+
+def wpl(*rows: str, version: str = "110") -> bytes:
+    return "\n".join([f"QGC WPL {version}", *rows]).encode()
+
+
+HOME_ROW = "0 1 0 16 0 0 0 0 43.78 -79.46 180 1"
+
+
+def item_entry(number: int, **changes: Any) -> dict[str, Any]:
+    params = [0, 0, 0, None, 43.78, -79.46, 20]
+    return {"type": "SimpleItem", "doJumpId": number, "command": 16, "frame": 3, "params": params, **changes}
+
+
+def plan_file(*items: dict[str, Any], **sections: Any) -> bytes:
+    mission = {"version": 2, "items": list(items), "plannedHomePosition": [43.78, -79.46, 180]}
+    return json.dumps({"fileType": "Plan", "version": 1, "mission": mission, **sections}).encode()
+
+
+def refusal(content: bytes, name: str = "a.plan") -> str:
+    with pytest.raises(PlanFileError) as caught:
+        read_plan(content, name)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_file_imports_with_the_counts_that_were_counted_independently(name: str) -> None:
+    plan = public(name).plan
+    counts = (len(plan.mission), len(plan.fence.polygons), len(plan.fence.circles), plan.home is not None)
+    assert counts == PUBLIC[name]
+
+
+@pytest.mark.parametrize("name", WRONG_VERSIONS)
+def test_only_the_two_files_of_a_wrong_version_are_refused(name: str) -> None:
+    assert WRONG_VERSIONS[name] in refusal(public_file(f"missions/{name}").read_bytes(), name)
+
+
+def test_every_public_file_is_in_this_test() -> None:
+    assert {path.name for path in public_folder("missions")} == PUBLIC.keys() | WRONG_VERSIONS.keys()
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_import_export_import_is_identical(name: str) -> None:
+    plan = public(name).plan
+    assert read_plan(write_plan(plan, "out.plan").encode(), "out.plan").plan == plan
+    for kind in plan.holds():
+        text = write_plan(plan, "out.waypoints", only=kind)
+        again = read_plan(text.encode(), "out.waypoints").plan
+        assert again.items(kind) == plan.items(kind)
+        assert again.home == plan.home
+        assert write_plan(again, "out.waypoints") == text
+
+
+def test_the_surveys_items_are_those_stored_in_the_file() -> None:
+    stored = json.loads(public_file("missions/mavsdk-qgroundcontrol_sample_with_survey.plan").read_text())
+    inner = stored["mission"]["items"][1]["TransectStyleComplexItem"]["Items"]
+    imported = public("mavsdk-qgroundcontrol_sample_with_survey.plan")
+    assert [item.command for item in imported.plan.mission[1:]] == [entry["command"] for entry in inner]
+    assert imported.plan.mission[1].seven[4:] == pytest.approx(inner[0]["params"][4:], abs=1e-7)
+    assert "12 stored items" in imported.notes[0]
+
+
+def test_the_structure_scan_flies_round_the_outline_at_its_distance() -> None:
+    plan = public("mavsdk-qgroundcontrol_sample_with_structured_scan.plan").plan
+    assert [item.command for item in plan.mission] == [530, 16, 196, *([16, 206, 16, 16, 16, 16, 206] * 2), 197, 16]
+    heights = [item.z for item in plan.mission if item.command == 16]
+    assert heights == [50.0, *[87.5] * 5, *[62.5] * 5, 50.0]  # layers of 25 m from 100 m down
+    stored = json.loads(public_file("missions/mavsdk-qgroundcontrol_sample_with_structured_scan.plan").read_text())
+    outline = stored["mission"]["items"][1]["polygon"]
+    corner = plan.mission[1].position
+    assert corner is not None
+    # a corner moved outwards along both its edges by 50 m is farther than that from it and less than twice as far
+    assert 50.0 < min(distance_m(*corner, *known) for known in outline) < 100.0
+
+
+def test_all_items_of_a_fence_are_read_and_their_counts_are_theirs() -> None:
+    plan = public("px4-geofence_avoid.plan").plan
+    assert [(p.inclusion, len(p.corners)) for p in plan.fence.polygons] == [(False, 4), (True, 4)]
+    items = plan.items(MissionType.FENCE)
+    assert [(item.command, item.params[0]) for item in items[:8]] == [(5002, 4.0)] * 4 + [(5001, 4.0)] * 4
+    assert fence_from_items(items) == plan.fence
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "the file is empty"),
+        (b"hello", "is neither a QGroundControl plan"),
+        (b"\xff\xfe", "line 1: is not UTF-8"),
+        (b'{"a": 1,\n "b": }', "line 2: not JSON"),
+        (b"{}", "has no items"),
+        (b"[" * 3, "is neither"),
+        (b'{"a":' * 100_000, "nested too deeply"),
+        (wpl(HOME_ROW, version="120"), "line 1: version 120"),
+        (wpl(HOME_ROW, "1 0 3 16 0 0 0 0 43.78 -79.46"), "line 3: 10 columns, not 12"),
+        (wpl(HOME_ROW, "2 0 3 16 0 0 0 0 43.78 -79.46 10 1"), "line 3: item 1 is missing"),
+        (wpl(HOME_ROW, "0 0 3 16 0 0 0 0 43.78 -79.46 10 1"), "line 3: item 0 comes again"),
+        (wpl(HOME_ROW, "1 0 3 16 x 0 0 0 43.78 -79.46 10 1"), "line 3: could not convert"),
+        (wpl(HOME_ROW, "1 0 3 16 inf 0 0 0 43.78 -79.46 10 1"), "line 3: param1 = inf is infinite"),
+        (wpl(HOME_ROW, "1 0 3 16 0 0 0 0 1e300 -79.46 10 1"), "line 3: "),
+        (wpl(HOME_ROW, "1 0 3 16.5 0 0 0 0 43.78 -79.46 10 1"), "line 3: 16.5 is not a whole number"),
+        (wpl(HOME_ROW, "1 0 3 70000 0 0 0 0 43.78 -79.46 10 1"), "line 3: command 70000"),
+        (wpl(HOME_ROW, "1 0 3 5001 3 0 0 0 43.78 -79.46 10 1"), "fence item 1: the fence is not closed"),
+        (wpl(HOME_ROW, "1 0 3 5003 9 0 0 0 43.78 -79.46 10 1", "2 0 3 16 0 0 0 0 1 1 1 1"), "line 4: command 16"),
+        (plan_file(item_entry(1), item_entry(3)), "item 2: is missing: the next one in the file is number 3"),
+        (plan_file(item_entry(1, params=[0] * 6)), "item 1: params: must hold 7 numbers, not 6"),
+        (plan_file(item_entry(1, params=None)), "item 1: params: must be a list, not null"),
+        (plan_file(item_entry(1, params=[0, "x", 0, 0, 0, 0, 0])), 'item 1: param2: must be a number, not "x"'),
+        (plan_file(item_entry(1, params=[0, 10**400, 0, 0, 0, 0, 0])), "item 1: param2: is not a finite number"),
+        (plan_file(item_entry(1, command=None)), "item 1: command"),
+        (plan_file(item_entry(1, type="Odd")), 'item 1: type "Odd"'),
+        (plan_file({"type": "ComplexItem", "complexItemType": "survey"}), 'item 1: "survey" holds no items'),
+        (plan_file(geoFence={"version": 3}), "geoFence: version 3"),
+        (plan_file(geoFence={"version": 2, "polygons": [{"polygon": [[91, 0]]}]}), "fence polygon 1: latitude 91"),
+        (plan_file(geoFence={"version": 2, "circles": [{"circle": {"center": [1, 2]}}]}), "fence circle 1: radius"),
+        (plan_file(rallyPoints={"version": 2, "points": [[1, 2]]}), "rally point 1: must hold 3 numbers"),
+        (
+            plan_file(item_entry(1), item_entry(1, command=177, params=[1, 1, 0, 0, 0, 0, 0])),
+            "the items' numbers (doJumpId) are out of order",
+        ),
+    ],
+)
+def test_what_is_no_plan_is_refused_with_the_place_and_the_reason(content: bytes, said: str) -> None:
+    assert said in refusal(content)
+    assert refusal(content).startswith("a.plan: ")
+
+
+def test_a_file_larger_than_any_plan_is_not_parsed() -> None:
+    assert "MiB" in refusal(b"{" + b" " * MAX_FILE_BYTES)
+
+
+@given(st.binary(max_size=200) | st.binary(max_size=200).map(lambda tail: b"QGC WPL 110\n" + tail))
+def test_any_bytes_are_a_plan_or_a_plan_file_error(content: bytes) -> None:
+    try:
+        read_plan(content, "x")
+    except PlanFileError as error:
+        assert str(error).startswith("x: ")
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["polygon", "version"]), inner),
+    max_leaves=8,
+)
+
+
+@given(
+    st.dictionaries(
+        st.sampled_from(["mission", "geoFence", "rallyPoints", "items", "complexItems", "plannedHomePosition"]),
+        json_values
+        | st.fixed_dictionaries(
+            {"version": st.just(2)},
+            optional={
+                "items": st.lists(
+                    st.dictionaries(
+                        st.sampled_from(
+                            ["type", "command", "frame", "params", "doJumpId", "coordinate", "complexItemType", "Items"]
+                        ),
+                        json_values | st.sampled_from(["ComplexItem", "StructureScan"]),
+                    ),
+                    max_size=3,
+                ),
+                "polygons": json_values,
+                "circles": json_values,
+                "points": json_values,
+                "plannedHomePosition": json_values,
+            },
+        ),
+    ),
+    st.booleans(),
+)
+def test_any_json_is_a_plan_or_a_plan_file_error(sections: dict[str, Any], whole: bool) -> None:
+    root = {"version": 1, **sections, **({"fileType": "Plan"} if whole else {})}
+    try:
+        read_plan(json.dumps(root).encode(), "x")
+    except PlanFileError as error:
+        assert str(error).startswith("x: ")
+
+
+float32s = st.floats(width=32, allow_nan=False, allow_infinity=False) | st.none()
+items = st.builds(
+    MissionItem,
+    command=st.integers(0, 4999) | st.integers(5101, 65535),
+    frame=st.integers(0, 20),
+    params=st.tuples(float32s, float32s, float32s, float32s),
+    x=st.integers(-(2**31), 2**31 - 1),
+    y=st.integers(-(2**31), 2**31 - 1),
+    z=float32s,
+    autocontinue=st.booleans(),
+)
+corners = st.tuples(st.floats(-90, 90), st.floats(-180, 180))
+fences = st.builds(
+    FencePlan,
+    st.lists(st.builds(FencePolygon, st.booleans(), st.lists(corners, min_size=1, max_size=5).map(tuple))).map(tuple),
+    st.lists(st.builds(FenceCircle, st.booleans(), corners, st.floats(0.125, 1e5, width=32))).map(tuple),
+)
+homes = st.builds(PlannedHome, st.floats(1, 90), st.floats(-180, 180), st.floats(-500, 9000))
+plans = st.builds(
+    MissionPlan,
+    mission=st.lists(items, max_size=6).map(tuple),
+    fence=fences,
+    home=homes | st.none(),
+    settings=st.builds(PlanSettings, st.integers(0, 20), st.integers(0, 40)),
+)
+
+
+@given(plans)
+def test_any_plan_survives_both_formats(plan: MissionPlan) -> None:
+    assert read_plan(write_plan(plan, "a.plan").encode(), "a.plan").plan == plan
+    for kind in plan.holds():
+        again = read_plan(write_plan(plan, "a.txt", only=kind).encode(), "a.txt").plan
+        assert again.items(kind) == plan.items(kind)
+        assert again.home == plan.home
+
+
+@given(fences)
+def test_a_fence_survives_its_items(fence: FencePlan) -> None:
+    assert fence_from_items(fence_items(fence)) == fence
+
+
+@given(items)
+def test_an_item_survives_its_message_fields(item: MissionItem) -> None:
+    assert MissionItem.from_fields(item.values()) == item
+
+
+def test_not_set_is_nan_on_the_wire_and_null_in_a_plan() -> None:
+    item = MissionItem.from_params(16, 3, (0.0, None, math.nan, None, None, None, None), True)
+    values = item.values()
+    assert math.isnan(values["param2"]) and math.isnan(values["param3"]) and math.isnan(values["z"])
+    assert (values["x"], values["y"]) == (UNSET_INT, UNSET_INT)
+    assert item.seven == (0.0, None, None, None, None, None, None)
+    assert item.position is None
+
+
+def test_both_names_of_a_global_frame_are_one() -> None:
+    assert [MissionItem(16, frame).frame for frame in (5, 6, 11, 2)] == [0, 3, 10, 2]
+
+
+def test_a_jump_names_the_item_in_the_plan_and_the_sequence_number_on_the_wire() -> None:
+    jump = MissionItem(177, 2, (2.0, -1.0, 0.0, 0.0))
+    plan = read_plan(wpl(HOME_ROW, "1 0 3 16 0 0 0 0 1 2 10 1", "2 0 2 177 2 -1 0 0 0 0 0 1"), "a.txt").plan
+    assert plan.mission[1] == jump
+    assert to_wire(plan.mission, None)[1].params[0] == 1.0
+    assert from_wire(to_wire(plan.mission, None), first_is_home=False) == plan.mission
+    assert plan.home is not None
+    sent = to_wire(plan.mission, plan.home.item())
+    assert sent[2] == jump and sent[0].position == (43.78, -79.46)
+    assert from_wire(sent, first_is_home=True) == plan.mission
+
+
+def test_a_file_that_begins_with_an_item_numbers_its_jumps_from_zero() -> None:
+    plan = read_plan(wpl("0 1 3 22 0 0 0 0 0 0 10 1", "1 0 2 177 0 1 0 0 0 0 0 1"), "a.txt").plan
+    assert plan.home is None
+    assert [item.command for item in plan.mission] == [22, 177]
+    assert plan.mission[1].params[0] == 1.0
+
+
+def test_a_first_waypoint_that_looks_like_home_stays_an_item() -> None:
+    plan = MissionPlan(mission=(MissionItem.from_params(16, 0, (0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 300.0), True),))
+    assert read_plan(write_plan(plan, "a.txt").encode(), "a.txt").plan == plan
+
+
+def test_numbers_that_are_no_sequence_are_counted_again_where_no_jump_uses_them() -> None:
+    imported = read_plan(plan_file(item_entry(1), item_entry(1)), "a.plan")
+    assert len(imported.plan.mission) == 2
+    assert "numbered again" in imported.notes[0]
+
+
+def test_a_wpl_file_holds_one_list() -> None:
+    plan = public("px4-geofence_avoid.plan").plan
+    with pytest.raises(PlanFileError, match="mission and fence, and a WPL file one of them: choose with --only"):
+        write_plan(plan, "a.waypoints")
+
+
+def test_rally_points_are_read_from_both_formats() -> None:
+    imported = read_plan(plan_file(rallyPoints={"version": 2, "points": [[1.5, 2.5, 30]]}), "a.plan").plan
+    from_text = read_plan(wpl(HOME_ROW, "1 0 3 5100 0 0 0 0 1.5 2.5 30 1"), "a.txt").plan
+    assert imported.rally == from_text.rally
+    assert from_text.mission == ()
+
+
+def test_a_rally_point_above_sea_level_has_no_place_in_a_plan() -> None:
+    plan = read_plan(wpl(HOME_ROW, "1 0 0 5100 0 0 0 0 1.5 2.5 230 1"), "a.txt").plan
+    with pytest.raises(PlanFileError, match="rally point 1 is in frame 0"):
+        write_plan(plan, "a.plan")
+
+
+def test_the_name_says_the_format() -> None:
+    assert [format_of(name) for name in ("a.PLAN", "b.waypoints", "c.txt", "d.mission")] == [
+        "plan",
+        "wpl",
+        "wpl",
+        "wpl",
+    ]
+    with pytest.raises(PlanFileError, match=r"a\.kml: must end in"):
+        format_of("a.kml")
