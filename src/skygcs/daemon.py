@@ -10,7 +10,7 @@ import asyncio
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
+from skygcs.runtime.uplink import setpoint_bytes_per_s
 
 MAX_EVENTS = 1000
 """Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
@@ -70,7 +71,15 @@ class Daemon:
                 max_age_s=own.record_max_minutes * 60.0,
                 on_event=self.on_event,
             )
-        self.fleet = Fleet(config, dialect, self._send, self.loop, self.on_event, self._may_broadcast)
+        self.fleet = Fleet(
+            config,
+            dialect,
+            self._send,
+            self.loop,
+            self.on_event,
+            self._may_broadcast,
+            lambda sysid, compid: setpoint_bytes_per_s(self.hub, self.fleet, sysid, compid),
+        )
         self.hub = Hub(
             config,
             dialect,
@@ -159,8 +168,9 @@ class Daemon:
         /,
         *,
         everywhere: bool = False,
+        key: Hashable | None = None,
     ) -> bool:
-        return self.hub.send(info, values, sysid, compid, priority, everywhere=everywhere)
+        return self.hub.send(info, values, sysid, compid, priority, key, everywhere=everywhere)
 
     def _may_broadcast(self) -> bool:
         """False if a link does not take frames of every source: who is kept out there would still hear us."""

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from skygcs.config.control import ControlSettings
 from skygcs.core.geo import EAST_DEG
 from skygcs.core.streams import DEFAULT_RATES_HZ
 
@@ -208,6 +209,8 @@ class VehicleSettings(Model):
     goto_limit_m: Annotated[float, Field(gt=0)] | None = None
     streams: dict[str, Annotated[float, Field(ge=0, le=400)]] | None = None
     """Hz per message to ask the vehicle for where it does not come by itself; {} asks for nothing."""
+    control: ControlSettings | None = None
+    """Gains, limits, fence and guard of flight control; laid over the lower levels' key by key."""
 
 
 class VehicleEntry(VehicleSettings):
@@ -228,6 +231,7 @@ class VehicleConfig(Model):
     """The seed's take-off height."""
     goto_limit_m: float = 1000.0
     streams: dict[str, float] = Field(default_factory=lambda: dict(DEFAULT_RATES_HZ))
+    control: ControlSettings = ControlSettings()
 
 
 class OriginConfig(Model):
@@ -287,6 +291,8 @@ class FleetConfig(Model):
                 value = getattr(layer, key)
                 if value is not None:
                     merged[key] = value
+            if layer.control is not None:
+                merged["control"] = layer.control.over(merged.get("control", ControlSettings()))
             if layer.group is not None:
                 groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
         return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from typing import Any, Protocol
 
 from skygcs.core.airtime import Priority
@@ -40,8 +40,9 @@ class SendFn(Protocol):
         /,
         *,
         everywhere: bool = False,
+        key: Hashable | None = None,
     ) -> bool:
-        """Sysid 0 is every vehicle; whether it was taken."""
+        """Sysid 0 is every vehicle; whether it was taken. With a ``key`` it replaces what still waits under it."""
         ...
 
 
@@ -215,13 +216,21 @@ class Commander:
         finally:
             self._watches.remove(watch)
 
-    def transmit(self, message: str, values: Mapping[str, Any], priority: Priority = Priority.COMMAND) -> bool:
+    def transmit(
+        self,
+        message: str,
+        values: Mapping[str, Any],
+        priority: Priority = Priority.COMMAND,
+        key: Hashable | None = None,
+    ) -> bool:
         """Send a message without acknowledgement to the vehicle. Raises KeyError if the dialect lacks it."""
         sysid, compid = self.target
         info = self._dialect.by_name[message]
         target = {"target_system": sysid, "target_component": compid}
         addressed = {**values, **{f.name: target[f.name] for f in info.fields if f.name in target}}
-        return self._send(info, addressed, sysid, compid, priority)
+        if key is None:
+            return self._send(info, addressed, sysid, compid, priority)
+        return self._send(info, addressed, sysid, compid, priority, key=key)
 
     def on_ack(self, ack: Ack, now: float) -> None:
         """A COMMAND_ACK of this vehicle, whomever it answers."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -46,6 +47,8 @@ ORDERS = frozenset(
         "request_stream",
         "request_message",
         "command",
+        "control",
+        "change_gains",
     }
 )
 """Methods of VehicleActor that `command_all` runs."""
@@ -72,8 +75,12 @@ class Fleet:
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
         may_broadcast: Callable[[], bool] = lambda: True,
+        uplink_bytes_per_s: Callable[[int, int], float] = lambda sysid, compid: math.inf,
     ) -> None:
-        """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``."""
+        """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``.
+
+        ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it.
+        """
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
@@ -84,6 +91,7 @@ class Fleet:
         self._loop = loop
         self._on_event = on_event
         self._may_broadcast = may_broadcast
+        self._uplink_bytes_per_s = uplink_bytes_per_s
         self._kept: set[asyncio.Task[dict[str, Outcome]]] = set()
         self._duplicates: set[int] = set()
         self._replayed: set[int] = set()
@@ -201,6 +209,21 @@ class Fleet:
         self._kept.add(task)
         task.add_done_callback(self._kept_ended)
         return await asyncio.shield(task)
+
+    def setpoint(self, expression: str | int | Sequence[str | int], **setpoint: Any) -> dict[str, Outcome]:
+        """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError.
+
+        Several vehicles are not sent to one place by it: each of them flies by its own stream.
+        """
+        actors = self.resolve(expression)
+        if len(actors) > 1 and setpoint.get("pos_enu_m") is not None:
+            one_place = "several vehicles were sent to one place; send each its own setpoint"
+            return {actor.name: Outcome(False, "refused", f"refused: {one_place}") for actor in actors}
+        return {actor.name: actor.setpoint(**setpoint) for actor in actors}
+
+    def flown(self) -> list[VehicleActor]:
+        """The vehicles that are flown by setpoints, or about to be."""
+        return [actor for actor in self.vehicles.values() if actor.flight.pilot.active]
 
     def _kept_ended(self, task: asyncio.Task[dict[str, Outcome]]) -> None:
         self._kept.discard(task)
@@ -332,7 +355,15 @@ class Fleet:
         vehicle.duplicate = key in self._duplicates
         vehicle.replayed = key in self._replayed
         actor = VehicleActor(
-            vehicle, config, (daemon.sysid, daemon.compid), self._dialect, self._send, self._loop, self._on_event
+            vehicle,
+            config,
+            (daemon.sysid, daemon.compid),
+            self._dialect,
+            self._send,
+            self._loop,
+            self._on_event,
+            log_dir=daemon.log_dir,
+            uplink_bytes_per_s=lambda: self._uplink_bytes_per_s(frame.sysid, frame.compid),
         )
         self.vehicles[key] = actor
         self.world.join(actor)

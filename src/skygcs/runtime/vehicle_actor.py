@@ -11,29 +11,35 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from skygcs.config.models import VehicleConfig
+from skygcs.core.control.guard import Way
 from skygcs.core.exchange.command import Outcome
-from skygcs.core.geo import Origin
+from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.pilot import PilotState, Place
 from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.worldview import setpoint_from_world, shown
 from skygcs.errors import RefusedError
 from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
+from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.plan_runner import MOVING, PlanRunner, two_of_one_id
 from skygcs.runtime.upkeep import Planner, Upkeep
 
 COMMAND_ACK = 77
+TIMESYNC = 111
 
 ARM_RETRY_S = 1.0
 """ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
@@ -53,7 +59,11 @@ class VehicleActor:
         send: SendFn,
         loop: asyncio.AbstractEventLoop,
         on_event: OnEvent,
+        *,
+        log_dir: Path = Path("logs"),
+        uplink_bytes_per_s: Callable[[], float] = lambda: math.inf,
     ) -> None:
+        """``log_dir`` is where traces of its control go; ``uplink_bytes_per_s`` is what its link leaves to setpoints."""
         self.vehicle = vehicle
         self.config = config
         self.commander = Commander((vehicle.sysid, vehicle.compid), own, dialect, send, loop)
@@ -63,6 +73,20 @@ class VehicleActor:
         self._loop = loop
         self._on_event = on_event
         self._plans = PlanRunner(vehicle, self.commander, dialect, loop, self._report)
+        self.flight = FlightControl(
+            vehicle,
+            config.control,
+            self.commander,
+            dialect,
+            loop,
+            execute=self._plans.execute,
+            attempt=self._attempt_kept,
+            order_count=lambda: self._plans.order,
+            position_hz=config.streams.get("GLOBAL_POSITION_INT"),
+            on_event=on_event,
+            log_dir=log_dir,
+            uplink_bytes_per_s=uplink_bytes_per_s,
+        )
         self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
 
     @property
@@ -83,7 +107,10 @@ class VehicleActor:
 
     def state(self, now: float) -> dict[str, Any]:
         """Snapshot for people and programs (`core.vehicle.state`)."""
-        return dict(self.vehicle.snapshot(now, time.time()))
+        state = dict(self.vehicle.snapshot(now, time.time()))
+        if self.flight.pilot.state is not PilotState.OFF:
+            state["control"] = self.control_state(now)
+        return state
 
     def latest(self, message: str | int) -> dict[str, Any] | None:
         """The last one of a message, whole: its fields, age, rate and count; None if none has come.
@@ -115,6 +142,7 @@ class VehicleActor:
         """The fleet's world frame from now on, and its number; see `World`."""
         self.vehicle.origin = origin
         self.vehicle.origin_generation = generation
+        self.flight.origin_changed()
 
     def on_frame(self, frame: Frame, channel: str, now: float) -> None:
         """One frame of this vehicle. Hot; never raises."""
@@ -124,6 +152,8 @@ class VehicleActor:
             self._publish(events, now)
         if frame.msgid == COMMAND_ACK and self.vehicle.last_ack is not None:
             commander.on_ack(self.vehicle.last_ack, now)
+        elif frame.msgid == TIMESYNC:
+            self.flight.on_timesync(frame, now)
         if frame.msgid == 0:
             self.channel = channel
         if commander.busy:
@@ -135,8 +165,11 @@ class VehicleActor:
         if events:
             self._publish(events, now)
         self._upkeep.tick(now)
+        if self.flight.pilot.active:
+            self.flight.refresh_budget()
 
     def close(self) -> None:
+        self.flight.close()
         self._upkeep.close()
         self.commander.close()
 
@@ -182,7 +215,9 @@ class VehicleActor:
         yaw_deg: float | None = None,
         force: bool = False,
     ) -> Outcome:
-        """See `orders.goto`."""
+        """See `orders.goto`. While it is flown by setpoints it is their reference that goes there."""
+        if self.flight.flying:
+            return self._told("goto", self._lead(lat_deg, lon_deg, height_m, enu_m, yaw_deg, force=force))
         return await self._run(
             "goto",
             lambda now: orders.goto(
@@ -270,6 +305,53 @@ class VehicleActor:
             ),
         )
 
+    async def control(self, mode: str) -> Outcome:
+        """Fly it by setpoints: "position", "velocity" or "attitude"; "off": no more, and hold."""
+        if mode != "off":
+            return self._told("control", await self._cancellable("control", self.flight.engage(Way(mode))))
+        if not self.flight.pilot.active:
+            self.flight.release("switched off")
+            return self._told("control", Outcome(True, "accepted", "control is off"))
+        self.flight.release("switched off")
+        outcome = await self._cancellable("control", self._attempt(lambda now: orders.hold(self.vehicle, now)))
+        return self._told("control", replace(outcome, message=f"control is off; {outcome.message}"))
+
+    async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
+        """See `FlightControl.change_gains`."""
+        return self._told("gains", self.flight.change_gains(changes, force=force))
+
+    def setpoint(
+        self,
+        *,
+        pos_enu_m: Sequence[float | None] | None = None,
+        vel_enu_mps: Sequence[float | None] | None = None,
+        acc_enu_mps2: Sequence[float] | None = None,
+        yaw_deg: float | None = None,
+        valid_s: float = 0.5,
+    ) -> Outcome:
+        """One setpoint of a stream in the fleet's world frame; made to be called 50 times a second."""
+        origin = self.vehicle.origin
+        if origin is None:
+            return Outcome(False, "refused", "refused: the fleet has no origin yet, so ENU means nothing")
+        try:
+            wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg)
+        except RefusedError as error:
+            return Outcome(False, "refused", f"refused: {error}")
+        return self.flight.follow(wanted, valid_s)
+
+    def record_control(self, on: bool) -> str | None:
+        """See `FlightControl.record`."""
+        path = self.flight.record(on)
+        return None if path is None else str(path)
+
+    def gains(self) -> dict[str, Any]:
+        """Gains and limits of its control law."""
+        return self.flight.gains()
+
+    def control_state(self, now: float) -> dict[str, Any]:
+        """How it is flown, in the fleet's world frame."""
+        return shown(self.flight.status(now), self.flight.pilot.frame, self.vehicle.origin)
+
     def plan(self, order: str) -> Plan | None:
         """What one of the orders land and rtl would do now; None if it would be refused."""
         now = self._loop.time()
@@ -283,6 +365,34 @@ class VehicleActor:
     def refuse(self, order: str, reason: str) -> Outcome:
         """Refuse an order for a reason the fleet knows."""
         return self._told(order, Outcome(False, "refused", f"refused: {reason}"))
+
+    def _lead(
+        self,
+        lat_deg: float | None,
+        lon_deg: float | None,
+        height_m: float | None,
+        enu_m: Sequence[float] | None,
+        yaw_deg: float | None,
+        *,
+        force: bool,
+    ) -> Outcome:
+        """A goto of a vehicle that is flown by setpoints; its yaw is a compass heading."""
+        try:
+            to = orders.destination(
+                self.vehicle,
+                self._loop.time(),
+                lat_deg=lat_deg,
+                lon_deg=lon_deg,
+                height_m=height_m,
+                enu_m=enu_m,
+                yaw_deg=yaw_deg,
+                limit_m=self.config.goto_limit_m,
+                force=force,
+            )
+        except RefusedError as error:
+            return Outcome(False, "refused", f"refused: {error}")
+        yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
+        return self.flight.fly_to(Place(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
 
     async def _retried(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         return self._told(order, await self._cancellable(order, self._tries(order, planner, wait_s)))
@@ -325,6 +435,16 @@ class VehicleActor:
             return Outcome(False, "refused", f"refused: {error}")
         if self.duplicate and not plan.emergency:
             return two_of_one_id(self.vehicle)
+        if plan.order in MOVING:
+            self.flight.release(f"{plan.order} was ordered")
+        return await self._plans.execute(plan)
+
+    async def _attempt_kept(self, planner: Planner) -> Outcome:
+        """An attempt of flight control's own: it ends no control."""
+        try:
+            plan = planner(self._loop.time())
+        except RefusedError as error:
+            return Outcome(False, "refused", f"refused: {error}")
         return await self._plans.execute(plan)
 
     def _told(self, order: str, outcome: Outcome) -> Outcome:
@@ -346,6 +466,7 @@ class VehicleActor:
             elif event.kind == "reboot":
                 self.commander.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self.commander.stop_all("lost", "the vehicle rebooted")
+                self.flight.release("the vehicle rebooted")
                 self._upkeep.restart(now)
             self._on_event(event)
 

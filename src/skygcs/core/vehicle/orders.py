@@ -105,7 +105,34 @@ def goto(
     limit_m: float,
     force: bool = False,
 ) -> Plan:
-    """To a place (lat, lon; ``height_m`` above this vehicle's home, None: as high as it is) or a point of the fleet's
+    """To a `destination`."""
+    to = destination(
+        vehicle,
+        now,
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        height_m=height_m,
+        enu_m=enu_m,
+        yaw_deg=yaw_deg,
+        limit_m=limit_m,
+        force=force,
+    )
+    return autopilot.goto(vehicle, to)
+
+
+def destination(
+    vehicle: Vehicle,
+    now: float,
+    *,
+    lat_deg: float | None = None,
+    lon_deg: float | None = None,
+    height_m: float | None = None,
+    enu_m: Sequence[float] | None = None,
+    yaw_deg: float | None = None,
+    limit_m: float,
+    force: bool = False,
+) -> Destination:
+    """A place (lat, lon; ``height_m`` above this vehicle's home, None: as high as it is) or a point of the fleet's
     frame (``enu_m``). ``force`` overrides the distance limit and the ground check, never an impossible coordinate."""
     here, home_amsl_m = require_going(vehicle, now)
     ground = vehicle.type in GROUND_TYPES
@@ -120,7 +147,7 @@ def goto(
         to = replace(to, yaw_deg=yaw_deg)
     if not force:
         _check_reach(here, to, limit_m, ground=ground)
-    return autopilot.goto(vehicle, to)
+    return to
 
 
 def reboot(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:

@@ -38,6 +38,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
         "system_status": name_of(SYSTEM_STATUS, vehicle.system_status),
         "landed": vehicle.landed(now),
         "failsafe": vehicle.failsafe,
+        "control": None,  # filled in by whoever flies it
         **sections,
         "last_ack": _last_ack(vehicle, now),
         "status_texts": [

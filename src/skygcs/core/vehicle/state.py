@@ -78,6 +78,8 @@ class VehicleState(TypedDict):
     system_status: str
     landed: str
     failsafe: bool
+    control: Part | None
+    """How skygcs flies it by setpoints (`worldview.shown`); None: it does not."""
     gps: Part | None
     position: Part | None
     local: Part | None

@@ -1,0 +1,147 @@
+"""The ``control`` table of a vehicle, a type or the defaults: how skygcs flies it when it is told to.
+
+Every key may be left out at every level; what nobody says has the default of `core.control`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from skygcs.core.control.config import LARGEST_GAIN, SEED_XY, SEED_Z, AxisGains, ControlConfig
+from skygcs.core.control.guard import GuardConfig
+
+Gain = Annotated[float, Field(ge=0, le=LARGEST_GAIN)]
+Seconds = Annotated[float, Field(gt=0, le=60)]
+Span = Annotated[tuple[float, float], Field(description="[least, most] in metres")]
+
+SEED_HOVER_THRUST = 0.45
+"""Of the seed's F450 (field-notes 2.3), for a vehicle that neither the file nor its own parameters tell of."""
+
+FENCE_M = (-50.0, 50.0)
+FENCE_UP_M = (0.0, 20.0)
+"""The seed's outdoor fence (field-notes 2.3)."""
+
+
+class Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class GainSettings(Model):
+    """Gains of one axis; see `core.control.config.AxisGains`."""
+
+    pos_p_per_s: Gain | None = None
+    vel_p: Annotated[float, Field(ge=1e-3, le=LARGEST_GAIN)] | None = None
+    vel_i: Gain | None = None
+    vel_d: Gain | None = None
+
+
+class FenceSettings(Model):
+    """The box about the fleet's origin that neither vehicle nor reference may leave while skygcs flies it."""
+
+    x_m: Span | None = None
+    y_m: Span | None = None
+    up_m: Span | None = None
+
+    @model_validator(mode="after")
+    def _rise(self) -> FenceSettings:
+        for key in ("x_m", "y_m", "up_m"):
+            span = getattr(self, key)
+            if span is not None and not span[0] < span[1]:
+                raise ValueError(f"{key} {list(span)}: the first must be less than the second")
+        return self
+
+
+class ControlSettings(Model):
+    """What may be said of flight control; None: not said here."""
+
+    rate_hz: Annotated[float, Field(ge=5, le=200)] | None = None
+    """Attitude setpoints per second, 50 unless said; the link's budget may leave fewer."""
+    velocity_hz: Annotated[float, Field(ge=3, le=100)] | None = None
+    """Velocity setpoints per second: 10. PX4 leaves OFFBOARD below 2."""
+    position_hz: Annotated[float, Field(ge=3, le=50)] | None = None
+    """Position setpoints per second: 5."""
+    rate_min_hz: Annotated[float, Field(ge=2, le=50)] | None = None
+    """Attitude is not flown with fewer setpoints per second than this: 10."""
+    xy: GainSettings | None = None
+    z: GainSettings | None = None
+    hover_thrust: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Unless said, the autopilot's own (MPC_THR_HOVER, MOT_THST_HOVER), else 0.45."""
+    thrust_min: Annotated[float, Field(ge=0, lt=1)] | None = None
+    thrust_max: Annotated[float, Field(gt=0, le=1)] | None = None
+    tilt_max_deg: Annotated[float, Field(gt=0, le=80)] | None = None
+    vel_xy_max_mps: Annotated[float, Field(gt=0, le=100)] | None = None
+    vel_z_max_mps: Annotated[float, Field(gt=0, le=100)] | None = None
+    attitude_delay_s: Seconds | None = None
+    velocity_delay_s: Seconds | None = None
+    stale_s: Seconds | None = None
+    position_stale_s: Seconds | None = None
+    battery_min_percent: Annotated[float, Field(ge=0, le=100)] | None = None
+    return_after_s: Seconds | None = None
+    """After what made the guard fall back has been well for so long, the wanted way is taken again; never unless said."""
+    fence: FenceSettings | None = None
+
+    def over(self, lower: ControlSettings) -> ControlSettings:
+        """These settings, and where they say nothing those of ``lower``, key by key."""
+        merged: dict[str, Any] = {}
+        for key in type(self).model_fields:
+            mine, below = getattr(self, key), getattr(lower, key)
+            if isinstance(mine, GainSettings | FenceSettings) and below is not None:
+                told = {k: v for k, v in mine.model_dump().items() if v is not None}
+                mine = below.model_copy(update=told)
+            merged[key] = below if mine is None else mine
+        return ControlSettings(**merged)
+
+    @property
+    def attitude_period_s(self) -> float:
+        return 1.0 / (self.rate_hz or 50.0)
+
+    def law(self, hover_thrust: float | None = None) -> ControlConfig:
+        """The law's gains and limits; ``hover_thrust`` is what the autopilot says. Raises ConfigError."""
+        hover = self.hover_thrust or hover_thrust or SEED_HOVER_THRUST
+        limits = {
+            key: value
+            for key in ("thrust_min", "thrust_max", "vel_xy_max_mps", "vel_z_max_mps")
+            if (value := getattr(self, key)) is not None
+        }
+        if self.tilt_max_deg is not None:
+            limits["tilt_max_rad"] = math.radians(self.tilt_max_deg)
+        return ControlConfig(
+            xy=_gains(SEED_XY, self.xy),
+            z=_gains(SEED_Z, self.z),
+            hover_thrust=hover,
+            period_s=self.attitude_period_s,
+            **limits,
+        )
+
+    def guard(self) -> GuardConfig:
+        """What the guard watches."""
+        keys = ("attitude_delay_s", "velocity_delay_s", "stale_s", "position_stale_s", "battery_min_percent")
+        told = {key: value for key in (*keys, "return_after_s") if (value := getattr(self, key)) is not None}
+        return GuardConfig(**told)
+
+    def fence_m(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
+        """x, y and up of the fence."""
+        fence = self.fence or FenceSettings()
+        return fence.x_m or FENCE_M, fence.y_m or FENCE_M, fence.up_m or FENCE_UP_M
+
+    @model_validator(mode="after")
+    def _law_is_possible(self) -> ControlSettings:
+        """What can be told to be wrong from this table alone is told here, with the table's place."""
+        thrusts = (self.thrust_min, self.hover_thrust, self.thrust_max)
+        known = [t for t in thrusts if t is not None]
+        if known != sorted(set(known)):
+            raise ValueError("thrust_min, hover_thrust and thrust_max must rise in this order")
+        return self
+
+
+def _gains(seed: AxisGains, settings: GainSettings | None) -> AxisGains:
+    told = {} if settings is None else {k: v for k, v in settings.model_dump().items() if v is not None}
+    return AxisGains(
+        told.get("pos_p_per_s", seed.pos_p_per_s),
+        told.get("vel_p", seed.vel_p),
+        told.get("vel_i", seed.vel_i),
+        told.get("vel_d", seed.vel_d),
+    )

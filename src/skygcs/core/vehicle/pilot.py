@@ -1,0 +1,502 @@
+"""Flies one vehicle: what is sent to it in each tick, and when that ends. Pure.
+
+    state      what is sent                               what ends it
+    --------   ----------------------------------------   ------------------------------------------------------------
+    off        nothing                                    `engage` -> engaging
+    engaging   setpoints "stay where you are" of the      `entered` (the autopilot obeys) -> flying; `release` -> off
+               wanted way, for the autopilot's entry
+    flying     setpoints of the way the guard allows      guard: hold -> held; guard: release, `release` -> off
+    held       nothing: hold was ordered once             `engage` -> engaging; `release` -> off
+
+The law works in an *anchor* frame: true ENU about the place where control began. The fleet's world frame is turned into
+it where references come in, so a change of the fleet's origin moves no vehicle.
+A reference comes as a place to hold (`fly_to`) or as a stream of setpoints with a deadline each (`follow`); when a
+stream's deadline passes, the vehicle stays where it then is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+from skygcs.core.control.cascade import ZERO, Estimate, Memory, Output, Reference, Vector, step, velocity_setpoint
+from skygcs.core.control.config import ControlConfig
+from skygcs.core.control.delay import DelayMeter
+from skygcs.core.control.fence import Fence
+from skygcs.core.control.guard import Facts, Guard, GuardConfig, Verdict, Way
+from skygcs.core.control.trace import TraceRow
+from skygcs.core.geo import EnuFrame, Origin, yaw_enu_from_heading_deg
+from skygcs.core.vehicle import setpoint
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.offboard import boosts_thrust, guided_mode
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+GPS_FIX_3D = 3
+"""GPS_FIX_TYPE_3D_FIX; without it a position is a guess of the estimator that gets worse by the second."""
+
+TOLD_FRESH_S = 10.0
+"""GPS and battery are told every two seconds; what is older says nothing about now."""
+
+ATTITUDE_FRESH_S = 3.0
+"""An attitude older than this is no longer asked whether it is a number: it may just not be streamed any more."""
+
+JUDGE_DELAY_S = 0.1
+"""How often the percentile of the delay is worked out anew: it moves with a window of seconds."""
+
+LARGEST_DT_S = 1.0
+"""Told to the law as the longest pause between two steps; it clamps to 1.5 periods itself."""
+
+Message = tuple[str, dict[str, Any]]
+
+
+def _delay_meter() -> DelayMeter:
+    """Ages count from when the state came in: the loop has the way down as well as the way up."""
+    return DelayMeter(share=1.0)
+
+
+class PilotState(StrEnum):
+    OFF = "off"
+    ENGAGING = "engaging"
+    FLYING = "flying"
+    HELD = "held"
+
+
+@dataclass(frozen=True, slots=True)
+class PilotConfig:
+    """How to fly. Rates in setpoints per second; ``rate_min_hz``: attitude is not flown with fewer."""
+
+    law: ControlConfig
+    guard: GuardConfig
+    attitude_hz: float = 50.0
+    velocity_hz: float = 10.0
+    position_hz: float = 5.0
+    rate_min_hz: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A point on earth."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """One setpoint of a stream. The velocity is true ENU; an axis that is ``free`` follows the velocity alone, and
+    what ``place`` says of it does not matter. None: zero, and for the yaw: as it was."""
+
+    place: Place | None = None
+    vel_enu_mps: Vector | None = None
+    acc_enu_mps2: Vector | None = None
+    yaw_enu_rad: float | None = None
+    free_xy: bool = False
+    free_z: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """What one tick asks for. ``hold``: have the autopilot hold position, once.
+
+    ``row`` is for the trace, with the law's memory before and after the step.
+    """
+
+    message: Message | None = None
+    events: tuple[Event, ...] = ()
+    hold: bool = False
+    row: TraceRow | None = None
+    before: Memory | None = None
+    after: Memory | None = None
+
+
+IDLE = Tick()
+
+
+@dataclass(slots=True)
+class _Last:
+    """What the last tick saw and did, for whoever looks."""
+
+    at: float = -math.inf
+    estimate: Estimate | None = None
+    state_age_s: float | None = None
+    output: Output | None = None
+
+
+class Pilot:
+    """Control of one vehicle. `tick` at ``period_s`` while ``active``; times are the loop's.
+
+    ``attitude_hz_allowed``, what the link's budget leaves, may be set at any time.
+    """
+
+    def __init__(self, vehicle: Vehicle, config: PilotConfig) -> None:
+        self.vehicle = vehicle
+        self.config = config
+        self.state = PilotState.OFF
+        self.wanted = Way.POSITION
+        self.way: Way | None = None
+        self.reasons: tuple[str, ...] = ()
+        self.frame: EnuFrame | None = None
+        """The anchor's; None before the first `engage`."""
+        self.attitude_hz_allowed = math.inf
+        self.delay = _delay_meter()
+        self.delay_p95_s: float | None = None
+        self.memory = Memory()
+        self.tracing = False
+        """Whether ticks carry a row for the trace."""
+        self.refusing: str | None = None
+        """Why the autopilot does not take our attitude setpoints, if it does not."""
+        self._guard = Guard(config.guard, Way.POSITION)
+        self._reference = Reference()
+        self._until: float | None = None
+        self._place: tuple[Reference, Place] | None = None
+        self._fence: Fence | None = None
+        self._breach: tuple[Any, str | None] = (None, None)
+        self._fenced: tuple[Place | None, str | None] = (None, None)
+        self._delay_at = -math.inf
+        self._obeys = -1
+        self._read: tuple[Any, EnuFrame | None, Estimate | None] = (None, None, None)
+        self._last = _Last()
+
+    # -- what a person asks
+
+    @property
+    def active(self) -> bool:
+        """Whether `tick` has anything to do."""
+        return self.state in (PilotState.ENGAGING, PilotState.FLYING)
+
+    @property
+    def period_s(self) -> float:
+        """From one tick to the next, for the present way and the link's budget."""
+        way = self.way or self.wanted
+        if way is Way.ATTITUDE:
+            return 1.0 / self.attitude_hz
+        return 1.0 / (self.config.velocity_hz if way is Way.VELOCITY else self.config.position_hz)
+
+    @property
+    def attitude_hz(self) -> float:
+        """Attitude setpoints per second: as configured, or as many as the link bears if that is enough to fly."""
+        return max(min(self.config.attitude_hz, self.attitude_hz_allowed), self.config.rate_min_hz)
+
+    @property
+    def streaming(self) -> bool:
+        """Whether a stream of setpoints leads it now."""
+        return self._until is not None
+
+    @property
+    def reference(self) -> Reference | None:
+        """Where it shall be, in the anchor's frame; None while it is not told."""
+        return self._reference if self.state is PilotState.FLYING else None
+
+    def engage(self, way: Way, fence: Fence | None) -> None:
+        """Begin to stream "stay where you are" so that the autopilot can be switched over.
+
+        The fence stands on earth until control ends. Raises RefusedError without a position.
+        """
+        here = self._here()
+        if here is None:
+            raise RefusedError("its position is not known")
+        anchor = Origin(here.lat_deg, here.lon_deg, here.alt_amsl_m)
+        self.frame = EnuFrame(anchor)
+        self._fence, self._breach, self._fenced = fence, (None, None), (None, None)
+        self.state, self.wanted, self.way, self.reasons = PilotState.ENGAGING, way, None, ()
+        self._guard.reset(way)
+        self.delay, self.delay_p95_s, self._delay_at = _delay_meter(), None, -math.inf
+        self._obeys = guided_mode(self.vehicle)
+        self._forget()
+        self._stay(yaw_rad=self._yaw_rad())
+
+    def entered(self) -> None:
+        """The autopilot obeys our setpoints: from now on the reference stays where it is."""
+        if self.state is PilotState.ENGAGING:
+            self.state, self.way = PilotState.FLYING, None
+            self._guard.reset(self.wanted)
+            self._forget()
+            self._stay(yaw_rad=self._reference.yaw_rad)
+
+    def want(self, way: Way) -> None:
+        """Fly it another way from the next tick on, as far as the guard lets it; the reference stays."""
+        self.wanted, self.reasons = way, ()
+        self._guard.reset(way)
+
+    def release(self, reason: str) -> Tick:
+        """Send nothing from now on; whoever took over flies."""
+        if self.state is PilotState.OFF:
+            return IDLE
+        self.state, self.way, self.reasons = PilotState.OFF, None, (reason,)
+        self._until = None
+        return Tick(events=(self._event(f"control ended: {reason}", "off"),))
+
+    def change_law(self, law: ControlConfig) -> None:
+        """New gains from the next tick on. What was integrated is kept: it is thrust, whatever the gains."""
+        self.config = replace(self.config, law=law)
+
+    def fly_to(self, place: Place, yaw_enu_rad: float | None) -> None:
+        """Go to a point on earth and stay there; None keeps the yaw."""
+        yaw = self._reference.yaw_rad if yaw_enu_rad is None else yaw_enu_rad
+        self._reference = Reference(self._in_anchor(place), yaw)
+        self._until = None
+
+    def follow(self, wanted: Setpoint, until: float) -> None:
+        """One setpoint of a stream, good ``until`` then."""
+        yaw = self._reference.yaw_rad if wanted.yaw_enu_rad is None else wanted.yaw_enu_rad
+        self._reference = Reference(
+            self._reference.pos_enu_m if wanted.place is None else self._in_anchor(wanted.place),
+            yaw,
+            wanted.vel_enu_mps or ZERO,
+            wanted.acc_enu_mps2 or ZERO,
+            velocity_only_xy=wanted.free_xy,
+            velocity_only_z=wanted.free_z,
+        )
+        self._until = until
+
+    def stay(self) -> None:
+        """End a stream now: stay where it is."""
+        self._stay(yaw_rad=self._reference.yaw_rad)
+
+    # -- tick by tick
+
+    def tick(self, now: float) -> Tick:
+        """One step of control; ``now`` measures the step."""
+        if not self.active:
+            return IDLE
+        last = self._last
+        dt_s = min(max(now - last.at, 0.0), LARGEST_DT_S)
+        last.at = now
+        estimate, age_s = self._estimate(now)
+        last.estimate, last.state_age_s = estimate, age_s
+        self._measure(age_s, now)
+        events: list[Event] = []
+        if self.state is PilotState.ENGAGING:
+            self._stay(yaw_rad=self._reference.yaw_rad)
+        elif self._until is not None and now > self._until:
+            self._stay(yaw_rad=self._reference.yaw_rad)
+            events.append(self._event("the setpoints ended: it stays where it is", "flying"))
+        verdict = self._guard.check(self._facts(estimate, age_s, now), now)
+        if verdict.action == "release":
+            ended = self.release("; ".join(verdict.reasons))
+            return Tick(events=(*events, *ended.events))
+        if self.state is PilotState.ENGAGING:
+            return self._send(self.wanted, estimate, dt_s, following=False)
+        if verdict.changed:
+            events += self._on_change(verdict)
+        if verdict.action == "hold" or verdict.way is None:
+            self.state, self.way, self._until = PilotState.HELD, None, None
+            return Tick(events=tuple(events), hold=True)
+        sent = self._send(verdict.way, estimate, dt_s, following=True)
+        return replace(sent, events=tuple(events)) if events else sent
+
+    def status(self, now: float) -> dict[str, Any]:
+        """Everything in the anchor's frame; `worldview.shown` makes it fit for a person."""
+        last, output, reference = self._last, self._last.output, self.reference
+        error = None
+        if reference is not None and last.estimate is not None and not reference.velocity_only_xy:
+            error = [r - x for r, x in zip(reference.pos_enu_m, last.estimate.pos_enu_m, strict=True)]
+        attitude = output if self.way is Way.ATTITUDE else None
+        return {
+            "mode": None if self.state is PilotState.OFF else self.wanted.value,
+            "way": None if self.way is None else self.way.value,
+            "state": self.state.value,
+            "reasons": list(self.reasons),
+            "reference": reference,
+            "error_enu_m": error,
+            "error_m": None if error is None else math.hypot(*error),
+            "state_age_s": last.state_age_s if self.active else None,
+            "delay_p95_s": self.delay_p95_s,
+            "rtt_s": self.delay.rtt_p95_s,
+            "rate_hz": 1.0 / self.period_s if self.active else None,
+            "saturation": [] if attitude is None else list(attitude.saturation.names()),
+            "integral_enu": list(self.memory.integral_enu),
+            "thrust": None if attitude is None else attitude.collective_thrust,
+            "roll_deg": None if attitude is None else math.degrees(attitude.roll_frd_rad),
+            "pitch_deg": None if attitude is None else math.degrees(attitude.pitch_frd_rad),
+        }
+
+    # -- the inside
+
+    def _send(self, way: Way, estimate: Estimate | None, dt_s: float, *, following: bool) -> Tick:
+        if way is not self.way:
+            self.way = way
+            self.memory = Memory()  # an integral of another time is no use, and the first error has no slope
+            self._last.output = None
+        law, reference = self.config.law, self._reference
+        row = self._row(way, estimate, dt_s, following=following)
+        output: Output | None = None
+        before = self.memory
+        if way is Way.ATTITUDE:
+            if estimate is not None:
+                output, self.memory = step(law, self.memory, estimate, reference, dt_s, following=following)
+            if output is None:
+                return IDLE
+            row = None if row is None else row.with_output(output, self.memory)
+            self._last.output = output
+            attitude, thrust = output.attitude_ned_frd, output.collective_thrust
+            boost = boosts_thrust(self.vehicle)
+            message = setpoint.attitude_target(attitude, thrust, self._boot_ms(), angle_boost=boost)
+            return Tick(message, row=row, before=before, after=self.memory)
+        if way is Way.VELOCITY or reference.velocity_only_xy or reference.velocity_only_z:
+            velocity = None if estimate is None else velocity_setpoint(law, estimate, reference)
+            if velocity is None:
+                return IDLE
+            message = setpoint.velocity_target(velocity, reference.yaw_rad, self._boot_ms())
+            row = None if row is None else row.with_velocity(velocity)
+            return Tick(message, row=row, before=before, after=before)
+        place = self._place_of(reference)
+        message = setpoint.position_target(
+            place.lat_deg,
+            place.lon_deg,
+            place.alt_amsl_m,
+            reference.yaw_rad,
+            self._boot_ms(),
+            self.vehicle.family,
+        )
+        return Tick(message, row=row, before=before, after=before)
+
+    def _row(self, way: Way, estimate: Estimate | None, dt_s: float, *, following: bool) -> TraceRow | None:
+        """What this tick was given, for the trace; None if nobody records."""
+        if not self.tracing or estimate is None:
+            return None
+        age_s = self._last.state_age_s
+        return TraceRow(self._last.at, dt_s, way.value, following, self._reference, estimate, age_s)
+
+    def _measure(self, age_s: float | None, now: float) -> None:
+        self.delay.on_tick(age_s, now)
+        if now - self._delay_at >= JUDGE_DELAY_S:
+            self._delay_at = now
+            self.delay_p95_s = self.delay.delay_p95_s
+
+    def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
+        vehicle, config = self.vehicle, self.config
+        breach, reference_breach = self._breaches()
+        return Facts(
+            connected=vehicle.connected,
+            armed=vehicle.armed,
+            following=vehicle.custom_mode == self._obeys,
+            state_age_s=age_s,
+            rtt_p95_s=self.delay.rtt_p95_s,
+            delay_p95_s=self.delay_p95_s,
+            estimate=estimate,
+            finite=self._attitude_is_finite(now),
+            fix_ok=self._fix_ok(now),
+            airborne=vehicle.in_air(now),
+            battery_percent=self._battery_percent(now),
+            inside_fence=breach is None,
+            reference_inside_fence=reference_breach is None,
+            rate_hz=min(config.attitude_hz, self.attitude_hz_allowed),
+            rate_min_hz=config.rate_min_hz,
+            refusing=self.refusing,
+            engaging=self.state is PilotState.ENGAGING,
+            position_breach=breach,
+            reference_breach=reference_breach,
+        )
+
+    def _on_change(self, verdict: Verdict) -> list[Event]:
+        first = self.way is None and verdict.way is self.wanted
+        self.reasons = verdict.reasons
+        why = "; ".join(verdict.reasons)
+        if verdict.action == "hold":
+            return [self._event(f"holding, nothing more is sent: {why}", "held")]
+        if verdict.way is None or first:
+            return []  # that it flies as it was wanted is the order's own outcome
+        text = f"flown by {verdict.way.value} setpoints" + (f": {why}" if why else " again")
+        return [self._event(text, "flying", verdict.way)]
+
+    def _event(self, text: str, state: str, way: Way | None = None) -> Event:
+        data = {"state": state, "way": None if way is None else way.value, "reasons": list(self.reasons)}
+        return Event("control", self.vehicle.name, self.vehicle.sysid, text, data)
+
+    def _forget(self) -> None:
+        self.memory = Memory()
+        self._until = None
+        self._last.output = None
+
+    def _stay(self, yaw_rad: float) -> None:
+        estimate = self._read_estimate()
+        position = self._reference.pos_enu_m if estimate is None else estimate.pos_enu_m
+        self._reference = Reference(position, yaw_rad)
+        self._until = None
+
+    def _here(self) -> Place | None:
+        position = self.vehicle.section("position")
+        if position is None or position["lat_deg"] is None:
+            return None
+        return Place(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+
+    def _yaw_rad(self) -> float:
+        """Its present yaw (ENU); north unless it tells."""
+        position = self.vehicle.section("position")
+        heading = None if position is None else position["heading_deg"]
+        if heading is None:
+            attitude = self.vehicle.section("attitude")
+            heading = 0.0 if attitude is None else attitude["yaw_deg"]
+        return math.radians(yaw_enu_from_heading_deg(heading))
+
+    def _in_anchor(self, place: Place) -> Vector:
+        assert self.frame is not None  # there is one since `engage`
+        return self.frame.from_geodetic(place.lat_deg, place.lon_deg, place.alt_amsl_m)
+
+    def _place_of(self, reference: Reference) -> Place:
+        """The reference as a point on earth; worked out once for each."""
+        assert self.frame is not None
+        if self._place is None or self._place[0] is not reference:
+            self._place = (reference, Place(*self.frame.to_geodetic(*reference.pos_enu_m)))
+        return self._place[1]
+
+    def _estimate(self, now: float) -> tuple[Estimate | None, float | None]:
+        estimate = self._read_estimate()
+        at = self.vehicle.section_at("position")
+        return estimate, None if estimate is None or at is None else now - at
+
+    def _read_estimate(self) -> Estimate | None:
+        """Position and velocity about the anchor; worked out once for each position that came."""
+        position = self.vehicle.section("position")
+        if self._read[0] is not position or self._read[1] is not self.frame:
+            estimate = None
+            if position is not None and self.frame is not None and position["lat_deg"] is not None:
+                enu = self.frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+                east, north, up = position["vel_enu_mps"]
+                estimate = Estimate(enu, (east, north, up))
+            self._read = (position, self.frame, estimate)
+        return self._read[2]
+
+    def _attitude_is_finite(self, now: float) -> bool:
+        """What it tells of its attitude, if it tells, are numbers."""
+        slot = self.vehicle.slot("ATTITUDE") or self.vehicle.slot("ATTITUDE_QUATERNION")
+        if slot is None or now - slot.at > ATTITUDE_FRESH_S:
+            return True
+        return self.vehicle.section("attitude") is not None
+
+    def _fix_ok(self, now: float) -> bool:
+        gps, at = self.vehicle.readings.section("gps")
+        if gps is None or now - at > TOLD_FRESH_S:
+            return True  # its position, which is watched, comes from an estimator that knows
+        return bool(gps["fix_type"] >= GPS_FIX_3D)
+
+    def _battery_percent(self, now: float) -> float | None:
+        battery, at = self.vehicle.readings.section("battery")
+        return None if battery is None or now - at > TOLD_FRESH_S else battery["percent"]
+
+    def _breaches(self) -> tuple[str | None, str | None]:
+        """Why the vehicle, and the place it is sent to, are outside the fence; None: they are not.
+
+        References are taken with the fence's margin (`FlightControl`); here the fence itself counts, so that a vehicle
+        taken over near a wall may stay where it is.
+        """
+        fence, position, reference = self._fence, self._read[0], self._reference
+        if fence is None or self._read[2] is None:
+            return None, None
+        if self._breach[0] is not position:
+            self._breach = (position, fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]))
+        if reference.velocity_only_xy or self.state is PilotState.ENGAGING:
+            return self._breach[1], None
+        place = self._place_of(reference)
+        if place is not self._fenced[0]:
+            self._fenced = (place, fence.why_not(place.lat_deg, place.lon_deg, place.alt_amsl_m))
+        return self._breach[1], self._fenced[1]
+
+    def _boot_ms(self) -> int:
+        """Neither autopilot looks at it for attitude or velocity; it orders the setpoints in a log."""
+        return int(self._last.at * 1000) & 0xFFFFFFFF

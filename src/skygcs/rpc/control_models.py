@@ -1,0 +1,117 @@
+"""Parameters and results of the methods of flight control; see `models` for what holds for all."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from skygcs.rpc.models import Enu, Params, Result, TargetsParams
+
+Gain = Annotated[float, Field(ge=0, le=100)]
+Mode = Literal["off", "position", "velocity", "attitude"]
+Axes = Annotated[
+    list[float | None],
+    Field(min_length=3, max_length=3, description="[x, y, up] in the fleet's frame; null: not given."),
+]
+
+
+class ControlSetParams(TargetsParams):
+    """Who closes the loops: the autopilot all (position) or the velocity loop (velocity), or skygcs (attitude)."""
+
+    mode: Mode
+
+
+class AxisChange(Params):
+    """Gains of one axis; what is left out stays."""
+
+    pos_p_per_s: Gain | None = Field(None, description="m/s per metre.")
+    vel_p: Gain | None = Field(None, description="Thrust per m/s.")
+    vel_i: Gain | None = Field(None, description="Thrust per metre.")
+    vel_d: Gain | None = Field(None, description="Thrust per m/s².")
+
+
+class ControlGainsParams(TargetsParams):
+    """Without changes the gains are read."""
+
+    xy: AxisChange | None = None
+    z: AxisChange | None = None
+    hover_thrust: Annotated[float, Field(gt=0, lt=1)] | None = None
+    force: bool = Field(False, description="Also gains that the measured delay leaves too little margin.")
+
+    def changes(self) -> dict[str, Any]:
+        """What is to change, nested as it came."""
+        told = self.model_dump(exclude={"targets", "force"}, exclude_none=True)
+        return {key: value for key, value in told.items() if value != {}}
+
+
+class SetpointParams(TargetsParams):
+    """A position, a velocity, or of each axis one of them; good for ``valid_s``."""
+
+    pos_enu_m: Axes | None = None
+    vel_enu_mps: Axes | None = None
+    acc_enu_mps2: Enu | None = None
+    yaw_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+        None, description="From the frame's x axis, counter-clockwise; without it the yaw stays."
+    )
+    valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(
+        0.5, description="When no newer setpoint has come by then, the vehicle stays where it is."
+    )
+
+    @model_validator(mode="after")
+    def _say_every_axis(self) -> SetpointParams:
+        position = self.pos_enu_m or [None, None, None]
+        velocity = self.vel_enu_mps or [None, None, None]
+        if (position[0] is None) != (position[1] is None):
+            raise ValueError("pos_enu_m: give x and y together, or neither")
+        for i, axis in enumerate(("x", "y", "up")):
+            if position[i] is None and velocity[i] is None:
+                raise ValueError(f"{axis} is given neither in pos_enu_m nor in vel_enu_mps")
+        return self
+
+
+class ControlRecordParams(TargetsParams):
+    on: bool = Field(description="Write every tick to a CSV file in the log directory while it flies.")
+
+
+class GainsOfVehicle(Result):
+    xy: dict[str, float]
+    z: dict[str, float]
+    hover_thrust: float
+    limits: dict[str, float] = Field(description="thrust_min, thrust_max, tilt_max_deg, vel_xy_max_mps, vel_z_max_mps.")
+
+
+class GainsAnswer(Result):
+    outcomes: dict[str, dict[str, Any]] = Field(description="Of each vehicle, if gains were to change.")
+    gains: dict[str, GainsOfVehicle]
+
+
+class Files(Result):
+    files: dict[str, str | None] = Field(description="By vehicle; null: nothing is written now.")
+
+
+class ControlState(Result):
+    """The state's ``control`` section, with the vehicle's name where it stands alone."""
+
+    vehicle: str
+    mode: str | None = Field(description="The way that was wanted; null: off.")
+    way: str | None = Field(description="The way it is flown now: attitude, velocity or position.")
+    state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
+    reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
+    reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")
+    error_enu_m: list[float] | None = Field(description="Reference minus position, per axis.")
+    error_m: float | None
+    state_age_s: float | None = Field(description="Age of the newest position.")
+    delay_p95_s: float | None = Field(description="State age and half the round trip, 95th percentile.")
+    rtt_s: float | None = Field(description="Round trip, 95th percentile.")
+    rate_hz: float | None
+    ticks: int
+    late: int
+    skipped: int
+    lateness_p99_s: float | None
+    saturation: list[str]
+    integral_enu: list[float]
+    thrust: float | None
+    roll_deg: float | None
+    pitch_deg: float | None
+    recording: str | None

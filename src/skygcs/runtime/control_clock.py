@@ -1,0 +1,89 @@
+"""Ticks on absolute deadlines: a late one does not move the next, and missed ones are skipped and counted."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+LATE_S = 0.005
+"""A tick this long after its deadline is counted as late: a quarter of a period at 50 Hz."""
+
+KEPT = 500
+"""Lateness of so many ticks is kept for percentiles: ten seconds at 50 Hz."""
+
+
+class ControlClock:
+    """Calls ``tick(now)`` every ``period_s()`` seconds between `start` and `stop`.
+
+    The period may change from tick to tick. ``tick`` must not raise.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, tick: Callable[[float], None], period_s: Callable[[], float]
+    ) -> None:
+        self.ticks = 0
+        self.late = 0
+        self.skipped = 0
+        self._loop = loop
+        self._tick = tick
+        self._period_s = period_s
+        self._due = 0.0
+        self._handle: asyncio.TimerHandle | None = None
+        self._lateness_s: deque[float] = deque(maxlen=KEPT)
+
+    @property
+    def running(self) -> bool:
+        return self._handle is not None
+
+    def start(self) -> None:
+        """The first tick comes at once. Without effect while it runs."""
+        if self._handle is None:
+            self._due = self._loop.time()
+            self._handle = self._loop.call_at(self._due, self._run)
+
+    def stop(self) -> None:
+        """No tick from now on. Idempotent."""
+        if self._handle is not None:
+            self._handle.cancel()
+            self._handle = None
+
+    def lateness_p99_s(self) -> float | None:
+        """Of the last ticks; None before the first."""
+        if not self._lateness_s:
+            return None
+        ordered = sorted(self._lateness_s)
+        return ordered[min(len(ordered) - 1, int(0.99 * len(ordered)))]
+
+    def as_dict(self) -> dict[str, Any]:
+        p99_s = self.lateness_p99_s()
+        return {
+            "ticks": self.ticks,
+            "late": self.late,
+            "skipped": self.skipped,
+            "lateness_p99_s": None if p99_s is None else round(p99_s, 6),
+        }
+
+    def _run(self) -> None:
+        now = self._loop.time()
+        lateness_s = max(0.0, now - self._due)
+        self.ticks += 1
+        self.late += lateness_s > LATE_S
+        self._lateness_s.append(lateness_s)
+        self._handle = handle = self._loop.call_at(self._next(now), self._run)
+        self._tick(now)
+        if handle is self._handle and self._due - now > self._period_s():
+            handle.cancel()  # the tick made it faster: the first one of the new pace is not to wait for the old
+            self._due = now + self._period_s()
+            self._handle = self._loop.call_at(self._due, self._run)
+
+    def _next(self, now: float) -> float:
+        """The next deadline after now; those that have passed meanwhile are skipped."""
+        period_s = self._period_s()
+        self._due += period_s
+        if self._due <= now:
+            missed = int((now - self._due) / period_s) + 1
+            self.skipped += missed
+            self._due += missed * period_s
+        return self._due

@@ -1,0 +1,434 @@
+"""Flying one vehicle by setpoints in real time: entry and exit, the ticks, the round-trip pings, the trace.
+
+What is sent and when it ends is decided in `core.vehicle.pilot`; here it meets the clock, the link and the disk.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from skygcs.config.control import ControlSettings
+from skygcs.core.airtime import Priority
+from skygcs.core.control.fence import Fence
+from skygcs.core.control.guard import Way
+from skygcs.core.control.trace import TraceHead
+from skygcs.core.exchange.command import Outcome
+from skygcs.core.geo import Origin
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle import offboard, orders
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place, Setpoint, Tick
+from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import ConfigError, RefusedError
+from skygcs.runtime.commander import Commander
+from skygcs.runtime.control_clock import ControlClock
+from skygcs.runtime.trace_file import TraceFile
+
+STREAM_BEFORE_S = 1.3
+"""Setpoints flow this long before the mode is changed: PX4 wants more than 1 s of them (field-notes 10.5)."""
+
+MEASURE_S = 3.0
+"""As long at most for the round trip to be known; without it attitude is not flown."""
+
+MEASURED_PINGS = 4
+"""So many pings went out, the burst of the first second, before the round trip is believed."""
+
+POSITION_HZ = {Way.ATTITUDE: 50.0, Way.VELOCITY: 10.0}
+"""GLOBAL_POSITION_INT asked for: the age of the state is half a period of it on average. Position setpoints need none:
+the autopilot closes the loop, the nav profile's 2 Hz stay."""
+
+ATTITUDE_FRAME_BYTES = 51
+"""SET_ATTITUDE_TARGET on the wire (field-notes 10.1)."""
+
+VALID_S = (0.1, 5.0)
+"""Deadlines a setpoint may have."""
+
+TIMESYNC = "TIMESYNC"
+
+Attempt = Callable[[Callable[[float], Plan]], Awaitable[Outcome]]
+Execute = Callable[[Plan], Awaitable[Outcome]]
+
+
+class FlightControl:
+    """One vehicle's. ``execute`` carries out a plan, ``attempt`` plans and carries out; ``order_count`` tells whether
+    a newer order came meanwhile."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        settings: ControlSettings,
+        commander: Commander,
+        dialect: Dialect,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        execute: Execute,
+        attempt: Attempt,
+        order_count: Callable[[], int],
+        position_hz: float | None,
+        on_event: Callable[[Event], None],
+        log_dir: Path,
+        uplink_bytes_per_s: Callable[[], float],
+    ) -> None:
+        self._vehicle = vehicle
+        self._settings = settings
+        self._commander = commander
+        self._dialect = dialect
+        self._loop = loop
+        self._execute = execute
+        self._attempt = attempt
+        self._order_count = order_count
+        self._position_hz = position_hz
+        self._on_event = on_event
+        self._log_dir = log_dir
+        self._uplink_bytes_per_s = uplink_bytes_per_s
+        self.pilot = Pilot(vehicle, _pilot_config(settings, None))
+        self.clock = ControlClock(loop, self._tick, lambda: self.pilot.period_s)
+        self._fence: Fence | None = None
+        self._queue_key = ("setpoint", vehicle.sysid, vehicle.compid)
+        """Of the link's queue: a newer setpoint replaces one that still waits."""
+        self._trace: TraceFile | None = None
+        self._recording = False
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._law_changed = False
+
+    @property
+    def flying(self) -> bool:
+        """Whether it is led by our setpoints now."""
+        return self.pilot.state is PilotState.FLYING
+
+    @property
+    def recording(self) -> Path | None:
+        return None if self._trace is None else self._trace.path
+
+    # -- orders
+
+    async def engage(self, way: Way) -> Outcome:
+        """The whole sequence: checks, faster position, a stream of setpoints, the mode, its verification; undone on
+        failure. While it flies already, only the way changes."""
+        started = self._loop.time()
+        try:
+            self._check_entry(started)
+            if way is Way.ATTITUDE:
+                await self._check_attitude()
+        except RefusedError as error:
+            return _refused(str(error))
+        if self.flying:
+            self._want(way)
+            return Outcome(True, "accepted", f"flown by {way.value} setpoints")
+        began = self._order_count()
+        back_to = self._vehicle.custom_mode
+        await self._ask_position(POSITION_HZ.get(way))
+        if self._order_count() != began:
+            return _superseded(self._loop.time() - started)
+        self._begin(way)
+        outcome: Outcome | None = None
+        try:
+            outcome = await self._enter(way, began, back_to)
+        finally:
+            if outcome is None or not outcome.ok:
+                self.release("it could not be begun" if outcome is None else outcome.message)
+        return replace(outcome, elapsed_s=self._loop.time() - started)
+
+    def disengage(self) -> Outcome:
+        """Stop sending; have the vehicle hold (see VehicleActor.control)."""
+        self.release("switched off")
+        return Outcome(True, "accepted", "control is off")
+
+    def release(self, reason: str) -> None:
+        """Send nothing from now on. Idempotent."""
+        was_active = self.pilot.active
+        self._apply(self.pilot.release(reason))
+        self.clock.stop()
+        self._close_trace()
+        if was_active:
+            self._restore_position()
+
+    def fly_to(self, place: Place, yaw_enu_rad: float | None) -> Outcome:
+        """Move the reference. Refused outside the fence, and unless it flies."""
+        if not self.flying:
+            return self._not_flying()
+        if (why := self._outside(place)) is not None:
+            return _refused(why)
+        self.pilot.fly_to(place, yaw_enu_rad)
+        way = self.pilot.way or self.pilot.wanted
+        return Outcome(True, "accepted", f"flying there by {way.value} setpoints")
+
+    def follow(self, setpoint: Setpoint, valid_s: float) -> Outcome:
+        """One setpoint of a client's stream."""
+        if not self.flying:
+            return self._not_flying()
+        if not VALID_S[0] <= valid_s <= VALID_S[1]:
+            return _refused(f"valid_s {valid_s:g} is not between {VALID_S[0]} and {VALID_S[1]}")
+        if setpoint.place is not None and not setpoint.free_xy and (why := self._outside(setpoint.place)) is not None:
+            return _refused(why)
+        self.pilot.follow(setpoint, self._loop.time() + valid_s)
+        return Outcome(True, "accepted", "followed")
+
+    def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
+        """Part of xy, z and hover_thrust; checked as the fleet file's are, and, unless ``force``, against the delay that
+        attitude control is let fly with."""
+        law = self.pilot.config.law
+        try:
+            new = replace(
+                law,
+                xy=replace(law.xy, **changes.get("xy", {})),
+                z=replace(law.z, **changes.get("z", {})),
+                hover_thrust=changes.get("hover_thrust", law.hover_thrust),
+            )
+        except ConfigError as error:
+            return _refused(str(error))
+        from skygcs.core.control.analysis import why_not_delay  # brings numpy
+
+        if not force and (why := why_not_delay(new, self.pilot.config.guard.attitude_delay_s)) is not None:
+            return _refused(f"{why}; insist with force (--force)")
+        self.pilot.change_law(new)
+        self._law_changed = True
+        return Outcome(True, "accepted", "gains changed")
+
+    def gains(self) -> dict[str, Any]:
+        """The law's gains and limits, as control.gains shows them."""
+        law = self.pilot.config.law
+        return {
+            "xy": asdict(law.xy),
+            "z": asdict(law.z),
+            "hover_thrust": law.hover_thrust,
+            "limits": {
+                "thrust_min": law.thrust_min,
+                "thrust_max": law.thrust_max,
+                "tilt_max_deg": round(math.degrees(law.tilt_max_rad), 2),
+                "vel_xy_max_mps": law.vel_xy_max_mps,
+                "vel_z_max_mps": law.vel_z_max_mps,
+            },
+        }
+
+    def record(self, on: bool) -> Path | None:
+        """Trace every tick while it flies; the file's path once there is one."""
+        self._recording = on
+        if not on:
+            self._close_trace()
+        elif self.pilot.active:
+            self._open_trace()
+        return self.recording
+
+    # -- as frames and time come
+
+    def on_timesync(self, frame: Frame, now: float) -> None:
+        """The answer to a ping of ours, or somebody else's business."""
+        fields = frame.fields()
+        if fields["tc1"] != 0:
+            self.pilot.delay.on_pong(fields["ts1"], now)
+
+    def origin_changed(self) -> None:
+        """A stream of setpoints in the old frame ends where the vehicle is: its next ones may mean another place."""
+        if self.pilot.streaming:
+            self.pilot.stay()
+            text = "the origin changed while setpoints came: it stays where it is until they are sent anew"
+            self._on_event(Event("control", self._vehicle.name, self._vehicle.sysid, text, {"state": "flying"}))
+
+    def refresh_budget(self) -> None:
+        """How many attitude setpoints a second the link bears now."""
+        self.pilot.attitude_hz_allowed = self._uplink_bytes_per_s() / ATTITUDE_FRAME_BYTES
+
+    def status(self, now: float) -> dict[str, Any]:
+        """The state's ``control`` section, still in the anchor's frame."""
+        path = self.recording
+        return {
+            **self.pilot.status(now),
+            **self.clock.as_dict(),
+            "recording": None if path is None else str(path),
+        }
+
+    def close(self) -> None:
+        self.release("skygcs is shutting down")
+        for task in self._tasks:
+            task.cancel()
+
+    # -- the inside
+
+    def _check_entry(self, now: float) -> None:
+        refusal = offboard.entry_refusal(self._vehicle, now)
+        if refusal is None and self._vehicle.origin is None:
+            refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
+        if refusal is None:
+            refusal = self._outside_now(self._vehicle.origin)
+        if refusal is not None:
+            raise RefusedError(refusal)
+
+    async def _check_attitude(self) -> None:
+        """Raises RefusedError where thrust would not mean thrust, or cannot be checked."""
+        await self._attempt(lambda now: offboard.ask_parameters(self._vehicle, now))
+        refusal = offboard.attitude_refusal(self._vehicle)
+        if refusal is not None:
+            raise RefusedError(refusal)
+
+    def _begin(self, way: Way) -> None:
+        if not self._law_changed:
+            self.pilot.config = _pilot_config(self._settings, offboard.told_hover_thrust(self._vehicle))
+        self.refresh_budget()
+        origin = self._vehicle.origin
+        assert origin is not None
+        self._fence = Fence(origin, *self._settings.fence_m())
+        self.pilot.engage(way, self._fence)
+        self.clock.start()
+        if self._recording:
+            self._open_trace()
+
+    async def _enter(self, way: Way, began: int, back_to: int) -> Outcome:
+        """Stream, measure, switch the mode over and see that it has."""
+        started = self._loop.time()
+        while (waited := self._loop.time() - started) < MEASURE_S:
+            if waited >= STREAM_BEFORE_S and (way is not Way.ATTITUDE or self._measured()):
+                break
+            await asyncio.sleep(0.1)
+            if self._order_count() != began:
+                return _superseded(waited)
+            if not self.pilot.active:
+                return Outcome(False, "cancelled", "; ".join(self.pilot.reasons) or "control ended")
+        outcome = await self._execute(offboard.enter(self._vehicle))
+        if not outcome.ok:
+            if self._vehicle.custom_mode != back_to and offboard.is_following(self._vehicle):
+                await self._execute(offboard.leave(self._vehicle, back_to))
+            return replace(outcome, message=f"it was not switched over: {outcome.message}")
+        self.pilot.entered()
+        await asyncio.sleep(2 * self.pilot.period_s)  # the guard's first word belongs to the answer
+        if not self.flying:
+            return Outcome(False, "failed", f"control ended at once: {'; '.join(self.pilot.reasons)}")
+        flown = self.pilot.way or way
+        why = "" if flown is way else f" and not by {way.value}: {'; '.join(self.pilot.reasons)}"
+        return Outcome(True, "accepted", f"flown by {flown.value} setpoints{why}")
+
+    def _measured(self) -> bool:
+        return self.pilot.delay.pings > MEASURED_PINGS and self.pilot.delay.rtt_p95_s is not None
+
+    def _want(self, way: Way) -> None:
+        self.pilot.want(way)
+        self._spawn(self._ask_position(POSITION_HZ.get(way)), "position rate")
+
+    def _tick(self, now: float) -> None:
+        pilot = self.pilot
+        try:
+            tick = pilot.tick(now)
+        except Exception as error:  # a fault of ours must not leave a vehicle under setpoints that nobody checks
+            fault = f"flight control failed inside skygcs and ends: {error!r}"
+            self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, fault, {}))
+            tick = Tick(events=pilot.release(fault).events, hold=True)
+        if tick.message is not None:
+            self._commander.transmit(*tick.message, Priority.SETPOINT, key=self._queue_key)
+        self._apply(tick)
+        if pilot.active and pilot.delay.due_ping(now):
+            self._ping(now)
+
+    def _apply(self, tick: Tick) -> None:
+        if tick.row is not None and self._trace is not None and tick.before is not None and tick.after is not None:
+            try:
+                self._trace.write(tick.row, self.pilot.config.law, tick.before, tick.after)
+            except OSError as error:
+                self._give_up_trace(error)
+        for event in tick.events:
+            self._on_event(event)
+        if not self.pilot.active and self.clock.running:
+            self.clock.stop()
+            self._close_trace()
+            self._restore_position()
+        if tick.hold:
+            self._spawn(self._hold(), "hold")
+
+    async def _hold(self) -> None:
+        outcome = await self._attempt(lambda now: orders.hold(self._vehicle, now))
+        if not outcome.ok:
+            text = f"it was told to hold, but: {outcome.message}; its own failsafe has to act"
+            self._on_event(Event("control", self._vehicle.name, self._vehicle.sysid, text, {"state": "held"}))
+
+    def _ping(self, now: float) -> None:
+        if TIMESYNC not in self._dialect.by_name:
+            return
+        token = self.pilot.delay.ping(now)
+        self._commander.transmit(TIMESYNC, {"tc1": 0, "ts1": token}, Priority.EXCHANGE)
+
+    async def _ask_position(self, rate_hz: float | None) -> None:
+        if rate_hz is not None:
+            rate_hz = max(rate_hz, self._position_hz or 0.0)
+            await self._attempt(lambda now: self._interval(now, rate_hz))
+
+    def _restore_position(self) -> None:
+        """Back to the rate of the picture; nobody waits for it."""
+        if self._vehicle.connected:
+            self._spawn(self._attempt(lambda now: self._interval(now, self._position_hz)), "position rate")
+
+    def _interval(self, now: float, rate_hz: float | None) -> Plan:
+        return orders.message_interval(self._vehicle, now, self._dialect, "GLOBAL_POSITION_INT", rate_hz)
+
+    def _outside_now(self, origin: Origin | None) -> str | None:
+        position = self._vehicle.section("position")
+        if origin is None or position is None or position["lat_deg"] is None:
+            return None
+        fence = Fence(origin, *self._settings.fence_m())
+        return fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+
+    def _outside(self, place: Place) -> str | None:
+        fence = self._fence
+        return None if fence is None else fence.why_not(place.lat_deg, place.lon_deg, place.alt_amsl_m, reference=True)
+
+    def _not_flying(self) -> Outcome:
+        held = self.pilot.state is PilotState.HELD
+        why = f"it is held: {'; '.join(self.pilot.reasons)}" if held else "control is off"
+        return _refused(f"{why}; `skygcs-cli control set {self._vehicle.name} position` first")
+
+    def _open_trace(self) -> None:
+        if self._trace is not None or self.pilot.frame is None:
+            return
+        anchor = self.pilot.frame.origin
+        head = TraceHead(self._vehicle.name, anchor.lat_deg, anchor.lon_deg, anchor.alt_amsl_m)
+        try:
+            self._trace = TraceFile(self._log_dir, head)
+        except OSError as error:
+            self._give_up_trace(error)
+            return
+        self.pilot.tracing = True
+
+    def _close_trace(self) -> None:
+        trace, self._trace = self._trace, None
+        self.pilot.tracing = False
+        if trace is not None:
+            try:
+                trace.close()
+            except OSError as error:
+                self._give_up_trace(error)
+
+    def _give_up_trace(self, error: OSError) -> None:
+        self._trace, self.pilot.tracing = None, False
+        text = f"its control is traced no more: {error.strerror or error}"
+        self._on_event(Event("warning", self._vehicle.name, self._vehicle.sysid, text, {}))
+
+    def _spawn(self, work: Any, name: str) -> None:
+        task = self._loop.create_task(work, name=f"{self._vehicle.name} {name}")
+        self._tasks.add(task)
+        task.add_done_callback(self._ended)
+
+    def _ended(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            text = f"{task.get_name()} failed inside skygcs: {error!r}"
+            self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, text, {}))
+
+
+def _pilot_config(settings: ControlSettings, hover_thrust: float | None) -> PilotConfig:
+    config = PilotConfig(settings.law(hover_thrust), settings.guard())
+    rates = {"attitude_hz": settings.rate_hz, "velocity_hz": settings.velocity_hz, "position_hz": settings.position_hz}
+    told: dict[str, Any] = {k: v for k, v in {**rates, "rate_min_hz": settings.rate_min_hz}.items() if v is not None}
+    return replace(config, **told)
+
+
+def _refused(why: str) -> Outcome:
+    return Outcome(False, "refused", f"refused: {why}")
+
+
+def _superseded(elapsed_s: float) -> Outcome:
+    return Outcome(False, "cancelled", "a newer order took its place", elapsed_s=elapsed_s)
