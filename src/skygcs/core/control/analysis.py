@@ -36,7 +36,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from skygcs.core.control.config import AxisGains
+from skygcs.core.control.config import GRAVITY_MPS2, AxisGains, ControlConfig
 
 DEFAULT_RESERVE = 2.0
 """Delay margin over measured delay. An airframe's attitude takes 0.1 to 0.2 s to follow, which the model leaves out."""
@@ -207,6 +207,49 @@ def suggest(loop: Loop, delay_s: float, reserve: float = DEFAULT_RESERVE) -> Sug
         return None
     factor = max(1.0, reserve * delay_s / bearable.delay_margin_s)
     return Suggestion(factor, slowed(loop.gains, factor))
+
+
+def why_not_delay(config: ControlConfig, delay_s: float, reserve: float = DEFAULT_RESERVE) -> str | None:
+    """Why these gains must not be flown as attitude with a loop delay of ``delay_s``; None if they bear it.
+
+    Each axis on its true plant, g/hover. Wanted of the delay margin is ``reserve`` times the delay, for all the model
+    leaves out, and half a period for an output that is held until the next, which is known and needs no reserve.
+    Takes 0.2 ms and no numpy: fit for an order, not for a tick. Raises ValueError for a reserve below 1 and for a delay
+    that is none.
+    """
+    if reserve < 1:
+        raise ValueError("a reserve below 1 would be unstable")
+    if not 0 <= delay_s < math.inf:
+        raise ValueError(f"{delay_s} s is no delay")
+    problems = (
+        _why_not_axis(axis, gains, config, delay_s, reserve) for axis, gains in (("xy", config.xy), ("z", config.z))
+    )
+    return "; ".join(problem for problem in problems if problem) or None
+
+
+def _why_not_axis(axis: str, gains: AxisGains, config: ControlConfig, delay_s: float, reserve: float) -> str | None:
+    try:
+        bearable = margins(Loop(gains, GRAVITY_MPS2 / config.hover_thrust))
+    except ValueError as error:
+        return f"{axis}: nobody knows which delay these gains bear: {error}"
+    if bearable is None:
+        return f"{axis}: these gains are unstable without any delay"
+    margin_s, held_s = bearable.delay_margin_s, config.period_s / 2
+    wanted_s = reserve * delay_s + held_s
+    if wanted_s <= margin_s:
+        return None
+    text = (
+        f"{axis}: these gains are unstable from {margin_s:.3f} s of delay on, and {reserve:g} times {delay_s:g} s plus "
+        f"half a period ({held_s:g} s) is {wanted_s:.3f} s"
+    )
+    if margin_s <= held_s:
+        return f"{text}; they need a faster loop, or slower gains"
+    allowed_s = math.floor((margin_s - held_s) / reserve * 1000) / 1000
+    factor = math.ceil(wanted_s / margin_s * 100) / 100
+    return (
+        f"{text}; allow at most {allowed_s:g} s of delay, or divide pos_p_per_s and vel_p by {factor:g} and vel_i by "
+        "its square"
+    )
 
 
 def step_response(
