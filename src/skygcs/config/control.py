@@ -80,7 +80,7 @@ class ControlSettings(Model):
     position_stale_s: Seconds | None = None
     battery_min_percent: Annotated[float, Field(ge=0, le=100)] | None = None
     return_after_s: Seconds | None = None
-    """After what made the guard fall back has been well for so long, the wanted way is taken again; never unless said."""
+    """The wanted way is taken again after what made the guard fall back was well for so long; never unless said."""
     fence: FenceSettings | None = None
 
     def over(self, lower: ControlSettings) -> ControlSettings:

@@ -172,8 +172,8 @@ class FlightControl:
         return Outcome(True, "accepted", "followed")
 
     def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
-        """Part of xy, z and hover_thrust; checked as the fleet file's are, and, unless ``force``, against the delay that
-        attitude control is let fly with."""
+        """Part of xy, z and hover_thrust; checked as the fleet file's are, and, unless ``force``, against the delay
+        with which attitude control is let fly."""
         law = self.pilot.config.law
         try:
             new = replace(

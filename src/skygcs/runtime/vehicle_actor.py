@@ -63,7 +63,7 @@ class VehicleActor:
         log_dir: Path = Path("logs"),
         uplink_bytes_per_s: Callable[[], float] = lambda: math.inf,
     ) -> None:
-        """``log_dir`` is where traces of its control go; ``uplink_bytes_per_s`` is what its link leaves to setpoints."""
+        """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints."""
         self.vehicle = vehicle
         self.config = config
         self.commander = Commander((vehicle.sysid, vehicle.compid), own, dialect, send, loop)
