@@ -44,9 +44,6 @@ def _polygon_problems(polygon: FencePolygon) -> Iterator[tuple[bool, str]]:
     if len(corners) > MAX_CORNERS:
         yield True, f"{len(corners)} corners are more than {MAX_CORNERS}"
         return
-    if len(corners) > 1 and corners[0] == corners[-1]:
-        yield False, "the last corner repeats the first one; a polygon is closed without it"
-        corners.pop()
     distinct = len(set(corners))
     if distinct < 3:
         yield (
@@ -54,6 +51,9 @@ def _polygon_problems(polygon: FencePolygon) -> Iterator[tuple[bool, str]]:
             f"is not closed: it has {distinct} different corner{'s' if distinct != 1 else ''}, not three or more",
         )
         return
+    if corners[0] == corners[-1]:
+        yield False, "the last corner repeats the first one; a polygon is closed without it"
+        corners.pop()
     repeated = next((n for n in range(1, len(corners)) if corners[n] == corners[n - 1]), None)
     if repeated is not None:
         yield False, f"corner {repeated + 1} is at the same place as corner {repeated}"
