@@ -166,6 +166,10 @@ class Fleet:
         """Increases with every change of the origin."""
         return self.world.generation
 
+    def origin_status(self) -> dict[str, Any]:
+        """See `World.status`."""
+        return self.world.status()
+
     def on_origin_change(self, listener: OnOriginChange) -> Callable[[], None]:
         """See `World.on_change`."""
         return self.world.on_change(listener)
@@ -210,7 +214,7 @@ class Fleet:
         task.add_done_callback(self._kept_ended)
         return await asyncio.shield(task)
 
-    def setpoint(self, expression: str | int | Sequence[str | int], **setpoint: Any) -> dict[str, Outcome]:
+    def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
         """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError.
 
         Several vehicles are not sent to one place by it: each of them flies by its own stream.
