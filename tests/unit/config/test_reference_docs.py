@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import models
+from skygcs.config import control, models
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
@@ -28,6 +28,9 @@ LINKS = get_args(models.LinkConfig)
         *LINKS,
         models.VehicleEntry,
         models.FleetConfig,
+        control.ControlSettings,
+        control.GainSettings,
+        control.FenceSettings,
     ],
     ids=lambda m: m.__name__,
 )
