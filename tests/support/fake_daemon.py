@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
+from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
-from skygcs.errors import ConfigError, LinkError, TargetError
+from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.rpc.server import RpcServer
 
 NAMES = ("alpha", "bravo", "carol")
@@ -226,6 +227,30 @@ class FakeFleet:
 
     def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
         self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
+        self.origin: Origin | None = None
+        self.generation = 0
+        self.origin_asked: list[tuple[Any, ...]] = []
+
+    def origin_status(self) -> dict[str, Any]:
+        return {"origin": None if self.origin is None else asdict(self.origin), "generation": self.generation}
+
+    def set_origin(self, origin: Origin | None, *, force: bool = False) -> None:
+        if origin is not None and origin.lat_deg == 0:
+            raise RefusedError("0, 0 has a zero coordinate")
+        self.origin = origin
+        self.generation += 1
+        self.origin_asked.append(("set", force))
+
+    def set_origin_from(self, target: str, *, heading: bool = False, force: bool = False) -> None:
+        (vehicle,) = self.resolve(target)
+        self.set_origin(Origin(43.5, -79.5, 100.0 + vehicle.sysid))
+        self.origin_asked.append(("from", vehicle.name, heading, force))
+
+    async def push_origin(
+        self, targets: str | list[str], *, home: bool = False, force: bool = False
+    ) -> dict[str, FakeOutcome]:
+        self.origin_asked.append(("push", home, force))
+        return {vehicle.name: vehicle.outcome for vehicle in self.resolve(targets)}
 
     def resolve(self, targets: str | list[str]) -> list[FakeVehicle]:
         parts = targets if isinstance(targets, list) else targets.split(",")

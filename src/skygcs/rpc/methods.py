@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
-from skygcs.rpc import control, dispatch, openrpc
+from skygcs.rpc import control, dispatch, openrpc, origin
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -360,6 +360,7 @@ METHODS: dict[str, Method[Context]] = {
         Method("recorder.status", m.NoParams, recorder_status),
         Method("subscribe", m.SubscribeParams, subscribe, m.Subscription, (*_ORDER, dispatch.LIMIT_EXCEEDED)),
         Method("unsubscribe", m.UnsubscribeParams, unsubscribe, m.Subscription),
+        *origin.METHODS,
         *control.METHODS,
         Method("rpc.discover", m.NoParams, rpc_discover),
     )

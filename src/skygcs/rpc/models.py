@@ -60,7 +60,7 @@ Lat = Annotated[float, Field(ge=-90, le=90, description="Latitude in degrees (WG
 Lon = Annotated[float, Field(ge=-180, le=180, description="Longitude in degrees (WGS84).")]
 Enu = Annotated[
     list[float],
-    Field(min_length=3, max_length=3, description="[east, north, up] in metres from the fleet's origin."),
+    Field(min_length=3, max_length=3, description="[x, y, up] in metres from the fleet's origin (east, north, up)."),
 ]
 LinkName = Annotated[str, Field(min_length=1, max_length=64, description="The link's name.")]
 
@@ -336,7 +336,9 @@ class VehicleState(Result):
     )
     gps: Part = Field(description="fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec")
     position: Part = Field(
-        description="lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps, enu_m, time_boot_s"
+        description="lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps (true east, north, up), "
+        "time_boot_s; takeoff_alt_amsl_m and alt_takeoff_m (the ground it took off from and the height above it; null "
+        "if nobody saw it stand there); in the fleet's frame: enu_m, vel_world_mps, yaw_world_deg, origin_generation"
     )
     local: Part = Field(description="The autopilot's own frame, turned to ENU: pos_enu_m, vel_enu_mps, time_boot_s")
     attitude: Part = Field(
