@@ -1,0 +1,58 @@
+"""What an emergency stop is made of, and how a kill is confirmed."""
+
+from __future__ import annotations
+
+import pytest
+
+from skygcs.core.vehicle import stop
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from support.vehicles import ARDUPILOT, PX4, PX4_LOITER, Voice, flight_dialect
+
+NOW = 100.0
+
+
+def heard(autopilot: int, *, kind: int = 2) -> Vehicle:
+    vehicle = Vehicle(1, 1, flight_dialect(), decoder=Decoder(flight_dialect()))
+    vehicle.on_frame(Voice(1).beat(autopilot, PX4_LOITER if autopilot == PX4 else 0, armed=True, kind=kind), NOW)
+    return vehicle
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+@pytest.mark.parametrize(("action", "command"), [("hold", 176), ("land", 21), ("kill", 400)])
+def test_every_action_is_an_emergency_that_persists_also_for_a_lost_vehicle(
+    autopilot: int, action: stop.Action, command: int
+) -> None:
+    vehicle = heard(autopilot)
+    vehicle.tick(NOW + 60)
+    assert not vehicle.connected
+    plan = stop.stop(vehicle, NOW + 60, action)
+    assert plan.order == "stop" and plan.emergency and plan.persist_s == 30
+    assert plan.final is (action == "kill"), "only a kill is the last word"
+    (step,) = plan.steps
+    assert step.command is not None and step.command.command == command
+    if action == "kill":
+        assert step.command.params == (0, 21196)
+
+
+def test_a_recording_is_not_stopped_and_what_has_no_hold_says_so() -> None:
+    vehicle = heard(PX4)
+    vehicle.replayed = True
+    with pytest.raises(RefusedError, match="recording"):
+        stop.stop(vehicle, NOW, "kill")
+    with pytest.raises(RefusedError, match="no mode"):
+        stop.stop(heard(0), NOW, "hold")
+
+
+def test_a_kill_names_who_falls_and_wants_a_word_that_counts_them() -> None:
+    names = ["alpha", "bravo"]
+    stop.require_confirmed("land", names, None)
+    stop.require_confirmed("kill", names, "kill-2")
+    with pytest.raises(RefusedError, match=r"alpha, bravo, .* confirm with 'kill-2'$"):
+        stop.require_confirmed("kill", names, None)
+    for wrong in ("kill-1", "kill", "yes", "KILL-2", ""):
+        with pytest.raises(RefusedError, match="not '"):
+            stop.require_confirmed("kill", names, wrong)
+    with pytest.raises(RefusedError, match="and 20 more"):
+        stop.require_confirmed("kill", [f"v{n}" for n in range(30)], "kill-2")
