@@ -19,9 +19,11 @@ import structlog
 from skygcs import __version__
 from skygcs.config.models import FleetConfig
 from skygcs.core.airtime import Priority
+from skygcs.core.control.deadman import DeadMan
 from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.discovery import HEARTBEAT
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel
@@ -33,6 +35,7 @@ from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.uplink import setpoint_bytes_per_s
+from skygcs.runtime.watchman import Watchman
 
 MAX_EVENTS = 1000
 """Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
@@ -90,6 +93,11 @@ class Daemon:
             on_fault=self._on_fault,
             on_replayed=self.fleet.set_replayed,
         )
+        self.watchman = Watchman(
+            DeadMan(own.operator_timeout_s, own.operator_lost), self.fleet, self.loop, self.on_event
+        )
+        if self.watchman.watching:
+            self.hub.add_tap({HEARTBEAT}, None, lambda frame, _, now: self.watchman.on_heartbeat(frame, now))
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event)
         self._postman = Postman(self.hub, self.fleet, self.links)
         self.socket_path = own.socket or default_socket_path()
@@ -119,6 +127,7 @@ class Daemon:
             clocks = [
                 group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
                 group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
+                group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
             ]
             if self.config.daemon.heartbeat:
                 beat = self._every(HEARTBEAT_PERIOD_S, self._beat)
@@ -128,6 +137,7 @@ class Daemon:
             await self._stopping.wait()
             for clock in clocks:
                 clock.cancel()
+            self.watchman.close()
             self.fleet.close()  # who waits for an outcome is told before the links are gone
             await self.links.close()
 
@@ -269,6 +279,10 @@ class Daemon:
     async def remove_link(self, name: str) -> None:
         """See `LinkTable.remove`."""
         await self.links.remove(name)
+
+    def client_alive(self) -> None:
+        """A client of the socket asked for something."""
+        self.watchman.on_client()
 
     # -- what a person asks
 

@@ -281,6 +281,7 @@ class FakeDaemon:
     """Everything `skygcs.rpc.ports.Daemon` asks for."""
 
     def __init__(self, vehicle_count: int = 3) -> None:
+        self.requests_seen = 0
         self.dialect = common_dialect()
         self.fleet = FakeFleet(
             [
@@ -300,6 +301,9 @@ class FakeDaemon:
 
     def vehicle(self, name: str) -> FakeVehicle:
         return self.fleet.resolve(name)[0]
+
+    def client_alive(self) -> None:
+        self.requests_seen += 1
 
     def now(self) -> float:
         return time.monotonic()

@@ -241,6 +241,7 @@ class Session(asyncio.Protocol):
             request_id = request.get("id") if isinstance(request, dict) else None
             text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
             return error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
+        self._hub.daemon.client_alive()
         reply = self._hub.dispatcher.start(self, request)
         if isinstance(reply, Coroutine):
             self._in_flight += 1
