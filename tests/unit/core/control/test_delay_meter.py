@@ -139,6 +139,21 @@ def test_pings_at_once_when_the_clock_ran_backwards() -> None:
     assert meter.due_ping(3.0)
 
 
+def test_ages_from_before_the_clock_ran_backwards_are_forgotten() -> None:
+    meter = DelayMeter()
+    meter.on_tick(5.0, 1000.0)
+    meter.on_tick(0.02, 10.0)
+    answered(meter, 0.0, 10.0)
+    assert meter.delay_p95_s == pytest.approx(0.02)
+
+
+def test_round_trips_from_before_the_clock_ran_backwards_are_forgotten() -> None:
+    meter = DelayMeter()
+    answered(meter, 0.03, 1000.0)
+    meter.on_tick(0.02, 10.0)
+    assert meter.rtt_p95_s is None
+
+
 steps = st.tuples(st.sampled_from(["tick", "ping", "pong", "stranger"]), st.floats(-5.0, 5.0), st.floats())
 
 

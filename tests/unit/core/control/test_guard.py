@@ -246,6 +246,14 @@ def test_a_new_kind_of_reason_is_told_once_and_flicker_is_not() -> None:
         assert not guard.check(WELL if n % 2 else but(rate_hz=10.0), 0.3 + n).changed
 
 
+def test_what_was_told_before_a_return_is_told_again_after_the_next_fall() -> None:
+    guard = Guard(RETURNING, Way.ATTITUDE)
+    slow, thin = but(delay_p95_s=0.2), but(delay_p95_s=0.2, rate_hz=10.0)
+    assert [guard.check(facts, 0.0).changed for facts in (slow, thin, slow, thin)] == [True, True, False, False]
+    assert [guard.check(WELL, at).way for at in (1.0, 6.0)] == [Way.VELOCITY, Way.ATTITUDE]
+    assert [guard.check(facts, 7.0).changed for facts in (slow, thin, slow, thin)] == [True, True, False, False]
+
+
 def test_why_not_tells_everything_and_changes_nothing() -> None:
     guard = Guard(CONFIG, Way.ATTITUDE)
     found = guard.why_not(but(armed=False, fix_ok=False, rtt_p95_s=None))
