@@ -1,0 +1,147 @@
+"""`skygcs-cli setpoint`: streams setpoints to controlled vehicles, its own or those of the user's program."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from skygcs.cli.connection import Exit, fail, run
+from skygcs.cli.options import Json, Targets
+from skygcs.cli.setpoint_lines import LineError, checked
+from skygcs.cli.values import finite, parse_unset_number
+from skygcs.rpc.client import Client
+
+DEFAULT_HZ = 10.0
+LARGEST_HZ = 100.0
+"""More than twice the default rate of the control loop: what is faster is not flown."""
+
+VALID_S = 0.5
+"""How long a setpoint is good, unless the rate is so low that it would run out between two."""
+
+LARGEST_VALID_S = 5.0
+
+
+def setpoint(
+    targets: Targets,
+    position: Annotated[
+        tuple[str, str, str] | None,
+        typer.Option("--pos", metavar="X Y Z", help="Metres in the fleet's frame; -: not given.", show_default=False),
+    ] = None,
+    velocity: Annotated[
+        tuple[str, str, str] | None,
+        typer.Option(
+            "--vel", metavar="X Y Z", help="m/s; for an axis with a position it is feed-forward.", show_default=False
+        ),
+    ] = None,
+    yaw: Annotated[
+        float | None,
+        typer.Option("--yaw", metavar="DEG", help="From the frame's x axis, counter-clockwise.", parser=finite),
+    ] = None,
+    duration_s: Annotated[
+        float | None,
+        typer.Option("--for", metavar="S", help="End after so many seconds; else at Ctrl-C.", parser=finite),
+    ] = None,
+    rate_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            help="Setpoints per second, default 10. With --stdin: lines per second.",
+            parser=finite,
+        ),
+    ] = None,
+    stdin: Annotated[
+        bool, typer.Option("--stdin", help="Take them from standard input: JSON lines or CSV, the newest each time.")
+    ] = False,
+    valid_s: Annotated[
+        float | None,
+        typer.Option(
+            "--valid", metavar="S", help="Each is good so long, then the vehicle stays where it is.", parser=finite
+        ),
+    ] = None,
+    json_output: Json = False,
+) -> None:
+    """Stream setpoints to vehicles under `control`: `setpoint alpha --pos 5 -3 10 --for 20`.
+
+    From your own program: `./my-planner | skygcs-cli setpoint all --stdin`, a line each: {"pos": [5, -3, 10]} or
+    5,-3,10. `--vel 1 0 - --pos - - 10`: level flight. When the setpoints end, vehicles stay where they then are.
+    """
+    given: dict[str, Any] = {}
+    for option, parameter, vector in (("--pos", "pos_enu_m", position), ("--vel", "vel_enu_mps", velocity)):
+        if vector is not None:
+            given[parameter] = [parse_unset_number(value, option) for value in vector]
+    if stdin and (given or yaw is not None or duration_s is not None):
+        raise typer.BadParameter("--stdin brings the setpoints itself: give no --pos, --vel, --yaw or --for with it")
+    if not stdin and not given:
+        raise typer.BadParameter("say what is to be sent: --pos X Y Z, --vel X Y Z, or --stdin")
+    if given:
+        try:
+            checked(given)
+        except LineError as error:
+            raise typer.BadParameter(str(error)) from None
+    _check("--rate", rate_hz, 0.1, LARGEST_HZ)
+    _check("--for", duration_s, 0.0, 86400.0)
+    _check("--valid", valid_s, 0.1, LARGEST_VALID_S)
+    if yaw is not None:
+        given["yaw_deg"] = yaw
+    rate = DEFAULT_HZ if rate_hz is None and not stdin else rate_hz
+    if valid_s is None:
+        valid_s = VALID_S if rate is None else min(max(VALID_S, 2.5 / rate), LARGEST_VALID_S)
+    if rate is not None and valid_s * rate < 1:
+        raise typer.BadParameter(f"--valid {valid_s:g} s ends before the next one comes at {rate:g} Hz")
+    good_for_s = valid_s
+
+    async def command(gcs: Client) -> int:
+        from skygcs.cli.setpoint_stream import Sender, bytes_of, forward, repeat
+
+        sender = Sender(gcs, good_for_s, fail)
+        tally = sender.tally
+        if not stdin and sys.stderr.isatty():
+            typer.echo(f"streaming to {targets} at {rate:g} Hz; Ctrl-C ends it", err=True)
+        began = asyncio.get_running_loop().time()
+        try:
+            if stdin:
+                await forward(sender, targets, bytes_of(sys.stdin.fileno()), rate)
+            else:
+                assert rate is not None
+                await repeat(sender, targets, given, rate, duration_s)
+        finally:
+            elapsed_s = asyncio.get_running_loop().time() - began
+            _tell_end(tally, elapsed_s, good_for_s, json_output)
+        return Exit.DONE if tally.ok else Exit.FAILED
+
+    run(command)
+
+
+def _tell_end(tally: Any, elapsed_s: float, valid_s: float, json_output: bool) -> None:
+    """Also after Ctrl-C and when the daemon went away: what was sent, and what the vehicles do now."""
+    took = [name for name, outcome in tally.outcomes.items() if outcome["ok"]]
+    if json_output:
+        answer = {
+            "sent": tally.sent,
+            "skipped": tally.skipped,
+            "wrong_lines": tally.wrong_lines,
+            "elapsed_s": round(elapsed_s, 3),
+            "outcomes": tally.outcomes,
+        }
+        typer.echo(json.dumps(answer, indent=2))
+        return
+    further = ((tally.skipped, "skipped for newer ones"), (tally.wrong_lines, "wrong lines"))
+    counts = "".join(f", {count:,} {what}" for count, what in further if count)
+    typer.echo(f"{tally.sent:,} setpoints in {elapsed_s:.1f} s{counts}")
+    if took:
+        stay = "stays where it is" if len(took) == 1 else "stay where they are"
+        typer.echo(f"{', '.join(took)} {stay} from {valid_s:g} s after the last one on, still under control")
+
+
+def _check(option: str, value: float | None, least: float, most: float) -> None:
+    if value is not None and not least <= value <= most:
+        raise typer.BadParameter(f"{option}: {value:g} is not between {least:g} and {most:g}")
+
+
+def add_to(app: typer.Typer) -> None:
+    app.command(rich_help_panel="Orders")(setpoint)
