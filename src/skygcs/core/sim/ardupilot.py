@@ -13,8 +13,11 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim import protocol as m
+from skygcs.core.sim.attitude_targets import Refusal, copter_attitude
+from skygcs.core.sim.body import AttitudeSetpoint
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.commands import Command
+from skygcs.core.sim.conditions import CALM, Conditions
 from skygcs.core.sim.copter_setup import (
     GUIDED_FLAG_MODES,
     NEEDS_POSITION,
@@ -23,7 +26,7 @@ from skygcs.core.sim.copter_setup import (
     CopterMode,
     copter_params,
 )
-from skygcs.core.sim.kinematics import Limits, LocalFrame
+from skygcs.core.sim.kinematics import Limits, LocalFrame, Setpoint
 from skygcs.core.sim.params import Params
 from skygcs.core.sim.plan import Follow, GoTo, Land, Leg, Wait
 from skygcs.core.sim.requests import common_command
@@ -32,6 +35,9 @@ from skygcs.core.sim.vehicle import Home, SimVehicle
 
 FORCE = 21196
 """Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
+
+THRUST_AS_THRUST = 8
+"""GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET.thrust is thrust; without it, a climb rate."""
 
 PREARM_EVERY_S = 30.0
 """Failing pre-arm checks are told this often."""
@@ -54,6 +60,8 @@ class CopterVehicle(SimVehicle):
     armed_reboot_result = m.MAV_RESULT_FAILED
     named_param_index = 65535
     low_battery_percent = 20.0
+    attitude_timeout_s: float | None = 1.0
+    """GUIDED_ATTITUDE_TIMEOUT_MS of ArduCopter up to 4.0. None: GUID_TIMEOUT (3 s), as from 4.1 on."""
 
     def __init__(
         self,
@@ -65,10 +73,18 @@ class CopterVehicle(SimVehicle):
         now: float = 0.0,
         unix_us: int = 0,
         heading_deg: float = 0.0,
+        conditions: Conditions = CALM,
     ) -> None:
         params = Params(copter_params(sysid), bytewise=False)
         super().__init__(
-            dialect, where, params=params, chance=chance, now=now, unix_us=unix_us, heading_deg=heading_deg
+            dialect,
+            where,
+            params=params,
+            chance=chance,
+            now=now,
+            unix_us=unix_us,
+            heading_deg=heading_deg,
+            conditions=conditions,
         )
 
     # -- what it says of itself
@@ -97,6 +113,7 @@ class CopterVehicle(SimVehicle):
             | m.MAV_PROTOCOL_CAPABILITY_MISSION_INT
             | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
             | m.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+            | m.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
             | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
@@ -152,10 +169,7 @@ class CopterVehicle(SimVehicle):
             self._tell_prearm()
         if self.taking_off and self.plan.arrived:
             self.taking_off = False
-        if self._velocity_target and now - self._target_at > self.params["GUID_TIMEOUT"]:
-            self._velocity_target = False
-            if self.mode == CopterMode.GUIDED:
-                self.hold_here()
+        self._watch_targets(now)
         delay = self.params["DISARM_DELAY"]
         if self.armed and self.landed and not self.taking_off and delay > 0:
             since = max(self.armed_at, self.landed_at)
@@ -217,7 +231,7 @@ class CopterVehicle(SimVehicle):
         self.taking_off = False
         self._velocity_target = False
         self.send_soon("HEARTBEAT")  # a mode change is told at once
-        motion = self.motion
+        motion = self.believed
         if mode == CopterMode.LAND:
             self.plan.fly(Land(motion.east_m, motion.north_m, self.params["LAND_SPEED"] / 100))
         elif mode in (CopterMode.RTL, CopterMode.SMART_RTL) and not self.landed and self.home is not None:
@@ -238,14 +252,52 @@ class CopterVehicle(SimVehicle):
         self._try_mode(custom_mode)  # SET_MODE is not acknowledged
 
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
-        if self.mode != CopterMode.GUIDED or name == "SET_ATTITUDE_TARGET":
+        if self.mode != CopterMode.GUIDED or self.taking_off:
+            return  # nothing interrupts a take-off
+        setpoint: Setpoint | AttitudeSetpoint | None
+        if name == "SET_ATTITUDE_TARGET":
+            target = self._attitude_target(fields)
+            if target is Refusal.STOP or target is Refusal.NOTHING:
+                self._velocity_target = False
+                self.hold_here()
+                return
+            setpoint = target
+            lifts = target is not None and (target.thrust or target.climb_mps) > 0.0
+        else:
+            setpoint = setpoint_of(self, name, fields, any_bit=True)
+            lifts = False  # from the ground only NAV_TAKEOFF or an attitude with a climb lifts it
+        if setpoint is None or (self.landed and not lifts):
             return
-        setpoint = setpoint_of(self, name, fields, any_bit=True)
-        if setpoint is None or self.landed or self.taking_off:
-            return  # on the ground only NAV_TAKEOFF lifts it, and nothing interrupts that
         self._target_at = now
-        self._velocity_target = setpoint.pos_enu_m[0] is None
+        self._velocity_target = isinstance(setpoint, Setpoint) and setpoint.pos_enu_m[0] is None
         self.plan.fly(Follow(setpoint))
+
+    def _attitude_target(self, fields: dict[str, Any]) -> AttitudeSetpoint | Refusal | None:
+        p = self.params
+        return copter_attitude(
+            fields,
+            thrust_as_thrust=bool(int(p["GUID_OPTIONS"]) & THRUST_AS_THRUST),
+            climb_mps=p["WPNAV_SPEED_UP"] / 100,
+            descent_mps=p["WPNAV_SPEED_DN"] / 100,
+        )
+
+    def _watch_targets(self, now: float) -> None:
+        """Targets that nobody renews: a velocity ends in a stop, an attitude level and without climb; a position stays.
+
+        Level is not still: it drifts with the wind until somebody or a failsafe changes the mode.
+        """
+        if self.mode != CopterMode.GUIDED:
+            return
+        age, leg = now - self._target_at, self.plan.leg
+        longest = max(0.1, self.params["GUID_TIMEOUT"])
+        if self._velocity_target and age > longest:
+            self._velocity_target = False
+            self.hold_here()
+        elif isinstance(leg, Follow) and isinstance(leg.setpoint, AttitudeSetpoint):
+            if self.attitude_timeout_s is not None:
+                longest = self.attitude_timeout_s
+            if age > longest and leg.setpoint.attitude_ned_frd is not None:
+                self.plan.fly(Follow(AttitudeSetpoint(None)))
 
     # -- streams
 
@@ -336,7 +388,7 @@ class CopterVehicle(SimVehicle):
         if not ready or not is_altitude(c.p7) or c.p7 <= self.height_m():
             return m.MAV_RESULT_FAILED
         home_up = self.home.up_m if self.home else 0.0
-        self.plan.fly(GoTo(self.motion.east_m, self.motion.north_m, home_up + c.p7))
+        self.plan.fly(GoTo(self.believed.east_m, self.believed.north_m, home_up + c.p7))
         self.taking_off = True
         return m.MAV_RESULT_ACCEPTED
 
@@ -362,7 +414,7 @@ class CopterVehicle(SimVehicle):
         if self.mode == CopterMode.GUIDED and isinstance(leg, GoTo):
             yaw = radians(c.p1)
             if c.p4 == 1.0:
-                yaw = self.motion.yaw_rad + (yaw if c.p3 >= 0 else -yaw)
+                yaw = self.believed.yaw_rad + (yaw if c.p3 >= 0 else -yaw)
             self.plan.fly(GoTo(leg.east_m, leg.north_m, leg.up_m, yaw_rad=yaw))
         return m.MAV_RESULT_ACCEPTED
 

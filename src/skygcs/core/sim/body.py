@@ -114,6 +114,15 @@ class Body:
         near = self.distance_m(east_m, north_m, up_m) < ARRIVED_M
         return near and hypot(self.groundspeed_mps, self.vel_u_mps) < ARRIVED_MPS
 
+    def copy(self, other: Body) -> None:
+        """Be where the other is, as it is."""
+        self.east_m, self.north_m, self.up_m = other.east_m, other.north_m, other.up_m
+        self.vel_e_mps, self.vel_n_mps, self.vel_u_mps = other.vel_e_mps, other.vel_n_mps, other.vel_u_mps
+        self.accel_enu_mps2 = other.accel_enu_mps2
+        self.roll_rad, self.pitch_rad, self.yaw_rad = other.roll_rad, other.pitch_rad, other.yaw_rad
+        self.roll_rate_radps, self.pitch_rate_radps = other.roll_rate_radps, other.pitch_rate_radps
+        self.yaw_rate_radps = other.yaw_rate_radps
+
     def rest(self) -> None:
         """Lie still and level where it is."""
         self.vel_e_mps = self.vel_n_mps = self.vel_u_mps = 0.0

@@ -34,6 +34,10 @@ class Chance:
     def happens(self, probability: float) -> bool:
         return probability > 0.0 and self.fraction() < probability
 
+    def seed(self) -> int:
+        """A seed for something else that is to have a chance of its own."""
+        return int(self.fraction() * (1 << 31))
+
     def normal(self) -> float:
         """Mean 0, standard deviation 1 (Box and Muller 1958)."""
         return sqrt(-2.0 * log(1.0 - self.fraction())) * cos(tau * self.fraction())

@@ -8,6 +8,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.sim.ardupilot import CopterVehicle
 from skygcs.core.sim.chance import Chance
+from skygcs.core.sim.conditions import CALM, Conditions
 from skygcs.core.sim.kinematics import LocalFrame
 from skygcs.core.sim.px4 import Px4Vehicle
 from skygcs.core.sim.vehicle import SimVehicle
@@ -44,6 +45,7 @@ def make_vehicles(
     seed: int = 1,
     now: float = 0.0,
     unix_us: int = 0,
+    conditions: Conditions = CALM,
 ) -> list[SimVehicle]:
     """PX4s first, then ArduCopters, sysids from ``first_sysid`` on, in rows of five SPACING_M apart about ``home``.
 
@@ -68,6 +70,7 @@ def make_vehicles(
                 now=now,
                 unix_us=unix_us,
                 heading_deg=heading_deg,
+                conditions=conditions,
             )
         )
     return vehicles

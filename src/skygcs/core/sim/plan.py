@@ -8,7 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import assert_never
 
-from skygcs.core.sim.kinematics import Limits, Motion, Setpoint
+from skygcs.core.sim.body import AttitudeSetpoint, Body
+from skygcs.core.sim.kinematics import Limits, Setpoint
 
 LAND_FAST_ABOVE_M = 10.0
 """ArduCopter's LAND_ALT_LOW: above it a landing vehicle descends at its normal speed."""
@@ -29,7 +30,7 @@ class GoTo:
 class Follow:
     """Follow this setpoint: OFFBOARD and GUIDED targets. Never finished."""
 
-    setpoint: Setpoint
+    setpoint: Setpoint | AttitudeSetpoint
 
 
 @dataclass(slots=True)
@@ -74,7 +75,7 @@ class Plan:
         self._legs = list(legs)
         self.arrived = False
 
-    def step(self, motion: Motion, limits: Limits, now: float) -> tuple[Setpoint | None, Limits]:
+    def step(self, motion: Body, limits: Limits, now: float) -> tuple[Setpoint | AttitudeSetpoint | None, Limits]:
         """What to steer to now, and the limits on the way; moves on to the next leg when one is finished."""
         while self._legs and _finished(self._legs[0], motion, now):
             if len(self._legs) == 1:
@@ -85,7 +86,7 @@ class Plan:
         return (None, limits) if leg is None else _steer(leg, motion, limits)
 
 
-def _finished(leg: Leg, motion: Motion, now: float) -> bool:
+def _finished(leg: Leg, motion: Body, now: float) -> bool:
     match leg:
         case GoTo(east_m, north_m, up_m):
             return motion.is_at(east_m, north_m, up_m)
@@ -102,7 +103,7 @@ def _finished(leg: Leg, motion: Motion, now: float) -> bool:
             assert_never(leg)
 
 
-def _steer(leg: Leg, motion: Motion, limits: Limits) -> tuple[Setpoint, Limits]:
+def _steer(leg: Leg, motion: Body, limits: Limits) -> tuple[Setpoint | AttitudeSetpoint, Limits]:
     match leg:
         case GoTo(east_m, north_m, up_m, yaw_rad, climb_mps):
             if climb_mps is not None:

@@ -13,9 +13,12 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim import protocol as m
+from skygcs.core.sim.attitude_targets import Refusal, px4_attitude
+from skygcs.core.sim.body import AttitudeSetpoint
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.commands import Command
-from skygcs.core.sim.kinematics import Limits, LocalFrame
+from skygcs.core.sim.conditions import CALM, Conditions
+from skygcs.core.sim.kinematics import Limits, LocalFrame, Setpoint
 from skygcs.core.sim.params import Params
 from skygcs.core.sim.plan import Follow, GoTo, Land, Leg, Wait
 from skygcs.core.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_mode, px4_params
@@ -60,10 +63,18 @@ class Px4Vehicle(SimVehicle):
         now: float = 0.0,
         unix_us: int = 0,
         heading_deg: float = 0.0,
+        conditions: Conditions = CALM,
     ) -> None:
         params = Params(px4_params(sysid), bytewise=True)
         super().__init__(
-            dialect, where, params=params, chance=chance, now=now, unix_us=unix_us, heading_deg=heading_deg
+            dialect,
+            where,
+            params=params,
+            chance=chance,
+            now=now,
+            unix_us=unix_us,
+            heading_deg=heading_deg,
+            conditions=conditions,
         )
 
     # -- what it says of itself
@@ -92,6 +103,7 @@ class Px4Vehicle(SimVehicle):
             | m.MAV_PROTOCOL_CAPABILITY_MISSION_INT
             | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
             | m.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+            | m.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
             | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
@@ -141,6 +153,7 @@ class Px4Vehicle(SimVehicle):
         self.failsafe = False
         self._cruise_mps = 0.0
         self._setpoint_at = -1e9
+        self._last_thrust = 0.0
         self._stream_since = now
         self._told_ready = False
 
@@ -213,7 +226,7 @@ class Px4Vehicle(SimVehicle):
         if mode == self.mode and mode not in (Px4Mode.LOITER, Px4Mode.TAKEOFF):
             return
         self._set_mode(mode)
-        motion = self.motion
+        motion = self.believed
         if mode == Px4Mode.TAKEOFF:
             home_up = self.home.up_m if self.home else motion.up_m
             self._take_off_to(home_up + self.params["MIS_TAKEOFF_ALT"], None)
@@ -231,7 +244,7 @@ class Px4Vehicle(SimVehicle):
         self.taking_off = False
 
     def _take_off_to(self, up_m: float, goal: tuple[float, float] | None) -> None:
-        motion = self.motion
+        motion = self.believed
         if up_m <= motion.up_m + 0.1:
             self.say_event(m.MAV_SEVERITY_CRITICAL, "Already higher than takeoff altitude")
             up_m = motion.up_m
@@ -244,7 +257,7 @@ class Px4Vehicle(SimVehicle):
     def _return(self) -> None:
         if self.landed or self.home is None:
             return
-        motion, home, p = self.motion, self.home, self.params
+        motion, home, p = self.believed, self.home, self.params
         near = motion.distance_m(home.east_m, home.north_m, motion.up_m) < RTL_NEAR_M
         return_up = home.up_m + (p["RTL_DESCEND_ALT"] if near else p["RTL_RETURN_ALT"])
         up = max(motion.up_m, return_up)
@@ -268,15 +281,20 @@ class Px4Vehicle(SimVehicle):
         return  # read where they are used; MAV_SYS_ID at the next boot
 
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        setpoint: Setpoint | AttitudeSetpoint | None
+        if name == "SET_ATTITUDE_TARGET":
+            target = px4_attitude(fields, self._last_thrust)
+            if target is Refusal.NOTHING or target is Refusal.STOP:
+                return
+            setpoint = target
+        else:
+            setpoint = setpoint_of(self, name, fields, any_bit=False)
         if now - self._setpoint_at > OFFBOARD_GAP_S:
             self._stream_since = now
         self._setpoint_at = now
-        if self.mode != Px4Mode.OFFBOARD:
-            return
-        setpoint = None
-        if name.startswith("SET_POSITION_TARGET_"):
-            setpoint = setpoint_of(self, name, fields, any_bit=False)
-        if setpoint is not None:
+        if self.mode == Px4Mode.OFFBOARD and setpoint is not None:
+            if isinstance(setpoint, AttitudeSetpoint):
+                self._last_thrust = setpoint.thrust or 0.0
             self.plan.fly(Follow(setpoint))
 
     # -- commands
@@ -359,7 +377,7 @@ class Px4Vehicle(SimVehicle):
         if change_mode and not self._try_mode(Px4Mode.LOITER, now):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
         if self.mode == Px4Mode.LOITER and not self.landed:
-            motion = self.motion
+            motion = self.believed
             east, north = motion.east_m, motion.north_m
             if is_position(c.lat_deg, c.lon_deg):
                 east, north = self.where.to_local(c.lat_deg, c.lon_deg)

@@ -87,22 +87,13 @@ class Quad(Body):
         self.thrust = self.airframe.hover_thrust if up_m > 0.0 else 0.0
         self._steering.restart()
 
-    def step(
-        self,
-        dt_s: float,
-        setpoint: Setpoint | AttitudeSetpoint | None,
-        limits: Limits,
-        error_enu_m: Vector = (0.0, 0.0, 0.0),
-    ) -> None:
-        """Move on by ``dt_s``. Without a setpoint the motors stop: it stays on the ground, or falls.
-
-        ``error_enu_m`` is how far the autopilot is wrong about its position: it flies by what it believes.
-        """
+    def step(self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | None, limits: Limits) -> None:
+        """Move on by ``dt_s``. Without a setpoint the motors stop: it stays on the ground, or falls."""
         if setpoint is None:
             self._steering.restart()
             self.fly(dt_s, None, 0.0)
             return
-        attitude, thrust = self._steering.step(self, dt_s, setpoint, limits, error_enu_m)
+        attitude, thrust = self._steering.step(self, dt_s, setpoint, limits)
         self.fly(dt_s, attitude, thrust)
 
     def fly(self, dt_s: float, attitude: Quaternion | None, thrust: float) -> None:

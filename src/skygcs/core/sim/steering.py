@@ -8,9 +8,9 @@ goto neither saturates nor overshoots. It waits for a body that cannot keep up.
 
 from __future__ import annotations
 
-from math import atan2, cos, hypot, radians, sin, tan
+from math import atan2, cos, hypot, inf, radians, sin, tan
 
-from skygcs.core.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, Quaternion, Vector, quaternion_of
+from skygcs.core.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, Quaternion, quaternion_of
 from skygcs.core.sim.kinematics import Limits, Motion, Setpoint
 
 POSITION_XY_PER_S = 1.0
@@ -19,11 +19,11 @@ POSITION_Z_PER_S = 1.5
 
 VELOCITY_XY_PER_S = 2.0
 VELOCITY_Z_PER_S = 4.0
-"""Acceleration per m/s behind (PX4's MPC_XY_VEL_P_ACC 1.8 and MPC_Z_VEL_P_ACC 4.0)."""
+"""Acceleration per m/s behind (ArduCopter's PSC_VELXY_P 2.0, PX4's MPC_Z_VEL_P_ACC 4.0)."""
 
-INTEGRAL_XY_PER_S2 = 0.6
+INTEGRAL_XY_PER_S2 = 1.0
 INTEGRAL_Z_PER_S2 = 2.0
-"""PX4's MPC_XY_VEL_I_ACC 0.4 and MPC_Z_VEL_I_ACC 2.0."""
+"""ArduCopter's PSC_VELXY_I 1.0, PX4's MPC_Z_VEL_I_ACC 2.0."""
 
 INTEGRAL_MAX_MPS2 = 5.0
 """Drag at 12 m/s of wind; vertically a battery at half its nominal thrust."""
@@ -60,9 +60,9 @@ class Steering:
         self._integral = [0.0, 0.0, 0.0]
 
     def step(
-        self, body: Body, dt_s: float, setpoint: Setpoint | AttitudeSetpoint, limits: Limits, error_enu_m: Vector
+        self, body: Body, dt_s: float, setpoint: Setpoint | AttitudeSetpoint, limits: Limits
     ) -> tuple[Quaternion, float]:
-        """Attitude (NED/FRD) and thrust for the next ``dt_s``. ``error_enu_m``: believed minus true position."""
+        """Attitude (NED/FRD) and thrust for the next ``dt_s``."""
         if isinstance(setpoint, AttitudeSetpoint):
             attitude = setpoint.attitude_ned_frd
             if setpoint.thrust is not None:
@@ -71,55 +71,45 @@ class Steering:
             follow = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
         else:
             attitude, follow = None, setpoint
-        east, north, up = body.east_m + error_enu_m[0], body.north_m + error_enu_m[1], body.up_m + error_enu_m[2]
         path = self._trajectory
         if path is None:
-            path = self._trajectory = self._begin(body, east, north, up)
+            path = self._trajectory = _begin(body)
         path.step(dt_s, follow, limits)
         if body.on_ground and path.vel_u_mps <= 0.0:
             self.restart()
             return quaternion_of(0.0, 0.0, body.yaw_rad), IDLE_THRUST
         held_e, _, held_u = follow.pos_enu_m
         if held_e is None:
-            path.east_m, path.north_m = east, north
+            path.east_m, path.north_m = body.east_m, body.north_m
         if held_u is None and not isinstance(setpoint, AttitudeSetpoint):
-            path.up_m = up
-        accel_u = self._vertical(body, path, up, dt_s)
+            path.up_m = body.up_m
+        accel_u = self._vertical(body, path, dt_s)
         if isinstance(setpoint, AttitudeSetpoint):
             path.vel_e_mps, path.vel_n_mps = body.vel_e_mps, body.vel_n_mps
             path.yaw_rad = body.yaw_rad
             level_share = max(0.5, cos(body.roll_rad) * cos(body.pitch_rad))
             thrust = self._hover_thrust * (GRAVITY_MPS2 + accel_u) / GRAVITY_MPS2 / level_share
             return attitude or quaternion_of(0.0, 0.0, body.yaw_rad), _bounded(thrust)
-        accel_e, accel_n = self._horizontal(body, path, (east, north), GRAVITY_MPS2 + accel_u, dt_s)
+        accel_e, accel_n = self._horizontal(body, path, GRAVITY_MPS2 + accel_u, dt_s)
         return self._lean(accel_e, accel_n, GRAVITY_MPS2 + accel_u, path.yaw_rad)
 
-    def _begin(self, body: Body, east_m: float, north_m: float, up_m: float) -> Motion:
-        path = Motion(body.yaw_rad)
-        path.floor_m = float("-inf")  # the body meets the ground, not the trajectory
-        path.east_m, path.north_m, path.up_m = east_m, north_m, up_m
-        path.vel_e_mps, path.vel_n_mps, path.vel_u_mps = body.vel_enu_mps
-        return path
-
-    def _vertical(self, body: Body, path: Motion, up_m: float, dt_s: float) -> float:
-        behind = path.up_m - up_m
+    def _vertical(self, body: Body, path: Motion, dt_s: float) -> float:
+        behind = path.up_m - body.up_m
         if abs(behind) > LEASH_Z_M:
             behind = LEASH_Z_M if behind > 0.0 else -LEASH_Z_M
-            path.up_m = up_m + behind
+            path.up_m = body.up_m + behind
         error = path.vel_u_mps + POSITION_Z_PER_S * behind - body.vel_u_mps
         held = self._integral[2] + INTEGRAL_Z_PER_S2 * error * dt_s
         self._integral[2] = max(-INTEGRAL_MAX_MPS2, min(INTEGRAL_MAX_MPS2, held))
         accel = path.accel_enu_mps2[2] + VELOCITY_Z_PER_S * error + self._integral[2]
         return max(-0.7 * GRAVITY_MPS2, min(GRAVITY_MPS2, accel))
 
-    def _horizontal(
-        self, body: Body, path: Motion, at: tuple[float, float], lift_mps2: float, dt_s: float
-    ) -> tuple[float, float]:
-        behind_e, behind_n = path.east_m - at[0], path.north_m - at[1]
+    def _horizontal(self, body: Body, path: Motion, lift_mps2: float, dt_s: float) -> tuple[float, float]:
+        behind_e, behind_n = path.east_m - body.east_m, path.north_m - body.north_m
         behind = hypot(behind_e, behind_n)
         if behind > LEASH_XY_M:
             behind_e, behind_n = behind_e * LEASH_XY_M / behind, behind_n * LEASH_XY_M / behind
-            path.east_m, path.north_m = at[0] + behind_e, at[1] + behind_n
+            path.east_m, path.north_m = body.east_m + behind_e, body.north_m + behind_n
         error_e = path.vel_e_mps + POSITION_XY_PER_S * behind_e - body.vel_e_mps
         error_n = path.vel_n_mps + POSITION_XY_PER_S * behind_n - body.vel_n_mps
         held = self._integral
@@ -147,3 +137,11 @@ class Steering:
 
 def _bounded(thrust: float) -> float:
     return max(LEAST_THRUST, min(MOST_THRUST, thrust))
+
+
+def _begin(body: Body) -> Motion:
+    """A trajectory that goes on as the body moves."""
+    path = Motion(body.yaw_rad)
+    path.floor_m = -inf  # the body meets the ground, not the trajectory
+    path.copy(body)
+    return path

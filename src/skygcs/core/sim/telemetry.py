@@ -87,7 +87,7 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
     if not v.gps_ok:
         unknown = {"eph": UNKNOWN_U16, "epv": UNKNOWN_U16, "vel": UNKNOWN_U16, "cog": UNKNOWN_U16}
         return {"time_usec": v.boot_ms * 1000, "fix_type": m.GPS_FIX_TYPE_NO_FIX, **unknown}
-    motion = v.motion
+    motion = v.told
     lat, lon = v.where.to_geodetic(motion.east_m + v.chance.spread(0.4), motion.north_m + v.chance.spread(0.4))
     alt_mm = round((v.where.alt_amsl_m + motion.up_m + v.chance.spread(0.5)) * 1000)
     return {
@@ -109,7 +109,7 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
 
 
 def global_position_int(v: SimVehicle, now: float) -> Fields | None:
-    motion = v.motion
+    motion = v.told
     if v.home is None:  # never had a position: PX4 sends nothing, ArduPilot zeros
         if v.autopilot == m.MAV_AUTOPILOT_PX4:
             return None
@@ -131,7 +131,7 @@ def global_position_int(v: SimVehicle, now: float) -> Fields | None:
 def local_position_ned(v: SimVehicle, now: float) -> Fields | None:
     if v.home is None:
         return None
-    motion = v.motion
+    motion = v.told
     return {
         "time_boot_ms": v.boot_ms,
         "x": motion.north_m,
@@ -144,7 +144,9 @@ def local_position_ned(v: SimVehicle, now: float) -> Fields | None:
 
 
 def attitude(v: SimVehicle, now: float) -> Fields:
-    motion = v.motion
+    motion = v.told
+    if v.faults.nan_attitude:
+        return {"time_boot_ms": v.boot_ms, "roll": nan, "pitch": nan, "yaw": nan}
     return {
         "time_boot_ms": v.boot_ms,
         "roll": motion.roll_rad,
@@ -163,13 +165,15 @@ def _rates(motion: Body) -> Fields:
 
 
 def attitude_quaternion(v: SimVehicle, now: float) -> Fields:
-    motion = v.motion
+    motion = v.told
+    if v.faults.nan_attitude:
+        return {"time_boot_ms": v.boot_ms, "q1": nan, "q2": nan, "q3": nan, "q4": nan}
     w, x, y, z = quaternion_of(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
     return {"time_boot_ms": v.boot_ms, "q1": w, "q2": x, "q3": y, "q4": z, **_rates(motion)}
 
 
 def vfr_hud(v: SimVehicle, now: float) -> Fields:
-    motion = v.motion
+    motion = v.told
     return {
         "airspeed": motion.groundspeed_mps,
         "groundspeed": motion.groundspeed_mps,
@@ -239,7 +243,7 @@ def rc_channels(v: SimVehicle, now: float) -> Fields:
 
 def _body_accel(v: SimVehicle) -> tuple[float, float, float]:
     """What the accelerometer feels, FRD, m/s²; level flight assumed, which is right to 1 %."""
-    motion = v.motion
+    motion = v.told
     east, north, up = motion.accel_enu_mps2
     forward = north * cos(motion.yaw_rad) + east * sin(motion.yaw_rad)
     right = -north * sin(motion.yaw_rad) + east * cos(motion.yaw_rad)
@@ -252,9 +256,9 @@ def raw_imu(v: SimVehicle, now: float) -> Fields:
     return {
         "time_usec": v.boot_ms * 1000,
         **dict(zip(("xacc", "yacc", "zacc"), milli_g, strict=True)),
-        "zgyro": round(v.motion.yaw_rate_radps * 1000),
-        "xmag": round(200 * cos(v.motion.yaw_rad)),
-        "ymag": round(-200 * sin(v.motion.yaw_rad)),
+        "zgyro": round(v.told.yaw_rate_radps * 1000),
+        "xmag": round(200 * cos(v.told.yaw_rad)),
+        "ymag": round(-200 * sin(v.told.yaw_rad)),
         "zmag": 450,
         "temperature": 4000,
     }
@@ -262,23 +266,23 @@ def raw_imu(v: SimVehicle, now: float) -> Fields:
 
 def highres_imu(v: SimVehicle, now: float) -> Fields:
     accel = _body_accel(v)
-    pressure = 1013.25 * (1 - 2.25577e-5 * (v.where.alt_amsl_m + v.motion.up_m)) ** 5.25588  # ICAO standard atmosphere
+    pressure = 1013.25 * (1 - 2.25577e-5 * (v.where.alt_amsl_m + v.told.up_m)) ** 5.25588  # ICAO standard atmosphere
     return {
         "time_usec": v.boot_ms * 1000,
         **dict(zip(("xacc", "yacc", "zacc"), accel, strict=True)),
-        "zgyro": v.motion.yaw_rate_radps,
-        "xmag": 0.2 * cos(v.motion.yaw_rad),
-        "ymag": -0.2 * sin(v.motion.yaw_rad),
+        "zgyro": v.told.yaw_rate_radps,
+        "xmag": 0.2 * cos(v.told.yaw_rad),
+        "ymag": -0.2 * sin(v.told.yaw_rad),
         "zmag": 0.45,
         "abs_pressure": pressure,
-        "pressure_alt": v.where.alt_amsl_m + v.motion.up_m,
+        "pressure_alt": v.where.alt_amsl_m + v.told.up_m,
         "temperature": 40.0,
         "fields_updated": 0x1FFF,
     }
 
 
 def altitude(v: SimVehicle, now: float) -> Fields:
-    up = v.motion.up_m
+    up = v.told.up_m
     amsl = v.where.alt_amsl_m + up
     return {
         "time_usec": v.boot_ms * 1000,

@@ -3,29 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
+from skygcs.core.sim.faults import Faults
 
 TEXT_BYTES = 50
 """STATUSTEXT.text; longer ones are sent in chunks."""
-
-
-@dataclass(slots=True)
-class Faults:
-    """What a test can break. Everything off by default; may be changed at any time."""
-
-    refuse_arming: str = ""
-    """The reason given for refusing to arm."""
-    ack_loss: float = 0.0
-    """Fraction of COMMAND_ACKs that are never sent."""
-    gps_lost: bool = False
-    mute: bool = False
-    """The vehicle lives on and hears, but nothing it sends arrives (its sequence number goes on)."""
 
 
 class Transmitter:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import radians
 from typing import Any, Final
 
@@ -17,13 +17,18 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim import requests, telemetry
 from skygcs.core.sim.battery import Battery
+from skygcs.core.sim.body import AttitudeSetpoint, Body
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.commands import Command
-from skygcs.core.sim.kinematics import Limits, LocalFrame, Motion
+from skygcs.core.sim.conditions import CALM, Conditions, body_of
+from skygcs.core.sim.faults import Faults
+from skygcs.core.sim.kinematics import Limits, LocalFrame, Setpoint
 from skygcs.core.sim.params import Params
 from skygcs.core.sim.plan import GoTo, Plan
+from skygcs.core.sim.quad import Quad
+from skygcs.core.sim.sensors import Sensors
 from skygcs.core.sim.streams import Streams
-from skygcs.core.sim.transmitter import Faults, Transmitter
+from skygcs.core.sim.transmitter import Transmitter
 
 TICK_S = 0.02
 """50 Hz: the fastest stream a ground station asks a radio link for, and 2 cm of flight at 1 m/s."""
@@ -87,6 +92,7 @@ class SimVehicle(ABC):
         now: float = 0.0,
         unix_us: int = 0,
         heading_deg: float = 0.0,
+        conditions: Conditions = CALM,
     ) -> None:
         self.dialect = dialect
         self.compid: Final = m.MAV_COMP_ID_AUTOPILOT1
@@ -95,7 +101,8 @@ class SimVehicle(ABC):
         self.chance = chance
         self.faults = Faults()
         self.tx = Transmitter(dialect, chance, self.faults)
-        self.motion = Motion(radians(heading_deg))
+        self.motion = body_of(conditions, radians(heading_deg), chance.seed())
+        self.sensors = Sensors(self.motion, conditions, TICK_S, chance.seed())
         self.battery = Battery()
         self.plan = Plan()
         self._unix_offset_us = unix_us - now * 1e6
@@ -179,7 +186,12 @@ class SimVehicle(ABC):
 
     def on_frame(self, frame: Frame, now: float) -> None:
         """Take one received frame; answers come with the next `step`. Never raises on what a sender can do wrong."""
-        if now < self.boot_at or frame.info is None or (frame.sysid, frame.compid) == (self.sysid, self.compid):
+        if (
+            now < self.boot_at
+            or self.faults.deaf
+            or frame.info is None
+            or (frame.sysid, frame.compid) == (self.sysid, self.compid)
+        ):
             return
         system, component = frame.target()
         if system not in (0, self.sysid) or component not in (0, self.compid):
@@ -218,6 +230,16 @@ class SimVehicle(ABC):
     # -- state others read
 
     @property
+    def believed(self) -> Body:
+        """Where the autopilot takes itself to be; ``motion`` is where it is."""
+        return self.sensors.believed
+
+    @property
+    def told(self) -> Body:
+        """What telemetry says: what was believed a latency ago."""
+        return self.sensors.told
+
+    @property
     def boot_ms(self) -> int:
         return max(0, round((self._clock - self.boot_at) * 1000))
 
@@ -250,7 +272,7 @@ class SimVehicle(ABC):
 
     def height_m(self) -> float:
         """Above home."""
-        return self.motion.up_m - (self.home.up_m if self.home else 0.0)
+        return self.told.up_m - (self.home.up_m if self.home else 0.0)
 
     # -- orders both firmwares carry out alike
 
@@ -266,22 +288,24 @@ class SimVehicle(ABC):
         self.plan.fly()
 
     def hold_here(self) -> None:
-        """Stop and stay; on the ground: stay there."""
+        """Stop and stay where it comes to a stop; on the ground: stay there."""
         if self.landed:
             self.plan.fly()
-        else:
-            self.plan.fly(GoTo(self.motion.east_m, self.motion.north_m, self.motion.up_m))
+            return
+        body = self.believed
+        slide_s = 0.5 * body.groundspeed_mps / self.limits().accel_mps2
+        self.plan.fly(GoTo(body.east_m + body.vel_e_mps * slide_s, body.north_m + body.vel_n_mps * slide_s, body.up_m))
 
     def set_home_here(self) -> None:
         if self.position_ok:
-            self.set_home(Home(self.motion.east_m, self.motion.north_m, self.motion.up_m))
+            self.set_home(Home(*self.believed.pos_enu_m))
 
     def set_home(self, home: Home) -> None:
         self.home = home
         self.send_soon("HOME_POSITION")
 
     def reboot(self, now: float) -> None:
-        """Off at once, back after REBOOT_S; the parameters stay."""
+        """Off at once, back after REBOOT_S; the parameters stay. In the air the motors stop and it falls."""
         self._flush()
         self.disarm()
         self._later.clear()
@@ -303,7 +327,7 @@ class SimVehicle(ABC):
         self._battery_low = False
         self.armed = False
         self.armed_at = now
-        self.landed = True
+        self.landed = self.motion.on_ground
         self.taking_off = False
         self._touched_at: float | None = None
         self.landed_at = now
@@ -319,7 +343,11 @@ class SimVehicle(ABC):
         self.on_boot(now)
 
     def _tick(self, now: float) -> None:
+        if self.faults.reboot:
+            self.faults.reboot = False
+            self.reboot(now)
         if now < self.boot_at:
+            self.motion.step(TICK_S, None, self.limits())
             return
         if self._rebooting:
             self._boot(now)
@@ -353,16 +381,20 @@ class SimVehicle(ABC):
 
     def _move(self, now: float) -> None:
         motion = self.motion
-        if self.landed and not self.armed:  # most of a fleet most of the time
+        if self.landed and not self.armed and motion.on_ground:  # most of a fleet most of the time
             self.battery.step(TICK_S, flying=False)
             return
-        setpoint, limits = self.plan.step(motion, self.limits(), now)
+        setpoint, limits = self.plan.step(self.believed, self.limits(), now)
         lifts = self.armed and setpoint is not None and now - self.armed_at >= self.spool_up_s
         if self.landed and self.plan.landing:
             lifts = False
-        motion.step(TICK_S, setpoint if lifts else None, limits)
+        if isinstance(motion, Quad):
+            motion.supply_v = self.battery.volts
+        motion.step(TICK_S, self._true(setpoint) if lifts else None, limits)
+        self.sensors.step()
         flying = not motion.on_ground
-        self.battery.step(TICK_S, flying=flying, climb_mps=motion.vel_u_mps)
+        drain = self.faults.battery_drain
+        self.battery.step(TICK_S * drain, flying=flying, climb_mps=motion.vel_u_mps)
         if self.landed:
             if motion.up_m > FLYING_ABOVE_M:
                 self.landed = False
@@ -377,6 +409,21 @@ class SimVehicle(ABC):
             self.landed = True
             self.landed_at = now
             self.on_landed(now)
+
+    def _true(self, setpoint: Setpoint | AttitudeSetpoint | None) -> Setpoint | AttitudeSetpoint | None:
+        """The setpoint as the vehicle flies it: towards where it wrongly believes the target to be."""
+        if self.believed is self.motion or not isinstance(setpoint, Setpoint):
+            return setpoint
+        east, north, up = setpoint.pos_enu_m
+        off_e, off_n, off_u = self.sensors.error_enu_m
+        return replace(
+            setpoint,
+            pos_enu_m=(
+                None if east is None else east - off_e,
+                None if north is None else north - off_n,
+                None if up is None else up - off_u,
+            ),
+        )
 
     def _flush(self) -> None:
         self.tx.flush()

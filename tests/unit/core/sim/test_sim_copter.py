@@ -132,7 +132,7 @@ def test_the_seeds_null_island_mask_flies_to_null_island() -> None:
     pilot.send(mav.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0b010111000000, *[0] * 11))
     pilot.run(30)
     motion = pilot.vehicles[0].motion
-    assert motion.north_m < -100, "towards the equator"
+    assert motion.north_m < -40, "towards the equator"
 
 
 def test_a_velocity_target_lasts_three_seconds() -> None:
@@ -140,7 +140,7 @@ def test_a_velocity_target_lasts_three_seconds() -> None:
     pilot.hovering()
     pilot.send(global_target(pilot, 0, 0, 0, mask=VELOCITY_ONLY, vx=2.0))
     pilot.run(2.5)
-    assert pilot.vehicles[0].motion.vel_n_mps == pytest.approx(2.0, abs=0.01)
+    assert pilot.vehicles[0].motion.vel_n_mps == pytest.approx(2.0, abs=0.15)
     pilot.run(4)
     assert pilot.vehicles[0].motion.groundspeed_mps < 0.1
 

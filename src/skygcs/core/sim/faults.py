@@ -1,0 +1,28 @@
+"""What can be broken in a simulated vehicle, by a test or by somebody who looks at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class Faults:
+    """Everything off by default; may be changed at any time and takes effect with the next tick."""
+
+    refuse_arming: str = ""
+    """The reason given for refusing to arm."""
+    refuse_mode: str = ""
+    """The reason given for refusing every change of mode that is asked for; failsafes still change it."""
+    ack_loss: float = 0.0
+    """Fraction of COMMAND_ACKs that are never sent."""
+    gps_lost: bool = False
+    nan_attitude: bool = False
+    """ATTITUDE and ATTITUDE_QUATERNION tell NaN."""
+    mute: bool = False
+    """The vehicle lives on and hears, but nothing it sends arrives (its sequence number goes on): telemetry is cut."""
+    deaf: bool = False
+    """Nothing sent to it arrives, it goes on sending; with ``mute`` the radio link is cut."""
+    battery_drain: float = 1.0
+    """Times the normal current. The charge itself: `SimVehicle.battery.set_percent`."""
+    reboot: bool = False
+    """Set it for one power cycle, in the air as well: the motors stop and it falls. Clears itself."""
