@@ -18,7 +18,8 @@ ours (any more) is given none: whoever took it, its failsafe included, is not fo
 yet (engaging) is not ours either, so what would be a hold there only ends the attempt. *Hold* comes before the ways
 because no way of control is safe with it. Both are final until `Guard.reset`: coming back from them means changing the
 autopilot's mode, which is for a person to order. Within row 3 falling is immediate and climbing needs
-``return_after_s``: so the way cannot chatter, whatever the facts do.
+``return_after_s``: so the way cannot chatter, whatever the facts do. Only while engaging does it follow the facts up as
+well as down: nothing flies by it yet, and the round trip is just being measured.
 
 A single late tick moves nothing until it is ``stale_s`` late: the delays are judged by their 95th percentile. A number
 that is NaN counts as bad wherever it stands.
@@ -209,7 +210,7 @@ class Guard:
         refused = {way: tuple(_unfit(self.config, facts, way)) for way in self._ways()}
         self._note_clear(refused, now)
         before = self._way
-        self._way = self._chosen(refused, now)
+        self._way = self._chosen(refused, now, bound=not facts.engaging)
         if self._way != before:
             self._told.clear()
         return self._sending(refused, self._way != before, now)
@@ -230,13 +231,13 @@ class Guard:
             elif self._clear_since.setdefault(way, now) > now:  # a clock that ran backwards proves nothing
                 self._clear_since[way] = now
 
-    def _chosen(self, refused: dict[Way, tuple[Refusal, ...]], now: float) -> Way:
-        """The highest way that may be taken; the last, position, is never refused."""
+    def _chosen(self, refused: dict[Way, tuple[Refusal, ...]], now: float, *, bound: bool) -> Way:
+        """The highest way that may be taken; the last, position, is never refused. ``bound``: to the present one."""
         after_s = self.config.return_after_s
         for way in self._ways():
             if refused[way]:
                 continue
-            if WAYS.index(way) >= WAYS.index(self._way):
+            if not bound or WAYS.index(way) >= WAYS.index(self._way):
                 return way
             if after_s is not None and now - self._clear_since[way] >= after_s:
                 return way

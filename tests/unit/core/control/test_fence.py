@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from skygcs.core.control.fence import Fence
@@ -96,6 +96,9 @@ def test_seen_from_an_anchor_nan_is_outside() -> None:
 
 
 @given(st.tuples(st.floats(), st.floats(), st.floats()))
+@example((43.78, -79.46, math.nan))
+@example((43.78, math.inf, 170.0))
+@example((90.1, -79.46, 170.0))
 def test_no_number_whatsoever_raises_or_is_inside_by_mistake(place: tuple[float, float, float]) -> None:
     for reference in (False, True):
         reason = FENCE.why_not(*place, reference=reference)

@@ -116,6 +116,14 @@ def test_may_send_so_that_the_mode_can_be_entered_but_not_after() -> None:
     assert guard.check(but(following=False), 2.0).action == "release"
 
 
+def test_while_engaging_the_way_follows_the_facts_up_again() -> None:
+    guard = Guard(CONFIG, Way.ATTITUDE)
+    unmeasured = but(following=False, engaging=True, rtt_p95_s=None, delay_p95_s=None)
+    assert guard.check(unmeasured, 0.0).way is Way.VELOCITY
+    assert guard.check(but(following=False, engaging=True), 0.5).way is Way.ATTITUDE
+    assert guard.check(WELL, 1.0) == Verdict("send", Way.ATTITUDE, (), changed=False)
+
+
 def test_fights_nobody_however_unsafe_it_is() -> None:
     verdict = checked(but(following=False, inside_fence=False, battery_percent=1.0, finite=False))
     assert (verdict.action, verdict.kinds) == ("release", ("mode",))
@@ -404,9 +412,9 @@ def test_tells_every_change_once_and_nothing_that_is_no_change(
 @given(ways, sequences)
 def test_never_climbs_by_itself_unless_configured(wanted: Way, sequence: list[tuple[Facts, float]]) -> None:
     lowest = WAYS.index(wanted)
-    for _, verdict in run(CONFIG, wanted, sequence):
+    for facts, verdict in run(CONFIG, wanted, sequence):
         if verdict.way is not None:
-            assert WAYS.index(verdict.way) >= lowest
+            assert facts.engaging or WAYS.index(verdict.way) >= lowest
             lowest = WAYS.index(verdict.way)
 
 
@@ -418,7 +426,7 @@ def test_never_climbs_earlier_than_configured(wanted: Way, sequence: list[tuple[
         way = guard.check(facts, now).way
         if way is None:
             return
-        if WAYS.index(way) < WAYS.index(before):
+        if WAYS.index(way) < WAYS.index(before) and not facts.engaging:
             assert now - lower_since >= 5.0 - 1e-9
         if way is not before:
             lower_since = lower_since if WAYS.index(way) < WAYS.index(before) else now
