@@ -20,6 +20,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
+from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.rpc.server import RpcServer
 
@@ -100,6 +101,9 @@ class FakeVehicle:
 
     async def hold(self) -> FakeOutcome:
         return await self._order("hold")
+
+    async def stop(self, *, action: str) -> FakeOutcome:
+        return await self._order("stop", action=action)
 
     async def goto(self, **place: Any) -> FakeOutcome:
         return await self._order("goto", **place)
@@ -266,6 +270,8 @@ class FakeFleet:
 
     async def command_all(self, targets: str | list[str], order: str, /, **arguments: Any) -> dict[str, FakeOutcome]:
         vehicles = self.resolve(targets)
+        if order == "stop":
+            require_confirmed(arguments["action"], [v.name for v in vehicles], arguments.pop("confirm"))
         done = await asyncio.gather(*(getattr(v, order)(**arguments) for v in vehicles))
         return dict(zip((v.name for v in vehicles), done, strict=True))
 

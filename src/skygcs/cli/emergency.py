@@ -48,7 +48,7 @@ def stop(
             return await ordered(confirm)
         except RpcError as error:
             unasked = action is Action.KILL and confirm is None and error.code == REFUSED
-            if not (unasked and sys.stdin.isatty()):
+            if not (unasked and _somebody_there()):
                 raise
             fail(str(error))
         word = await asyncio.to_thread(_asked)
@@ -58,6 +58,11 @@ def stop(
         return await ordered(word)
 
     run(command)
+
+
+def _somebody_there() -> bool:
+    """Whether there is a person to ask; a script has to say the word itself."""
+    return sys.stdin.isatty()
 
 
 def _asked() -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from skygcs.cli import emergency
 from skygcs.cli.control import app
 from skygcs.core.vehicle.events import Event
 from skygcs.rpc.client import EVENT_KINDS
@@ -97,6 +98,27 @@ def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert (raw["command"], raw["params"], raw["int_frame"]) == ("DO_SET_SERVO", [1, -5.5, None], None)
     raw = fleet.order("command", "alpha", "192", "--frame", "6", "--x", "-437806000", "--y", "5", "--z", "10")[1]
     assert (raw["command"], raw["int_frame"], raw["x"], raw["y"], raw["z"]) == (192, 6, -437806000, 5, 10)
+
+
+def test_the_origin_is_shown_set_taken_and_told(fleet: Fleet) -> None:
+    asked = fleet.daemon.fleet.origin_asked
+    assert "no origin" in fleet.run("origin")
+    assert fleet.json("origin", "get") == {"origin": None, "generation": 0}
+    line = fleet.run("origin", "set", "-43.5", "-79.25", "-1.5", "--heading", "30")
+    assert "-43.5000000, -79.2500000, -1.50 m above sea level; x to 30.0°, y to 300.0° (frame 1)" in line
+    assert fleet.json("origin", "set", "-43.5", "-79.25", "180")["origin"]["x_heading_deg"] == 30.0
+    assert "x east, y north" in fleet.run("origin", "set", "-43.5", "-79.25", "180", "--heading", "90", "--force")
+    assert asked == [("set", False), ("set", False), ("set", True)]
+    assert fleet.json("origin", "from", "bravo", "--heading")["origin"]["alt_amsl_m"] == 102.0
+    assert asked[-1] == ("from", "bravo", True, False)
+    assert fleet.run("origin", "push", "1,2", "--home").split()[:2] == ["ok", "alpha"]
+    assert asked[-1] == ("push", True, False)
+    assert "zero coordinate" in fleet.run("origin", "set", "0", "0", "0", code=FAILED)
+    fleet.run("origin", "set", "91", "0", "0", code=USAGE)
+    fleet.run("origin", "set", "nan", "1", "0", code=USAGE)
+    fleet.run("origin", "from", "nobody", code=FAILED)
+    fleet.daemon.vehicle("bravo").outcome = FakeOutcome(False, "denied", "denied: ArduPilot has an origin already")
+    assert "ArduPilot has an origin already" in fleet.run("origin", "push", "all", code=FAILED)
 
 
 def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Fleet) -> None:
@@ -328,6 +350,31 @@ def test_every_command_is_in_the_reference() -> None:
     page = (Path(__file__).parents[3] / "docs" / "reference" / "cli.md").read_text(encoding="utf-8")
     names = [command.name or command.callback.__name__ for command in app.registered_commands if command.callback]
     groups = [group.name for group in app.registered_groups if group.name]
-    assert len(names) > 15 and len(groups) == 3
+    assert len(names) > 15 and len(groups) >= 3
     for name in [*names, *groups]:
         assert f"`{name}" in page, name
+
+
+def test_a_stop_holds_unless_told_otherwise(fleet: Fleet) -> None:
+    assert fleet.order("stop", "all") == ("stop", {"action": "hold"})
+    assert fleet.order("stop", "alpha", "land") == ("stop", {"action": "land"})
+    fleet.run("stop", "alpha", "fall", code=USAGE)
+
+
+def test_a_script_kills_nothing_without_the_word_for_as_many_as_it_hits(fleet: Fleet) -> None:
+    for words in ([], ["--confirm", "kill-1"]):
+        said = fleet.run("stop", "all", "kill", *words, code=FAILED)
+        assert "alpha, bravo, carol" in said and "kill-3" in said
+    assert not any(v.orders for v in fleet.daemon.fleet.vehicles.values())
+    assert fleet.order("stop", "all", "kill", "--confirm", "kill-3") == ("stop", {"action": "kill"})
+
+
+@pytest.mark.parametrize(("typed", "code", "ordered"), [("kill-1\n", DONE, 1), ("no\n", FAILED, 0), ("\n", FAILED, 0)])
+def test_a_person_is_told_who_falls_and_types_the_word(
+    fleet: Fleet, monkeypatch: pytest.MonkeyPatch, typed: str, code: int, ordered: int
+) -> None:
+    monkeypatch.setattr(emergency, "_somebody_there", lambda: True)
+    result = CliRunner().invoke(app, ["--socket", str(fleet.socket), "stop", "alpha", "kill"], input=typed)
+    assert result.exit_code == code, result.output
+    assert "the motors of alpha" in result.output
+    assert len(fleet.daemon.vehicle("alpha").orders) == ordered

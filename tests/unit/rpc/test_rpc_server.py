@@ -117,6 +117,8 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
         ("land", {}, ("land", {})),
         ("rtl", {}, ("rtl", {})),
         ("hold", {}, ("hold", {})),
+        ("stop", {}, ("stop", {"action": "hold"})),
+        ("stop", {"action": "kill", "confirm": "kill-1"}, ("stop", {"action": "kill"})),
         ("goto", {"lat_deg": 43, "lon_deg": -79, "height_m": 5}, ("goto", place)),
         ("reboot", {"force": True}, ("reboot", {"force": True})),
         ("set_home", {}, ("set_home", {"lat_deg": None, "lon_deg": None, "alt_amsl_m": None, "force": False})),
@@ -138,6 +140,15 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
         assert answer["result"]["outcomes"]["alpha"]["ok"] is True, answer
         assert alpha.orders[-1] == expected
     assert bench.daemon.vehicle("bravo").orders == []
+
+
+async def test_a_kill_without_its_word_is_an_error_for_all_of_them(bench: Bench) -> None:
+    peer = await bench.connect()
+    error = (await peer.call("vehicles.stop", targets="all", action="kill"))["error"]
+    assert error["code"] == -32002
+    assert "alpha, bravo, carol" in error["message"] and "'kill-3'" in error["message"]
+    assert bench.daemon.vehicle("alpha").orders == []
+    assert (await peer.call("vehicles.stop", targets="all", action="fall"))["error"]["code"] == -32602
 
 
 async def test_each_vehicle_has_its_own_outcome(bench: Bench) -> None:
@@ -309,7 +320,7 @@ async def test_what_a_vanished_client_waits_for_is_cancelled(bench: Bench) -> No
     assert bench.server.stats()["sessions"] == 0
 
 
-LASTING = ("land", "rtl", "hold", "disarm")
+LASTING = ("land", "hold", "stop", "disarm")
 
 
 async def test_orders_that_end_a_flight_go_on_when_their_client_vanishes(bench: Bench) -> None:
