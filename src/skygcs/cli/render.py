@@ -29,6 +29,7 @@ STATUS_COLUMNS = (
     "mode",
     "armed",
     "alt",
+    "x, y, up",
     "battery",
     "gps",
     "link",
@@ -36,6 +37,9 @@ STATUS_COLUMNS = (
     "age",
     "last text",
 )
+WORLD_COLUMN = STATUS_COLUMNS.index("x, y, up")
+"""Metres along the axes of the fleet's world frame."""
+
 LINK_COLUMNS = (
     "link",
     "type",
@@ -52,7 +56,7 @@ LINK_COLUMNS = (
 )
 
 
-STATUS_LEAVES_OUT = ("last text", "loss", "link", "autopilot", "gps", "id")
+STATUS_LEAVES_OUT = ("last text", "loss", "link", "autopilot", "gps", "x, y, up", "id")
 LINKS_LEAVE_OUT = ("unknown", "noise", "role", "type", "bad crc")
 """What a narrow terminal does not show, first things first."""
 
@@ -80,6 +84,7 @@ def status_cells(state: State) -> tuple[str, ...]:
         state.get("mode") or "?",
         armed_word(state),
         _altitude(position, state.get("landed")),
+        _world(position.get("enu_m")),
         " ".join(filter(None, (_unit(battery.get("percent"), "%", 0), _unit(battery.get("volts"), "V", 1)))),
         " ".join(filter(None, (gps.get("fix"), _unit(gps.get("satellites"), "sat", 0)))),
         best or "",
@@ -111,13 +116,15 @@ def status_table(states: Iterable[State], fields: Sequence[str] = (), width: int
     states = list(states)
     columns = ("name", *fields) if fields else STATUS_COLUMNS
     rows = [(str(s["name"]), *(field_text(s, f) for f in fields)) if fields else status_cells(s) for s in states]
+    if not fields and not any(row[WORLD_COLUMN] for row in rows):  # the fleet has no origin: no column for it
+        columns = tuple("" if i == WORLD_COLUMN else column for i, column in enumerate(columns))
     shown = range(len(columns)) if fields else fitting(columns, rows, width, STATUS_LEAVES_OUT, ("last text",))
     if not fields and len(columns) - 1 in shown:  # the last text is cut to the room that is left, and never wrapped
         others = sum(max(len(columns[i]), *(len(row[i]) for row in rows), 0) + 2 for i in shown[:-1])
         rows = [(*row[:-1], _cut(row[-1], max(width - others, WRAPPING_COLUMNS))) for row in rows]
     table = Table(box=None, pad_edge=False, header_style="bold")
     for i in shown:
-        right = columns[i] in ("id", "alt", "loss", "age")
+        right = columns[i] in ("id", "alt", "x, y, up", "loss", "age")
         table.add_column(columns[i], justify="right" if right else "left", no_wrap=True)
     for state, row in zip(states, rows, strict=True):
         styles = [""] * len(row) if fields else _styles(state)
@@ -133,11 +140,11 @@ def _cut(text: str, columns: int) -> str:
 def fitting(
     columns: Sequence[str], rows: Sequence[Sequence[str]], width: int, leave_out: Sequence[str], wrapping: Sequence[str]
 ) -> list[int]:
-    """Indices of the columns that have room, two spaces between them."""
+    """Indices of the columns that have room, two spaces between them; one without name and cells has none."""
     wide = [max(len(column), *(len(row[i]) for row in rows), 0) for i, column in enumerate(columns)]
     wide = [min(w, WRAPPING_COLUMNS) if c in wrapping else w for w, c in zip(wide, columns, strict=True)]
-    shown = list(range(len(columns)))
-    for name in leave_out:
+    shown = [i for i, w in enumerate(wide) if w]
+    for name in (n for n in leave_out if n in columns):
         if sum(wide[i] + 2 for i in shown) - 2 <= width:
             break
         shown.remove(columns.index(name))
@@ -276,6 +283,10 @@ def percent(ratio: object) -> str:
 def _altitude(position: Mapping[str, Any], landed: object) -> str:
     altitude = _unit(position.get("alt_rel_m"), "m", 1)
     return f"{altitude} ground".strip() if landed == "on_ground" else altitude
+
+
+def _world(enu_m: Sequence[float] | None) -> str:
+    return "" if enu_m is None else ", ".join(_unit(value, "", 1).strip() for value in enu_m)
 
 
 def _styles(state: State) -> list[str]:

@@ -34,6 +34,13 @@ def test_the_status_table_tells_what_one_asks_first() -> None:
     assert "ARMED" in lines[2]
 
 
+def test_places_in_the_world_frame_have_a_column_once_there_is_one() -> None:
+    here = state(position={"alt_rel_m": 9.0, "enu_m": [12.34, -5.0, -0.04]})
+    assert "x, y, up" in text_of(render.status_table([state(), here]))
+    assert "12.3, -5.0, 0.0" in text_of(render.status_table([state(), here]))
+    assert "x, y, up" not in text_of(render.status_table([state(position={"alt_rel_m": 9.0, "enu_m": None})]))
+
+
 @pytest.mark.parametrize("width", [80, 100, 140, 200])
 def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) -> None:
     states = [state(), state(name="bravo", sysid=2, armed=True, duplicate_sysid=True, landed="in_air")]
