@@ -68,7 +68,7 @@ class GuardConfig:
     stale_s: float = 0.5
     """With a newest state older than this, in any single tick, neither attitude nor velocity."""
     position_stale_s: float = 2.0
-    """With one older than this nothing at all. Four states lost at 2 Hz, the slowest stream that is controlled by."""
+    """With one older than this nothing at all. At 2 Hz three in a row may be lost, at 1 Hz none."""
     battery_min_percent: float | None = 20.0
     """Below it hold; None: not watched."""
     return_after_s: float | None = None
