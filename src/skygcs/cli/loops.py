@@ -138,7 +138,7 @@ def record(
             typer.echo(json.dumps({"files": files}, indent=2))
             return Exit.DONE
         for name, file in files.items():
-            typer.echo(f"{name}: {file or 'no file'}")
+            typer.echo(f"{name}: {file or 'no file is being written'}")
         return Exit.DONE
 
     run(command)
@@ -186,7 +186,7 @@ def replay(
             )
         if count > len(mismatches):
             typer.echo(f"… and {count - len(mismatches):,} more cells")
-        verdict = f"{count:,} cells differ" if count else "all bit-identical"
+        verdict = f"{count:,} cell{'s differ' if count > 1 else ' differs'}" if count else "all bit-identical"
         typer.echo(f"{trace.head.vehicle}: {steps:,} steps, {verdict}" if steps else "nothing of ours to run again")
         return Exit.FAILED if count else Exit.DONE
 

@@ -1,0 +1,169 @@
+"""A fake daemon whose vehicles can be controlled: gains, setpoints, and places they fly to."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from typer.testing import CliRunner
+
+from skygcs.cli.control import app
+from skygcs.rpc.server import RpcServer
+from support.fake_daemon import NAMES, FakeDaemon, FakeFleet, FakeOutcome, FakeVehicle
+
+TAKEN = FakeOutcome(True, "accepted", "taken", attempts=0, elapsed_s=0.0)
+OFF: dict[str, Any] = {
+    "mode": None,
+    "way": None,
+    "state": "off",
+    "reasons": [],
+    "reference": None,
+    "error_enu_m": None,
+    "error_m": None,
+    **dict.fromkeys(("state_age_s", "delay_p95_s", "rtt_s", "rate_hz", "lateness_p99_s", "thrust"), None),
+    **dict.fromkeys(("roll_deg", "pitch_deg", "recording"), None),
+    **dict.fromkeys(("ticks", "late", "skipped"), 0),
+    "saturation": [],
+    "integral_enu": [0.0, 0.0, 0.0],
+}
+FLYING: dict[str, Any] = {
+    **OFF,
+    "mode": "attitude",
+    "way": "attitude",
+    "state": "flying",
+    "reference": {"pos_enu_m": [1.0, 2.0, 5.0], "vel_enu_mps": [0.0, 0.0, 0.0], "yaw_deg": 90.0},
+    "error_enu_m": [0.3, -0.4, -0.001],
+    "error_m": 0.5,
+    "state_age_s": 0.085,
+    "delay_p95_s": 0.0912,
+    "rtt_s": 0.012,
+    "rate_hz": 50.0,
+    "ticks": 12345,
+    "late": 2,
+    "skipped": 1,
+    "thrust": 0.46,
+    "roll_deg": 1.4,
+    "pitch_deg": -3.2,
+    "saturation": ["tilt"],
+}
+
+
+class ControlledVehicle(FakeVehicle):
+    """Flies a quarter of the way to its place between two looks; takes setpoints until ``refuses`` says why not."""
+
+    def __init__(self, sysid: int, name: str) -> None:
+        super().__init__(sysid, name, "px4", ())
+        self.position_m: list[float] | None = [10.0 * sysid, 0.0, 5.0]
+        self.goal_m: Sequence[float] | None = None
+        self.stuck = False
+        self.no_frame = False
+        self.control_told: dict[str, Any] = OFF
+        self.gains_told: dict[str, Any] = {
+            "xy": {"pos_p_per_s": 0.95, "vel_p": 0.08, "vel_i": 0.02, "vel_d": 0.0},
+            "z": {"pos_p_per_s": 1.0, "vel_p": 0.3, "vel_i": 0.02, "vel_d": 0.0},
+            "hover_thrust": 0.45,
+            "limits": {"thrust_min": 0.1, "thrust_max": 0.9},
+        }
+        self.setpoints: list[dict[str, Any]] = []
+        self.refuses: str | None = None
+        self.refuses_after: int | None = None
+        """Takes so many setpoints before."""
+
+    async def goto(self, **place: Any) -> FakeOutcome:
+        outcome = await self._order("goto", **place)
+        if outcome.ok and not self.stuck:
+            self.goal_m = place["enu_m"]
+        return outcome
+
+    async def control(self, *, mode: str) -> FakeOutcome:
+        return await self._order("control", mode=mode)
+
+    async def change_gains(self, *, changes: dict[str, Any], force: bool = False) -> FakeOutcome:
+        outcome = await self._order("change_gains", changes=changes, force=force)
+        if outcome.ok:
+            for key, value in changes.items():
+                new = {**self.gains_told[key], **value} if isinstance(value, dict) else value
+                self.gains_told = {**self.gains_told, key: new}
+        return outcome
+
+    def gains(self) -> dict[str, Any]:
+        return self.gains_told
+
+    def control_state(self, now: float) -> dict[str, Any]:
+        return self.control_told
+
+    def record_control(self, on: bool) -> str | None:
+        return f"/logs/{self.name}.csv" if on else None
+
+    def take(self, setpoint: dict[str, Any]) -> FakeOutcome:
+        refuses = self.refuses
+        if self.refuses_after is not None and len(self.setpoints) < self.refuses_after:
+            refuses = None
+        if refuses is not None:
+            return replace(TAKEN, ok=False, result="refused", message=refuses)
+        self.setpoints.append(setpoint)
+        return TAKEN
+
+    def state(self, now: float) -> dict[str, Any]:
+        state = super().state(now)
+        if self.goal_m is not None and self.position_m is not None:
+            self.position_m = [p + (g - p) / 4 for p, g in zip(self.position_m, self.goal_m, strict=True)]
+        enu_m = None if self.no_frame else self.position_m
+        state["position"] = None if self.position_m is None else {**state["position"], "enu_m": enu_m}
+        state["control"] = self.control_told
+        return state
+
+
+class ControlledFleet(FakeFleet):
+    def setpoint(self, targets: str | list[str], /, **setpoint: Any) -> dict[str, FakeOutcome]:
+        vehicles = [v for v in self.resolve(targets) if isinstance(v, ControlledVehicle)]
+        return {v.name: v.take({k: x for k, x in setpoint.items() if x is not None}) for v in vehicles}
+
+
+class Commanded:
+    """The daemon, served on a loop of its own thread, and the command line in this one."""
+
+    def __init__(self, folder: Path) -> None:
+        self.socket = folder / "s.sock"
+        self.daemon = FakeDaemon()
+        self.vehicles = {name: ControlledVehicle(i, name) for i, name in enumerate(NAMES, 1)}
+        self.daemon.fleet = ControlledFleet(list(self.vehicles.values()))
+        self.loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self.loop.run_forever)
+        self._thread.start()
+        self._server = RpcServer(self.daemon, self.socket)
+        self._do(self._server.start())
+
+    def _do(self, coroutine: Any) -> None:
+        asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(10)
+
+    def close(self) -> None:
+        self._do(self._server.close())
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self._thread.join()
+        self.loop.close()
+
+    def run(self, *args: str, code: int = 0) -> str:
+        """stdout and stderr of a command that must exit with ``code``."""
+        result = CliRunner().invoke(app, ["--socket", str(self.socket), *args])
+        assert result.exit_code == code, result.output + repr(result.exception)
+        assert "Traceback" not in result.output
+        return result.output
+
+    def json(self, *args: str, code: int = 0) -> Any:
+        return json.loads(self.run(*args, "--json", code=code))
+
+
+@contextmanager
+def commanded(folder: Path) -> Iterator[Commanded]:
+    fleet = Commanded(folder)
+    try:
+        yield fleet
+    finally:
+        fleet.close()
