@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.commands import Command, from_int, from_long
 from skygcs.core.sim.streams import NEVER
+from skygcs.core.sim.targets import is_position
 
 if TYPE_CHECKING:
     from skygcs.core.sim.vehicle import SimVehicle
@@ -24,6 +25,9 @@ PROGRESS_EVERY_S = 0.5
 
 PARAMS_PER_TICK = 2
 """100 a second: the rate of a list over USB; a telemetry port is slower."""
+
+ORIGIN_S = 0.1
+"""Until PX4's estimator has an origin it was told; its vehicle_command passes two modules."""
 
 MIN_INTERVAL_US = 20_000
 """A tick: faster streams are sent at this rate."""
@@ -247,6 +251,23 @@ def _timesync(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None
         v.tx.send("TIMESYNC", answer)
 
 
+def _set_origin(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    """PX4 takes it whenever it comes for its own id, and answers at once with what it has until its estimator has the
+    new one. ArduPilot takes it while it has none, and is silent otherwise."""
+    lat, lon = fields["latitude"] / 1e7, fields["longitude"] / 1e7
+    place = (*v.where.to_local(lat, lon), fields["altitude"] / 1000 - v.where.alt_amsl_m)
+
+    def take() -> None:
+        v.set_local_origin(*place)
+
+    if v.autopilot == m.MAV_AUTOPILOT_PX4:
+        v.send_message("GPS_GLOBAL_ORIGIN", now)
+        if fields["target_system"] == v.sysid and is_position(lat, lon):
+            v.later(now + ORIGIN_S, take)
+    elif v.home is None and v.local_zero is None and is_position(lat, lon):
+        take()
+
+
 def _data_stream(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
     rate_hz = float(fields["req_message_rate"]) if fields["start_stop"] else 0.0
     v.on_data_stream(int(fields["req_stream_id"]), rate_hz, now)
@@ -266,6 +287,7 @@ _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
     "MISSION_CLEAR_ALL": _mission_clear,
     "PING": _ping,
     "TIMESYNC": _timesync,
+    "SET_GPS_GLOBAL_ORIGIN": _set_origin,
     "REQUEST_DATA_STREAM": _data_stream,
     "SET_MODE": _set_mode,
 }

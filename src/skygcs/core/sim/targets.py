@@ -93,7 +93,8 @@ def _local_position(v: SimVehicle, fields: dict[str, Any], frame: int) -> tuple[
     if not (isfinite(x) and isfinite(y) and isfinite(z)):
         x = y = z = 0.0
     if frame == m.MAV_FRAME_LOCAL_NED:
-        return y, x, -z
+        zero = v.local_origin
+        return zero.east_m + y, zero.north_m + x, zero.up_m - z
     motion = v.believed
     if frame in BODY_FRAMES:
         x, y = _to_north_east(v, x, y)

@@ -131,12 +131,12 @@ def global_position_int(v: SimVehicle, now: float) -> Fields | None:
 def local_position_ned(v: SimVehicle, now: float) -> Fields | None:
     if v.home is None:
         return None
-    motion = v.told
+    motion, zero = v.told, v.local_origin
     return {
         "time_boot_ms": v.boot_ms,
-        "x": motion.north_m,
-        "y": motion.east_m,
-        "z": -motion.up_m,
+        "x": motion.north_m - zero.north_m,
+        "y": motion.east_m - zero.east_m,
+        "z": zero.up_m - motion.up_m,
         "vx": motion.vel_n_mps,
         "vy": motion.vel_e_mps,
         "vz": -motion.vel_u_mps,
@@ -218,13 +218,14 @@ def home_position(v: SimVehicle, now: float) -> Fields | None:
 
 
 def gps_global_origin(v: SimVehicle, now: float) -> Fields | None:
-    if v.home is None:
+    if v.home is None and v.local_zero is None:
         return None
-    where = v.where
+    zero = v.local_origin
+    lat, lon = v.where.to_geodetic(zero.east_m, zero.north_m)
     return {
-        "latitude": round(where.lat_deg * 1e7),
-        "longitude": round(where.lon_deg * 1e7),
-        "altitude": round(where.alt_amsl_m * 1000),
+        "latitude": round(lat * 1e7),
+        "longitude": round(lon * 1e7),
+        "altitude": round((v.where.alt_amsl_m + zero.up_m) * 1000),
         "time_usec": v.boot_ms * 1000,
     }
 

@@ -108,6 +108,7 @@ class SimVehicle(ABC):
         self._unix_offset_us = unix_us - now * 1e6
         self._clock = now
         self.home: Home | None = None
+        self.local_zero: Home | None = None
         self._boot(now)
 
     # -- what differs between the firmwares
@@ -265,6 +266,11 @@ class SimVehicle(ABC):
             return m.MAV_LANDED_STATE_LANDING
         return m.MAV_LANDED_STATE_TAKEOFF if self.taking_off else m.MAV_LANDED_STATE_IN_AIR
 
+    @property
+    def local_origin(self) -> Home:
+        """What its local frame is about: what a ground station told it, else where it was first powered."""
+        return self.local_zero or Home(0.0, 0.0, 0.0)
+
     def sysid_of_params(self) -> int:
         """What the parameter says; 1 if that is no system id."""
         sysid = int(self.params[self.sysid_param])
@@ -304,6 +310,11 @@ class SimVehicle(ABC):
         self.home = home
         self.send_soon("HOME_POSITION")
 
+    def set_local_origin(self, east_m: float, north_m: float, up_m: float) -> None:
+        """Its local frame is about this point of `where` from now on."""
+        self.local_zero = Home(east_m, north_m, up_m)
+        self.send_soon("GPS_GLOBAL_ORIGIN")
+
     def reboot(self, now: float) -> None:
         """Off at once, back after REBOOT_S; the parameters stay. In the air the motors stop and it falls."""
         self._flush()
@@ -333,6 +344,7 @@ class SimVehicle(ABC):
         self.landed_at = now
         self.flown_since_arming = False
         self.home = None
+        self.local_zero = None
         self.calibration: requests.Calibration | None = None
         self.param_queue: list[int] = []
         self.builders = telemetry.builders_of(self.autopilot)
