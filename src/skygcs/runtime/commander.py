@@ -185,6 +185,11 @@ class Commander:
         finally:
             line.waiting -= 1
         try:
+            ending = self._running.get(spec.command)
+            if ending is not None and ending.done.done():
+                await asyncio.sleep(
+                    0
+                )  # an emergency that was superseded just now leaves, and its acks are to be counted
             await self._quiet(line)
             if spec.command in self._running:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")

@@ -11,7 +11,17 @@ from skygcs.core.airtime import Priority
 from skygcs.core.vehicle import offboard
 from skygcs.errors import RefusedError
 from skygcs.runtime.vehicle_actor import VehicleActor
-from support.vehicles import ARDUPILOT, PX4, PX4_LAND, PX4_LOITER, Ground, ScriptedVehicle, Sent, accept_everything
+from support.vehicles import (
+    ARDUPILOT,
+    PX4,
+    PX4_LAND,
+    PX4_LOITER,
+    PX4_POSCTL,
+    Ground,
+    ScriptedVehicle,
+    Sent,
+    accept_everything,
+)
 
 pytestmark = pytest.mark.looptime
 
@@ -117,6 +127,19 @@ async def test_a_newer_order_takes_the_place_of_a_stop_to_land_but_not_of_a_kill
         vehicle.script = accept_everything
         assert (await kill).ok and not vehicle.armed
         await hold
+
+
+async def test_another_mode_takes_the_place_of_a_stop_that_nobody_heard_yet() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await flying(ground)
+        vehicle.script = deaf(1000)
+        stop = asyncio.create_task(actor.stop("hold"))
+        await asyncio.sleep(0.6)
+        vehicle.script = accept_everything
+        assert (await actor.set_mode("POSCTL")).ok
+        assert (await stop).result == "cancelled"
+        await asyncio.sleep(5)
+        assert vehicle.mode == PX4_POSCTL
 
 
 async def test_a_stop_takes_the_place_of_entering_control() -> None:
