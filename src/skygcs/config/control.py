@@ -11,7 +11,10 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from skygcs.core.control.config import LARGEST_GAIN, SEED_XY, SEED_Z, AxisGains, ControlConfig
+from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import GuardConfig
+from skygcs.core.geo import Origin
+from skygcs.errors import ConfigError
 
 Gain = Annotated[float, Field(ge=0, le=LARGEST_GAIN)]
 Seconds = Annotated[float, Field(gt=0, le=60)]
@@ -19,10 +22,6 @@ Span = Annotated[tuple[float, float], Field(description="[least, most] in metres
 
 SEED_HOVER_THRUST = 0.45
 """Of the seed's F450 (field-notes 2.3), for a vehicle that neither the file nor its own parameters tell of."""
-
-FENCE_M = (-50.0, 50.0)
-FENCE_UP_M = (0.0, 20.0)
-"""The seed's outdoor fence (field-notes 2.3)."""
 
 
 class Model(BaseModel):
@@ -44,6 +43,8 @@ class FenceSettings(Model):
     x_m: Span | None = None
     y_m: Span | None = None
     up_m: Span | None = None
+    margin_m: Annotated[float, Field(ge=0, le=100)] | None = None
+    """References are refused this near to the fence already: 2."""
 
     @model_validator(mode="after")
     def _rise(self) -> FenceSettings:
@@ -64,7 +65,7 @@ class ControlSettings(Model):
     position_hz: Annotated[float, Field(ge=3, le=50)] | None = None
     """Position setpoints per second: 5."""
     rate_min_hz: Annotated[float, Field(ge=2, le=50)] | None = None
-    """Attitude is not flown with fewer setpoints per second than this: 10."""
+    """Attitude is not flown with fewer setpoints per second than this: 20. Half a period is delay, too."""
     xy: GainSettings | None = None
     z: GainSettings | None = None
     hover_thrust: Annotated[float, Field(gt=0, lt=1)] | None = None
@@ -122,18 +123,23 @@ class ControlSettings(Model):
         told = {key: value for key in (*keys, "return_after_s") if (value := getattr(self, key)) is not None}
         return GuardConfig(**told)
 
-    def fence_m(self) -> tuple[tuple[float, float], tuple[float, float], tuple[float, float]]:
-        """x, y and up of the fence."""
+    def fence_at(self, origin: Origin) -> Fence:
+        """The box, standing on earth about this origin. Raises ConfigError."""
         fence = self.fence or FenceSettings()
-        return fence.x_m or FENCE_M, fence.y_m or FENCE_M, fence.up_m or FENCE_UP_M
+        told = {key: value for key in FenceSettings.model_fields if (value := getattr(fence, key)) is not None}
+        return Fence(origin, **told)
 
     @model_validator(mode="after")
-    def _law_is_possible(self) -> ControlSettings:
-        """What can be told to be wrong from this table alone is told here, with the table's place."""
-        thrusts = (self.thrust_min, self.hover_thrust, self.thrust_max)
-        known = [t for t in thrusts if t is not None]
-        if known != sorted(set(known)):
+    def _possible(self) -> ControlSettings:
+        """What is impossible beside the defaults is told here, with the table's place."""
+        thrusts = [t for t in (self.thrust_min, self.hover_thrust, self.thrust_max) if t is not None]
+        if thrusts != sorted(set(thrusts)):
             raise ValueError("thrust_min, hover_thrust and thrust_max must rise in this order")
+        try:
+            self.guard()
+            self.fence_at(Origin(0.0, 0.0, 0.0))
+        except ConfigError as error:
+            raise ValueError("; ".join(error.problems)) from None
         return self
 
 

@@ -57,7 +57,7 @@ class DaemonConfig(Model):
     goto_limit_m: Annotated[float, Field(gt=0)] = 1000.0
     """A goto farther than this from the vehicle is refused."""
     operator_timeout_s: Annotated[float, Field(ge=2, le=3600)] | None = None
-    """When no ground station's heartbeat and no client's request has come for so long, vehicles flown by setpoints ..."""
+    """When for so long no ground station's heartbeat and no client's request came, vehicles flown by setpoints ..."""
     operator_lost: Literal["hold", "land", "rtl"] = "hold"
     """... are told this. Never unless a time is set."""
     bad_crc: Literal["drop", "pass"] = "drop"

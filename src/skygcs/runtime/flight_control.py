@@ -14,6 +14,7 @@ from typing import Any
 
 from skygcs.config.control import ControlSettings
 from skygcs.core.airtime import Priority
+from skygcs.core.control.analysis import why_not_delay
 from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import Way
 from skygcs.core.control.trace import TraceHead
@@ -184,8 +185,6 @@ class FlightControl:
             )
         except ConfigError as error:
             return _refused(str(error))
-        from skygcs.core.control.analysis import why_not_delay  # brings numpy
-
         if not force and (why := why_not_delay(new, self.pilot.config.guard.attitude_delay_s)) is not None:
             return _refused(f"{why}; insist with force (--force)")
         self.pilot.change_law(new)
@@ -274,7 +273,7 @@ class FlightControl:
         self.refresh_budget()
         origin = self._vehicle.origin
         assert origin is not None
-        self._fence = Fence(origin, *self._settings.fence_m())
+        self._fence = self._settings.fence_at(origin)
         self.pilot.engage(way, self._fence)
         self.clock.start()
         if self._recording:
@@ -369,7 +368,7 @@ class FlightControl:
         position = self._vehicle.section("position")
         if origin is None or position is None or position["lat_deg"] is None:
             return None
-        fence = Fence(origin, *self._settings.fence_m())
+        fence = self._settings.fence_at(origin)
         return fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
 
     def _outside(self, place: Place) -> str | None:

@@ -3,8 +3,8 @@
     state      what is sent                               what ends it
     --------   ----------------------------------------   ------------------------------------------------------------
     off        nothing                                    `engage` -> engaging
-    engaging   setpoints "stay where you are" of the      `entered` (the autopilot obeys) -> flying; `release` -> off
-               wanted way, for the autopilot's entry
+    engaging   setpoints "stay where you are", for the    `entered` (the autopilot obeys) -> flying; `release` -> off
+               autopilot's entry
     flying     setpoints of the way the guard allows      guard: hold -> held; guard: release, `release` -> off
     held       nothing: hold was ordered once             `engage` -> engaging; `release` -> off
 
@@ -73,7 +73,7 @@ class PilotConfig:
     attitude_hz: float = 50.0
     velocity_hz: float = 10.0
     position_hz: float = 5.0
-    rate_min_hz: float = 10.0
+    rate_min_hz: float = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +280,7 @@ class Pilot:
             ended = self.release("; ".join(verdict.reasons))
             return Tick(events=(*events, *ended.events))
         if self.state is PilotState.ENGAGING:
-            return self._send(self.wanted, estimate, dt_s, following=False)
+            return self._send(verdict.way or Way.POSITION, estimate, dt_s, following=False)
         if verdict.changed:
             events += self._on_change(verdict)
         if verdict.action == "hold" or verdict.way is None:
