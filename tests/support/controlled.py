@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from click.testing import Result
 from typer.testing import CliRunner
 
 from skygcs.cli.control import app
@@ -151,13 +152,16 @@ class Commanded:
 
     def run(self, *args: str, code: int = 0) -> str:
         """stdout and stderr of a command that must exit with ``code``."""
+        return self._invoke(args, code).output
+
+    def json(self, *args: str, code: int = 0) -> Any:
+        return json.loads(self._invoke((*args, "--json"), code).stdout)
+
+    def _invoke(self, args: Sequence[str], code: int) -> Result:
         result = CliRunner().invoke(app, ["--socket", str(self.socket), *args])
         assert result.exit_code == code, result.output + repr(result.exception)
         assert "Traceback" not in result.output
-        return result.output
-
-    def json(self, *args: str, code: int = 0) -> Any:
-        return json.loads(self.run(*args, "--json", code=code))
+        return result
 
 
 @contextmanager

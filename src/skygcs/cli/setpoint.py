@@ -132,7 +132,7 @@ def _tell_end(tally: Any, elapsed_s: float, valid_s: float, json_output: bool) -
         return
     further = ((tally.skipped, "skipped for newer ones"), (tally.wrong_lines, "wrong lines"))
     counts = "".join(f", {count:,} {what}" for count, what in further if count)
-    typer.echo(f"{tally.sent:,} setpoints in {elapsed_s:.1f} s{counts}")
+    typer.echo(f"{tally.sent:,} setpoint{'s' if tally.sent != 1 else ''} in {elapsed_s:.1f} s{counts}")
     if took:
         stay = "stays where it is" if len(took) == 1 else "stay where they are"
         typer.echo(f"{', '.join(took)} {stay} from {valid_s:g} s after the last one on, still under control")

@@ -77,10 +77,10 @@ class LineReader:
             return _from_json(line)
         cells = [cell.strip() for cell in line.split(",")]
         first, self._began = not self._began, True
-        if first and any(cell in COLUMNS for cell in cells):
+        if first and any(cell in COLUMNS for cell in cells) and not any(_is_text_of_number(cell) for cell in cells):
             self._columns = _header(cells)
             return None
-        return _from_cells(cells, self._columns)
+        return _from_cells(line, cells, self._columns)
 
 
 def _from_json(line: str) -> tuple[str | None, dict[str, Any]]:
@@ -117,10 +117,10 @@ def _header(cells: list[str]) -> tuple[str, ...]:
     return tuple(cells)
 
 
-def _from_cells(cells: list[str], columns: tuple[str, ...] | None) -> tuple[str | None, dict[str, Any]]:
+def _from_cells(line: str, cells: list[str], columns: tuple[str, ...] | None) -> tuple[str | None, dict[str, Any]]:
     if columns is None:
         if len(cells) not in (3, 4):
-            raise LineError(f"{len(cells)} numbers; without a header a row is x,y,z or x,y,z,yaw_deg")
+            raise LineError(f"{line[:40]!r} is neither JSON nor a row x,y,z or x,y,z,yaw_deg")
         columns = DEFAULT_COLUMNS[: len(cells)]
     if len(cells) != len(columns):
         raise LineError(f"{len(cells)} cells; the header has {len(columns)}")
@@ -164,3 +164,11 @@ def _number(column: str, cell: str) -> float:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_text_of_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

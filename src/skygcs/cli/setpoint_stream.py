@@ -67,16 +67,18 @@ class Sender:
         answer = await self._gcs.call("control.setpoint", targets=targets, **setpoint, valid_s=self._valid_s)
         self.tally.sent += 1
         outcomes: dict[str, dict[str, Any]] = answer["outcomes"]
+        news: dict[str, list[str]] = {}
         for name, outcome in outcomes.items():
             before = self.tally.outcomes.get(name)
             self.tally.outcomes[name] = outcome
-            if outcome["ok"]:
-                if before is not None and not before["ok"]:
-                    self.tell(f"{name} takes setpoints again")
-            else:
+            if not outcome["ok"]:
                 self.tally.refused.setdefault(name, outcome["message"])
                 if before is None or before["ok"] or before["message"] != outcome["message"]:
-                    self.tell(f"{name}: {outcome['message']}")
+                    news.setdefault(outcome["message"], []).append(name)
+            elif before is not None and not before["ok"]:
+                self.tell(f"{name} takes setpoints again")
+        for message, names in news.items():
+            self.tell(f"{', '.join(names)}: {message}")
         return any(outcome["ok"] for outcome in outcomes.values())
 
 

@@ -1,0 +1,242 @@
+"""`skygcs-cli setpoint`: streams at a rate, forwards lines, and says what vehicles do afterwards."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.cli.setpoint_stream import MOST_REFUSED, MOST_WAITING, Inbox, Sender, Tally, bytes_of, forward, repeat
+from skygcs.errors import RpcError
+from support.controlled import Commanded, commanded
+
+DONE, FAILED, USAGE = 0, 1, 2
+OK = {"ok": True, "message": "followed"}
+
+
+@pytest.fixture
+def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
+    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
+    with commanded(tmp_path) as fleet:
+        yield fleet
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def test_one_setpoint_is_streamed_and_its_end_told(fleet: Commanded) -> None:
+    text = fleet.run("setpoint", "alpha", "--pos", "1", "-2", "5", "--yaw", "90", "--for", "0.2", "--rate", "50")
+    assert fleet.vehicles["alpha"].setpoints[0] == {"pos_enu_m": [1.0, -2.0, 5.0], "yaw_deg": 90.0, "valid_s": 0.5}
+    assert "setpoints in 0." in text
+    assert "alpha stays where it is from 0.5 s after the last one on" in text
+
+
+def test_axes_may_be_left_to_a_velocity(fleet: Commanded) -> None:
+    fleet.run("setpoint", "alpha", "--vel", "-1", "0", "-", "--pos", "-", "-", "10", "--for", "0", "--valid", "1")
+    assert fleet.vehicles["alpha"].setpoints == [
+        {"pos_enu_m": [None, None, 10.0], "vel_enu_mps": [-1.0, 0.0, None], "valid_s": 1.0}
+    ]
+
+
+def test_a_slow_rate_makes_each_setpoint_good_until_the_next(fleet: Commanded) -> None:
+    fleet.run("setpoint", "alpha", "--vel", "1", "0", "0", "--for", "0", "--rate", "1")
+    assert fleet.vehicles["alpha"].setpoints[0]["valid_s"] == 2.5
+    fleet.run("setpoint", "alpha", "--vel", "1", "0", "0", "--rate", "1", "--valid", "0.5", code=USAGE)
+
+
+def test_a_vehicle_that_takes_none_ends_it_with_its_reason(fleet: Commanded) -> None:
+    fleet.vehicles["alpha"].refuses = "refused: control is off"
+    text = fleet.run("setpoint", "alpha", "--vel", "1", "0", "0", code=FAILED)
+    assert "alpha: refused: control is off" in text and "stays" not in text
+    fleet.vehicles["bravo"].refuses = "refused: control is off"
+    answer = fleet.json("setpoint", "1-3", "--vel", "1", "0", "0", "--for", "0.1", code=FAILED)
+    assert [o["ok"] for o in answer["outcomes"].values()] == [False, False, True]
+
+
+def test_what_all_refuse_for_one_reason_is_told_once(fleet: Commanded) -> None:
+    for vehicle in fleet.vehicles.values():
+        vehicle.refuses = "refused: control is off"
+    text = fleet.run("setpoint", "all", "--vel", "1", "0", "0", code=FAILED)
+    assert text.count("control is off") == 1 and "alpha, bravo, carol: refused" in text
+
+
+@pytest.mark.parametrize(
+    ("args", "word"),
+    [
+        ((), "--pos X Y Z, --vel X Y Z, or --stdin"),
+        (("--pos", "1", "2", "x"), "--pos"),
+        (("--pos", "1", "2", "inf"), "--pos"),
+        (("--pos", "1", "2", "-"), "z has neither"),
+        (("--pos", "1", "-", "3"), "x or y alone"),
+        (("--pos", "1", "2", "3", "--rate", "0"), "--rate"),
+        (("--pos", "1", "2", "3", "--rate", "1000"), "--rate"),
+        (("--pos", "1", "2", "3", "--for", "-1"), "--for"),
+        (("--pos", "1", "2", "3", "--valid", "60"), "--valid"),
+        (("--pos", "1", "2", "3", "--yaw", "nan"), "--yaw"),
+        (("--stdin", "--for", "3"), "--stdin brings the setpoints"),
+    ],
+)
+def test_a_wrong_option_is_a_usage_error_that_names_it(fleet: Commanded, args: tuple[str, ...], word: str) -> None:
+    assert word in fleet.run("setpoint", "alpha", *args, code=USAGE)
+    assert not fleet.vehicles["alpha"].setpoints
+
+
+# --- the stream, in virtual time -------------------------------------------------------------------------------------
+
+
+class FakeClient:
+    """Answers after ``delay_s`` with what ``outcome`` says."""
+
+    def __init__(self, delay_s: float = 0.0) -> None:
+        self.delay_s = delay_s
+        self.sent: list[tuple[float, str, dict[str, Any]]] = []
+        self.outcome: dict[str, Any] | Exception = OK
+
+    async def call(self, method: str, *, targets: str, valid_s: float, **setpoint: Any) -> Any:
+        assert method == "control.setpoint"
+        self.sent.append((round(asyncio.get_running_loop().time(), 6), targets, setpoint))
+        await asyncio.sleep(self.delay_s)
+        if isinstance(self.outcome, Exception):
+            raise self.outcome
+        return {"outcomes": {targets: self.outcome}}
+
+
+def sender_of(client: FakeClient) -> tuple[Sender, list[str]]:
+    told: list[str] = []
+    return Sender(client, 0.5, told.append), told  # type: ignore[arg-type]
+
+
+@pytest.mark.looptime(start=0)
+async def test_the_rate_is_kept_on_absolute_times() -> None:
+    client = FakeClient(delay_s=0.03)
+    sender, _ = sender_of(client)
+    await repeat(sender, "alpha", {"vel_enu_mps": [1, 0, 0]}, 10.0, 0.5)
+    assert [at for at, _, _ in client.sent] == [0.0, 0.1, 0.2, 0.3, 0.4]
+    assert sender.tally.skipped == 0 and sender.tally.ok
+
+
+@pytest.mark.looptime(start=0)
+async def test_a_daemon_that_is_slower_than_the_rate_gets_fewer_and_fresh_ones() -> None:
+    client = FakeClient(delay_s=0.25)
+    sender, _ = sender_of(client)
+    await repeat(sender, "alpha", {"vel_enu_mps": [1, 0, 0]}, 10.0, 1.0)
+    assert [at for at, _, _ in client.sent] == [0.0, 0.3, 0.6, 0.9]
+    assert sender.tally.sent + sender.tally.skipped >= 10
+
+
+async def lines_at(*timed: tuple[float, str]) -> AsyncIterator[bytes]:
+    for after_s, text in timed:
+        await asyncio.sleep(after_s)
+        yield text.encode()
+
+
+@pytest.mark.looptime(start=0)
+async def test_lines_are_sent_as_they_come_the_newest_of_each_vehicle() -> None:
+    client = FakeClient(delay_s=0.1)
+    sender, told = sender_of(client)
+    burst = '1,1,1\n2,2,2\n{"vehicle":"bravo","pos":[7,7,7]}\n3,3,3\n'
+    await forward(sender, "alpha", lines_at((0.5, "0,0,0\n"), (0.05, burst), (1.0, "4,4,4")), None)
+    assert [(at, name, s["pos_enu_m"][0]) for at, name, s in client.sent] == [
+        (0.5, "alpha", 0.0),
+        (0.6, "alpha", 3.0),
+        (0.7, "bravo", 7.0),
+        (1.55, "alpha", 4.0),
+    ]
+    assert (sender.tally.sent, sender.tally.skipped, told) == (4, 2, [])
+
+
+@pytest.mark.looptime(start=0)
+async def test_with_a_rate_every_line_is_flown_one_after_the_other() -> None:
+    client = FakeClient()
+    sender, _ = sender_of(client)
+    text = "".join(f"{i},0,5\n" for i in range(600))
+    await forward(sender, "alpha", lines_at((0.0, text), (0.0, "600,0,5\n")), 10.0)
+    assert [s["pos_enu_m"][0] for _, _, s in client.sent] == [float(i) for i in range(601)]
+    assert client.sent[-1][0] == pytest.approx(60.0) and sender.tally.skipped == 0
+
+
+@pytest.mark.looptime(start=0)
+async def test_wrong_lines_are_told_by_number_and_do_not_end_it() -> None:
+    client = FakeClient()
+    sender, told = sender_of(client)
+    await forward(sender, "alpha", lines_at((0.0, "1,2,3\nnonsense\n" + "x" * 5000 + "\n"), (0.1, "4,5,6\n")), None)
+    assert [s["pos_enu_m"][0] for _, _, s in client.sent] == [1.0, 4.0]
+    assert [line.split(":")[0] for line in told] == ["line 2", "line 3"]
+    assert sender.tally.wrong_lines == 2 and not sender.tally.ok
+
+
+@pytest.mark.looptime(start=0)
+async def test_a_program_that_writes_nonsense_is_not_told_for_ever() -> None:
+    sender, told = sender_of(FakeClient())
+    await forward(sender, "alpha", lines_at((0.0, "nonsense\n" * 1000)), None)
+    assert len(told) == 11 and sender.tally.wrong_lines == 1000
+
+
+@pytest.mark.looptime(start=0)
+async def test_what_the_daemon_finds_wrong_in_a_line_is_told_with_its_number() -> None:
+    client = FakeClient()
+    client.outcome = RpcError(-32602, "yaw_deg: should be at most 360")
+    sender, told = sender_of(client)
+    await forward(sender, "alpha", lines_at((0.0, "\n1,2,3,999\n")), None)
+    assert told == ["line 2: yaw_deg: should be at most 360"]
+    client.outcome = RpcError(-32603, "a fault")
+    with pytest.raises(RpcError, match="a fault"):
+        await forward(sender, "alpha", lines_at((0.0, "1,2,3\n"), (99.0, "never read\n")), None)
+
+
+@pytest.mark.looptime(start=0)
+async def test_a_vehicle_may_be_taken_under_control_while_its_program_runs_already() -> None:
+    client = FakeClient()
+    client.outcome = {"ok": False, "message": "refused: control is off"}
+    sender, told = sender_of(client)
+    steps = [(0.1, f"{i},0,5\n") for i in range(MOST_REFUSED - 1)]
+
+    async def lines() -> AsyncIterator[bytes]:
+        async for line in lines_at(*steps):
+            yield line
+        client.outcome = OK
+        yield b"1,1,1\n"
+
+    await forward(sender, "alpha", lines(), None)
+    assert told == ["alpha: refused: control is off", "alpha takes setpoints again"]
+
+
+@pytest.mark.looptime(start=0)
+async def test_a_vehicle_that_keeps_refusing_ends_it() -> None:
+    client = FakeClient()
+    client.outcome = {"ok": False, "message": "refused: control is off"}
+    sender, told = sender_of(client)
+    await forward(sender, "alpha", lines_at(*[(0.1, "1,2,3\n")] * 1000), None)
+    assert len(client.sent) == MOST_REFUSED and "no more are sent" in told[-1]
+
+
+def test_of_more_vehicles_than_there_can_be_the_oldest_go() -> None:
+    tally = Tally()
+    inbox = Inbox("alpha", tally, lambda _: None, newest_only=True)
+    for i in range(MOST_WAITING + 5):
+        inbox.feed(f'{{"vehicle": "v{i}", "pos": [1, 2, 3]}}\n'.encode())
+    assert tally.skipped == 5
+
+
+async def test_a_pipe_is_read_as_it_is_written_and_to_its_end() -> None:
+    there, here = os.pipe()
+    os.write(here, b"1,2,3\n")
+    source = bytes_of(there)
+    assert await anext(source) == b"1,2,3\n"
+    os.write(here, b"4,5,6\n")
+    assert await anext(source) == b"4,5,6\n"
+    os.close(here)
+    assert [data async for data in source] == []
+    os.close(there)
+
+
+async def test_a_descriptor_that_cannot_be_read_is_an_error() -> None:
+    _, here = os.pipe()
+    os.close(_)
+    with pytest.raises(OSError):
+        await anext(bytes_of(here))
+    os.close(here)
