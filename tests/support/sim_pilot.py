@@ -51,7 +51,7 @@ class Pilot:
         self._fleet = SimFleet(self.vehicles)
         self._parser = mav.MAVLink(None)
         self._packer = mav.MAVLink(None, sysid, compid)
-        self._uplink = FrameParser(sim_dialect())
+        self.uplink = FrameParser(sim_dialect())
 
     def run(self, seconds: float, step_s: float = 0.1) -> list[Any]:
         """Let time pass; what was heard meanwhile."""
@@ -72,7 +72,7 @@ class Pilot:
     def send(self, message: Any) -> list[Any]:
         """Send a message; what was answered at once."""
         before = len(self.heard)
-        for frame in self._uplink.feed(message.pack(self._packer)):
+        for frame in self.uplink.feed(message.pack(self._packer)):
             self._fleet.on_frame(frame, self.now)
         self.collect()
         return self.heard[before:]

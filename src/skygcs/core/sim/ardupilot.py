@@ -12,9 +12,8 @@ from math import isfinite, radians
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.sim import copter_failsafe, copter_guided
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim.attitude_targets import Refusal, copter_attitude
-from skygcs.core.sim.body import AttitudeSetpoint
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.commands import Command
 from skygcs.core.sim.conditions import CALM, Conditions
@@ -26,18 +25,15 @@ from skygcs.core.sim.copter_setup import (
     CopterMode,
     copter_params,
 )
-from skygcs.core.sim.kinematics import Limits, LocalFrame, Setpoint
+from skygcs.core.sim.kinematics import Limits, LocalFrame
 from skygcs.core.sim.params import Params
-from skygcs.core.sim.plan import Follow, GoTo, Land, Leg, Wait
+from skygcs.core.sim.plan import Descend, GoTo, Land, Leg, Wait
 from skygcs.core.sim.requests import common_command
-from skygcs.core.sim.targets import is_altitude, is_position, setpoint_of, up_of
+from skygcs.core.sim.targets import is_altitude, is_position, up_of
 from skygcs.core.sim.vehicle import Home, SimVehicle
 
 FORCE = 21196
 """Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
-
-THRUST_AS_THRUST = 8
-"""GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET.thrust is thrust; without it, a climb rate."""
 
 PREARM_EVERY_S = 30.0
 """Failing pre-arm checks are told this often."""
@@ -59,7 +55,6 @@ class CopterVehicle(SimVehicle):
     unknown_message_result = m.MAV_RESULT_FAILED
     armed_reboot_result = m.MAV_RESULT_FAILED
     named_param_index = 65535
-    low_battery_percent = 20.0
     attitude_timeout_s: float | None = 1.0
     """GUIDED_ATTITUDE_TIMEOUT_MS of ArduCopter up to 4.0. None: GUID_TIMEOUT (3 s), as from 4.1 on."""
 
@@ -88,6 +83,10 @@ class CopterVehicle(SimVehicle):
         )
 
     # -- what it says of itself
+
+    @property
+    def low_battery_percent(self) -> float:
+        return 100 * self.params["BATT_LOW_MAH"] / self.battery.capacity_mah
 
     @property
     def base_mode(self) -> int:
@@ -147,8 +146,8 @@ class CopterVehicle(SimVehicle):
         self.mode: int = CopterMode.STABILIZE
         self.failsafe = False
         self._speed_mps = 0.0
-        self._target_at = now
-        self._velocity_target = False
+        self.target_at = now
+        self.velocity_target = False
         self._prearm_at = now + 3.0
         for stream, (param, _) in STREAM_GROUPS.items():
             self._set_group(stream, self.params[param], now)
@@ -169,19 +168,21 @@ class CopterVehicle(SimVehicle):
             self._tell_prearm()
         if self.taking_off and self.plan.arrived:
             self.taking_off = False
-        self._watch_targets(now)
+        copter_guided.watch(self, now)
+        copter_failsafe.watch(self, now)
         delay = self.params["DISARM_DELAY"]
         if self.armed and self.landed and not self.taking_off and delay > 0:
             since = max(self.armed_at, self.landed_at)
             if now - since >= delay:
-                self._disarm()
+                self.switch_off()
 
     def _tell_prearm(self) -> None:
         refusal = self.arming_refusal()
         if refusal is not None:
             self.tx.say(m.MAV_SEVERITY_CRITICAL, f"PreArm: {refusal}")
 
-    def _disarm(self) -> None:
+    def switch_off(self) -> None:
+        """Disarm and say so."""
         self.disarm()
         self.failsafe = False
         self.tx.say(m.MAV_SEVERITY_INFO, "Disarming motors")
@@ -191,17 +192,11 @@ class CopterVehicle(SimVehicle):
 
     def on_landed(self, now: float) -> None:
         if self.mode in (CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL) and self.armed:
-            self._disarm()
+            self.switch_off()
 
-    def on_position_lost(self, now: float) -> None:
-        if self.mode in NEEDS_POSITION:
-            self.tx.say(m.MAV_SEVERITY_CRITICAL, "EKF Failsafe: changed to LAND Mode")
-            self._enter(CopterMode.LAND)
-            self.failsafe = True
-
-    def on_low_battery(self) -> None:
-        volts, used = self.battery.volts, self.battery.used_mah
-        self.tx.say(m.MAV_SEVERITY_WARNING, f"Battery 1 is low {volts:.1f}V used {used:.0f} mAh")
+    def on_gcs_heartbeat(self, sender: tuple[int, int], now: float) -> None:
+        if sender[0] == int(self.params["SYSID_MYGCS"]):
+            self.failsafes.gcs_heard_at = now
 
     # -- modes
 
@@ -211,7 +206,7 @@ class CopterVehicle(SimVehicle):
             self.tx.say(m.MAV_SEVERITY_WARNING, f"No such mode {number}")
             return False
         mode = CopterMode(number)
-        reason = ""
+        reason = self.faults.refuse_mode
         if self.armed and mode != self.mode:
             if mode == CopterMode.AUTO:
                 reason = "no mission"
@@ -220,20 +215,22 @@ class CopterVehicle(SimVehicle):
         if reason:
             self.tx.say(m.MAV_SEVERITY_WARNING, f"Mode change to {mode.name} failed: {reason}")
             return False
-        self._enter(mode)
+        self.enter(mode)
         return True
 
-    def _enter(self, mode: CopterMode) -> None:
+    def enter(self, mode: CopterMode) -> None:
+        """Be in this mode and begin what it does."""
         if mode == self.mode:
             return
         self.mode = mode
         self.failsafe = False
         self.taking_off = False
-        self._velocity_target = False
+        self.velocity_target = False
         self.send_soon("HEARTBEAT")  # a mode change is told at once
         motion = self.believed
         if mode == CopterMode.LAND:
-            self.plan.fly(Land(motion.east_m, motion.north_m, self.params["LAND_SPEED"] / 100))
+            speed = self.params["LAND_SPEED"] / 100
+            self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
         elif mode in (CopterMode.RTL, CopterMode.SMART_RTL) and not self.landed and self.home is not None:
             home, p = self.home, self.params
             up = max(motion.up_m, home.up_m + p["RTL_ALT"] / 100)
@@ -252,52 +249,7 @@ class CopterVehicle(SimVehicle):
         self._try_mode(custom_mode)  # SET_MODE is not acknowledged
 
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
-        if self.mode != CopterMode.GUIDED or self.taking_off:
-            return  # nothing interrupts a take-off
-        setpoint: Setpoint | AttitudeSetpoint | None
-        if name == "SET_ATTITUDE_TARGET":
-            target = self._attitude_target(fields)
-            if target is Refusal.STOP or target is Refusal.NOTHING:
-                self._velocity_target = False
-                self.hold_here()
-                return
-            setpoint = target
-            lifts = target is not None and (target.thrust or target.climb_mps) > 0.0
-        else:
-            setpoint = setpoint_of(self, name, fields, any_bit=True)
-            lifts = False  # from the ground only NAV_TAKEOFF or an attitude with a climb lifts it
-        if setpoint is None or (self.landed and not lifts):
-            return
-        self._target_at = now
-        self._velocity_target = isinstance(setpoint, Setpoint) and setpoint.pos_enu_m[0] is None
-        self.plan.fly(Follow(setpoint))
-
-    def _attitude_target(self, fields: dict[str, Any]) -> AttitudeSetpoint | Refusal | None:
-        p = self.params
-        return copter_attitude(
-            fields,
-            thrust_as_thrust=bool(int(p["GUID_OPTIONS"]) & THRUST_AS_THRUST),
-            climb_mps=p["WPNAV_SPEED_UP"] / 100,
-            descent_mps=p["WPNAV_SPEED_DN"] / 100,
-        )
-
-    def _watch_targets(self, now: float) -> None:
-        """Targets that nobody renews: a velocity ends in a stop, an attitude level and without climb; a position stays.
-
-        Level is not still: it drifts with the wind until somebody or a failsafe changes the mode.
-        """
-        if self.mode != CopterMode.GUIDED:
-            return
-        age, leg = now - self._target_at, self.plan.leg
-        longest = max(0.1, self.params["GUID_TIMEOUT"])
-        if self._velocity_target and age > longest:
-            self._velocity_target = False
-            self.hold_here()
-        elif isinstance(leg, Follow) and isinstance(leg.setpoint, AttitudeSetpoint):
-            if self.attitude_timeout_s is not None:
-                longest = self.attitude_timeout_s
-            if age > longest and leg.setpoint.attitude_ned_frd is not None:
-                self.plan.fly(Follow(AttitudeSetpoint(None)))
+        copter_guided.take(self, name, fields, now)
 
     # -- streams
 
@@ -367,7 +319,7 @@ class CopterVehicle(SimVehicle):
             if self.armed and not self.landed and not forced:
                 return m.MAV_RESULT_FAILED
             if self.armed:
-                self._disarm()
+                self.switch_off()
             return m.MAV_RESULT_ACCEPTED
         if self.armed:
             return m.MAV_RESULT_ACCEPTED
@@ -400,11 +352,14 @@ class CopterVehicle(SimVehicle):
         up = up_of(self, m.MAV_FRAME_GLOBAL_RELATIVE_ALT if c.frame is None else c.frame, c.p7)
         if up is None or not is_position(c.lat_deg, c.lon_deg):
             return m.MAV_RESULT_DENIED
+        east, north = self.where.to_local(c.lat_deg, c.lon_deg)
+        if not copter_failsafe.inside_fence(self, east, north, up):
+            return m.MAV_RESULT_FAILED
         if self.mode != CopterMode.GUIDED and not self._try_mode(CopterMode.GUIDED):
             return m.MAV_RESULT_FAILED
         if not self.landed:
-            self.taking_off = self._velocity_target = False
-            self.plan.fly(GoTo(*self.where.to_local(c.lat_deg, c.lon_deg), up))
+            self.taking_off = self.velocity_target = False
+            self.plan.fly(GoTo(east, north, up))
         return m.MAV_RESULT_ACCEPTED
 
     def _command_yaw(self, c: Command) -> int:

@@ -18,7 +18,7 @@ class Dynamics(StrEnum):
     RIGID = "rigid"
     """`quad`: forces, lags, wind; takes attitude setpoints."""
     KINEMATIC = "kinematic"
-    """`kinematics`: a seventh of the cost, exact, without wind; an attitude setpoint lets it hold."""
+    """`kinematics`: a seventh of the cost, exact, without wind; an attitude setpoint lets it stop."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,7 +99,7 @@ def approach_speed(distance_m: float, accel_mps2: float, top_mps: float) -> floa
 
 
 class Motion(Body):
-    """A vehicle that moves like this. It has no attitude to command: an `AttitudeSetpoint` lets it stop and hold."""
+    """A vehicle that moves like this. It has no attitude to command: an `AttitudeSetpoint` lets it stop and climb."""
 
     __slots__ = ("floor_m",)
 
@@ -110,7 +110,7 @@ class Motion(Body):
     def step(self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | None, limits: Limits) -> None:
         """Move on by ``dt_s``. Without a setpoint the motors give no lift: it stays on the ground, or falls."""
         if isinstance(setpoint, AttitudeSetpoint):
-            setpoint = Setpoint((None, None, None))
+            setpoint = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
         before = (self.vel_e_mps, self.vel_n_mps, self.vel_u_mps)
         if setpoint is None:
             self.yaw_rate_radps = 0.0

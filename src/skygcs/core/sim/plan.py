@@ -32,6 +32,10 @@ class Follow:
 
     setpoint: Setpoint | AttitudeSetpoint
 
+    @property
+    def needs_position(self) -> bool:
+        return isinstance(self.setpoint, Setpoint)
+
 
 @dataclass(slots=True)
 class Wait:
@@ -50,7 +54,14 @@ class Land:
     speed_mps: float
 
 
-Leg = GoTo | Follow | Wait | Land
+@dataclass(frozen=True, slots=True)
+class Descend:
+    """Down without a position: level, drifting with the wind, until the ground is met."""
+
+    speed_mps: float
+
+
+Leg = GoTo | Follow | Wait | Land | Descend
 
 
 class Plan:
@@ -68,7 +79,7 @@ class Plan:
 
     @property
     def landing(self) -> bool:
-        return isinstance(self.leg, Land)
+        return isinstance(self.leg, Land | Descend)
 
     def fly(self, *legs: Leg) -> None:
         """Forget what was planned and fly these."""
@@ -97,7 +108,7 @@ def _finished(leg: Leg, motion: Body, now: float) -> bool:
                 leg.since = now
                 return seconds <= 0
             return now - since >= seconds
-        case Land():
+        case Land() | Descend():
             return motion.on_ground
         case _:
             assert_never(leg)
@@ -116,5 +127,7 @@ def _steer(leg: Leg, motion: Body, limits: Limits) -> tuple[Setpoint | AttitudeS
         case Land(east_m, north_m, speed_mps):
             speed = limits.descent_mps if motion.up_m > LAND_FAST_ABOVE_M else speed_mps
             return Setpoint((east_m, north_m, None), (None, None, -speed)), limits
+        case Descend(speed_mps):
+            return AttitudeSetpoint(None, climb_mps=-speed_mps), limits
         case _:
             assert_never(leg)

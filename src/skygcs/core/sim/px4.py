@@ -13,6 +13,7 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim import protocol as m
+from skygcs.core.sim import px4_failsafe
 from skygcs.core.sim.attitude_targets import Refusal, px4_attitude
 from skygcs.core.sim.body import AttitudeSetpoint
 from skygcs.core.sim.chance import Chance
@@ -20,7 +21,7 @@ from skygcs.core.sim.commands import Command
 from skygcs.core.sim.conditions import CALM, Conditions
 from skygcs.core.sim.kinematics import Limits, LocalFrame, Setpoint
 from skygcs.core.sim.params import Params
-from skygcs.core.sim.plan import Follow, GoTo, Land, Leg, Wait
+from skygcs.core.sim.plan import Descend, Follow, GoTo, Land, Leg, Wait
 from skygcs.core.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_mode, px4_params
 from skygcs.core.sim.requests import common_command
 from skygcs.core.sim.targets import is_altitude, is_position, setpoint_of
@@ -152,7 +153,7 @@ class Px4Vehicle(SimVehicle):
         self.mode: int = Px4Mode.LOITER
         self.failsafe = False
         self._cruise_mps = 0.0
-        self._setpoint_at = -1e9
+        self.setpoint_at = -1e9
         self._last_thrust = 0.0
         self._stream_since = now
         self._told_ready = False
@@ -164,10 +165,7 @@ class Px4Vehicle(SimVehicle):
         if self.mode == Px4Mode.TAKEOFF and self.plan.arrived and not self.landed:
             self.mode = Px4Mode.LOITER
             self.taking_off = False
-        if self.mode == Px4Mode.OFFBOARD and now - self._setpoint_at > self.params["COM_OF_LOSS_T"]:
-            self.say_event(m.MAV_SEVERITY_CRITICAL, "Failsafe activated: no offboard signal, holding")
-            self._enter(Px4Mode.LOITER, now)
-            self.failsafe = True
+        px4_failsafe.watch(self, now)
         if self.armed and self.landed:
             self._auto_disarm(now)
 
@@ -178,9 +176,10 @@ class Px4Vehicle(SimVehicle):
             delay, since = self.params["COM_DISARM_PRFLT"], self.armed_at
             text = "Disarmed by auto preflight disarming"
         if delay > 0 and now - since >= delay:
-            self._disarm(text)
+            self.switch_off(text)
 
-    def _disarm(self, text: str) -> None:
+    def switch_off(self, text: str) -> None:
+        """Disarm and say why."""
         self.disarm()
         self.failsafe = False
         self.say_event(m.MAV_SEVERITY_INFO, text)
@@ -193,36 +192,33 @@ class Px4Vehicle(SimVehicle):
     def on_landed(self, now: float) -> None:
         self.say_event(m.MAV_SEVERITY_INFO, "Landing detected")
 
-    def on_position_lost(self, now: float) -> None:
-        self.say_event(m.MAV_SEVERITY_CRITICAL, "Failsafe activated: position lost, landing")
-        self._enter(Px4Mode.LAND, now)
-        self.failsafe = True
-
-    def on_low_battery(self) -> None:
-        self.say_event(m.MAV_SEVERITY_WARNING, "Low battery level, return advised")
+    def on_gcs_heartbeat(self, sender: tuple[int, int], now: float) -> None:
+        self.failsafes.gcs_heard_at = now
 
     # -- modes
 
     def _try_mode(self, mode: int, now: float) -> bool:
         """Change the mode if PX4 would."""
-        if not self._may_enter(mode, now):
+        if self.faults.refuse_mode or not self._may_enter(mode, now):
             name = Px4Mode(mode).name if mode in Px4Mode._value2member_map_ else "unknown"
-            self.say_event(m.MAV_SEVERITY_CRITICAL, f"Switching to {name} is currently not possible")
+            reason = f": {self.faults.refuse_mode}" if self.faults.refuse_mode else ""
+            self.say_event(m.MAV_SEVERITY_CRITICAL, f"Switching to {name} is currently not possible{reason}")
             return False
-        self._enter(mode, now)
+        self.enter(mode, now)
         return True
 
     def _may_enter(self, mode: int, now: float) -> bool:
         if mode not in Px4Mode._value2member_map_ or mode in (Px4Mode.MISSION, Px4Mode.READY):
             return False  # no mission on board
         if mode == Px4Mode.OFFBOARD:
-            fresh = now - self._setpoint_at <= OFFBOARD_GAP_S
+            fresh = now - self.setpoint_at <= OFFBOARD_GAP_S
             return fresh and now - self._stream_since >= OFFBOARD_STREAM_S
         if self.armed and mode in MANUAL_MODES:
             return False  # no transmitter
         return not self.armed or self.position_ok or mode == Px4Mode.LAND
 
-    def _enter(self, mode: int, now: float) -> None:
+    def enter(self, mode: int, now: float) -> None:
+        """Be in this mode and begin what it does."""
         if mode == self.mode and mode not in (Px4Mode.LOITER, Px4Mode.TAKEOFF):
             return
         self._set_mode(mode)
@@ -232,7 +228,8 @@ class Px4Vehicle(SimVehicle):
             self._take_off_to(home_up + self.params["MIS_TAKEOFF_ALT"], None)
         elif mode in (Px4Mode.LAND, Px4Mode.PRECLAND):
             self.say_event(m.MAV_SEVERITY_INFO, "Landing at current position")
-            self.plan.fly(Land(motion.east_m, motion.north_m, self.params["MPC_LAND_SPEED"]))
+            speed = self.params["MPC_LAND_SPEED"]
+            self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
         elif mode == Px4Mode.RTL:
             self._return()
         else:
@@ -289,9 +286,9 @@ class Px4Vehicle(SimVehicle):
             setpoint = target
         else:
             setpoint = setpoint_of(self, name, fields, any_bit=False)
-        if now - self._setpoint_at > OFFBOARD_GAP_S:
+        if now - self.setpoint_at > OFFBOARD_GAP_S:
             self._stream_since = now
-        self._setpoint_at = now
+        self.setpoint_at = now
         if self.mode == Px4Mode.OFFBOARD and setpoint is not None:
             if isinstance(setpoint, AttitudeSetpoint):
                 self._last_thrust = setpoint.thrust or 0.0
@@ -336,7 +333,7 @@ class Px4Vehicle(SimVehicle):
                 self.say_event(m.MAV_SEVERITY_CRITICAL, "Disarming denied: not landed")
                 return m.MAV_RESULT_TEMPORARILY_REJECTED
             if self.armed:
-                self._disarm("Disarmed by external command")
+                self.switch_off("Disarmed by external command")
             return m.MAV_RESULT_ACCEPTED
         if self.armed:
             return m.MAV_RESULT_ACCEPTED
@@ -347,7 +344,7 @@ class Px4Vehicle(SimVehicle):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
         self.arm(now)
         if self.mode == Px4Mode.TAKEOFF and self.plan.leg is None:
-            self._enter(Px4Mode.TAKEOFF, now)
+            self.enter(Px4Mode.TAKEOFF, now)
         self.say_event(m.MAV_SEVERITY_INFO, "Armed by external command")
         return m.MAV_RESULT_ACCEPTED
 

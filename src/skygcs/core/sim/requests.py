@@ -278,7 +278,13 @@ def _set_mode(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None
         v.on_set_mode_message(int(fields["custom_mode"]), sender, now)
 
 
+def _heartbeat(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if fields["type"] == m.MAV_TYPE_GCS:
+        v.on_gcs_heartbeat(sender, now)
+
+
 _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
+    "HEARTBEAT": _heartbeat,
     "PARAM_REQUEST_LIST": _param_list,
     "PARAM_REQUEST_READ": _param_read,
     "PARAM_SET": _param_set,

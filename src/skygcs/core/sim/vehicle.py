@@ -8,24 +8,24 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import radians
 from typing import Any, Final
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.sim import flight, requests, telemetry
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim import requests, telemetry
 from skygcs.core.sim.battery import Battery
-from skygcs.core.sim.body import AttitudeSetpoint, Body
+from skygcs.core.sim.body import Body, Vector
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.commands import Command
 from skygcs.core.sim.conditions import CALM, Conditions, body_of
+from skygcs.core.sim.failsafe import Failsafes
 from skygcs.core.sim.faults import Faults
-from skygcs.core.sim.kinematics import Limits, LocalFrame, Setpoint
+from skygcs.core.sim.kinematics import Limits, LocalFrame
 from skygcs.core.sim.params import Params
 from skygcs.core.sim.plan import GoTo, Plan
-from skygcs.core.sim.quad import Quad
 from skygcs.core.sim.sensors import Sensors
 from skygcs.core.sim.streams import Streams
 from skygcs.core.sim.transmitter import Transmitter
@@ -39,18 +39,16 @@ MAX_CATCH_UP_S = 60.0
 REBOOT_S = 2.0
 """Silence of a rebooting autopilot."""
 
-FLYING_ABOVE_M = 0.15
-"""Higher than this is taken off."""
-
-GPS_FAILSAFE_S = 5.0
-"""In the air without GPS for longer than this: the autopilot lands where it is."""
-
 
 @dataclass(frozen=True, slots=True)
 class Home:
     east_m: float
     north_m: float
     up_m: float
+
+    @property
+    def pos_enu_m(self) -> Vector:
+        return self.east_m, self.north_m, self.up_m
 
 
 class SimVehicle(ABC):
@@ -152,7 +150,7 @@ class SimVehicle(ABC):
 
     @abstractmethod
     def on_tick(self, now: float) -> None:
-        """Mode logic of one tick, before the vehicle moves."""
+        """Mode logic and failsafes of one tick, before the vehicle moves."""
 
     @abstractmethod
     def on_takeoff(self, now: float) -> None: ...
@@ -161,11 +159,8 @@ class SimVehicle(ABC):
     def on_landed(self, now: float) -> None: ...
 
     @abstractmethod
-    def on_position_lost(self, now: float) -> None:
-        """In the air without a position for GPS_FAILSAFE_S."""
-
-    @abstractmethod
-    def on_low_battery(self) -> None: ...
+    def on_gcs_heartbeat(self, sender: tuple[int, int], now: float) -> None:
+        """A HEARTBEAT of a ground station."""
 
     @abstractmethod
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
@@ -333,14 +328,13 @@ class SimVehicle(ABC):
         self._requested: list[str] = []
         self._later: list[tuple[float, Callable[[], None]]] = []
         self._ready_s = self.ready_after_s * (1 + self.chance.spread(0.2))
-        self._gps_since = now
         self._was_ready = False
-        self._battery_low = False
+        self.failsafes = Failsafes()
         self.armed = False
         self.armed_at = now
         self.landed = self.motion.on_ground
         self.taking_off = False
-        self._touched_at: float | None = None
+        self.touched_at: float | None = None
         self.landed_at = now
         self.flown_since_arming = False
         self.home = None
@@ -359,83 +353,25 @@ class SimVehicle(ABC):
             self.faults.reboot = False
             self.reboot(now)
         if now < self.boot_at:
-            self.motion.step(TICK_S, None, self.limits())
+            self.motion.step(TICK_S, None, self.limits())  # the autopilot is off, the vehicle falls on
             return
         if self._rebooting:
             self._boot(now)
         while self._later and self._later[0][0] <= now:
             self._later.pop(0)[1]()
         self._watch_position(now)
-        self._watch_battery()
         self.on_tick(now)
-        self._move(now)
+        flight.step(self, now, TICK_S)
         requests.step(self, now)
         for name in self.streams.due(now):
             self.send_message(name, now)
         self._flush()
 
     def _watch_position(self, now: float) -> None:
-        if self.position_ok:
-            self._gps_since = now
-            if not self._was_ready:
-                self._was_ready = True
-                self.set_home_here()
-                self.on_ready(now)
-        elif self._was_ready and not self.landed and now - self._gps_since > GPS_FAILSAFE_S:
-            self._was_ready = False
-            self.on_position_lost(now)
-
-    def _watch_battery(self) -> None:
-        low = self.battery.percent <= self.low_battery_percent
-        if low and not self._battery_low:
-            self.on_low_battery()
-        self._battery_low = low
-
-    def _move(self, now: float) -> None:
-        motion = self.motion
-        if self.landed and not self.armed and motion.on_ground:  # most of a fleet most of the time
-            self.battery.step(TICK_S, flying=False)
-            return
-        setpoint, limits = self.plan.step(self.believed, self.limits(), now)
-        lifts = self.armed and setpoint is not None and now - self.armed_at >= self.spool_up_s
-        if self.landed and self.plan.landing:
-            lifts = False
-        if isinstance(motion, Quad):
-            motion.supply_v = self.battery.volts
-        motion.step(TICK_S, self._true(setpoint) if lifts else None, limits)
-        self.sensors.step()
-        flying = not motion.on_ground
-        drain = self.faults.battery_drain
-        self.battery.step(TICK_S * drain, flying=flying, climb_mps=motion.vel_u_mps)
-        if self.landed:
-            if motion.up_m > FLYING_ABOVE_M:
-                self.landed = False
-                self.flown_since_arming = True
-                self._touched_at = None
-                self.on_takeoff(now)
-        elif flying:
-            self._touched_at = None
-        elif self._touched_at is None:
-            self._touched_at = now
-        elif now - self._touched_at >= self.landed_after_s:
-            self.landed = True
-            self.landed_at = now
-            self.on_landed(now)
-
-    def _true(self, setpoint: Setpoint | AttitudeSetpoint | None) -> Setpoint | AttitudeSetpoint | None:
-        """The setpoint as the vehicle flies it: towards where it wrongly believes the target to be."""
-        if self.believed is self.motion or not isinstance(setpoint, Setpoint):
-            return setpoint
-        east, north, up = setpoint.pos_enu_m
-        off_e, off_n, off_u = self.sensors.error_enu_m
-        return replace(
-            setpoint,
-            pos_enu_m=(
-                None if east is None else east - off_e,
-                None if north is None else north - off_n,
-                None if up is None else up - off_u,
-            ),
-        )
+        if self.position_ok and not self._was_ready:
+            self._was_ready = True
+            self.set_home_here()
+            self.on_ready(now)
 
     def _flush(self) -> None:
         self.tx.flush()
