@@ -8,7 +8,9 @@ further effects and has no deadline.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +18,14 @@ class Transmit:
     """Send the request; ``attempt`` is 0 for the first time (COMMAND_LONG's confirmation count)."""
 
     attempt: int
+
+
+@dataclass(frozen=True, slots=True)
+class Send:
+    """Send this message, of a machine that has several kinds of them; the shell fills in its target fields."""
+
+    message: str
+    values: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +40,7 @@ class Finish:
     """Over: the machine's ``outcome`` is set."""
 
 
-Effect = Transmit | Report | Finish
+Effect = Transmit | Send | Report | Finish
 
 
 class Exchange(ABC):

@@ -1,0 +1,112 @@
+"""The four bytes of a parameter: exact both ways for both autopilots, and the same on the wire as pymavlink's."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.param import (
+    Encoding,
+    ParamType,
+    bits_message,
+    encoding_of,
+    float32,
+    from_bits,
+    is_name,
+    short_float,
+    to_bits,
+    value_reader,
+)
+from support.vehicles import Voice, flight_dialect
+
+RANGES = {
+    ParamType.UINT8: (0, 255),
+    ParamType.INT8: (-128, 127),
+    ParamType.UINT16: (0, 65535),
+    ParamType.INT16: (-32768, 32767),
+    ParamType.UINT32: (0, 2**32 - 1),
+    ParamType.INT32: (-(2**31), 2**31 - 1),
+}
+
+
+@given(st.sampled_from(sorted(RANGES)), st.data())
+def test_integers_bytewise_are_exact(type_: ParamType, data: st.DataObject) -> None:
+    value = data.draw(st.integers(*RANGES[type_]))
+    assert from_bits(to_bits(value, type_, Encoding.BYTEWISE), type_, Encoding.BYTEWISE) == value
+
+
+@given(st.sampled_from(sorted(RANGES)), st.data())
+def test_integers_cast_are_exact_or_refused(type_: ParamType, data: st.DataObject) -> None:
+    value = data.draw(st.integers(*RANGES[type_]))
+    try:
+        bits = to_bits(value, type_, Encoding.C_CAST)
+    except ValueError:
+        assert abs(value) > 1 << 24 and float32(value) != value
+    else:
+        assert from_bits(bits, type_, Encoding.C_CAST) == value
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False), st.sampled_from(Encoding))
+def test_floats_are_exact_and_have_a_short_text(value: float, encoding: Encoding) -> None:
+    assert from_bits(to_bits(value, ParamType.REAL32, encoding), ParamType.REAL32, encoding) == value
+    assert float32(float(short_float(value))) == value
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 1e39])
+def test_what_is_no_32_bit_number_is_refused(value: float) -> None:
+    with pytest.raises(ValueError):
+        to_bits(value, ParamType.REAL32, Encoding.C_CAST)
+
+
+@pytest.mark.parametrize("value", [0x7F800001, -1, 0x7FBFFFFF, -8388607, 880957584])
+def test_an_integer_that_looks_like_a_nan_survives_the_wire(value: int) -> None:
+    """A float variable would turn 0x7F800001 (a signalling NaN) into 0x7FC00001."""
+    info = bits_message(flight_dialect().by_name["PARAM_SET"])
+    bits = to_bits(value, ParamType.INT32, Encoding.BYTEWISE)
+    raw = encode(info, {"param_id": "X", "param_value": bits, "param_type": 6}, sysid=1, compid=1, seq=0)
+    assert struct.unpack_from("<i", raw, 10)[0] == value
+    read = value_reader(flight_dialect())
+    payload = struct.pack("<iHH16sB", value, 3, 1, b"X", 6)
+    decoded = read(payload, Encoding.BYTEWISE)
+    assert decoded is not None and decoded.param.value == value
+
+
+@given(st.floats(width=32, allow_nan=False), st.from_regex(r"[A-Z][A-Z0-9_]{0,15}", fullmatch=True))
+def test_pymavlinks_param_value_is_read(value: float, name: str) -> None:
+    frame = Voice().say(mav.MAVLink_param_value_message(name.encode(), value, 9, 1300, 65535))
+    decoded = value_reader(flight_dialect())(frame.payload, Encoding.C_CAST)
+    assert decoded is not None
+    assert (decoded.param.name, decoded.param.value, decoded.count, decoded.index) == (name, value, 1300, None)
+
+
+@pytest.mark.parametrize("name", [b"", b"\xff\xfe", b"A B", b"1ABC"])
+def test_a_name_that_is_none_is_not_read(name: bytes) -> None:
+    assert value_reader(flight_dialect())(struct.pack("<IHH16sB", 0, 3, 1, name, 9), Encoding.C_CAST) is None
+    assert not is_name(name.decode("latin-1"))
+
+
+def test_a_type_that_is_none_is_not_read() -> None:
+    for kind in (0, 11):
+        assert value_reader(flight_dialect())(struct.pack("<IHH16sB", 0, 3, 1, b"X", kind), Encoding.C_CAST) is None
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "capabilities", "expected"),
+    [
+        (12, None, Encoding.BYTEWISE),
+        (3, None, Encoding.C_CAST),
+        (3, 2, Encoding.C_CAST),
+        (3, 1 << 17, Encoding.C_CAST),
+        (0, 1 << 4, Encoding.BYTEWISE),
+        (12, 1 << 17, Encoding.C_CAST),
+    ],
+)
+def test_the_capability_decides_and_else_the_autopilot(
+    autopilot: int, capabilities: int | None, expected: Encoding
+) -> None:
+    assert encoding_of(autopilot, capabilities) is expected
