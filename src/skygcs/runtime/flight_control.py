@@ -16,7 +16,7 @@ from skygcs.config.control import ControlSettings
 from skygcs.core.airtime import Priority
 from skygcs.core.control.analysis import why_not_delay
 from skygcs.core.control.fence import Fence
-from skygcs.core.control.guard import Way
+from skygcs.core.control.guard import WAYS, Way
 from skygcs.core.control.trace import TraceHead
 from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin
@@ -35,8 +35,9 @@ from skygcs.runtime.trace_file import TraceFile
 STREAM_BEFORE_S = 1.3
 """Setpoints flow this long before the mode is changed: PX4 wants more than 1 s of them (field-notes 10.5)."""
 
-MEASURE_S = 3.0
-"""As long at most for the round trip to be known; without it attitude is not flown."""
+SETTLE_S = 5.0
+"""As long at most for the round trip to be known and the position to come faster: the delay is judged over 3 s, and an
+ArduCopter was seen to pause its position for 0.6 s when its rate was raised."""
 
 MEASURED_PINGS = 4
 """So many pings went out, the burst of the first second, before the round trip is believed."""
@@ -50,6 +51,9 @@ ATTITUDE_FRAME_BYTES = 51
 
 VALID_S = (0.1, 5.0)
 """Deadlines a setpoint may have."""
+
+NEW_STREAM_S = 1.0
+"""A client that has sent nothing for so long has noticed that something changed."""
 
 TIMESYNC = "TIMESYNC"
 
@@ -98,6 +102,8 @@ class FlightControl:
         self._recording = False
         self._tasks: set[asyncio.Task[Any]] = set()
         self._law_changed = False
+        self._followed_at = -math.inf
+        self._frozen = False
 
     @property
     def flying(self) -> bool:
@@ -121,8 +127,7 @@ class FlightControl:
         except RefusedError as error:
             return _refused(str(error))
         if self.flying:
-            self._want(way)
-            return Outcome(True, "accepted", f"flown by {way.value} setpoints")
+            return await self._change(way)
         began = self._order_count()
         back_to = self._vehicle.custom_mode
         await self._ask_position(POSITION_HZ.get(way))
@@ -169,7 +174,15 @@ class FlightControl:
             return _refused(f"valid_s {valid_s:g} is not between {VALID_S[0]} and {VALID_S[1]}")
         if setpoint.place is not None and not setpoint.free_xy and (why := self._outside(setpoint.place)) is not None:
             return _refused(why)
-        self.pilot.follow(setpoint, self._loop.time() + valid_s)
+        now = self._loop.time()
+        paused, self._followed_at = now - self._followed_at >= NEW_STREAM_S, now
+        if self._frozen and not paused:
+            return _refused(
+                f"the origin changed under this stream, and it stays where it is: pause for {NEW_STREAM_S:g} s, then send "
+                "in the new frame"
+            )
+        self._frozen = False
+        self.pilot.follow(setpoint, now + valid_s)
         return Outcome(True, "accepted", "followed")
 
     def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
@@ -228,6 +241,7 @@ class FlightControl:
         """A stream of setpoints in the old frame ends where the vehicle is: its next ones may mean another place."""
         if self.pilot.streaming:
             self.pilot.stay()
+            self._frozen = True
             text = "the origin changed while setpoints came: it stays where it is until they are sent anew"
             self._on_event(Event("control", self._vehicle.name, self._vehicle.sysid, text, {"state": "flying"}))
 
@@ -281,22 +295,45 @@ class FlightControl:
 
     async def _enter(self, way: Way, began: int, back_to: int) -> Outcome:
         """Stream, measure, switch the mode over and see that it has."""
-        started = self._loop.time()
-        while (waited := self._loop.time() - started) < MEASURE_S:
-            if waited >= STREAM_BEFORE_S and (way is not Way.ATTITUDE or self._measured()):
-                break
-            await asyncio.sleep(0.1)
-            if self._order_count() != began:
-                return _superseded(waited)
-            if not self.pilot.active:
-                return Outcome(False, "cancelled", "; ".join(self.pilot.reasons) or "control ended")
+        if (ended := await self._settle(way, began, STREAM_BEFORE_S)) is not None:
+            return ended
         outcome = await self._execute(offboard.enter(self._vehicle))
         if not outcome.ok:
             if self._vehicle.custom_mode != back_to and offboard.is_following(self._vehicle):
                 await self._execute(offboard.leave(self._vehicle, back_to))
             return replace(outcome, message=f"it was not switched over: {outcome.message}")
         self.pilot.entered()
-        await asyncio.sleep(2 * self.pilot.period_s)  # the guard's first word belongs to the answer
+        return await self._flown(way)
+
+    async def _change(self, way: Way) -> Outcome:
+        """Another way while it flies. Its present one goes on until the state comes as fast as the new one needs it."""
+        began, slower = self._order_count(), WAYS.index(way) > WAYS.index(self.pilot.wanted)
+        if slower:
+            self.pilot.want(way)
+        await self._ask_position(POSITION_HZ.get(way))
+        if not slower:
+            if (ended := await self._settle(way, began, 0.0)) is not None:
+                return ended
+            self.pilot.want(way)
+        return await self._flown(way)
+
+    async def _settle(self, way: Way, began: int, least_s: float) -> Outcome | None:
+        """Wait ``least_s``, and longer while something stands against the way that a few seconds may cure: a round trip
+        not measured yet, a position stream that was slower until now. An Outcome if control ended meanwhile."""
+        started = self._loop.time()
+        while (waited := self._loop.time() - started) < SETTLE_S:
+            if waited >= least_s and self._measured() and not self.pilot.why_not(way, self._loop.time()):
+                break
+            await asyncio.sleep(0.1)
+            if self._order_count() != began:
+                return _superseded(waited)
+            if not self.pilot.active:
+                return Outcome(False, "cancelled", "; ".join(self.pilot.reasons) or "control ended")
+        return None
+
+    async def _flown(self, way: Way) -> Outcome:
+        """The guard's first word belongs to the answer."""
+        await asyncio.sleep(2 * self.pilot.period_s)
         if not self.flying:
             return Outcome(False, "failed", f"control ended at once: {'; '.join(self.pilot.reasons)}")
         flown = self.pilot.way or way
@@ -305,10 +342,6 @@ class FlightControl:
 
     def _measured(self) -> bool:
         return self.pilot.delay.pings > MEASURED_PINGS and self.pilot.delay.rtt_p95_s is not None
-
-    def _want(self, way: Way) -> None:
-        self.pilot.want(way)
-        self._spawn(self._ask_position(POSITION_HZ.get(way)), "position rate")
 
     def _tick(self, now: float) -> None:
         pilot = self.pilot

@@ -230,6 +230,11 @@ class Pilot:
         self._until = None
         return Tick(events=(self._event(f"control ended: {reason}", "off"),))
 
+    def why_not(self, way: Way, now: float) -> tuple[str, ...]:
+        """What stands against flying this way now; changes nothing. As of the last tick."""
+        facts = replace(self._facts(self._last.estimate, self._last.state_age_s, now), engaging=True)
+        return Guard(self.config.guard, way).why_not(facts)
+
     def change_law(self, law: ControlConfig) -> None:
         """New gains from the next tick on. What was integrated is kept: it is thrust, whatever the gains."""
         self.config = replace(self.config, law=law)
