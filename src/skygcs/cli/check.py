@@ -18,6 +18,7 @@ from skygcs.config.models import (
     TcpServerLink,
     UdpServerLink,
 )
+from skygcs.core.geo import EAST_DEG
 from skygcs.errors import ConfigError
 
 PIPE_COLUMNS = 160
@@ -49,9 +50,9 @@ def _show(file: Path, config: FleetConfig) -> None:
     console.print(f"dialect  {escape(dialect.name)}, {len(dialect.messages)} messages")
     console.print(f"tlogs    {escape(str(own.log_dir)) if own.record else 'not recorded'}")
     if config.origin is not None:
-        console.print(
-            f"origin   {config.origin.lat_deg}, {config.origin.lon_deg}, {config.origin.alt_amsl_m} m above sea level"
-        )
+        origin = config.origin
+        axes = "" if origin.x_heading_deg == EAST_DEG else f", x to {origin.x_heading_deg:g}°"
+        console.print(f"origin   {origin.lat_deg}, {origin.lon_deg}, {origin.alt_amsl_m} m above sea level{axes}")
     if config.links:
         table = Table("link", "type", box=box.SIMPLE_HEAD)
         table.add_column("where", overflow="fold")

@@ -89,6 +89,8 @@ sysid = 1
         ("[daemon]\nbad_crc = 'keep'", 'daemon.bad_crc (line 2): must be one of drop, pass, not "keep"'),
         ("[daemon]\nlog_dir = 5", "daemon.log_dir (line 2): must be text in quotes, not 5"),
         ("[origin]\nlat_deg = 1\nlon_deg = 2\nalt_amsl_m = inf", "origin.alt_amsl_m (line 4): must be a finite number"),
+        ("[origin]\nlat_deg = 0.0\nlon_deg = 0.0\nalt_amsl_m = 0", "never filled in"),
+        ("[origin]\nlat_deg = 1\nlon_deg = 2\nalt_amsl_m = 0\nx_heading_deg = 361", "at most 360, not 361"),
         ("[origin]\nlat_deg = 91\nlon_deg = 2\nalt_amsl_m = 0", "origin.lat_deg (line 2): must be at most 90, not 91"),
         ("links = 5", "links (line 1): must be a table, not 5"),
         ("[[links]]\ntype = 'serial'", "links (line 1): must be a table"),
