@@ -39,6 +39,9 @@ SETTLE_S = 5.0
 """As long at most for the round trip to be known and the position to come faster: the delay is judged over 3 s, and an
 ArduCopter was seen to pause its position for 0.6 s when its rate was raised."""
 
+PAUSE_S = 1.0
+"""The pause begins some time after the acknowledgement; it is over, or seen, by then."""
+
 MEASURED_PINGS = 4
 """So many pings went out, the burst of the first second, before the round trip is believed."""
 
@@ -178,8 +181,8 @@ class FlightControl:
         paused, self._followed_at = now - self._followed_at >= NEW_STREAM_S, now
         if self._frozen and not paused:
             return _refused(
-                f"the origin changed under this stream, and it stays where it is: pause for {NEW_STREAM_S:g} s, then send "
-                "in the new frame"
+                f"the origin changed under this stream, and it stays where it is: pause for {NEW_STREAM_S:g} s, then "
+                "send in the new frame"
             )
         self._frozen = False
         self.pilot.follow(setpoint, now + valid_s)
@@ -312,7 +315,7 @@ class FlightControl:
             self.pilot.want(way)
         await self._ask_position(POSITION_HZ.get(way))
         if not slower:
-            if (ended := await self._settle(way, began, 0.0)) is not None:
+            if (ended := await self._settle(way, began, PAUSE_S)) is not None:
                 return ended
             self.pilot.want(way)
         return await self._flown(way)
