@@ -56,7 +56,7 @@ FLYING: dict[str, Any] = {
 
 
 class ControlledVehicle(FakeVehicle):
-    """Flies a quarter of the way to its place between two looks; takes setpoints until ``refuses`` says why not."""
+    """Flies three quarters of its way between two looks; takes setpoints until ``refuses`` says why not."""
 
     def __init__(self, sysid: int, name: str) -> None:
         super().__init__(sysid, name, "px4", ())
@@ -114,7 +114,7 @@ class ControlledVehicle(FakeVehicle):
     def state(self, now: float) -> dict[str, Any]:
         state = super().state(now)
         if self.goal_m is not None and self.position_m is not None:
-            self.position_m = [p + (g - p) / 4 for p, g in zip(self.position_m, self.goal_m, strict=True)]
+            self.position_m = [p + (g - p) * 0.75 for p, g in zip(self.position_m, self.goal_m, strict=True)]
         enu_m = None if self.no_frame else self.position_m
         state["position"] = None if self.position_m is None else {**state["position"], "enu_m": enu_m}
         state["control"] = self.control_told

@@ -40,6 +40,7 @@ class Columns:
     """The rows that are drawn, as columns; NaN where a cell was empty. Times are since the trace began."""
 
     vehicle: str
+    rows: int = 0
     t: array[float] = field(default_factory=lambda: array("d"))
     way: list[str | None] = field(default_factory=list)
     reference: tuple[array[float], ...] = field(default_factory=lambda: _doubles(3))
@@ -55,6 +56,7 @@ class Columns:
     config: ControlConfig | None = None
 
     def add(self, t_s: float, row: TraceRow) -> None:
+        self.rows += 1
         if self.t and t_s - self.t[-1] > PAUSE_S:
             self._add(self.t[-1] + 1e-3, _EMPTY)
         self._add(t_s, row)
@@ -95,13 +97,12 @@ class Figures:
 
 def figures(told: Figures) -> str:
     """For one line of text."""
-    cut = "" if told.cut_line is None else f"; line {told.cut_line} was cut off and is left out"
-    if math.isnan(told.rms_error_m):
-        return f"{told.rows:,} rows, {told.duration_s:.1f} s{cut}"
-    return (
-        f"{told.rows:,} rows, {told.duration_s:.1f} s; error {told.rms_error_m:.2f} m rms, "
-        f"{told.largest_error_m:.2f} m at most; state age p95 {told.age_p95_ms:.0f} ms{cut}"
-    )
+    text = f"{told.rows:,} rows, {told.duration_s:.1f} s"
+    if not math.isnan(told.rms_error_m):
+        text += f"; error {told.rms_error_m:.2f} m rms, {told.largest_error_m:.2f} m at most"
+    if not math.isnan(told.age_p95_ms):
+        text += f"; state age p95 {told.age_p95_ms:.0f} ms"
+    return text if told.cut_line is None else f"{text}; line {told.cut_line} was cut off and is left out"
 
 
 def draw(file: Path, path: Path, begin_s: float, end_s: float) -> Figures:
@@ -251,7 +252,7 @@ def _read(file: Path, begin_s: float, end_s: float) -> tuple[Columns, int | None
             t_s = entry.row.t_s - began
             if not begin_s <= t_s <= end_s:
                 continue
-            if len(columns.t) >= MOST_ROWS:
+            if columns.rows >= MOST_ROWS:
                 raise SkygcsError(f"{file}: more than {MOST_ROWS:,} rows: choose a part with --from and --to")
             columns.add(t_s, entry.row)
             columns.use(t_s, entry.config)
@@ -264,7 +265,7 @@ def _figures(columns: Columns, cut_line: int | None) -> Figures:
     errors = [error for error in columns.followed if not math.isnan(error)]
     ages = sorted(age for age in columns.age_ms if not math.isnan(age))
     return Figures(
-        rows=len(columns.t),
+        rows=columns.rows,
         duration_s=columns.t[-1] - columns.t[0],
         rms_error_m=math.sqrt(math.fsum(e * e for e in errors) / len(errors)) if errors else math.nan,
         largest_error_m=max(errors, default=math.nan),
