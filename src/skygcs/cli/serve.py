@@ -52,6 +52,12 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("file", type=Path, metavar="FLEET.toml")
     check.set_defaults(run=_check)
 
+    router = commands.add_parser("import-router", help="turn a mavlink-router configuration into a fleet file")
+    router.add_argument("file", type=Path, metavar="MAIN.conf")
+    router.add_argument("-o", "--output", type=Path, metavar="FLEET.toml", help="default: standard output")
+    router.add_argument("--force", action="store_true", help="overwrite the output")
+    router.set_defaults(run=_import_router)
+
     demo = commands.add_parser("demo", help="fly three simulated vehicles; needs no hardware and no file")
     demo.add_argument("--stay", action="store_true", help="keep daemon and vehicles up for skygcs-cli; Ctrl-C ends it")
     demo.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the default one")
@@ -70,6 +76,15 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL")
     sim.add_argument("--seed", type=int, default=1)
     sim.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second")
+    sim.add_argument(
+        "--dynamics", choices=("rigid", "kinematic"), default="rigid", help="kinematic: exact, without wind, cheaper"
+    )
+    sim.add_argument("--airframe", choices=("f450", "ideal"), default="f450", help="ideal: no lags, no drag, no sag")
+    sim.add_argument("--attitude-lag", type=float, metavar="S", help="instead of the airframe's (0.15)")
+    sim.add_argument("--wind", default="0", metavar="MPS[,FROM[,GUST]]", help="speed, compass degrees, gusts in m/s")
+    sim.add_argument("--gps-noise", type=float, default=0.1, metavar="M", help="standard deviation (default 0.1)")
+    sim.add_argument("--attitude-noise", type=float, default=0.2, metavar="DEG", help="the same (default 0.2)")
+    sim.add_argument("--sensor-latency", type=float, default=0.0, metavar="S", help="age of what telemetry tells")
     sim.set_defaults(run=_sim)
     return parser
 
@@ -101,6 +116,12 @@ def _check(args: argparse.Namespace) -> int:
     return check(args.file)
 
 
+def _import_router(args: argparse.Namespace) -> int:
+    from skygcs.cli.router import import_router_file
+
+    return import_router_file(args.file, args.output, force=args.force)
+
+
 def _demo(args: argparse.Namespace) -> int:
     from skygcs.cli.demo import demo
 
@@ -109,7 +130,7 @@ def _demo(args: argparse.Namespace) -> int:
 
 
 def _sim(args: argparse.Namespace) -> int:
-    from skygcs.cli.sim import run_sim
+    from skygcs.cli.sim import parse_conditions, run_sim
 
     udp = args.udp
     if udp is None and args.tcp is None and args.pty is None:
@@ -125,4 +146,13 @@ def _sim(args: argparse.Namespace) -> int:
         home=args.home,
         seed=args.seed,
         speedup=args.speedup,
+        conditions=parse_conditions(
+            args.wind,
+            dynamics=args.dynamics,
+            airframe=args.airframe,
+            attitude_lag_s=args.attitude_lag,
+            gps_noise_m=args.gps_noise,
+            attitude_noise_deg=args.attitude_noise,
+            sensor_latency_s=args.sensor_latency,
+        ),
     )

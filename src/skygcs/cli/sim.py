@@ -13,6 +13,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
+from skygcs.core.sim.conditions import CALM, Conditions, conditions_of
 from skygcs.core.sim.fleet import make_vehicles
 from skygcs.core.sim.kinematics import LocalFrame
 from skygcs.core.sim.radio import SimRadio
@@ -40,13 +41,15 @@ def run_sim(
     seed: int = 1,
     speedup: float = 1.0,
     radio: bool = True,
+    conditions: Conditions = CALM,
 ) -> int:
     """Run simulated vehicles until SIGINT or SIGTERM; the exit code. Says on stdout how to reach each.
 
     ``udp`` HOST:PORT is sent to, all vehicles from one socket or, with ``separate_ports``, each from its own.
     ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
     its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
-    behind a radio, which with ``radio`` reports RADIO_STATUS. ``home`` is LAT,LON,AMSL[,HEADING].
+    behind a radio, which with ``radio`` reports RADIO_STATUS. ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
+    for all of them, each with its own noise.
     Raises LinkError, one line for a person, for what cannot be understood or opened.
     """
     if not 0 < speedup <= MAX_SPEEDUP:
@@ -65,6 +68,7 @@ def run_sim(
             heading_deg=heading_deg,
             seed=seed,
             unix_us=int(time.time() * 1e6),
+            conditions=conditions,
         )
     except ValueError as error:
         raise LinkError(str(error)) from None
@@ -86,6 +90,40 @@ def run_sim(
 
 def _radio(dialect: Dialect, seed: int) -> SimRadio:
     return SimRadio(dialect, Chance(seed))
+
+
+def parse_conditions(
+    wind: str,
+    *,
+    dynamics: str,
+    airframe: str,
+    attitude_lag_s: float | None,
+    gps_noise_m: float,
+    attitude_noise_deg: float,
+    sensor_latency_s: float,
+) -> Conditions:
+    """Conditions from the command line; ``wind`` is MPS[,FROM_DEG[,GUST_MPS]]. Raises LinkError for a person."""
+    try:
+        numbers = [float(part) for part in wind.split(",")]
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 3:
+        raise LinkError(f"--wind {wind!r}: write MPS or MPS,FROM_DEG or MPS,FROM_DEG,GUST_MPS")
+    speed_mps, from_deg, gust_mps = (numbers + [270.0, 0.0][len(numbers) - 1 :])[:3]
+    try:
+        return conditions_of(
+            dynamics=dynamics,
+            airframe=airframe,
+            attitude_lag_s=attitude_lag_s,
+            wind_mps=speed_mps,
+            wind_from_deg=from_deg,
+            gust_mps=gust_mps,
+            gps_noise_m=gps_noise_m,
+            attitude_noise_deg=attitude_noise_deg,
+            sensor_latency_s=sensor_latency_s,
+        )
+    except ValueError as error:
+        raise LinkError(str(error)) from None
 
 
 def _parse_home(text: str) -> tuple[LocalFrame, float]:

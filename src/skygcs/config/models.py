@@ -188,6 +188,17 @@ class SimulatedLink(LinkCommon):
     lon_deg: float = -79.4653
     alt_amsl_m: float = 180.0
     seed: int = 1
+    dynamics: Literal["rigid", "kinematic"] = "rigid"
+    """Rigid bodies take attitude setpoints and feel the wind; kinematic ones are exact and cost two thirds."""
+    airframe: Literal["f450", "ideal"] = "f450"
+    attitude_lag_s: Annotated[float, Field(ge=0, le=2)] | None = None
+    """None: the airframe's own, 0.15 s for the F450."""
+    wind_mps: Annotated[float, Field(ge=0, le=30)] = 0.0
+    wind_from_deg: Annotated[float, Field(ge=-360, le=360)] = 270.0
+    gust_mps: Annotated[float, Field(ge=0, le=10)] = 0.0
+    gps_noise_m: Annotated[float, Field(ge=0, le=10)] = 0.0
+    attitude_noise_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
+    sensor_latency_s: Annotated[float, Field(ge=0, le=2)] = 0.0
 
 
 LinkConfig = (

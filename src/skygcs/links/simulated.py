@@ -13,6 +13,7 @@ from skygcs.config import models
 from skygcs.config.dialects import load_dialect
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.sim.conditions import conditions_of
 from skygcs.core.sim.fleet import SimFleet, make_vehicles
 from skygcs.core.sim.kinematics import LocalFrame
 from skygcs.core.sim.vehicle import TICK_S, SimVehicle
@@ -61,7 +62,7 @@ class SimulatedVehiclesLink(Link):
 
     @property
     def vehicles(self) -> list[SimVehicle]:
-        """The simulated vehicles, PX4s first; for looking at them and for setting faults."""
+        """The simulated vehicles, PX4s first; ``motion`` is where each truly is, ``faults`` what can be broken."""
         return self._fleet.vehicles
 
     @property
@@ -111,6 +112,17 @@ class SimulatedVehiclesLink(Link):
                 seed=config.seed,
                 now=self.loop.time(),
                 unix_us=int(time.time() * 1e6),
+                conditions=conditions_of(
+                    dynamics=config.dynamics,
+                    airframe=config.airframe,
+                    attitude_lag_s=config.attitude_lag_s,
+                    wind_mps=config.wind_mps,
+                    wind_from_deg=config.wind_from_deg,
+                    gust_mps=config.gust_mps,
+                    gps_noise_m=config.gps_noise_m,
+                    attitude_noise_deg=config.attitude_noise_deg,
+                    sensor_latency_s=config.sensor_latency_s,
+                ),
             )
         except ValueError as error:
             raise LinkError(f"simulated {self.name}: {error}") from None

@@ -13,6 +13,8 @@ import pytest
 from skygcs.config import models
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.sim.kinematics import Motion
+from skygcs.core.sim.quad import Quad
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, OwnMessage
 from skygcs.links.factory import make_link
@@ -219,3 +221,21 @@ async def test_twenty_vehicles_for_a_minute_lose_no_frame() -> None:
         seqs = [f.seq for _, f in host.heard if f.sysid == sysid]
         assert seqs == [i & 0xFF for i in range(len(seqs))]
     await link.close()
+
+
+async def test_the_conditions_of_the_file_are_those_the_vehicles_fly_in() -> None:
+    host = Host()
+    link = make(
+        host, px4=1, ardupilot=1, airframe="ideal", attitude_lag_s=0.1, wind_mps=4.0, wind_from_deg=0.0, gps_noise_m=0.5
+    )
+    await link.open()
+    for vehicle in link.vehicles:
+        assert isinstance(vehicle.motion, Quad)
+        assert vehicle.motion.airframe.attitude_lag_s == 0.1 and vehicle.motion.airframe.thrust_lag_s == 0.0
+        assert vehicle.motion.wind.mean_enu_mps == pytest.approx((0.0, -4.0, 0.0))
+        assert vehicle.believed is not vehicle.motion
+    await link.close()
+    exact = make(host, px4=1, dynamics="kinematic")
+    await exact.open()
+    assert type(exact.vehicles[0].motion) is Motion
+    await exact.close()

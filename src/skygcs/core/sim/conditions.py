@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import cos, radians, sin
+from math import cos, hypot, radians, sin
 
 from skygcs.core.sim.body import Vector
 from skygcs.core.sim.kinematics import Motion
-from skygcs.core.sim.quad import F450, Airframe, Quad
+from skygcs.core.sim.quad import F450, IDEAL, Airframe, Quad
 from skygcs.core.sim.wind import Wind
 
 
@@ -18,12 +19,15 @@ class Dynamics(StrEnum):
     RIGID = "rigid"
     """`quad`: forces, lags, wind; takes attitude setpoints."""
     KINEMATIC = "kinematic"
-    """`kinematics`: a seventh of the cost, exact, without wind; an attitude setpoint lets it stop."""
+    """`kinematics`: exact, without wind; an attitude setpoint lets it stop. 30 us a tick in flight, a rigid one 47."""
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """The default is still air and sensors without fault; every noise is seeded by the vehicle's own seed."""
+    """The default is still air and sensors without fault; every noise is seeded by the vehicle's own seed.
+
+    Raises ValueError for numbers out of range.
+    """
 
     dynamics: Dynamics = Dynamics.RIGID
     airframe: Airframe = F450
@@ -38,8 +42,53 @@ class Conditions:
     sensor_latency_s: float = 0.0
     """Age of position, velocity and attitude when they are told. The autopilot's own loops do not feel it."""
 
+    def __post_init__(self) -> None:
+        for name, value, most in (
+            ("attitude_lag_s", self.airframe.attitude_lag_s, 2.0),
+            ("wind", hypot(*self.wind_enu_mps), 30.0),
+            ("gust_mps", self.gust_mps, 10.0),
+            ("gps_noise_m", self.gps_noise_m, 10.0),
+            ("attitude_noise_rad", self.attitude_noise_rad, 0.2),
+            ("sensor_latency_s", self.sensor_latency_s, 2.0),
+        ):
+            if not 0.0 <= value <= most:
+                raise ValueError(f"{name} {value:g} is not in 0..{most:g}")
+
 
 CALM = Conditions()
+
+AIRFRAMES: Mapping[str, Airframe] = {"f450": F450, "ideal": IDEAL}
+"""By the names fleet files and the command line use."""
+
+
+def conditions_of(
+    *,
+    dynamics: str = "rigid",
+    airframe: str = "f450",
+    attitude_lag_s: float | None = None,
+    wind_mps: float = 0.0,
+    wind_from_deg: float = 270.0,
+    gust_mps: float = 0.0,
+    gps_noise_m: float = 0.0,
+    attitude_noise_deg: float = 0.0,
+    sensor_latency_s: float = 0.0,
+) -> Conditions:
+    """Conditions as a fleet file words them (docs/reference/fleet-file.md); ``attitude_lag_s`` None: the airframe's.
+
+    Raises ValueError for a number out of range, or a name that is none.
+    """
+    if airframe not in AIRFRAMES:
+        raise ValueError(f"airframe {airframe!r}: there are {', '.join(AIRFRAMES)}")
+    frame = AIRFRAMES[airframe]
+    return Conditions(
+        dynamics=Dynamics(dynamics),
+        airframe=frame if attitude_lag_s is None else replace(frame, attitude_lag_s=attitude_lag_s),
+        wind_enu_mps=wind_enu(wind_mps, wind_from_deg),
+        gust_mps=gust_mps,
+        gps_noise_m=gps_noise_m,
+        attitude_noise_rad=radians(attitude_noise_deg),
+        sensor_latency_s=sensor_latency_s,
+    )
 
 
 def wind_enu(speed_mps: float, from_deg: float) -> Vector:
