@@ -1,0 +1,181 @@
+"""Two sets of parameters compared, and what applying a file to a vehicle would do. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from skygcs.core.mavlink.param import Param, Value, held_as, value_text
+from skygcs.core.params.file import Entry, ParamFile
+from skygcs.core.params.names import Sort, other_name, sort_of, turns_on
+
+RELATIVE_TOLERANCE = 1e-6
+"""Files are written with six to nine digits; a 32-bit float has seven."""
+
+FOREIGN_RATIO = 0.2
+"""A file of which more than this a vehicle does not know is of another firmware or type of vehicle."""
+
+FRAME_NAMES = ("FRAME_CLASS", "SYS_AUTOSTART", "MAV_TYPE", "CA_AIRFRAME")
+"""What kind of airframe it is: a file that differs here is most likely of another vehicle."""
+
+DEFAULT_SORTS: tuple[Sort, ...] = ("settings",)
+"""What a file is applied for; the rest belongs to one vehicle alone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A parameter that two sets do not agree on; a side that has none of it is None.
+
+    ``other`` is its name in the second set, if that is another one.
+    """
+
+    name: str
+    first: Value | None
+    second: Value | None
+    other: str | None = None
+    sort: Sort = "settings"
+
+    @property
+    def kind(self) -> Literal["changed", "only_first", "only_second"]:
+        if self.second is None:
+            return "only_first"
+        return "only_second" if self.first is None else "changed"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One parameter to be set: by the vehicle's own name for it, from what to what (None: not known)."""
+
+    name: str
+    value: Value
+    before: Value | None
+    sort: Sort = "settings"
+
+
+@dataclass(frozen=True, slots=True)
+class ApplyPlan:
+    """What applying a file would do, in this order.
+
+    ``skipped``: names and why they are left alone. ``unknown``: the vehicle has no such parameter. ``problems``: values
+    its types cannot hold. ``warnings``: signs that the file is of another vehicle.
+    """
+
+    changes: tuple[Change, ...]
+    same: int
+    skipped: tuple[tuple[str, str], ...]
+    unknown: tuple[str, ...]
+    problems: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def equal(first: Value, second: Value, step: float = 0.0) -> bool:
+    """Whether two values are one, as far as texts can tell; ``step``: the unit of the last digit of either.
+
+    Whole numbers are compared exactly where both are written as such.
+    """
+    if isinstance(first, int) and isinstance(second, int):
+        return first == second
+    if first == second:
+        return True
+    return abs(first - second) <= max(step / 2 * 1.001, RELATIVE_TOLERANCE * max(abs(first), abs(second)))
+
+
+def diff(first: Iterable[Entry], second: Iterable[Entry]) -> list[Difference]:
+    """Where two sets differ, by name; a parameter of two generations is one."""
+    left, right = {e.name: e for e in first}, {e.name: e for e in second}
+    found = []
+    matched: set[str] = set()
+    for name, entry in left.items():
+        there = _name_in(name, right)
+        if there is None:
+            found.append(Difference(name, entry.value, None, sort=sort_of(name)))
+            continue
+        matched.add(there)
+        other = right[there]
+        if not equal(entry.value, other.value, max(entry.step, other.step)):
+            renamed = there if there != name else None
+            found.append(Difference(name, entry.value, other.value, renamed, sort_of(name)))
+    found += [Difference(n, None, e.value, sort=sort_of(n)) for n, e in right.items() if n not in matched]
+    return sorted(found, key=lambda d: d.name)
+
+
+def plan(
+    file: ParamFile,
+    held: Mapping[str, Param],
+    *,
+    sysid: int,
+    compid: int,
+    stack: str,
+    include: Collection[Sort] = DEFAULT_SORTS,
+) -> ApplyPlan:
+    """What applying ``file`` to a vehicle that holds ``held`` would do. ``stack``: px4, ardupilot or generic.
+
+    ``include``: sorts of parameters to apply (`sort_of`). Switches of features come first, as a vehicle may show what
+    they switch only then; the system id comes last, as nothing reaches the vehicle by its old one afterwards.
+    """
+    changes: list[Change] = []
+    skipped: list[tuple[str, str]] = []
+    unknown: list[str] = []
+    problems: list[str] = []
+    same = 0
+    entries = file.of_component(compid)
+    for entry in entries:
+        sort = sort_of(entry.name)
+        if sort not in include:
+            skipped.append((entry.name, sort))
+            continue
+        name = _name_in(entry.name, held)
+        if name is None:
+            unknown.append(entry.name)
+            continue
+        present = held[name]
+        if equal(present.value, entry.value, entry.step):
+            same += 1
+            continue
+        try:
+            wanted = held_as(entry.value, present.type)
+        except ValueError as error:
+            problems.append(f"line {entry.line}: {entry.name}: {error}")
+            continue
+        changes.append(Change(name, wanted, present.value, sort))
+    changes.sort(key=_turn)
+    skipped += [(e.name, f"component {e.compid}") for e in file.entries if e.compid not in (None, compid)]
+    warnings = _warnings(file, held, unknown, len(entries), sysid, stack)
+    return ApplyPlan(tuple(changes), same, tuple(skipped), tuple(unknown), tuple(problems), warnings)
+
+
+def _turn(change: Change) -> int:
+    if change.sort == "identity":
+        return 2
+    return 0 if turns_on(change.name) and change.value else 1
+
+
+def _name_in(name: str, names: Mapping[str, object]) -> str | None:
+    if name in names:
+        return name
+    other = other_name(name)
+    return other if other in names else None
+
+
+def _warnings(
+    file: ParamFile, held: Mapping[str, Param], unknown: list[str], total: int, sysid: int, stack: str
+) -> tuple[str, ...]:
+    told = []
+    if file.sysids and sysid not in file.sysids:
+        told.append(f"the file is of vehicle {', '.join(map(str, sorted(file.sysids)))}; this is vehicle {sysid}")
+    says = file.about.get("Stack", "").lower()
+    for family in ("px4", "ardupilot"):
+        if says.startswith(family) and stack != family:
+            told.append(f"the file is of {file.about['Stack']}; this vehicle runs {stack}")
+    if total and len(unknown) / total > FOREIGN_RATIO:
+        told.append(
+            f"the vehicle has none of {len(unknown)} of the file's {total} parameters: "
+            "the file is of another firmware, version or type of vehicle"
+        )
+    for entry in file.entries:
+        present = held.get(entry.name)
+        if entry.name in FRAME_NAMES and present is not None and not equal(present.value, entry.value, entry.step):
+            here = value_text(present.value)
+            told.append(f"{entry.name} is {value_text(entry.value)} in the file and {here} here: another airframe")
+    return tuple(told)

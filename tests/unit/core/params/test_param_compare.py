@@ -1,0 +1,135 @@
+"""Sets of parameters compared, and the plan of applying a file."""
+
+from __future__ import annotations
+
+import pytest
+
+from skygcs.core.mavlink.param import Param, ParamType, float32
+from skygcs.core.params.compare import diff, equal, plan
+from skygcs.core.params.file import Entry, parse
+from skygcs.core.params.names import other_name, sort_of
+
+I32, F32 = ParamType.INT32, ParamType.REAL32
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("SYSID_THISMAV", "MAV_SYSID"),
+        ("SYSID_MYGCS", "MAV_GCS_SYSID"),
+        ("SR0_EXTRA1", "MAV1_EXTRA1"),
+        ("SR3_EXT_STAT", "MAV4_EXT_STAT"),
+    ],
+)
+def test_both_generations_of_names_are_one(old: str, new: str) -> None:
+    assert other_name(old) == new and other_name(new) == old
+    assert diff([Entry(old, 1)], [Entry(new, 1.0)]) == []
+    (found,) = diff([Entry(old, 1)], [Entry(new, 2)])
+    assert (found.name, found.other, found.first, found.second) == (old, new, 1, 2)
+
+
+def test_px4s_instances_are_no_generations() -> None:
+    assert other_name("MAV_0_RATE") is None and other_name("MAV_SYS_ID") is None
+
+
+@pytest.mark.parametrize(
+    ("name", "sort"),
+    [
+        ("COMPASS_OFS_X", "calibration"),
+        ("COMPASS_OFS2_Z", "calibration"),
+        ("COMPASS_DEV_ID", "calibration"),
+        ("INS_ACCOFFS_X", "calibration"),
+        ("INS_ACC2SCAL_Y", "calibration"),
+        ("INS_GYR_CAL", "settings"),
+        ("INS_GYR3OFFS_Z", "calibration"),
+        ("INS_GYRO_FILTER", "settings"),
+        ("INS_ACC_ID", "calibration"),
+        ("INS4_ACC_ID", "calibration"),
+        ("INS_HNTCH_FREQ", "settings"),
+        ("AHRS_TRIM_X", "calibration"),
+        ("CAL_ACC0_XOFF", "calibration"),
+        ("RC3_MIN", "calibration"),
+        ("RC_MAP_ROLL", "settings"),
+        ("STAT_RUNTIME", "statistics"),
+        ("BARO1_GND_PRESS", "statistics"),
+        ("_HASH_CHECK", "statistics"),
+        ("MAV_SYS_ID", "identity"),
+        ("WPNAV_SPEED", "settings"),
+        ("COMPASS_USE", "settings"),
+    ],
+)
+def test_names_tell_what_belongs_to_one_vehicle(name: str, sort: str) -> None:
+    assert sort_of(name) == sort
+
+
+def test_values_are_compared_as_far_as_their_texts_go() -> None:
+    assert equal(float32(0.1), 0.1)
+    assert equal(0.000120, 0.00012034, 1e-6)
+    assert not equal(0.000120, 0.00012134, 1e-6)
+    assert not equal(16777216, 16777217)
+    assert equal(3, 3.0) and not equal(3, 3.1)
+
+
+def test_differences_tell_each_side() -> None:
+    found = diff([Entry("A", 1), Entry("B", 2)], [Entry("B", 3), Entry("C", 4)])
+    assert [(d.name, d.kind) for d in found] == [("A", "only_first"), ("B", "changed"), ("C", "only_second")]
+
+
+HELD = {
+    p.name: p
+    for p in (
+        Param("FENCE_ENABLE", 0, ParamType.INT8),
+        Param("WPNAV_SPEED", 500.0, F32),
+        Param("SYSID_THISMAV", 3, ParamType.INT16),
+        Param("COMPASS_OFS_X", 1.0, F32),
+        Param("STAT_BOOTCNT", 9, ParamType.INT16),
+        Param("FRAME_CLASS", 1, ParamType.INT8),
+        Param("RTL_ALT", 1500, I32),
+    )
+}
+
+
+def apply(text: str, **more: object) -> object:
+    options = {"sysid": 3, "compid": 1, "stack": "ardupilot"} | more
+    return plan(parse(text, "a.param"), HELD, **options)  # type: ignore[arg-type]
+
+
+def test_a_plan_sets_what_differs_switches_first_and_the_system_id_last() -> None:
+    text = "MAV_SYSID,7\nRTL_ALT,1500\nWPNAV_SPEED,600\nFENCE_ENABLE,1\nCOMPASS_OFS_X,5\nSTAT_BOOTCNT,1\nNEW_ONE,1\n"
+    made = apply(text, include=("settings", "identity"))
+    assert [(c.name, c.before, c.value) for c in made.changes] == [  # type: ignore[attr-defined]
+        ("FENCE_ENABLE", 0, 1),
+        ("WPNAV_SPEED", 500.0, 600.0),
+        ("SYSID_THISMAV", 3, 7),
+    ]
+    assert made.same == 1 and made.unknown == ("NEW_ONE",)  # type: ignore[attr-defined]
+    assert made.skipped == (("COMPASS_OFS_X", "calibration"), ("STAT_BOOTCNT", "statistics"))  # type: ignore[attr-defined]
+
+
+def test_what_is_of_one_vehicle_alone_is_left_unless_asked_for() -> None:
+    made = apply("SYSID_THISMAV,7\nCOMPASS_OFS_X,5\n")
+    assert made.changes == ()  # type: ignore[attr-defined]
+
+
+def test_a_value_its_type_cannot_hold_is_a_problem_with_its_line() -> None:
+    made = apply("RTL_ALT,1500\nFENCE_ENABLE,0.5\n")
+    assert made.problems == ("line 2: FENCE_ENABLE: 0.5 is not whole; the parameter is INT8",)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("text", "warning"),
+    [
+        ("# Onboard parameters for Vehicle 5\nRTL_ALT,1", "the file is of vehicle 5; this is vehicle 3"),
+        ("9\t1\tRTL_ALT\t1\t6", "the file is of vehicle 9; this is vehicle 3"),
+        ("# Stack: PX4 Pro\nRTL_ALT,1", "the file is of PX4 Pro; this vehicle runs ardupilot"),
+        ("FRAME_CLASS,2", "FRAME_CLASS is 2 in the file and 1 here: another airframe"),
+        ("MPC_THR_HOVER,1\nRTL_ALT,1", "the vehicle has none of 1 of the file's 2 parameters"),
+    ],
+)
+def test_a_file_of_another_vehicle_is_recognised(text: str, warning: str) -> None:
+    warnings = apply(text).warnings  # type: ignore[attr-defined]
+    assert any(w.startswith(warning) for w in warnings), warnings
+
+
+def test_its_own_file_gives_no_warning() -> None:
+    assert apply("# Onboard parameters for Vehicle 3\nRTL_ALT,1\n").warnings == ()  # type: ignore[attr-defined]
