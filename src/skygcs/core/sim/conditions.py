@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from math import cos, hypot, radians, sin
+from math import cos, hypot, isfinite, radians, sin
 
 from skygcs.core.sim.body import Vector
 from skygcs.core.sim.kinematics import Motion
@@ -79,6 +79,10 @@ def conditions_of(
     """
     if airframe not in AIRFRAMES:
         raise ValueError(f"airframe {airframe!r}: there are {', '.join(AIRFRAMES)}")
+    if not (wind_mps >= 0.0 and isfinite(wind_from_deg)):
+        raise ValueError(
+            f"wind {wind_mps:g} m/s from {wind_from_deg:g}: a speed of 0 or more, from a compass direction"
+        )
     frame = AIRFRAMES[airframe]
     return Conditions(
         dynamics=Dynamics(dynamics),

@@ -10,7 +10,8 @@ from math import atan2, cos, degrees, nan, sin
 from typing import TYPE_CHECKING, Any
 
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim.body import GRAVITY_MPS2, Body, quaternion_of
+from skygcs.core.sim.body import GRAVITY_MPS2, Body, Vector, quaternion_of
+from skygcs.core.sim.quad import Quad
 
 if TYPE_CHECKING:
     from skygcs.core.sim.vehicle import SimVehicle
@@ -22,6 +23,7 @@ UNKNOWN_U16 = 65535
 UNKNOWN_TEMPERATURE = 32767
 SATELLITES = 14
 HOVER_THROTTLE_PERCENT = 42
+"""Of a vehicle without thrust (kinematic)."""
 
 _HEALTHY_SENSORS = (
     m.MAV_SYS_STATUS_SENSOR_3D_GYRO
@@ -172,13 +174,19 @@ def attitude_quaternion(v: SimVehicle, now: float) -> Fields:
     return {"time_boot_ms": v.boot_ms, "q1": w, "q2": x, "q3": y, "q4": z, **_rates(motion)}
 
 
+def _throttle_percent(v: SimVehicle) -> int:
+    if isinstance(v.motion, Quad):
+        return round(100 * v.motion.thrust)
+    return 0 if v.landed else HOVER_THROTTLE_PERCENT
+
+
 def vfr_hud(v: SimVehicle, now: float) -> Fields:
     motion = v.told
     return {
         "airspeed": motion.groundspeed_mps,
         "groundspeed": motion.groundspeed_mps,
         "heading": int(motion.heading_deg),
-        "throttle": 0 if v.landed else HOVER_THROTTLE_PERCENT,
+        "throttle": _throttle_percent(v),
         "alt": v.where.alt_amsl_m + motion.up_m,
         "climb": motion.vel_u_mps,
     }
@@ -242,13 +250,17 @@ def rc_channels(v: SimVehicle, now: float) -> Fields:
     return {"time_boot_ms": v.boot_ms, "chancount": 0, "rssi": 255}  # no receiver: 255 = unknown
 
 
-def _body_accel(v: SimVehicle) -> tuple[float, float, float]:
-    """What the accelerometer feels, FRD, m/s²; level flight assumed, which is right to 1 %."""
+def _body_accel(v: SimVehicle) -> Vector:
+    """What the accelerometer feels (FRD, m/s²): everything but gravity, turned into the body."""
     motion = v.told
     east, north, up = motion.accel_enu_mps2
     forward = north * cos(motion.yaw_rad) + east * sin(motion.yaw_rad)
     right = -north * sin(motion.yaw_rad) + east * cos(motion.yaw_rad)
-    return forward, right, -(up + GRAVITY_MPS2)
+    down = -(up + GRAVITY_MPS2)
+    sin_p, cos_p = sin(motion.pitch_rad), cos(motion.pitch_rad)
+    sin_r, cos_r = sin(motion.roll_rad), cos(motion.roll_rad)
+    forward, down = forward * cos_p - down * sin_p, forward * sin_p + down * cos_p
+    return forward, right * cos_r + down * sin_r, down * cos_r - right * sin_r
 
 
 def raw_imu(v: SimVehicle, now: float) -> Fields:

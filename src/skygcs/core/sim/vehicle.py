@@ -266,6 +266,11 @@ class SimVehicle(ABC):
         """What its local frame is about: what a ground station told it, else where it was first powered."""
         return self.local_zero or Home(0.0, 0.0, 0.0)
 
+    def true_position(self) -> tuple[float, float, float]:
+        """Where it is, whatever it believes: (lat_deg, lon_deg, alt_amsl_m)."""
+        lat_deg, lon_deg = self.where.to_geodetic(self.motion.east_m, self.motion.north_m)
+        return lat_deg, lon_deg, self.where.alt_amsl_m + self.motion.up_m
+
     def sysid_of_params(self) -> int:
         """What the parameter says; 1 if that is no system id."""
         sysid = int(self.params[self.sysid_param])

@@ -83,6 +83,28 @@ def test_thrust_is_thrust_and_a_lean_moves_it(start: Callable[[], Pilot]) -> Non
     assert pilot.last("ATTITUDE").yaw == pytest.approx(radians(60), abs=0.05)
 
 
+def test_the_accelerometer_of_a_leaning_vehicle_feels_its_thrust_along_its_own_axis() -> None:
+    pilot = guided_with_thrust()
+    thrust = hover_thrust(pilot)
+    stream(pilot, 0.6, target(thrust, roll=0.3, pitch=-0.2, yaw=0.2))
+    pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 27)
+    felt = pilot.last("RAW_IMU")
+    assert (felt.xacc, felt.yacc) == pytest.approx((0, 0), abs=60), "milli-g; drag is what is left"
+    assert felt.zacc == pytest.approx(-1000, abs=60)
+    pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 74)
+    assert pilot.last("VFR_HUD").throttle == round(100 * thrust)
+
+
+def test_where_it_truly_is_agrees_with_what_it_tells() -> None:
+    pilot = offboard()
+    pilot.run(1.0)
+    pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 33)
+    told = pilot.last("GLOBAL_POSITION_INT")
+    assert pilot.vehicles[0].true_position() == pytest.approx(
+        (told.lat / 1e7, told.lon / 1e7, told.alt / 1e3), abs=2e-3
+    )
+
+
 # -- PX4
 
 
