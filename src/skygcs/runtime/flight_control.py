@@ -119,14 +119,15 @@ class FlightControl:
 
     # -- orders
 
-    async def engage(self, way: Way) -> Outcome:
+    async def engage(self, way: Way, *, force: bool = False) -> Outcome:
         """The whole sequence: checks, faster position, a stream of setpoints, the mode, its verification; undone on
-        failure. While it flies already, only the way changes."""
+        failure. While it flies already, only the way changes. ``force``: in spite of what it would do on its own if the
+        setpoints ceased."""
         started = self._loop.time()
         try:
             self._check_entry(started)
             if way is Way.ATTITUDE:
-                await self._check_attitude()
+                await self._check_attitude(force=force)
         except RefusedError as error:
             return _refused(str(error))
         if self.flying:
@@ -175,7 +176,7 @@ class FlightControl:
             return self._not_flying()
         if not VALID_S[0] <= valid_s <= VALID_S[1]:
             return _refused(f"valid_s {valid_s:g} is not between {VALID_S[0]} and {VALID_S[1]}")
-        if setpoint.place is not None and not setpoint.free_xy and (why := self._outside(setpoint.place)) is not None:
+        if (why := self._outside(setpoint.place, setpoint.free_xy, setpoint.free_z)) is not None:
             return _refused(why)
         now = self._loop.time()
         paused, self._followed_at = now - self._followed_at >= NEW_STREAM_S, now
@@ -277,12 +278,17 @@ class FlightControl:
         if refusal is not None:
             raise RefusedError(refusal)
 
-    async def _check_attitude(self) -> None:
-        """Raises RefusedError where thrust would not mean thrust, or cannot be checked."""
+    async def _check_attitude(self, *, force: bool) -> None:
+        """Raises RefusedError where thrust would not mean thrust, or cannot be checked, or where losing the setpoints
+        would be dangerous."""
         await self._attempt(lambda now: offboard.ask_parameters(self._vehicle, now))
         refusal = offboard.attitude_refusal(self._vehicle)
+        if refusal is None and not force:
+            refusal = offboard.loss_refusal(self._vehicle)
         if refusal is not None:
             raise RefusedError(refusal)
+        if (note := offboard.loss_note(self._vehicle)) is not None:
+            self._on_event(Event("warning", self._vehicle.name, self._vehicle.sysid, note, {}))
 
     def _begin(self, way: Way) -> None:
         if not self._law_changed:
@@ -407,9 +413,11 @@ class FlightControl:
         fence = self._settings.fence_at(origin)
         return fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
 
-    def _outside(self, place: Place) -> str | None:
-        fence = self._fence
-        return None if fence is None else fence.why_not(place.lat_deg, place.lon_deg, place.alt_amsl_m, reference=True)
+    def _outside(self, place: Place | None, free_xy: bool = False, free_z: bool = False) -> str | None:
+        if self._fence is None or place is None:
+            return None
+        here = (place.lat_deg, place.lon_deg, place.alt_amsl_m)
+        return self._fence.why_not(*here, reference=True, free_xy=free_xy, free_z=free_z)
 
     def _not_flying(self) -> Outcome:
         held = self.pilot.state is PilotState.HELD

@@ -66,11 +66,30 @@ class Fence:
         """Whether a vehicle may be there, or with ``reference`` be sent there."""
         return self.why_not(lat_deg, lon_deg, alt_amsl_m, reference=reference) is None
 
-    def why_not(self, lat_deg: float, lon_deg: float, alt_amsl_m: float, *, reference: bool = False) -> str | None:
-        """How far it is out, and of which side; None if it is not. Never raises, whatever the numbers."""
+    def why_not(
+        self,
+        lat_deg: float,
+        lon_deg: float,
+        alt_amsl_m: float,
+        *,
+        reference: bool = False,
+        what: str | None = None,
+        free_xy: bool = False,
+        free_z: bool = False,
+    ) -> str | None:
+        """How far it is out, and of which side; None if it is not. Never raises, whatever the numbers.
+
+        ``what`` the text is to call it. A ``free`` axis follows a velocity, has no place there and is not looked at.
+        """
+        what = what or _what(reference)
         if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and math.isfinite(alt_amsl_m)):
-            return f"{_what(reference)} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is no place on earth"
-        return self._why_not_at(self._frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m), reference)
+            return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is no place on earth"
+        x_m, y_m, up_m = self._frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m)
+        if free_xy:
+            x_m, y_m = sum(self.x_m) / 2, sum(self.y_m) / 2
+        if free_z:
+            up_m = sum(self.up_m) / 2
+        return self._why_not_at((x_m, y_m, up_m), reference, what)
 
     def seen_from(self, anchor: Origin) -> LocalFence:
         """The same fence for positions along the axes of ``anchor``: two frames on earth differ by a turn and a shift.
@@ -86,7 +105,7 @@ class Fence:
         (a, b, c), (d, e, f), (g, h, i) = axes
         return LocalFence(self, centre, ((a, d, g), (b, e, h), (c, f, i)))
 
-    def _why_not_at(self, point: Vector, reference: bool) -> str | None:
+    def _why_not_at(self, point: Vector, reference: bool, what: str) -> str | None:
         """For a point in the fence's own frame."""
         inset = self.margin_m if reference else 0.0
         below = 0.0 if reference else self.margin_m
@@ -98,7 +117,7 @@ class Fence:
         for axis, value, low, high in spans:
             if not low <= value <= high:  # NaN too
                 less = f" less {self.margin_m:g} m of margin" if reference else ""
-                return f"{_what(reference)} is at {axis} {value:.1f} m (limit {low:g}..{high:g} m, the fence{less})"
+                return f"{what} is at {axis} {value:.1f} m (limit {low:g}..{high:g} m, the fence{less})"
         return None
 
 
@@ -122,7 +141,7 @@ class LocalFence:
         (a, b, c), (d, e, f), (g, h, i) = self.rows
         cx, cy, cz = self.centre_m
         point = (cx + a * x + b * y + c * z, cy + d * x + e * y + f * z, cz + g * x + h * y + i * z)
-        return self.fence._why_not_at(point, reference)
+        return self.fence._why_not_at(point, reference, _what(reference))
 
 
 def _what(reference: bool) -> str:

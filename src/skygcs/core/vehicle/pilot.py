@@ -49,12 +49,21 @@ JUDGE_DELAY_S = 0.1
 LARGEST_DT_S = 1.0
 """Told to the law as the longest pause between two steps; it clamps to 1.5 periods itself."""
 
+LEAST_DEG = 1e-7
+"""Resolution of coordinates on the wire, 1 cm."""
+
 Message = tuple[str, dict[str, Any]]
 
 
 def _delay_meter() -> DelayMeter:
     """Ages count from when the state came in: the loop has the way down as well as the way up."""
     return DelayMeter(share=1.0)
+
+
+def _beside_zero(coordinate_deg: float) -> float:
+    """What would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is sent
+    as the next: the equator and the first meridian are places like any other."""
+    return coordinate_deg if abs(coordinate_deg) >= LEAST_DEG else LEAST_DEG
 
 
 class PilotState(StrEnum):
@@ -204,6 +213,7 @@ class Pilot:
         self._fence, self._breach, self._fenced = fence, (None, None), (None, None)
         self.state, self.wanted, self.way, self.reasons = PilotState.ENGAGING, way, None, ()
         self._guard.reset(way)
+        self._last = _Last()
         self.delay, self.delay_p95_s, self._delay_at = _delay_meter(), None, -math.inf
         self._obeys = guided_mode(self.vehicle)
         self._forget()
@@ -249,7 +259,7 @@ class Pilot:
         """One setpoint of a stream, good ``until`` then."""
         yaw = self._reference.yaw_rad if wanted.yaw_enu_rad is None else wanted.yaw_enu_rad
         self._reference = Reference(
-            self._reference.pos_enu_m if wanted.place is None else self._in_anchor(wanted.place),
+            ZERO if wanted.place is None else self._in_anchor(wanted.place),
             yaw,
             wanted.vel_enu_mps or ZERO,
             wanted.acc_enu_mps2 or ZERO,
@@ -269,7 +279,8 @@ class Pilot:
         if not self.active:
             return IDLE
         last = self._last
-        dt_s = min(max(now - last.at, 0.0), LARGEST_DT_S)
+        first = last.at == -math.inf
+        dt_s = self.config.law.period_s if first else min(max(now - last.at, 0.0), LARGEST_DT_S)
         last.at = now
         estimate, age_s = self._estimate(now)
         last.estimate, last.state_age_s = estimate, age_s
@@ -286,6 +297,7 @@ class Pilot:
             return Tick(events=(*events, *ended.events))
         if self.state is PilotState.ENGAGING:
             return self._send(verdict.way or Way.POSITION, estimate, dt_s, following=False)
+        self.reasons = verdict.reasons
         if verdict.changed:
             events += self._on_change(verdict)
         if verdict.action == "hold" or verdict.way is None:
@@ -300,6 +312,8 @@ class Pilot:
         error = None
         if reference is not None and last.estimate is not None and not reference.velocity_only_xy:
             error = [r - x for r, x in zip(reference.pos_enu_m, last.estimate.pos_enu_m, strict=True)]
+            if reference.velocity_only_z:
+                error[2] = 0.0
         attitude = output if self.way is Way.ATTITUDE else None
         return {
             "mode": None if self.state is PilotState.OFF else self.wanted.value,
@@ -351,8 +365,8 @@ class Pilot:
             return Tick(message, row=row, before=before, after=before)
         place = self._place_of(reference)
         message = setpoint.position_target(
-            place.lat_deg,
-            place.lon_deg,
+            _beside_zero(place.lat_deg),
+            _beside_zero(place.lon_deg),
             place.alt_amsl_m,
             reference.yaw_rad,
             self._boot_ms(),
@@ -400,7 +414,6 @@ class Pilot:
 
     def _on_change(self, verdict: Verdict) -> list[Event]:
         first = self.way is None and verdict.way is self.wanted
-        self.reasons = verdict.reasons
         why = "; ".join(verdict.reasons)
         if verdict.action == "hold":
             return [self._event(f"holding, nothing more is sent: {why}", "held")]
@@ -495,11 +508,17 @@ class Pilot:
             return None, None
         if self._breach[0] is not position:
             self._breach = (position, fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]))
-        if reference.velocity_only_xy or self.state is PilotState.ENGAGING:
+        if self.state is PilotState.ENGAGING:
             return self._breach[1], None
         place = self._place_of(reference)
         if place is not self._fenced[0]:
-            self._fenced = (place, fence.why_not(place.lat_deg, place.lon_deg, place.alt_amsl_m))
+            why = fence.why_not(
+                *(place.lat_deg, place.lon_deg, place.alt_amsl_m),
+                what="the place to go to",
+                free_xy=reference.velocity_only_xy,
+                free_z=reference.velocity_only_z,
+            )
+            self._fenced = (place, why)
         return self._breach[1], self._fenced[1]
 
     def _boot_ms(self) -> int:
