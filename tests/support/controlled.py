@@ -1,9 +1,13 @@
-"""A fake daemon whose vehicles can be controlled: gains, setpoints, and places they fly to."""
+"""A fake daemon whose vehicles can be controlled: gains, setpoints, and places they fly to.
+
+As a process, for the command line: python -m support.controlled SOCKET
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -72,6 +76,8 @@ class ControlledVehicle(FakeVehicle):
             "limits": {"thrust_min": 0.1, "thrust_max": 0.9},
         }
         self.setpoints: list[dict[str, Any]] = []
+        self.aloud = False
+        """Prints what it is told, for a test in another process to wait for."""
         self.refuses: str | None = None
         self.refuses_after: int | None = None
         """Takes so many setpoints before."""
@@ -80,10 +86,15 @@ class ControlledVehicle(FakeVehicle):
         outcome = await self._order("goto", **place)
         if outcome.ok and not self.stuck:
             self.goal_m = place["enu_m"]
+        self._say("goto")
         return outcome
 
-    async def control(self, *, mode: str) -> FakeOutcome:
-        return await self._order("control", mode=mode)
+    def _say(self, word: str) -> None:
+        if self.aloud:
+            print(self.name, word, flush=True)
+
+    async def control(self, *, mode: str, force: bool = False) -> FakeOutcome:
+        return await self._order("control", mode=mode, force=force)
 
     async def change_gains(self, *, changes: dict[str, Any], force: bool = False) -> FakeOutcome:
         outcome = await self._order("change_gains", changes=changes, force=force)
@@ -109,6 +120,7 @@ class ControlledVehicle(FakeVehicle):
         if refuses is not None:
             return replace(TAKEN, ok=False, result="refused", message=refuses)
         self.setpoints.append(setpoint)
+        self._say("setpoint")
         return TAKEN
 
     def state(self, now: float) -> dict[str, Any]:
@@ -171,3 +183,23 @@ def commanded(folder: Path) -> Iterator[Commanded]:
         yield fleet
     finally:
         fleet.close()
+
+
+async def serve(path: str) -> None:
+    """Until it is killed; says on stdout who was told to go, and of every setpoint."""
+    daemon = FakeDaemon()
+    vehicles = [ControlledVehicle(i, name) for i, name in enumerate(NAMES, 1)]
+    for vehicle in vehicles:
+        vehicle.aloud = True
+    daemon.fleet = ControlledFleet(vehicles)
+    server = RpcServer(daemon, path)
+    await server.start()
+    print("ready", flush=True)
+    try:
+        await asyncio.Event().wait()
+    finally:
+        await server.close()
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(sys.argv[1]))

@@ -48,6 +48,9 @@ def set_mode(
             show_default=False,
         ),
     ],
+    force: Annotated[
+        bool, typer.Option("--force", help="Attitude in spite of what the vehicle would do if setpoints ceased.")
+    ] = False,
     json_output: Json = False,
 ) -> None:
     """Take vehicles under control: start the setpoints, switch the flight mode, check; or give them back.
@@ -58,7 +61,7 @@ def set_mode(
 
     async def command(gcs: Client) -> int:
         async with waiting(f"control {mode} {targets}"):
-            answer = await gcs.call("control.set", targets=targets, mode=mode.value)
+            answer = await gcs.call("control.set", targets=targets, mode=mode.value, force=force)
         return tell_outcomes(answer["outcomes"], json_output)
 
     run(command)

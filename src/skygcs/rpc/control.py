@@ -16,7 +16,7 @@ async def control_set(context: Context, params: c.ControlSetParams) -> JsonObjec
     The whole sequence: checks, a stream of setpoints, the autopilot's mode (OFFBOARD, GUIDED), its verification; undone
     on failure. A vehicle begins by staying where it is. With "off" it is told to hold.
     """
-    return await outcomes(context, params.targets, "control", mode=params.mode)
+    return await outcomes(context, params.targets, "control", mode=params.mode, force=params.force)
 
 
 async def control_gains(context: Context, params: c.ControlGainsParams) -> JsonObject:

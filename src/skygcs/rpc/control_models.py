@@ -20,6 +20,9 @@ class ControlSetParams(TargetsParams):
     """Who closes the loops: the autopilot all (position) or the velocity loop (velocity), or skygcs (attitude)."""
 
     mode: Mode
+    force: bool = Field(
+        False, description="Attitude also where the autopilot would lean on long after a lost setpoint."
+    )
 
 
 class AxisChange(Params):

@@ -305,10 +305,11 @@ class VehicleActor:
             ),
         )
 
-    async def control(self, mode: str) -> Outcome:
+    async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Fly it by setpoints: "position", "velocity" or "attitude"; "off": no more, and hold."""
         if mode != "off":
-            return self._told("control", await self._cancellable("control", self.flight.engage(Way(mode))))
+            work = self.flight.engage(Way(mode), force=force)
+            return self._told("control", await self._cancellable("control", work))
         if not self.flight.pilot.active:
             self.flight.release("switched off")
             return self._told("control", Outcome(True, "accepted", "control is off"))

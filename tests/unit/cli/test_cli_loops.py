@@ -31,7 +31,7 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded
 @pytest.mark.parametrize("mode", ["off", "position", "velocity", "attitude"])
 def test_control_is_set_by_one_word(fleet: Commanded, mode: str) -> None:
     assert "ok" in fleet.run("control", "set", "alpha", mode)
-    assert fleet.vehicles["alpha"].orders == [("control", {"mode": mode})]
+    assert fleet.vehicles["alpha"].orders == [("control", {"mode": mode, "force": False})]
 
 
 def test_a_vehicle_that_is_not_taken_says_why(fleet: Commanded) -> None:

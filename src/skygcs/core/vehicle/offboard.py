@@ -29,9 +29,21 @@ PARAM_WAIT_S = 3.0
 
 OPTIONAL_WAIT_S = 1.0
 
-COPTER_PARAMETERS = (("GUID_OPTIONS", False), ("ATC_ANGLE_BOOST", True), ("MOT_THST_HOVER", True))
-PX4_PARAMETERS = (("MPC_THR_HOVER", True),)
+COPTER_PARAMETERS = (
+    ("GUID_OPTIONS", False),
+    ("GUID_TIMEOUT", True),
+    ("ATC_ANGLE_BOOST", True),
+    ("MOT_THST_HOVER", True),
+)
+PX4_PARAMETERS = (("MPC_THR_HOVER", True), ("COM_OF_LOSS_T", True), ("COM_OBL_RC_ACT", True))
 """What flying by attitude has to know, and whether it can do without."""
+
+LONGEST_LEAN_S = 1.0
+"""So long at most may a vehicle go on with the last attitude after the setpoints have ceased. With ArduCopter's default
+GUID_TIMEOUT of 3 s one that had just begun an 8 m step drifted 45 m (ArduCopter 4.6.2 in simulation, daemon killed)."""
+
+BY_STICKS = {0: "Position", 1: "Altitude", 2: "Manual"}
+"""Values of PX4's COM_OBL_RC_ACT after which somebody must have a hand on the sticks."""
 
 FLIES_ITSELF = frozenset(
     {
@@ -107,6 +119,30 @@ def attitude_refusal(vehicle: Vehicle) -> str | None:
         wanted = int(options) | THRUST_AS_THRUST
         return f"its GUID_OPTIONS is {options:g}: thrust would mean climb rate; set bit 3 (GUID_OPTIONS to {wanted})"
     return None
+
+
+def loss_refusal(vehicle: Vehicle) -> str | None:
+    """Why it should not be flown by attitude as its parameters are: what it would do if the setpoints ceased. To insist
+    is the operator's right."""
+    name = "GUID_TIMEOUT" if vehicle.family == "ardupilot" else "COM_OF_LOSS_T"
+    timeout_s = vehicle.param(name)
+    if timeout_s is None or timeout_s <= LONGEST_LEAN_S:
+        return None
+    return (
+        f"its {name} is {timeout_s:g} s: should the setpoints cease, it would lean on as it was last told for so long; "
+        f"set {name} to {LONGEST_LEAN_S:g} or less, or {orders.FORCE_HINT}"
+    )
+
+
+def loss_note(vehicle: Vehicle) -> str | None:
+    """What an operator should know of the vehicle's own reaction to setpoints that cease."""
+    action = vehicle.param("COM_OBL_RC_ACT")
+    if vehicle.family != "px4" or action not in BY_STICKS:
+        return None
+    return (
+        f"its COM_OBL_RC_ACT is {action:g}: should the setpoints cease, it goes to {BY_STICKS[int(action)]} mode and "
+        "needs a hand on the sticks; without a transmitter set it to 5 (Hold) or 3 (Return)"
+    )
 
 
 def boosts_thrust(vehicle: Vehicle) -> bool:
