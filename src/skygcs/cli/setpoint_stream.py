@@ -40,6 +40,7 @@ class Tally:
     """What was sent, and what came of it."""
 
     sent: int = 0
+    """Handed to the daemon, whatever it answered."""
     skipped: int = 0
     """Not sent because a newer one was there, or because the daemon took longer than the time between two."""
     wrong_lines: int = 0
@@ -64,8 +65,8 @@ class Sender:
 
     async def send(self, targets: str, setpoint: Setpoint) -> bool:
         """Whether any vehicle took it. Raises RpcError as `Client.call`."""
+        self.tally.sent += 1  # before the answer: who interrupts the waiting has sent it all the same
         answer = await self._gcs.call("control.setpoint", targets=targets, **setpoint, valid_s=self._valid_s)
-        self.tally.sent += 1
         outcomes: dict[str, dict[str, Any]] = answer["outcomes"]
         news: dict[str, list[str]] = {}
         for name, outcome in outcomes.items():

@@ -1,0 +1,62 @@
+"""What the pages about control show is what the commands take."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from skygcs.cli.setpoint_lines import COLUMNS as SETPOINT_COLUMNS
+from skygcs.cli.setpoint_lines import VECTORS, LineReader
+from skygcs.cli.table_file import read_table, spots, too_near
+from skygcs.core.control.trace import COLUMNS, FORMAT
+from support.public_data import ROOT
+
+DOCS = ROOT / "docs"
+
+
+def blocks(page: str, language: str) -> list[str]:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def test_every_column_and_the_format_of_a_trace_are_described() -> None:
+    page = (DOCS / "reference" / "control-trace.md").read_text(encoding="utf-8")
+    assert [column for column in COLUMNS if f"`{column}`" not in page] == []
+    assert FORMAT in page
+
+
+@pytest.mark.parametrize("language", ["json", "csv"])
+def test_the_lines_shown_are_setpoints(language: str) -> None:
+    (block,) = blocks("howto/fly-setpoints.md", language)
+    reader = LineReader()
+    assert [reader.read(line) for line in block.splitlines()][-1] is not None
+
+
+def test_every_key_and_column_of_a_setpoint_is_described() -> None:
+    page = (DOCS / "howto" / "fly-setpoints.md").read_text(encoding="utf-8")
+    assert [name for name in (*SETPOINT_COLUMNS, *VECTORS) if f"`{name}`" not in page] == []
+
+
+def test_the_program_shown_is_one() -> None:
+    (program,) = blocks("howto/fly-setpoints.md", "python")
+    compile(program, "fly-setpoints.md", "exec")
+
+
+def test_the_tables_shown_say_the_same_and_can_be_flown(tmp_path: Path) -> None:
+    tables = []
+    for language in ("csv", "toml"):
+        (block,) = blocks("howto/tables.md", language)
+        path = tmp_path / f"t.{language}"
+        path.write_text(block, encoding="utf-8")
+        tables.append(read_table(path))
+    assert tables[0]["alpha"] == tables[1]["alpha"]
+
+
+def test_the_example_table_is_for_the_example_fleet() -> None:
+    table = read_table(ROOT / "configs" / "table.csv")
+    fleet = (ROOT / "configs" / "sim.toml").read_text(encoding="utf-8")
+    assert all(f"[vehicles.{name}]" in fleet for name in table)
+    for which in ("initial", "final"):
+        assert not too_near({name: spot.position_m for name, spot in spots(table, which).items()}, 2.0)
