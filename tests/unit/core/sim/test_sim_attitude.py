@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import nan, radians
+from math import hypot, inf, nan, radians
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.sim.ardupilot import CopterVehicle
-from skygcs.core.sim.body import quaternion_of
+from skygcs.core.sim.attitude_targets import copter_attitude, px4_attitude
+from skygcs.core.sim.body import AttitudeSetpoint, quaternion_of
 from skygcs.core.sim.copter_setup import CopterMode
 from skygcs.core.sim.px4_setup import Px4Mode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter, px4, px4_mode
@@ -61,6 +64,27 @@ def guided(options: int = 0, height_m: float = 10.0) -> Pilot:
 
 def guided_with_thrust() -> Pilot:
     return guided(options=8)
+
+
+FLOAT = st.sampled_from([0.0, 1.0, -1.0, 0.5, nan, inf, -inf, 3e38]) | st.floats(width=32)
+
+
+@given(q=st.lists(FLOAT, min_size=4, max_size=4), thrust=FLOAT, rate=FLOAT, mask=st.integers(0, 255))
+def test_no_target_from_outside_is_anything_but_a_unit_attitude_with_a_bounded_thrust(
+    q: list[float], thrust: float, rate: float, mask: int
+) -> None:
+    rates = {"body_roll_rate": rate, "body_pitch_rate": rate, "body_yaw_rate": rate}
+    fields = {"q": q, "thrust": thrust, "type_mask": mask, **rates}
+    for taken in (
+        px4_attitude(fields, 0.4),
+        copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5),
+        copter_attitude(fields, thrust_as_thrust=False, climb_mps=2.5, descent_mps=1.5),
+    ):
+        if isinstance(taken, AttitudeSetpoint):
+            assert taken.attitude_ned_frd is not None
+            assert hypot(*taken.attitude_ned_frd) == pytest.approx(1.0)
+            assert taken.thrust is None or -1.0 <= taken.thrust <= 1.0
+            assert -1.5 <= taken.climb_mps <= 2.5
 
 
 # -- both
