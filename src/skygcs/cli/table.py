@@ -149,12 +149,12 @@ async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float,
 async def _fly(gcs: Client, flights: Sequence[Flight], arrive_m: float, timeout_s: float, json_output: bool) -> int:
     from skygcs.cli.table_flight import send, watch
 
-    await send(gcs, flights)
-    if not json_output:
-        for flight in flights:
-            if flight.refused is not None:
-                fail(f"{flight.name} does not go: {flight.refused}")
     try:
+        await send(gcs, flights)
+        if not json_output:
+            for flight in flights:
+                if flight.refused is not None:
+                    fail(f"{flight.name} does not go: {flight.refused}")
         took_s = await watch(gcs, flights, arrive_m, timeout_s, json_output)
     except asyncio.CancelledError:
         fail("no longer watching; they fly on to their places (skygcs-cli hold stops them)")
