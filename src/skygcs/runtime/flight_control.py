@@ -58,6 +58,10 @@ VALID_S = (0.1, 5.0)
 NEW_STREAM_S = 1.0
 """A client that has sent nothing for so long has noticed that something changed."""
 
+LATE_ENTRY_S = 2.5
+"""After a mode was commanded in vain, or given up while it was on its way, it may still be taken: an exchange's repeats
+and a heartbeat, which tells, come within so long."""
+
 TIMESYNC = "TIMESYNC"
 
 Attempt = Callable[[Callable[[float], Plan]], Awaitable[Outcome]]
@@ -65,8 +69,11 @@ Execute = Callable[[Plan], Awaitable[Outcome]]
 
 
 class FlightControl:
-    """One vehicle's. ``execute`` carries out a plan, ``attempt`` plans and carries out; ``order_count`` tells whether
-    a newer order came meanwhile."""
+    """One vehicle's. ``execute`` carries out a plan, ``attempt`` plans and carries out.
+
+    Every order that moves the vehicle calls `release` before it is carried out. Taking control up takes seconds, and
+    each of its steps asks whether such an order, or a newer one of its own kind, has come meanwhile (``_turn``).
+    """
 
     def __init__(
         self,
@@ -78,7 +85,6 @@ class FlightControl:
         *,
         execute: Execute,
         attempt: Attempt,
-        order_count: Callable[[], int],
         position_hz: float | None,
         on_event: Callable[[Event], None],
         log_dir: Path,
@@ -91,7 +97,6 @@ class FlightControl:
         self._loop = loop
         self._execute = execute
         self._attempt = attempt
-        self._order_count = order_count
         self._position_hz = position_hz
         self._on_event = on_event
         self._log_dir = log_dir
@@ -104,6 +109,8 @@ class FlightControl:
         self._trace: TraceFile | None = None
         self._recording = False
         self._tasks: set[asyncio.Task[Any]] = set()
+        self._turn = 0
+        """Increases with everything that ends or begins control: who began under another number goes no further."""
         self._law_changed = False
         self._followed_at = -math.inf
         self._frozen = False
@@ -123,27 +130,31 @@ class FlightControl:
         """The whole sequence: checks, faster position, a stream of setpoints, the mode, its verification; undone on
         failure. While it flies already, only the way changes. ``force``: in spite of what it would do on its own if the
         setpoints ceased."""
-        started = self._loop.time()
+        started, turn = self._loop.time(), self._turn
         try:
             self._check_entry(started)
             if way is Way.ATTITUDE:
                 await self._check_attitude(force=force)
+            if self._turn != turn:
+                return _superseded(self._loop.time() - started)
+            if self.pilot.state is PilotState.ENGAGING:
+                self.release("a newer order took its place")
+            turn = self._next_turn()
+            if self.flying:
+                return await self._change(way, turn)
+            back_to = self._vehicle.custom_mode
+            await self._ask_position(POSITION_HZ.get(way))
+            if self._turn != turn:
+                return _superseded(self._loop.time() - started)
+            self._begin(way)
         except RefusedError as error:
             return _refused(str(error))
-        if self.flying:
-            return await self._change(way)
-        began = self._order_count()
-        back_to = self._vehicle.custom_mode
-        await self._ask_position(POSITION_HZ.get(way))
-        if self._order_count() != began:
-            return _superseded(self._loop.time() - started)
-        self._begin(way)
         outcome: Outcome | None = None
         try:
-            outcome = await self._enter(way, began, back_to)
+            outcome = await self._enter(way, turn, back_to)
         finally:
-            if outcome is None or not outcome.ok:
-                self.release("it could not be begun" if outcome is None else outcome.message)
+            if (outcome is None or not outcome.ok) and self._turn == turn:
+                self._undo("it could not be begun" if outcome is None else outcome.message, back_to)
         return replace(outcome, elapsed_s=self._loop.time() - started)
 
     def disengage(self) -> Outcome:
@@ -153,6 +164,7 @@ class FlightControl:
 
     def release(self, reason: str) -> None:
         """Send nothing from now on. Idempotent."""
+        self._next_turn()
         was_active = self.pilot.active
         self._apply(self.pilot.release(reason))
         self.clock.stop()
@@ -269,6 +281,10 @@ class FlightControl:
 
     # -- the inside
 
+    def _next_turn(self) -> int:
+        self._turn += 1
+        return self._turn
+
     def _check_entry(self, now: float) -> None:
         refusal = offboard.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
@@ -302,43 +318,63 @@ class FlightControl:
         if self._recording:
             self._open_trace()
 
-    async def _enter(self, way: Way, began: int, back_to: int) -> Outcome:
+    async def _enter(self, way: Way, turn: int, back_to: int) -> Outcome:
         """Stream, measure, switch the mode over and see that it has."""
-        if (ended := await self._settle(way, began, STREAM_BEFORE_S)) is not None:
+        if (ended := await self._settle(way, turn, STREAM_BEFORE_S)) is not None:
             return ended
+        try:
+            self._check_entry(self._loop.time())  # seconds have passed: it may have landed, or be in its failsafe
+        except RefusedError as error:
+            return _refused(str(error))
+        if self._vehicle.custom_mode != back_to and not offboard.is_following(self._vehicle):
+            return _refused(f"somebody else switched it to {self._vehicle.mode} meanwhile")
         outcome = await self._execute(offboard.enter(self._vehicle))
+        if self._turn != turn:
+            return _superseded(0.0)
         if not outcome.ok:
-            if self._vehicle.custom_mode != back_to and offboard.is_following(self._vehicle):
-                await self._execute(offboard.leave(self._vehicle, back_to))
             return replace(outcome, message=f"it was not switched over: {outcome.message}")
         self.pilot.entered()
         return await self._flown(way)
 
-    async def _change(self, way: Way) -> Outcome:
+    def _undo(self, reason: str, back_to: int) -> None:
+        """What the guard has ended after the entry, it has ended rightly: by a hold, or because somebody else flies."""
+        if self.pilot.active or not self.pilot.was_entered:
+            self.release(reason)
+            self._spawn(self._give_back(back_to, self._turn), "control given back")
+
+    async def _give_back(self, back_to: int, turn: int) -> None:
+        """A vehicle that obeys setpoints, or is about to because its mode was commanded already, gets none any more: it
+        is not left to its timeouts. An ArduCopter whose attitude ends would drift with the wind."""
+        following = await self._commander.until(lambda: offboard.is_following(self._vehicle), LATE_ENTRY_S)
+        if following and self._vehicle.armed and self._turn == turn:
+            await self._attempt(lambda now: offboard.leave(self._vehicle, back_to))
+
+    async def _change(self, way: Way, turn: int) -> Outcome:
         """Another way while it flies. Its present one goes on until the state comes as fast as the new one needs it."""
-        began, slower = self._order_count(), WAYS.index(way) > WAYS.index(self.pilot.wanted)
+        slower = WAYS.index(way) > WAYS.index(self.pilot.wanted)
         if slower:
             self.pilot.want(way)
         await self._ask_position(POSITION_HZ.get(way))
         if not slower:
-            if (ended := await self._settle(way, began, PAUSE_S)) is not None:
+            if (ended := await self._settle(way, turn, PAUSE_S)) is not None:
                 return ended
             self.pilot.want(way)
         return await self._flown(way)
 
-    async def _settle(self, way: Way, began: int, least_s: float) -> Outcome | None:
+    async def _settle(self, way: Way, turn: int, least_s: float) -> Outcome | None:
         """Wait ``least_s``, and longer while something stands against the way that a few seconds may cure: a round trip
         not measured yet, a position stream that was slower until now. An Outcome if control ended meanwhile."""
         started = self._loop.time()
-        while (waited := self._loop.time() - started) < SETTLE_S:
-            if waited >= least_s and self._measured() and not self.pilot.why_not(way, self._loop.time()):
-                break
-            await asyncio.sleep(0.1)
-            if self._order_count() != began:
+        while True:
+            waited = self._loop.time() - started
+            if self._turn != turn:
                 return _superseded(waited)
             if not self.pilot.active:
-                return Outcome(False, "cancelled", "; ".join(self.pilot.reasons) or "control ended")
-        return None
+                return _refused("; ".join(self.pilot.reasons) or "control ended")
+            ready = self._measured() and not self.pilot.why_not(way, self._loop.time())
+            if waited >= SETTLE_S or (waited >= least_s and ready):
+                return None
+            await asyncio.sleep(0.1)
 
     async def _flown(self, way: Way) -> Outcome:
         """The guard's first word belongs to the answer."""
@@ -356,12 +392,12 @@ class FlightControl:
         pilot = self.pilot
         try:
             tick = pilot.tick(now)
+            if tick.message is not None:
+                self._commander.transmit(*tick.message, Priority.SETPOINT, key=self._queue_key)
         except Exception as error:  # a fault of ours must not leave a vehicle under setpoints that nobody checks
             fault = f"flight control failed inside skygcs and ends: {error!r}"
             self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, fault, {}))
             tick = Tick(events=pilot.release(fault).events, hold=True)
-        if tick.message is not None:
-            self._commander.transmit(*tick.message, Priority.SETPOINT, key=self._queue_key)
         self._apply(tick)
         if pilot.active and pilot.delay.due_ping(now):
             self._ping(now)
@@ -379,9 +415,11 @@ class FlightControl:
             self._close_trace()
             self._restore_position()
         if tick.hold:
-            self._spawn(self._hold(), "hold")
+            self._spawn(self._hold(self._turn), "hold")
 
-    async def _hold(self) -> None:
+    async def _hold(self, turn: int) -> None:
+        if self._turn != turn:
+            return  # an order came before this had its turn: it must not take that one's place
         outcome = await self._attempt(lambda now: orders.hold(self._vehicle, now))
         if not outcome.ok:
             text = f"it was told to hold, but: {outcome.message}; its own failsafe has to act"
