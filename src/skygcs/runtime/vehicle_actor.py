@@ -81,7 +81,6 @@ class VehicleActor:
             loop,
             execute=self._plans.execute,
             attempt=self._attempt_kept,
-            order_count=lambda: self._plans.order,
             position_hz=config.streams.get("GLOBAL_POSITION_INT"),
             on_event=on_event,
             log_dir=log_dir,
@@ -137,6 +136,8 @@ class VehicleActor:
     @duplicate.setter
     def duplicate(self, value: bool) -> None:
         self.vehicle.duplicate = value
+        if value:  # what is told is of two vehicles, and both would hear what is sent to one
+            self.flight.release(f"two vehicles with system id {self.sysid} are on the air")
 
     def set_origin(self, origin: Origin | None, generation: int) -> None:
         """The fleet's world frame from now on, and its number; see `World`."""

@@ -154,6 +154,8 @@ class Pilot:
         self.delay = _delay_meter()
         self.delay_p95_s: float | None = None
         self.memory = Memory()
+        self.was_entered = False
+        """Whether the autopilot obeyed since the last `engage`."""
         self.tracing = False
         """Whether ticks carry a row for the trace."""
         self.refusing: str | None = None
@@ -212,6 +214,7 @@ class Pilot:
         self.frame = EnuFrame(anchor)
         self._fence, self._breach, self._fenced = fence, (None, None), (None, None)
         self.state, self.wanted, self.way, self.reasons = PilotState.ENGAGING, way, None, ()
+        self.was_entered = False
         self._guard.reset(way)
         self._last = _Last()
         self.delay, self.delay_p95_s, self._delay_at = _delay_meter(), None, -math.inf
@@ -223,6 +226,7 @@ class Pilot:
         """The autopilot obeys our setpoints: from now on the reference stays where it is."""
         if self.state is PilotState.ENGAGING:
             self.state, self.way = PilotState.FLYING, None
+            self.was_entered = True
             self._guard.reset(self.wanted)
             self._forget()
             self._stay(yaw_rad=self._reference.yaw_rad)
