@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -102,8 +103,7 @@ def _check(rows: Table, separation_m: float, json_output: bool) -> int:
 
     places = {which: {name: s.position_m for name, s in spots(rows, which).items()} for which in ("initial", "final")}
     near = {which: too_near(points, separation_m) for which, points in places.items()}
-    both = {name: point for name, point in places["initial"].items() if name in places["final"]}
-    crossing = crossings(both, places["final"], separation_m)
+    crossing = crossings(places["initial"], places["final"], separation_m)
     good = not (crossing or any(near.values()))
     if json_output:
         found = {which: [_pair(n) for n in pairs] for which, pairs in (*near.items(), ("paths", crossing))}
@@ -112,14 +112,12 @@ def _check(rows: Table, separation_m: float, json_output: bool) -> int:
     for line in _near_lines(near, separation_m) + _crossing_lines(crossing, separation_m):
         typer.echo(line)
     counts = ", ".join(f"{len(points)} {which} positions" for which, points in places.items())
-    typer.echo(f"{len(rows)} vehicles: {counts}" + ("; all at least " + f"{separation_m:g} m apart" if good else ""))
+    typer.echo(f"{len(rows)} vehicles: {counts}" + (f"; all at least {separation_m:g} m apart" if good else ""))
     return Exit.DONE if good else Exit.FAILED
 
 
 async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float, force: bool) -> list[Flight]:
     """Checked against the table and the fleet. Raises RefusedError."""
-    import math
-
     from skygcs.cli.table_file import crossings, spots, too_near
     from skygcs.cli.table_flight import Flight, located, others
     from skygcs.errors import RefusedError

@@ -14,7 +14,7 @@ import typer
 from skygcs.cli import render
 from skygcs.cli.reading import SCREEN_HZ
 from skygcs.cli.table_file import Point, Spot
-from skygcs.errors import RefusedError
+from skygcs.errors import DaemonUnreachable, RefusedError, RpcError
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 WATCH_HZ = 4.0
 """Updates per vehicle and second: at 5 m/s one is seen every 1.25 m, and the stopwatch is good to a quarter second."""
+
+AT_ONCE = 32
+"""Orders under way; the daemon takes 64 of one client."""
 
 
 @dataclass
@@ -102,9 +105,18 @@ def others(states: Iterable[Mapping[str, Any]], flying: Iterable[str]) -> dict[s
 async def send(gcs: Client, flights: Sequence[Flight]) -> None:
     """A goto to each, all at once; who refuses says why."""
 
+    free = asyncio.Semaphore(AT_ONCE)
+
     async def send_one(flight: Flight) -> None:
         goal = flight.goal
-        outcomes = await gcs.goto(flight.name, enu_m=goal.position_m, yaw_deg=goal.heading_deg)
+        async with free:
+            try:
+                outcomes = await gcs.goto(flight.name, enu_m=goal.position_m, yaw_deg=goal.heading_deg)
+            except DaemonUnreachable:
+                raise
+            except RpcError as error:
+                flight.refused = str(error)
+                return
         for outcome in outcomes.values():
             if not outcome["ok"]:
                 flight.refused = outcome["message"] or outcome["result"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +12,8 @@ from typer.testing import CliRunner
 
 from skygcs.cli.control import app
 from skygcs.cli.table_file import Spot
-from skygcs.cli.table_flight import Flight, flight_table
+from skygcs.cli.table_flight import Flight, flight_table, send
+from skygcs.errors import RpcError
 from support.controlled import Commanded, commanded
 from support.fake_daemon import FakeOutcome
 
@@ -70,6 +72,26 @@ def test_who_refuses_is_not_waited_for(fleet: Commanded, table: str) -> None:
     assert "bravo does not go: refused: it is on the ground" in text and "2 of 3 arrived" in text
     answer = fleet.json("table", table, "final", code=FAILED)
     assert answer["vehicles"]["bravo"]["refused"] == "refused: it is on the ground"
+
+
+async def test_more_vehicles_than_the_daemon_takes_orders_at_once() -> None:
+    class Busy:
+        under_way = most = 0
+
+        async def goto(self, name: str, **_: object) -> dict[str, dict[str, object]]:
+            self.under_way += 1
+            self.most = max(self.most, self.under_way)
+            await asyncio.sleep(0)
+            self.under_way -= 1
+            if name == "v7":
+                raise RpcError(-32602, "yaw_deg: is wrong")
+            return {name: {"ok": True}}
+
+    busy = Busy()
+    flights = [Flight(f"v{i}", Spot((float(i), 0.0, 5.0)), 9.0) for i in range(250)]
+    await send(busy, flights)  # type: ignore[arg-type]
+    assert busy.most == 32
+    assert [f.name for f in flights if f.refused] == ["v7"]
 
 
 def nothing_flew(fleet: Commanded) -> bool:
