@@ -9,7 +9,7 @@ import asyncio
 import json
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -76,6 +76,7 @@ class ControlledVehicle(FakeVehicle):
             "limits": {"thrust_min": 0.1, "thrust_max": 0.9},
         }
         self.setpoints: list[dict[str, Any]] = []
+        self.on_setpoint: Callable[[], None] | None = None
         self.aloud = False
         """Prints what it is told, for a test in another process to wait for."""
         self.refuses: str | None = None
@@ -121,6 +122,8 @@ class ControlledVehicle(FakeVehicle):
             return replace(TAKEN, ok=False, result="refused", message=refuses)
         self.setpoints.append(setpoint)
         self._say("setpoint")
+        if self.on_setpoint is not None:
+            self.on_setpoint()
         return TAKEN
 
     def state(self, now: float) -> dict[str, Any]:
@@ -155,6 +158,10 @@ class Commanded:
 
     def _do(self, coroutine: Any) -> None:
         asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(10)
+
+    def stop_soon(self) -> None:
+        """For a vehicle to end its daemon in mid-stream."""
+        self.loop.call_soon(lambda: asyncio.ensure_future(self._server.close()))
 
     def close(self) -> None:
         self._do(self._server.close())

@@ -54,7 +54,7 @@ def test_a_program_piped_in_is_flown_to_its_end(served: Served) -> None:
     process = served.start("setpoint", "alpha", "--stdin", "--rate", "50")
     out, err = process.communicate('{"pos": [1, 2, 5]}\nnonsense\n{"pos": [1, 3, 5]}', timeout=PATIENCE_S)
     assert process.returncode == 1
-    assert out.startswith("2 setpoints in 0.") and "1 wrong lines" in out
+    assert out.startswith("2 setpoints in 0.") and "wrong lines: 1" in out
     assert "alpha stays where it is from 0.5 s after the last one on" in out
     assert err.startswith("skygcs-cli: line 2: ")
 

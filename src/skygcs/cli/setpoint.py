@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,9 +13,16 @@ from skygcs.cli.connection import Exit, fail, run
 from skygcs.cli.options import Json, Targets
 from skygcs.cli.setpoint_lines import LineError, checked
 from skygcs.cli.values import finite, parse_unset_number
+from skygcs.errors import DaemonUnreachable
 from skygcs.rpc.client import Client
 
+if TYPE_CHECKING:
+    from skygcs.cli.setpoint_stream import Tally
+
 DEFAULT_HZ = 10.0
+LEAST_HZ = 0.2
+"""One in LARGEST_VALID_S."""
+
 LARGEST_HZ = 100.0
 """More than twice the default rate of the control loop: what is faster is not flown."""
 
@@ -67,27 +74,20 @@ def setpoint(
 ) -> None:
     """Stream setpoints to vehicles under `control`: `setpoint alpha --pos 5 -3 10 --for 20`.
 
-    From your own program: `./my-planner | skygcs-cli setpoint all --stdin`, a line each: {"pos": [5, -3, 10]} or
+    From your own program: `./my-planner | skygcs-cli setpoint alpha --stdin`, a line each: {"pos": [5, -3, 10]} or
     5,-3,10. `--vel 1 0 - --pos - - 10`: level flight. When the setpoints end, vehicles stay where they then are.
     """
-    given: dict[str, Any] = {}
-    for option, parameter, vector in (("--pos", "pos_enu_m", position), ("--vel", "vel_enu_mps", velocity)):
-        if vector is not None:
-            given[parameter] = [parse_unset_number(value, option) for value in vector]
-    if stdin and (given or yaw is not None or duration_s is not None):
+    given = _given(position, velocity, yaw)
+    if stdin and (given or duration_s is not None):
         raise typer.BadParameter("--stdin brings the setpoints itself: give no --pos, --vel, --yaw or --for with it")
-    if not stdin and not given:
-        raise typer.BadParameter("say what is to be sent: --pos X Y Z, --vel X Y Z, or --stdin")
-    if given:
+    if not stdin:
         try:
-            checked(given)
+            given = checked(given)
         except LineError as error:
-            raise typer.BadParameter(str(error)) from None
-    _check("--rate", rate_hz, 0.1, LARGEST_HZ)
+            raise typer.BadParameter(f"{error}: give --pos X Y Z, --vel X Y Z, or --stdin") from None
+    _check("--rate", rate_hz, LEAST_HZ, LARGEST_HZ)
     _check("--for", duration_s, 0.0, 86400.0)
     _check("--valid", valid_s, 0.1, LARGEST_VALID_S)
-    if yaw is not None:
-        given["yaw_deg"] = yaw
     rate = DEFAULT_HZ if rate_hz is None and not stdin else rate_hz
     if valid_s is None:
         valid_s = VALID_S if rate is None else min(max(VALID_S, 2.5 / rate), LARGEST_VALID_S)
@@ -102,23 +102,38 @@ def setpoint(
         tally = sender.tally
         if not stdin and sys.stderr.isatty():
             typer.echo(f"streaming to {targets} at {rate:g} Hz; Ctrl-C ends it", err=True)
-        began = asyncio.get_running_loop().time()
+        clock = asyncio.get_running_loop().time
+        began = clock()
+        after = f"from {good_for_s:g} s after the last one on, still under control"
         try:
             if stdin:
                 await forward(sender, targets, bytes_of(sys.stdin.fileno()), rate)
             else:
                 assert rate is not None
                 await repeat(sender, targets, given, rate, duration_s)
+        except DaemonUnreachable:
+            after = "only if its autopilot's failsafe does so: nobody sends setpoints any more"
+            raise
         finally:
-            elapsed_s = asyncio.get_running_loop().time() - began
-            _tell_end(tally, elapsed_s, good_for_s, json_output)
+            _tell_end(tally, clock() - began, after, json_output)
         return Exit.DONE if tally.ok else Exit.FAILED
 
     run(command)
 
 
-def _tell_end(tally: Any, elapsed_s: float, valid_s: float, json_output: bool) -> None:
-    """Also after Ctrl-C and when the daemon went away: what was sent, and what the vehicles do now."""
+def _given(
+    position: tuple[str, str, str] | None, velocity: tuple[str, str, str] | None, yaw: float | None
+) -> dict[str, Any]:
+    """As control.setpoint takes it. Raises BadParameter."""
+    given: dict[str, Any] = {}
+    for option, parameter, vector in (("--pos", "pos_enu_m", position), ("--vel", "vel_enu_mps", velocity)):
+        if vector is not None:
+            given[parameter] = [parse_unset_number(value, option) for value in vector]
+    return given if yaw is None else {**given, "yaw_deg": yaw}
+
+
+def _tell_end(tally: Tally, elapsed_s: float, after: str, json_output: bool) -> None:
+    """What was sent, and what the vehicles do now; also after Ctrl-C and when the daemon went away."""
     took = [name for name, outcome in tally.outcomes.items() if outcome["ok"]]
     if json_output:
         answer = {
@@ -130,12 +145,12 @@ def _tell_end(tally: Any, elapsed_s: float, valid_s: float, json_output: bool) -
         }
         typer.echo(json.dumps(answer, indent=2))
         return
-    further = ((tally.skipped, "skipped for newer ones"), (tally.wrong_lines, "wrong lines"))
-    counts = "".join(f", {count:,} {what}" for count, what in further if count)
+    further = (("skipped for newer ones", tally.skipped), ("wrong lines", tally.wrong_lines))
+    counts = "".join(f", {what}: {count:,}" for what, count in further if count)
     typer.echo(f"{tally.sent:,} setpoint{'s' if tally.sent != 1 else ''} in {elapsed_s:.1f} s{counts}")
     if took:
         stay = "stays where it is" if len(took) == 1 else "stay where they are"
-        typer.echo(f"{', '.join(took)} {stay} from {valid_s:g} s after the last one on, still under control")
+        typer.echo(f"{', '.join(took)} {stay} {after}")
 
 
 def _check(option: str, value: float | None, least: float, most: float) -> None:

@@ -64,15 +64,22 @@ def test_what_all_refuse_for_one_reason_is_told_once(fleet: Commanded) -> None:
     assert text.count("control is off") == 1 and "alpha, bravo, carol: refused" in text
 
 
+def test_when_the_daemon_goes_away_nothing_is_promised(fleet: Commanded) -> None:
+    alpha = fleet.vehicles["alpha"]
+    alpha.on_setpoint = fleet.stop_soon
+    text = fleet.run("setpoint", "alpha", "--vel", "1", "0", "0", code=3)
+    assert "autopilot's failsafe" in text and "under control" not in text
+
+
 @pytest.mark.parametrize(
     ("args", "word"),
     [
-        ((), "--pos X Y Z, --vel X Y Z, or --stdin"),
+        ((), "neither a position nor a velocity"),
         (("--pos", "1", "2", "x"), "--pos"),
         (("--pos", "1", "2", "inf"), "--pos"),
         (("--pos", "1", "2", "-"), "z has neither"),
         (("--pos", "1", "-", "3"), "x or y alone"),
-        (("--pos", "1", "2", "3", "--rate", "0"), "--rate"),
+        (("--pos", "1", "2", "3", "--rate", "0.1"), "--rate"),
         (("--pos", "1", "2", "3", "--rate", "1000"), "--rate"),
         (("--pos", "1", "2", "3", "--for", "-1"), "--for"),
         (("--pos", "1", "2", "3", "--valid", "60"), "--valid"),
