@@ -55,13 +55,18 @@ class DelayMeter:
     when the state was *received*: then they lack the way down, and the loop has both.
     """
 
-    __slots__ = ("_ages", "_last_ping", "_last_pong", "_sent", "_token", "_trips", "pings", "share", "strange")
+    __slots__ = (
+        *("_ages", "_last_ping", "_last_pong", "_sent", "_token", "_trips"),
+        *("pings", "rtt_p95_s", "share", "strange"),
+    )
 
     def __init__(self, *, share: float = 0.5) -> None:
         self.share = share
         self.pings = 0
         self.strange = 0
         """Pongs nobody waited for: of another station, twice, too late, or before their ping."""
+        self.rtt_p95_s: float | None = None
+        """None: not measured yet, or not any more (as of the last tick)."""
         self._ages: deque[tuple[float, float]] = deque(maxlen=MAX_TICKS)
         self._trips: deque[float] = deque(maxlen=ROUND_TRIPS)
         self._sent: dict[int, float] = {}
@@ -79,6 +84,7 @@ class DelayMeter:
             self._ages.popleft()
         if self._trips and not 0 <= now - self._last_pong <= ROUND_TRIP_VALID_S:
             self._trips.clear()
+            self.rtt_p95_s = None
 
     def due_ping(self, now: float) -> bool:
         """Whether to send a ping now."""
@@ -107,11 +113,7 @@ class DelayMeter:
             return
         self._trips.append(now - sent)
         self._last_pong = now
-
-    @property
-    def rtt_p95_s(self) -> float | None:
-        """None: not measured yet, or not any more (as of the last tick)."""
-        return p95(self._trips)
+        self.rtt_p95_s = p95(self._trips)
 
     @property
     def delay_p95_s(self) -> float | None:

@@ -244,9 +244,12 @@ class Guard:
         return WAYS[-1]
 
     def _sending(self, refused: dict[Way, tuple[Refusal, ...]], moved: bool, now: float) -> Verdict:
+        if self._way is self.wanted:
+            self._cause = ()
+            return Verdict("send", self._way, (), changed=moved)
         above = [way for way in self._ways() if WAYS.index(way) < WAYS.index(self._way)]
         present = tuple({r.kind: r for way in above for r in refused[way]}.values())
-        self._cause = present or (self._cause if above else ())
+        self._cause = present or self._cause
         reasons, kinds = [r.text for r in self._cause], tuple(r.kind for r in self._cause)
         possible = next((way for way in above if not refused[way]), None)
         if possible:

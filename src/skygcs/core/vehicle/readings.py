@@ -102,12 +102,16 @@ class Readings:
         return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
 
     def _folded(self, section: Section) -> tuple[Folded | None, float]:
+        known = self._cache.get(section.name)
+        if len(section.messages) == 1 and known is not None:  # control looks at a position for every setpoint
+            slot = self.slot(section.messages[0])
+            if slot is not None and slot.frame is known[0][0]:
+                return known[1], slot.at
         slots = self._sources(section)
         if not slots:
             return None, 0.0
         at = max(s.at for s in slots)
         frames = tuple(s.frame for s in slots if s.frame is not None)
-        known = self._cache.get(section.name)
         if known is not None and len(known[0]) == len(frames) and all(map(operator.is_, known[0], frames)):
             return known[1], at
         values = {f.name: v for f in frames if (v := self.decoder.values(f.name, f.payload))}

@@ -1,0 +1,156 @@
+"""CPU of one control tick: from the pilot's decision to the packet on a link, in each way of control.
+
+Run by `make bench`. Interleaved with the law alone, and compared with it as a ratio: these machines are noisy.
+Results also in build/bench/control-tick.json.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import statistics
+import time
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.config.control import ControlSettings
+from skygcs.config.models import FleetConfig, MemoryLink
+from skygcs.core.airtime import Priority
+from skygcs.core.control.cascade import Estimate, Memory, Reference, step
+from skygcs.core.control.fence import Fence
+from skygcs.core.control.guard import Way
+from skygcs.core.geo import Origin
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place, Tick
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.links.memory import MemoryLink as Link
+from skygcs.runtime.commander import Commander
+from skygcs.runtime.hub import Hub
+from support.vehicles import HOME, PX4, PX4_LOITER, Voice, flight_dialect
+
+ROOT = Path(__file__).parents[2]
+TICKS = 2_000
+ROUNDS = 7
+RATIO_LIMIT = 4.0
+"""Of a whole attitude tick to the law's step in it, which takes 12 us on a desktop core: so 48 us, and a hundred
+vehicles at 50 Hz a quarter of that core."""
+OFFBOARD = 6 << 16
+GPS = mav.MAVLink_gps_raw_int_message(0, 3, 473977420, 85455940, 488000, 80, 120, 100, 9000, 12)
+BATTERY = mav.MAVLink_sys_status_message(0, 0, 0, 0, 15800, 1200, 80, 0, 0, 0, 0, 0, 0)
+
+
+class Flown:
+    """One vehicle behind a memory link, flown by ``way``, with a new position for every tick."""
+
+    def __init__(self, way: Way) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.now = self.loop.time()
+        dialect = flight_dialect()
+        hub = Hub(
+            FleetConfig(),
+            dialect,
+            self.loop,
+            on_vehicle_frame=lambda key, frame, label, now: None,
+            record=None,
+            on_note=lambda note, channel: None,
+            on_fault=lambda text: None,
+        )
+        self.link = Link(MemoryLink(type="memory", name="radio", loss=1.0), hub, self.loop)
+        self.hub = hub
+        self.vehicle = Vehicle(1, 1, dialect, decoder=Decoder(dialect))
+        self.voice = Voice(1)
+        self.commander = Commander((1, 1), (255, 25), dialect, hub.send, self.loop)
+        settings = ControlSettings()
+        self.pilot = Pilot(self.vehicle, PilotConfig(settings.law(), settings.guard()))
+        self.way = way
+        self.positions = [
+            self.voice.position(HOME[0] + 1e-6 * math.sin(i / 9), HOME[1], HOME[2] + 10, 10.0, heading=100 * i)
+            for i in range(50)
+        ]
+
+    async def begin(self) -> None:
+        await self.link.open()
+        self.link.arrived(self.voice.beat(PX4, PX4_LOITER, armed=True, status=4).raw)
+        assert self.hub.ways(1, 1), "the route to the vehicle is known"
+        self.vehicle.on_frame(self.voice.beat(PX4, OFFBOARD, armed=True, status=4), self.now)
+        self.vehicle.on_frame(self.voice.landed(2), self.now)
+        self.vehicle.on_frame(self.positions[0], self.now)
+        self.pilot.engage(self.way, Fence(Origin(*HOME)))
+        for _ in range(5):
+            self.pilot.delay.on_pong(self.pilot.delay.ping(self.now - 0.004), self.now)
+        self.pilot.entered()
+        self.pilot.fly_to(Place(HOME[0] + 1e-5, HOME[1], HOME[2] + 12), None)
+        for i in range(400):
+            self.tick(i)
+        assert (self.pilot.state, self.pilot.way) == (PilotState.FLYING, self.way)
+
+    def hear(self, i: int) -> None:
+        """A position every other tick, once a second the rest."""
+        self.now += 0.02
+        if i % 2 == 0:
+            self.vehicle.on_frame(self.positions[i // 2 % len(self.positions)], self.now)
+        if i % 50 == 0:
+            self.vehicle.on_frame(self.voice.beat(PX4, OFFBOARD, armed=True, status=4), self.now)
+            self.vehicle.on_frame(self.voice.landed(2), self.now)
+            self.vehicle.on_frame(self.voice.say(GPS), self.now)
+            self.vehicle.on_frame(self.voice.say(BATTERY), self.now)
+            self.pilot.delay.on_pong(self.pilot.delay.ping(self.now - 0.004), self.now)
+
+    def decide(self) -> Tick:
+        return self.pilot.tick(self.now)
+
+    def tick(self, i: int) -> None:
+        self.hear(i)
+        tick = self.decide()
+        assert tick.message is not None
+        self.commander.transmit(*tick.message, Priority.SETPOINT, key=("setpoint", 1, 1))
+
+    def cost_us(self, send: bool) -> float:
+        """CPU of one tick; of the pilot alone without ``send``. What the vehicle says is not counted."""
+        spent = 0
+        for i in range(TICKS):
+            self.hear(i)
+            before = time.thread_time_ns()
+            tick = self.decide()
+            if send and tick.message is not None:
+                self.commander.transmit(*tick.message, Priority.SETPOINT, key=("setpoint", 1, 1))
+            spent += time.thread_time_ns() - before
+        return spent / TICKS / 1000
+
+
+def law_us() -> float:
+    """CPU of the law alone, measured in the same way."""
+    config, memory, reference = ControlSettings().law(), Memory(), Reference((1.0, 2.0, 3.0), 0.3)
+    spent = 0
+    for i in range(TICKS):
+        estimate = Estimate((0.01 * (i % 50), 2.1, 2.9), (0.1, -0.2, 0.05))
+        before = time.thread_time_ns()
+        _, memory = step(config, memory, estimate, reference, 0.02, following=True)
+        spent += time.thread_time_ns() - before
+    return spent / TICKS / 1000
+
+
+async def test_control_tick_cost() -> None:
+    flown = {way: Flown(way) for way in Way}
+    for flight in flown.values():
+        await flight.begin()
+    rows: dict[str, list[float]] = {}
+    for _ in range(ROUNDS):
+        for way, flight in flown.items():
+            rows.setdefault(f"{way} pilot", []).append(flight.cost_us(send=False))
+            rows.setdefault(f"{way} sent", []).append(flight.cost_us(send=True))
+        rows.setdefault("law alone", []).append(law_us())
+    table = {name: {"us": round(statistics.median(v), 1), "min": round(min(v), 1)} for name, v in rows.items()}
+    for flight in flown.values():
+        await flight.link.close()
+    out = ROOT / "build" / "bench"
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "control-tick.json").write_text(json.dumps(table, indent=2))
+    print()
+    for name, row in table.items():
+        print(f"  {name:16} {row['us']:7.1f} us  (least {row['min']})")
+    ratio = table["attitude sent"]["min"] / table["law alone"]["min"]
+    print(f"  attitude sent / law alone: {ratio:.2f}")
+    assert ratio <= RATIO_LIMIT
