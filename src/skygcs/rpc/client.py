@@ -47,6 +47,7 @@ EVENT_KINDS = (
     "reboot",
     "failsafe",
     "command",
+    "mission",
     "origin",
     "conflict",
     "duplicate",

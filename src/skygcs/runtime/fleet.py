@@ -49,6 +49,11 @@ ORDERS = frozenset(
         "command",
         "control",
         "change_gains",
+        "upload_plan",
+        "clear_plan",
+        "start_mission",
+        "resume_mission",
+        "set_mission_item",
     }
 )
 """Methods of VehicleActor that `command_all` runs."""

@@ -13,7 +13,9 @@ from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.commander import SUPERSEDED, Commander
 
-MOVING = frozenset({"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release"})
+MOVING = frozenset(
+    {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
+)
 """Orders that take the place of what is still going on."""
 
 EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})

@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,9 @@ from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle import orders
+from skygcs.core.mission.item import MissionType
+from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.events import Event
@@ -34,6 +36,8 @@ from skygcs.core.vehicle.worldview import setpoint_from_world, shown
 from skygcs.errors import RefusedError
 from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
 from skygcs.runtime.flight_control import FlightControl
+from skygcs.runtime.missions import MESSAGES as MISSION_MESSAGES
+from skygcs.runtime.missions import Missions
 from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.plan_runner import MOVING, PlanRunner, two_of_one_id
 from skygcs.runtime.upkeep import Planner, Upkeep
@@ -86,6 +90,7 @@ class VehicleActor:
             log_dir=log_dir,
             uplink_bytes_per_s=uplink_bytes_per_s,
         )
+        self.missions = Missions(vehicle, self.commander, dialect, loop, self._report, on_event)
         self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
 
     @property
@@ -155,6 +160,8 @@ class VehicleActor:
             commander.on_ack(self.vehicle.last_ack, now)
         elif frame.msgid == TIMESYNC:
             self.flight.on_timesync(frame, now)
+        elif frame.msgid in MISSION_MESSAGES:
+            self.missions.on_frame(frame, now)
         if frame.msgid == 0:
             self.channel = channel
         if commander.busy:
@@ -171,6 +178,7 @@ class VehicleActor:
 
     def close(self) -> None:
         self.flight.close()
+        self.missions.close()
         self._upkeep.close()
         self.commander.close()
 
@@ -305,6 +313,32 @@ class VehicleActor:
                 self.vehicle, now, self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z
             ),
         )
+
+    async def upload_plan(self, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False) -> Outcome:
+        """See `Missions.bring`."""
+        work = self.missions.bring(plan, kinds, limit_m=self.config.goto_limit_m, force=force)
+        return self._told("plan upload", await self._cancellable("plan upload", work))
+
+    async def clear_plan(self, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
+        """See `Missions.drop`."""
+        return self._told("plan clear", await self._cancellable("plan clear", self.missions.drop(kinds, force=force)))
+
+    async def download_plan(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
+        """See `Missions.fetch`."""
+        outcome, plan = await self.missions.fetch(kinds)
+        return self._told("plan download", outcome), plan
+
+    async def start_mission(self, *, first: int = 1, arm: bool = True) -> Outcome:
+        """See `mission_orders.start`."""
+        return await self._run("mission", lambda now: mission_orders.start(self.vehicle, now, first=first, arm=arm))
+
+    async def resume_mission(self) -> Outcome:
+        """Go on with the current item; pausing is `hold`."""
+        return await self._run("mission", lambda now: mission_orders.resume(self.vehicle, now))
+
+    async def set_mission_item(self, *, item: int) -> Outcome:
+        """Make it the current item, from 1."""
+        return await self._run("mission item", lambda now: mission_orders.set_current(self.vehicle, now, item))
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Fly it by setpoints: "position", "velocity" or "attitude"; "off": no more, and hold."""
@@ -463,11 +497,14 @@ class VehicleActor:
         for event in events:
             if event.kind == "statustext":
                 self.commander.on_text(event.text)
+                self.missions.on_text(event.text)
             elif event.kind == "vehicle_lost":
                 self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
+                self.missions.stop("lost", f"the vehicle was lost: {event.text}")
             elif event.kind == "reboot":
                 self.commander.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self.commander.stop_all("lost", "the vehicle rebooted")
+                self.missions.stop("lost", "the vehicle rebooted")
                 self.flight.release("the vehicle rebooted")
                 self._upkeep.restart(now)
             self._on_event(event)

@@ -1,0 +1,195 @@
+"""Orders about a mission that is on board: start, resume, set the current item; and what an autopilot does its own way.
+
+Items have the numbers of their plan, from 1. Pausing is holding (`orders.hold`): either autopilot goes on with the
+current item when its mission mode is set again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from skygcs.core.exchange.command import CommandSpec
+from skygcs.core.mavlink import modes
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
+from skygcs.core.mission.item import GLOBAL, NAV_WAYPOINT, MissionItem, MissionType
+from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
+from skygcs.core.vehicle import autopilot
+from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
+from skygcs.core.vehicle.plan import Plan, Step
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+DO_SET_MISSION_CURRENT = 224
+MISSION_START = 300
+
+CURRENT_S = 6.0
+"""MISSION_CURRENT comes at 0.2 to 1 Hz where nobody asks for more."""
+
+MAX_FINDINGS = 5
+"""Findings named in a refusal; `mission check` tells all."""
+
+MISSION_MODES = frozenset({"AUTO.MISSION", "AUTO"})
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentItemIs:
+    """MISSION_CURRENT tells this sequence number."""
+
+    seq: int
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        mission = vehicle.section("mission")
+        return mission is not None and mission["seq"] == self.seq
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        mission = vehicle.section("mission")
+        if mission is None or mission["seq"] is None:
+            return "it does not tell its current item"
+        return f"the current item is still {number_of(vehicle, mission['seq'])}"
+
+
+def number_of(vehicle: Vehicle, seq: int) -> int:
+    """An item's number in the plan; 0 is an ArduPilot's home."""
+    return seq if keeps_home(vehicle) else seq + 1
+
+
+def keeps_home(vehicle: Vehicle) -> bool:
+    """Whether item 0 of its mission is its home."""
+    return vehicle.family == "ardupilot"
+
+
+def keeps_old(vehicle: Vehicle, kind: MissionType) -> bool:
+    """Whether it holds its old list until a new one is whole, instead of writing item over item."""
+    return vehicle.family == "px4" or (vehicle.family == "ardupilot" and kind is MissionType.FENCE)
+
+
+def on_wire(vehicle: Vehicle, plan: MissionPlan, kind: MissionType) -> tuple[MissionItem, ...]:
+    """One of a plan's lists as this vehicle takes it; () for an empty one, which is to be cleared instead."""
+    items = plan.items(kind)
+    if kind is not MissionType.MISSION or not items:
+        return items
+    if not keeps_home(vehicle):
+        return to_wire(items, None)
+    return to_wire(items, MissionItem(NAV_WAYPOINT, GLOBAL) if plan.home is None else plan.home.item())
+
+
+def with_downloaded(
+    vehicle: Vehicle, plan: MissionPlan, kind: MissionType, items: tuple[MissionItem, ...]
+) -> MissionPlan:
+    """The plan with what was downloaded; the inverse of `on_wire`. Raises ValueError for a fence that is none."""
+    if kind is not MissionType.MISSION:
+        return plan.with_items(kind, items)
+    first_is_home = keeps_home(vehicle) and bool(items)
+    place = items[0].position if first_is_home else None
+    if place is not None:
+        plan = replace(plan, home=PlannedHome(*place, items[0].z or 0.0))
+    return plan.with_items(kind, from_wire(items, first_is_home=first_is_home))
+
+
+def findings(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect, limit_m: float) -> tuple[Finding, ...]:
+    """What is wrong with a plan for this vehicle where it is now."""
+    position = vehicle.section("position")
+    place = None
+    if position is not None and position["lat_deg"] is not None:
+        place = (position["lat_deg"], position["lon_deg"])
+    family = None if vehicle.family == "generic" else vehicle.family
+    return check_plan(plan, dialect, CheckLimits(max_distance_m=limit_m), family=family, vehicle=place)
+
+
+def require_uploadable(
+    vehicle: Vehicle,
+    now: float,
+    plan: MissionPlan,
+    kinds: tuple[MissionType, ...],
+    dialect: Dialect,
+    *,
+    limit_m: float,
+    force: bool,
+) -> None:
+    """Raises RefusedError for a plan with errors, and while the vehicle flies its mission; ``force`` insists."""
+    require_connected(vehicle, now)
+    if not kinds:
+        raise RefusedError("the plan is empty: there is nothing to upload; to empty the vehicle, clear its lists")
+    if force:
+        return
+    if MissionType.MISSION in kinds and vehicle.armed and vehicle.mode in MISSION_MODES:
+        raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
+    wrong = [f for f in errors(findings(vehicle, plan, dialect, limit_m)) if f.kind in kinds]
+    if wrong:
+        named = "; ".join(map(str, wrong[:MAX_FINDINGS]))
+        more = f"; and {len(wrong) - MAX_FINDINGS} more" if len(wrong) > MAX_FINDINGS else ""
+        raise RefusedError(f"{named}{more}; {FORCE_HINT}")
+
+
+def require_clearable(vehicle: Vehicle, now: float, kinds: tuple[MissionType, ...], *, force: bool) -> None:
+    """Raises RefusedError while the vehicle flies its mission, or has a fence around it in the air."""
+    require_connected(vehicle, now)
+    if force or not vehicle.armed:
+        return
+    if MissionType.MISSION in kinds and vehicle.mode in MISSION_MODES:
+        raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
+    if MissionType.FENCE in kinds and vehicle.in_air(now):
+        raise RefusedError(f"it is in the air and would be without its fence; {FORCE_HINT}")
+
+
+def set_current(vehicle: Vehicle, now: float, item: int) -> Plan:
+    require_connected(vehicle, now)
+    return Plan("mission item", (_current_step(vehicle, item),), f"the current item is {item}")
+
+
+def start(vehicle: Vehicle, now: float, *, first: int = 1, arm: bool = True) -> Plan:
+    """From item ``first`` on; arms on the ground unless told not to."""
+    require_connected(vehicle, now)
+    if not vehicle.armed and not arm:
+        raise RefusedError("it is not armed, and starting was to leave that alone")
+    current = _current_step(vehicle, first)
+    return Plan("mission", (current, *_go(vehicle)), f"flying its mission from item {first}")
+
+
+def resume(vehicle: Vehicle, now: float) -> Plan:
+    """With the current item."""
+    require_connected(vehicle, now)
+    if not vehicle.armed:
+        raise RefusedError("it is not armed; start the mission")
+    return Plan("mission", (autopilot.mode_step(vehicle, _mission_mode(vehicle)),), "flying its mission again")
+
+
+def _current_step(vehicle: Vehicle, item: int) -> Step:
+    seq = item if keeps_home(vehicle) else item - 1
+    if item < 1 or seq > 0xFFFF:
+        raise RefusedError(f"there is no item {item}; the first one is 1")
+    expect = CurrentItemIs(seq)
+    name = f"set the current item to {item}"
+    message = Step(name, message=("MISSION_SET_CURRENT", {"seq": seq}), expect=expect, expect_s=CURRENT_S)
+    command = CommandSpec(DO_SET_MISSION_CURRENT, (float(seq), 0.0))
+    return Step(name, command, expect=expect, expect_s=0, instead=(message,))
+
+
+def _go(vehicle: Vehicle) -> tuple[Step, ...]:
+    """Into the mission, from the ground or in the air.
+
+    A PX4 that is armed in AUTO.MISSION flies off: the mode comes first and is taken back if the arming fails. An
+    ArduCopter arms in GUIDED and waits for MISSION_START.
+    """
+    number = _mission_mode(vehicle)
+    mode = autopilot.mode_step(vehicle, number)
+    arm = replace(autopilot.arm().steps[0], skip_if_met=True)
+    if vehicle.armed:
+        return (mode,)
+    if vehicle.family == "px4":
+        back = autopilot.mode_step(vehicle, modes.px4_custom_mode("AUTO.LOITER"))
+        return (replace(mode, undo=replace(back, name="put it back in AUTO.LOITER")), arm)
+    if modes.is_copter(vehicle.type):
+        guided = autopilot.mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True)
+        begin = Step("start", CommandSpec(MISSION_START, (0.0, 0.0)), expect=mode.expect, instead=(mode,))
+        return (guided, arm, begin)
+    return (mode, arm)
+
+
+def _mission_mode(vehicle: Vehicle) -> int:
+    name = "AUTO.MISSION" if vehicle.family == "px4" else "AUTO"
+    try:
+        return modes.mode_number(vehicle.autopilot, vehicle.type, name)
+    except KeyError:
+        raise RefusedError("skygcs knows the mission mode of PX4 and ArduPilot only; set its mode yourself") from None
