@@ -5,16 +5,20 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from collections.abc import AsyncIterator, Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from skygcs.cli import completion, render
 from skygcs.cli.connection import Exit, run, waiting
 from skygcs.cli.options import Json, OptionalTargets
+from skygcs.cli.render import State
 from skygcs.cli.values import finite, parse_json
 from skygcs.rpc.client import EVENT_KINDS, Client
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 SCREEN_HZ = 4.0
 """How often a live table is drawn anew."""
@@ -64,27 +68,31 @@ def watch(
                 if seen >= count:
                     return
         else:
-            await _live(gcs, updates, wanted, count)
+            await live(updates, lambda states, width: render.status_table(states, wanted, width), count)
 
     run(command)
 
 
-async def _live(gcs: Client, updates: Any, fields: Sequence[str], count: int) -> None:
+async def live(updates: AsyncIterator[State], draw: Callable[[list[State], int], RenderableType], count: int) -> None:
+    """A table on the terminal that follows the updates until there were ``count``.
+
+    ``draw(states, columns)`` gets the newest state of every vehicle, by system id.
+    """
     from rich.live import Live
 
-    states: dict[str, dict[str, Any]] = {}
+    states: dict[str, State] = {}
     seen = 0
     screen = render.console()
-    with Live("waiting for vehicles …", console=screen, auto_refresh=False, vertical_overflow="crop") as live:
+    with Live("waiting for vehicles …", console=screen, auto_refresh=False, vertical_overflow="crop") as shown:
         drawn_at = 0.0
         loop_time = asyncio.get_running_loop().time
         async for state in updates:
-            states[state["name"]] = state
+            states[str(state["name"])] = state
             seen += 1
             if loop_time() - drawn_at >= 1 / SCREEN_HZ or seen >= count or len(states) == seen:
                 drawn_at = loop_time()
                 ordered = sorted(states.values(), key=lambda s: int(s["sysid"]))
-                live.update(render.status_table(ordered, fields, screen.width), refresh=True)
+                shown.update(draw(ordered, screen.width), refresh=True)
             if seen >= count:
                 return
 

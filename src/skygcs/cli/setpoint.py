@@ -11,7 +11,6 @@ import typer
 
 from skygcs.cli.connection import Exit, fail, run
 from skygcs.cli.options import Json, Targets
-from skygcs.cli.setpoint_lines import LineError, checked
 from skygcs.cli.values import finite, parse_unset_number
 from skygcs.errors import DaemonUnreachable
 from skygcs.rpc.client import Client
@@ -81,6 +80,8 @@ def setpoint(
     if stdin and (given or duration_s is not None):
         raise typer.BadParameter("--stdin brings the setpoints itself: give no --pos, --vel, --yaw or --for with it")
     if not stdin:
+        from skygcs.cli.setpoint_lines import LineError, checked
+
         try:
             given = checked(given)
         except LineError as error:

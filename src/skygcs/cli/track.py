@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import sys
 from typing import Annotated, Any
@@ -12,7 +11,7 @@ import typer
 from skygcs.cli import render
 from skygcs.cli.connection import run
 from skygcs.cli.options import Json, OptionalTargets
-from skygcs.cli.reading import SCREEN_HZ
+from skygcs.cli.reading import live
 from skygcs.cli.values import finite
 from skygcs.rpc.client import Client
 
@@ -36,7 +35,9 @@ def track(
         if json_output or not sys.stdout.isatty():
             await _lines(updates, count, json_output)
         else:
-            await _live(updates, count)
+            from skygcs.cli.track_table import track_table
+
+            await live(updates, track_table, count)
 
     run(command)
 
@@ -62,28 +63,6 @@ async def _lines(updates: Any, count: int, json_output: bool) -> None:
         seen += 1
         if seen >= count:
             return
-
-
-async def _live(updates: Any, count: int) -> None:
-    from rich.live import Live
-
-    from skygcs.cli.track_table import track_table
-
-    states: dict[str, dict[str, Any]] = {}
-    seen = 0
-    screen = render.console()
-    with Live("waiting for vehicles …", console=screen, auto_refresh=False, vertical_overflow="crop") as live:
-        drawn_at = 0.0
-        loop_time = asyncio.get_running_loop().time
-        async for state in updates:
-            states[state["name"]] = state
-            seen += 1
-            if loop_time() - drawn_at >= 1 / SCREEN_HZ or seen >= count or len(states) == seen:
-                drawn_at = loop_time()
-                ordered = sorted(states.values(), key=lambda s: int(s["sysid"]))
-                live.update(track_table(ordered, screen.width), refresh=True)
-            if seen >= count:
-                return
 
 
 def add_to(app: typer.Typer) -> None:
