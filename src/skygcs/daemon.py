@@ -32,6 +32,7 @@ from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.uplink import setpoint_bytes_per_s
@@ -82,6 +83,7 @@ class Daemon:
             self.on_event,
             self._may_broadcast,
             lambda sysid, compid: setpoint_bytes_per_s(self.hub, self.fleet, sysid, compid),
+            ParamCache(default_cache_dir()),
         )
         self.hub = Hub(
             config,

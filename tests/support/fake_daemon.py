@@ -50,6 +50,7 @@ class FakeVehicle:
 
     def __init__(self, sysid: int, name: str, autopilot: str, groups: tuple[str, ...]) -> None:
         self.sysid, self.compid, self.name, self.autopilot, self.groups = sysid, 1, name, autopilot, groups
+        self.params: Any = None
         self.orders: list[tuple[str, dict[str, Any]]] = []
         self.cancelled = 0
         self.finished: list[str] = []

@@ -55,6 +55,7 @@ EVENT_KINDS = (
     "link_down",
     "route",
     "recorder",
+    "params",
     "warning",
     "fault",
 )

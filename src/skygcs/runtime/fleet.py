@@ -21,6 +21,7 @@ from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.runtime.commander import Carrier, SendFn
+from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
 from skygcs.runtime.world import OnOriginChange, World
 
@@ -81,10 +82,12 @@ class Fleet:
         on_event: Callable[[Event], None],
         may_broadcast: Callable[[], bool] = lambda: True,
         uplink_bytes_per_s: Callable[[int, int], float] = lambda sysid, compid: math.inf,
+        param_cache: ParamCache | None = None,
     ) -> None:
         """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``.
 
-        ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it.
+        ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it. ``param_cache``:
+        where parameters are kept; None: nowhere.
         """
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
@@ -97,6 +100,7 @@ class Fleet:
         self._on_event = on_event
         self._may_broadcast = may_broadcast
         self._uplink_bytes_per_s = uplink_bytes_per_s
+        self._param_cache = param_cache
         self._kept: set[asyncio.Task[dict[str, Outcome]]] = set()
         self._duplicates: set[int] = set()
         self._replayed: set[int] = set()
@@ -373,6 +377,7 @@ class Fleet:
             self._on_event,
             log_dir=daemon.log_dir,
             uplink_bytes_per_s=lambda: self._uplink_bytes_per_s(frame.sysid, frame.compid),
+            param_cache=self._param_cache,
         )
         self.vehicles[key] = actor
         self.world.join(actor)

@@ -39,6 +39,8 @@ from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.missions import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.missions import Missions
 from skygcs.runtime.origin_push import both, home_at, push_origin
+from skygcs.runtime.param_cache import ParamCache
+from skygcs.runtime.params import VehicleParams
 from skygcs.runtime.plan_runner import MOVING, PlanRunner, two_of_one_id
 from skygcs.runtime.upkeep import Planner, Upkeep
 
@@ -66,8 +68,12 @@ class VehicleActor:
         *,
         log_dir: Path = Path("logs"),
         uplink_bytes_per_s: Callable[[], float] = lambda: math.inf,
+        param_cache: ParamCache | None = None,
     ) -> None:
-        """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints."""
+        """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints.
+
+        ``param_cache``: where its parameters are kept; None: nowhere.
+        """
         self.vehicle = vehicle
         self.config = config
         self.commander = Commander((vehicle.sysid, vehicle.compid), own, dialect, send, loop)
@@ -90,6 +96,7 @@ class VehicleActor:
             log_dir=log_dir,
             uplink_bytes_per_s=uplink_bytes_per_s,
         )
+        self.params = VehicleParams(vehicle, dialect, send, loop, on_event, param_cache or ParamCache(None))
         self.missions = Missions(vehicle, self.commander, dialect, loop, self._report, on_event)
         self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
 
@@ -162,6 +169,8 @@ class VehicleActor:
             self.flight.on_timesync(frame, now)
         elif frame.msgid in MISSION_MESSAGES:
             self.missions.on_frame(frame, now)
+        else:
+            self.params.on_frame(frame, now)
         if frame.msgid == 0:
             self.channel = channel
         if commander.busy:
@@ -179,6 +188,7 @@ class VehicleActor:
     def close(self) -> None:
         self.flight.close()
         self.missions.close()
+        self.params.close()
         self._upkeep.close()
         self.commander.close()
 
@@ -498,13 +508,16 @@ class VehicleActor:
             if event.kind == "statustext":
                 self.commander.on_text(event.text)
                 self.missions.on_text(event.text)
+                self.params.on_text(event.text)
             elif event.kind == "vehicle_lost":
                 self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
                 self.missions.stop("lost", f"the vehicle was lost: {event.text}")
+                self.params.stop_all("lost", f"the vehicle was lost: {event.text}")
             elif event.kind == "reboot":
                 self.commander.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self.commander.stop_all("lost", "the vehicle rebooted")
                 self.missions.stop("lost", "the vehicle rebooted")
+                self.params.stop_all("lost", "the vehicle rebooted")
                 self.flight.release("the vehicle rebooted")
                 self._upkeep.restart(now)
             self._on_event(event)

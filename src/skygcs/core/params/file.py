@@ -3,8 +3,8 @@
     QGroundControl   1<TAB>1<TAB>MPC_THR_HOVER<TAB>0.500000000000000000<TAB>9     vehicle, component, name, value, type
     the others       WPNAV_SPEED,500   or   WPNAV_SPEED 500   or with tabs, with or without "# why" behind it
 
-Which it is shows in the file's first parameter, not in its name. Comments and their places are kept: a file under version
-control can be written again.
+Which it is shows in the first parameter, not in the name of the file. Comments and their places are kept: a file under
+version control can be written again.
 """
 
 from __future__ import annotations

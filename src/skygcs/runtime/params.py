@@ -1,0 +1,448 @@
+"""Parameters of one vehicle: the asyncio side of `ParamExchange` and `ParamList`, with one timer for all of them.
+
+The actor owns one and hands it what the vehicle says (`on_frame`, `on_text`, `stop_all`). Nothing here asks by itself:
+a parameter goes over the link when somebody wants it, and a list only if it is not known already.
+
+What is known of a list stays good as long as the vehicle vouches for it: PX4 by a hash over all values; ArduPilot,
+which has none, by its firmware and the number of parameters, which tells nothing of values. Changes others make are
+heard here like our own, as the vehicle tells everybody.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from skygcs.core.airtime import Priority
+from skygcs.core.exchange.base import Effect, Exchange, Report, Send
+from skygcs.core.exchange.param import ParamExchange, ParamOutcome
+from skygcs.core.exchange.param_list import BYTES_PER_S, ListOutcome, ListProgress, ParamList
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.param import HASH_NAME, Encoding, Param, Value, bits_message, encoding_of, value_reader
+from skygcs.core.params.names import other_name
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime.commander import SendFn
+from skygcs.runtime.param_cache import CachedParams, CacheKey, ParamCache
+
+PARAM_VALUE = 22
+NEEDED = ("PARAM_VALUE", "PARAM_SET", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST")
+
+MAX_EXCHANGES = 16
+"""Single parameters asked for at the same time; further ones wait for their turn."""
+
+LOCKS = 64
+"""One exchange of a name at a time; names share locks, so that their number is bounded."""
+
+PROGRESS_EVERY_S = 1.0
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """All parameters of a vehicle, or why not. ``source``: "vehicle", or "cache" if the vehicle vouched for what was
+    known; ``sent``: messages it took."""
+
+    ok: bool
+    result: str
+    message: str
+    source: str
+    params: tuple[Param, ...]
+    count: int | None
+    sent: int
+    elapsed_s: float
+
+
+class VehicleParams:
+    """See the head of the file. Outcomes tell how everything ended; nothing raises for what the vehicle does."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        dialect: Dialect,
+        send: SendFn,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+        cache: ParamCache,
+    ) -> None:
+        self.progress: ListProgress | None = None
+        """Of the list that is being read."""
+        self._vehicle = vehicle
+        self._dialect = dialect
+        self._send = send
+        self._loop = loop
+        self._on_event = on_event
+        self._cache = cache
+        self._able = all(name in dialect.by_name for name in NEEDED)
+        self._read = value_reader(dialect) if self._able else None
+        self._set_info = bits_message(dialect.by_name["PARAM_SET"]) if self._able else None
+        error = dialect.by_name.get("PARAM_ERROR")
+        self._error_id = -1 if error is None else error.msgid
+        self._running: dict[Exchange, asyncio.Future[None]] = {}
+        self._not_taken: dict[Exchange, int] = {}
+        self._locks = [asyncio.Lock() for _ in range(LOCKS)]
+        self._quiet_until: dict[str, float] = {}
+        self._slots = asyncio.Semaphore(MAX_EXCHANGES)
+        self._book: dict[str, Param] = {}
+        self._hash: int | None = None
+        self._complete = False
+        self._unsaved = False
+        self._stale = False
+        """Whether a value has changed since the hash was read."""
+        self._count: int | None = None
+        self._loading: asyncio.Task[Loaded] | None = None
+        self._waiting = 0
+        self._cancelled = 0
+        self._told_at = -math.inf
+        self._timer: asyncio.TimerHandle | None = None
+
+    # -- what the vehicle says
+
+    def on_frame(self, frame: Frame, now: float) -> None:
+        """A frame of this vehicle, of any kind. Hot; never raises."""
+        if frame.msgid == PARAM_VALUE and self._read is not None:
+            value = self._read(frame.payload, self._encoding())
+            if value is None:
+                return
+            self._count = value.count
+            known = self._book.get(value.param.name)
+            if known is not None and known != value.param:
+                self._book[value.param.name] = value.param
+                self._unsaved = self._stale = True
+            for exchange in list(self._running):
+                if isinstance(exchange, ParamExchange | ParamList):
+                    self._apply(exchange, exchange.on_value(value, now))
+        elif frame.msgid == self._error_id and self._running:
+            fields = frame.fields()
+            name, code = str(fields.get("param_id", "")), int(fields.get("error", 0))
+            for exchange in list(self._running):
+                if isinstance(exchange, ParamExchange):
+                    self._apply(exchange, exchange.on_error(name, code, now))
+        else:
+            return
+        self._arm_timer()
+
+    def on_text(self, text: str) -> None:
+        for exchange in list(self._running):
+            if isinstance(exchange, ParamExchange):
+                self._apply(exchange, exchange.on_text(text, self._loop.time()))
+        self._arm_timer()
+
+    def stop_all(self, result: str, message: str) -> int:
+        """End all that is under way; how many that were. After a reboot nothing that was known is vouched for."""
+        if result == "lost":
+            self._save()
+            self._complete = False
+        self._cancelled += 1
+        running = list(self._running)
+        for exchange in running:
+            if isinstance(exchange, ParamExchange | ParamList):
+                self._apply(exchange, exchange.stop(self._loop.time(), result, message))
+        self._arm_timer()
+        return len(running)
+
+    def cancel(self) -> int:
+        """Somebody wants it to stop; how many requests were under way. Safe at any moment."""
+        return self.stop_all("cancelled", "cancelled")
+
+    def close(self) -> None:
+        """The daemon ends, or the vehicle is forgotten."""
+        self._save()
+        self.stop_all("cancelled", "skygcs is shutting down")
+        if self._loading is not None:
+            self._loading.cancel()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    # -- what people want
+
+    async def get(self, name: str) -> ParamOutcome:
+        """One parameter, from the vehicle; by its other generation's name if it has only that."""
+        return await self._either(name, lambda n: self._one(n))
+
+    async def set(self, values: Mapping[str, Value]) -> dict[str, ParamOutcome]:
+        """Set parameters one after another, each read back; the outcome of every one, also of those left out because it
+        was cancelled."""
+        cancelled = self._cancelled
+        vouched = self._complete and self._hash is not None and await self._vouched()
+        outcomes: dict[str, ParamOutcome] = {}
+        for done, (name, value) in enumerate(values.items()):
+            if self._cancelled != cancelled:
+                outcomes[name] = ParamOutcome(False, "cancelled", "cancelled: not sent", name)
+                continue
+            if len(values) > 1:
+                self._progress("set", ListProgress(done, len(values), done, 0.0, None), f"set {name}")
+            outcomes[name] = await self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
+        if self._hash is not None:
+            self._hash = await self._ask_hash() if vouched else None
+            self._stale = False
+        self._save()
+        if len(values) > 1:
+            good = sum(o.ok for o in outcomes.values())
+            self._tell("set", f"{good} of {len(values)} parameters set", {"received": good, "count": len(values)})
+        return outcomes
+
+    async def load(
+        self, *, refresh: bool = False, burst: bool = False, bytes_per_s: float | None = BYTES_PER_S
+    ) -> Loaded:
+        """All parameters. One list at a time: who asks while it is being read waits for the same. It is given up when
+        nobody waits for it any more."""
+        if self._loading is None:
+            work = self._load(refresh=refresh, burst=burst, bytes_per_s=bytes_per_s)
+            self._loading = self._loop.create_task(work, name=f"parameters of {self._vehicle.name}")
+            self._loading.add_done_callback(self._loaded)
+        self._waiting += 1
+        try:
+            return await asyncio.shield(self._loading)
+        finally:
+            self._waiting -= 1
+            if not self._waiting and self._loading is not None:
+                self.cancel()
+
+    def known(self, name: str) -> Param | None:
+        """What is known of a parameter without asking."""
+        return self._book.get(name)
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able: what is known, and what is going on."""
+        progress = None if self.progress is None else _progress_data(self.progress)
+        return {
+            "known": len(self._book),
+            "complete": self._complete,
+            "hash": self._hash,
+            "loading": progress,
+            "under_way": len(self._running),
+        }
+
+    # -- how
+
+    def _encoding(self) -> Encoding:
+        fields = self._version_fields()
+        return encoding_of(self._vehicle.autopilot, None if fields is None else int(fields["capabilities"]))
+
+    def _version_fields(self) -> dict[str, Any] | None:
+        info = self._dialect.by_name.get("AUTOPILOT_VERSION")
+        slot = None if info is None else self._vehicle.slots.get(info.msgid)
+        return None if slot is None or slot.frame is None else slot.frame.fields()
+
+    def _key(self) -> CacheKey | None:
+        """None while the vehicle has not said what firmware it runs."""
+        fields = self._version_fields()
+        if fields is None:
+            return None
+        uid2 = bytes(fields.get("uid2") or ())
+        board = uid2.hex() if any(uid2) else f"{int(fields.get('uid', 0)):016x}"
+        commit = bytes(fields.get("flight_custom_version") or ()).hex()
+        firmware = f"{fields.get('flight_sw_version', 0)}-{commit}"
+        v = self._vehicle
+        return CacheKey(v.family, v.sysid, v.compid, board, firmware)
+
+    def _refusal(self) -> str | None:
+        if not self._able:
+            return f"refused: dialect {self._dialect.name} has no parameter messages"
+        if self._vehicle.replayed:
+            return "refused: it is heard in a recording only"
+        if self._vehicle.duplicate:
+            return f"refused: two vehicles with system id {self._vehicle.sysid} are on the air; give one another"
+        return None
+
+    async def _either(self, name: str, run: Callable[[str], Coroutine[Any, Any, ParamOutcome]]) -> ParamOutcome:
+        other = other_name(name)
+        if other is None:
+            return await run(name)
+        if self._complete and name not in self._book and other in self._book:
+            return await run(other)
+        outcome = await run(name)
+        if outcome.result != "unknown":
+            return outcome
+        second = await run(other)
+        return second if second.result != "unknown" else outcome
+
+    async def _one(self, name: str, value: Value | None = None) -> ParamOutcome:
+        refusal = self._refusal()
+        if refusal is not None:
+            return ParamOutcome(False, "refused", refusal, name)
+        cancelled = self._cancelled
+        async with self._locks[hash(name) % LOCKS], self._slots:
+            await asyncio.sleep(max(0.0, self._quiet_until.pop(name, 0.0) - self._loop.time()))
+            if self._cancelled != cancelled:
+                return ParamOutcome(False, "cancelled", "cancelled: not sent", name)
+            exchange = ParamExchange(name, self._encoding(), value)
+            try:
+                await self._run(exchange)
+            finally:
+                self._keep_quiet(name, exchange.quiet_until)
+        assert exchange.outcome is not None
+        if self._not_taken.pop(exchange, 0) and exchange.outcome.result == "timeout" and not exchange.answers:
+            return ParamOutcome(False, "lost", "could not be sent: no link leads to it", name)
+        return exchange.outcome
+
+    async def _load(self, *, refresh: bool, burst: bool, bytes_per_s: float | None) -> Loaded:
+        started = self._loop.time()
+        refusal = self._refusal()
+        if refusal is not None:
+            return Loaded(False, "refused", refusal, "vehicle", (), None, 0, 0.0)
+        cancelled = self._cancelled
+        px4 = self._vehicle.family == "px4"
+        key = self._key()
+        before = await self._ask_hash() if px4 else None
+        if not refresh and await self._still_known(key, before):
+            return self._known_list(started)
+        if self._cancelled != cancelled:
+            return Loaded(False, "cancelled", "cancelled", "vehicle", (), None, 0, self._loop.time() - started)
+        exchange = ParamList(burst=burst, bytes_per_s=bytes_per_s, stops_burst=px4)
+        try:
+            await self._run(exchange)
+        finally:
+            self.progress = None
+        outcome = exchange.outcome
+        assert outcome is not None
+        self._not_taken.pop(exchange, None)
+        if outcome.ok:
+            await self._remember(outcome, before)
+        self._tell("list", f"parameters: {outcome.message}", {"received": len(outcome.params), "count": outcome.count})
+        return Loaded(
+            outcome.ok,
+            outcome.result,
+            outcome.message,
+            "vehicle",
+            outcome.params,
+            outcome.count,
+            outcome.sent,
+            self._loop.time() - started,
+        )
+
+    async def _still_known(self, key: CacheKey | None, hash_now: int | None) -> bool:
+        """Whether what was read before, now or in an earlier run, is what the vehicle holds, as far as it can tell."""
+        if not self._complete and key is not None:
+            cached = self._cache.load(key)
+            if cached is not None:
+                self._book = {p.name: p for p in cached.params}
+                self._hash, self._complete = cached.hash, True
+                self._stale = False
+        if not self._complete:
+            return False
+        if self._vehicle.family == "px4":
+            return hash_now is not None and hash_now == self._hash and not self._stale
+        outcome = await self._one(next(iter(self._book)))
+        return outcome.ok and self._count == len(self._book)
+
+    async def _remember(self, outcome: ListOutcome, before: int | None) -> None:
+        """Keep a complete list; what changed while it was read is kept for now only."""
+        self._book = {p.name: p for p in outcome.params}
+        self._complete = True
+        after = await self._ask_hash() if before is not None else None
+        self._hash = after if after == before else None
+        self._unsaved, self._stale = True, False
+        self._save()
+
+    def _known_list(self, started: float) -> Loaded:
+        params = tuple(self._book.values())
+        text = f"{len(params)} parameters, as known"
+        return Loaded(True, "accepted", text, "cache", params, len(params), 1, self._loop.time() - started)
+
+    async def _ask_hash(self) -> int | None:
+        outcome = await self._one(HASH_NAME)
+        return int(outcome.param.value) if outcome.ok and outcome.param is not None else None
+
+    async def _vouched(self) -> bool:
+        return await self._ask_hash() == self._hash
+
+    def _save(self) -> None:
+        """Keep what is known for the next run, as far as the vehicle will be able to vouch for it."""
+        key = self._key()
+        if self._unsaved and self._complete and key is not None:
+            self._unsaved = False
+            if self._vehicle.family != "px4" or (self._hash is not None and not self._stale):
+                self._cache.store(key, CachedParams(tuple(self._book.values()), self._hash))
+
+    def _keep_quiet(self, name: str, until: float) -> None:
+        """No further exchange of this name before: answers to the last one may still come."""
+        now = self._loop.time()
+        for past in [n for n, t in self._quiet_until.items() if t <= now]:
+            del self._quiet_until[past]
+        if until > now:
+            self._quiet_until[name] = until
+
+    async def _run(self, exchange: ParamExchange | ParamList) -> None:
+        done: asyncio.Future[None] = self._loop.create_future()
+        self._running[exchange] = done
+        self._apply(exchange, exchange.start(self._loop.time()))
+        self._arm_timer()
+        try:
+            await done
+        finally:
+            self._running.pop(exchange, None)
+            self._arm_timer()
+
+    def _apply(self, exchange: Exchange, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Send):
+                self._transmit(exchange, effect)
+            elif isinstance(effect, Report) and isinstance(exchange, ParamList):
+                self.progress = exchange.progress(self._loop.time())
+                self._progress("list", self.progress, "reading parameters")
+        done = self._running.get(exchange)
+        if exchange.done and done is not None and not done.done():
+            done.set_result(None)
+
+    def _transmit(self, exchange: Exchange, effect: Send) -> None:
+        sysid, compid = self._vehicle.sysid, self._vehicle.compid
+        info = self._set_info if effect.message == "PARAM_SET" else self._dialect.by_name[effect.message]
+        assert info is not None
+        values = {**effect.values, "target_system": sysid, "target_component": compid}
+        if not self._send(info, values, sysid, compid, Priority.EXCHANGE):
+            self._not_taken[exchange] = self._not_taken.get(exchange, 0) + 1
+
+    def _arm_timer(self) -> None:
+        due = min((e.deadline for e in self._running if e.deadline is not None), default=None)
+        if self._timer is not None:
+            if due is not None and self._timer.when() == due:
+                return
+            self._timer.cancel()
+            self._timer = None
+        if due is not None:
+            self._timer = self._loop.call_at(due, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        now = self._loop.time()
+        for exchange in list(self._running):
+            self._apply(exchange, exchange.on_timer(now))
+        self._arm_timer()
+
+    def _loaded(self, task: asyncio.Task[Loaded]) -> None:
+        self._loading = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            text = f"reading parameters failed inside skygcs: {error!r}"
+            self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, text, {}))
+
+    def _progress(self, action: str, progress: ListProgress, text: str) -> None:
+        """At most one event a second."""
+        now = self._loop.time()
+        if now - self._told_at >= PROGRESS_EVERY_S:
+            self._told_at = now
+            rest = "" if progress.remaining_s is None else f", {progress.remaining_s:.0f} s left"
+            told = f"{text}: {progress.received} of {progress.count}{rest}"
+            self._tell(action, told, _progress_data(progress) | {"state": "under_way"})
+
+    def _tell(self, action: str, text: str, data: dict[str, Any]) -> None:
+        data = {"action": action, "state": "done"} | data
+        self._on_event(Event("params", self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+def _progress_data(progress: ListProgress) -> dict[str, Any]:
+    percent = None if not progress.count else 100 * progress.received // progress.count
+    return {
+        "received": progress.received,
+        "count": progress.count,
+        "percent": percent,
+        "elapsed_s": round(progress.elapsed_s, 1),
+        "remaining_s": None if progress.remaining_s is None else round(progress.remaining_s, 1),
+    }

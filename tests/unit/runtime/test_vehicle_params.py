@@ -1,0 +1,276 @@
+"""Parameters of one vehicle in the running daemon: over a thin lossy link, from the cache, cancelled, lost."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.dialect import MessageInfo
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.param import HASH_NAME, INDEX_UNKNOWN, Encoding, Param, ParamType, bits_message, to_bits
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime.param_cache import ParamCache
+from skygcs.runtime.params import VehicleParams
+from support.param_vehicle import ParamVehicle, big_set
+from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect, parsed
+
+pytestmark = pytest.mark.looptime
+
+BYTES_PER_S = 5760.0
+"""57600 baud."""
+
+
+class Line:
+    """A serial line each way, one frame after another, that loses whole frames."""
+
+    def __init__(self, loss: float, seed: int) -> None:
+        self.loss = loss
+        self.random = random.Random(seed)
+        self.loop = asyncio.get_running_loop()
+        self.free_at = {"up": 0.0, "down": 0.0}
+
+    def carry(self, way: str, size: int, arrive: Any) -> None:
+        self.free_at[way] = max(self.free_at[way], self.loop.time()) + size / BYTES_PER_S
+        if self.random.random() >= self.loss:
+            self.loop.call_at(self.free_at[way] + 0.005, arrive)
+
+
+class Rig:
+    """`VehicleParams` against a scripted autopilot at the other end of a line."""
+
+    def __init__(
+        self, params: list[Param], cache: Path | None, *, autopilot: int = PX4, loss: float = 0.0, seed: int = 1
+    ) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.line = Line(loss, seed)
+        self.px4 = autopilot == PX4
+        self.encoding = Encoding.BYTEWISE if self.px4 else Encoding.C_CAST
+        self.board = ParamVehicle.of(params, encoding=self.encoding, index_for_named=self.px4)
+        self.vehicle = Vehicle(3, 1, flight_dialect())
+        self.voice = Voice(3)
+        self.events: list[Event] = []
+        self.sent: list[str] = []
+        self.params = VehicleParams(
+            self.vehicle, flight_dialect(), self.send, self.loop, self.events.append, ParamCache(cache)
+        )
+        self.info = bits_message(flight_dialect().by_name["PARAM_VALUE"])
+        self.vehicle.on_frame(self.voice.beat(autopilot), self.loop.time())
+        self.introduce()
+
+    def introduce(self, version: int = 0x01100000) -> None:
+        capabilities = 1 << 4 if self.px4 else 1 << 17
+        info = flight_dialect().by_name["AUTOPILOT_VERSION"]
+        fields = {"capabilities": capabilities, "flight_sw_version": version, "uid": 77}
+        frame = parsed(encode(info, fields, sysid=3, compid=1, seq=0))
+        self.vehicle.on_frame(frame, self.loop.time())
+
+    def send(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        *,
+        everywhere: bool = False,
+    ) -> bool:
+        raw = encode(info, values, sysid=255, compid=25, seq=0)
+        self.sent.append(info.name)
+        self.line.carry("up", len(raw), lambda: self._hears(info.name, values))
+        return True
+
+    @property
+    def hash(self) -> int:
+        return zlib.crc32(repr(sorted(self.board.params.items())).encode())
+
+    def _hears(self, name: str, values: Mapping[str, Any]) -> None:
+        if self.px4 and values.get("param_id") == HASH_NAME:
+            if name == "PARAM_REQUEST_READ":
+                self._says(Param(HASH_NAME, self.hash, ParamType.UINT32), None)
+            return
+        for value in self.board.hear(name, values):
+            self._says(value.param, value.index)
+
+    def _says(self, param: Param, index: int | None) -> None:
+        fields = {
+            "param_id": param.name,
+            "param_value": to_bits(param.value, param.type, self.encoding),
+            "param_type": int(param.type),
+            "param_count": len(self.board.params),
+            "param_index": INDEX_UNKNOWN if index is None else index,
+        }
+        raw = encode(self.info, fields, sysid=3, compid=1, seq=0)
+        self.line.carry("down", len(raw), lambda: self.params.on_frame(parsed(raw), self.loop.time()))
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+async def test_1300_parameters_over_57600_baud_with_loss_and_none_the_second_time(
+    autopilot: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params = big_set(1300)
+    rig = Rig(params, tmp_path, autopilot=autopilot, loss=0.05)
+    first = await rig.params.load()
+    assert first.ok and first.source == "vehicle" and first.params == tuple(params)
+    with capsys.disabled():
+        print(f"\n1300 parameters, 57600 baud, 5 % lost: {first.elapsed_s:.1f} s, {first.sent} requests")
+    again = Rig(params, tmp_path, autopilot=autopilot)
+    second = await again.params.load()
+    assert second.ok and second.source == "cache" and second.params == tuple(params)
+    assert again.sent == ["PARAM_REQUEST_READ"]  # the one that vouches
+    rig.params.close()
+    again.params.close()
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.05])
+async def test_a_burst_is_quicker(loss: float) -> None:
+    params = big_set(300)
+    rig = Rig(params, None, loss=loss)
+    loaded = await rig.params.load(burst=True)
+    assert loaded.params == tuple(params) and loaded.sent < 60
+    rig.params.close()
+
+
+async def test_a_changed_value_is_noticed_by_the_hash(tmp_path: Path) -> None:
+    params = big_set(20)
+    first = Rig(params, tmp_path)
+    await first.params.load()
+    again = Rig([Param(params[0].name, 99.0), *params[1:]], tmp_path)
+    loaded = await again.params.load()
+    assert loaded.source == "vehicle" and loaded.params[0].value == 99.0
+    for rig in (first, again):
+        rig.params.close()
+
+
+async def test_another_firmware_makes_the_cache_worthless(tmp_path: Path) -> None:
+    params = big_set(20)
+    first = Rig(params, tmp_path, autopilot=ARDUPILOT)
+    await first.params.load()
+    again = Rig(params, tmp_path, autopilot=ARDUPILOT)
+    again.introduce(version=0x01200000)
+    assert (await again.params.load()).source == "vehicle"
+    for rig in (first, again):
+        rig.params.close()
+
+
+@pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
+async def test_what_we_set_is_known_afterwards_without_a_list(autopilot: int, tmp_path: Path) -> None:
+    params = big_set(20)
+    rig = Rig(params, tmp_path, autopilot=autopilot)
+    await rig.params.load()
+    outcomes = await rig.params.set({params[3].name: -77})
+    assert outcomes[params[3].name].ok
+    again = Rig(list(rig.board.params.values()), tmp_path, autopilot=autopilot)
+    loaded = await again.params.load()
+    assert loaded.source == "cache" and loaded.params[3].value == -77
+    for r in (rig, again):
+        r.params.close()
+
+
+async def test_a_change_by_somebody_else_that_we_heard_is_no_hash_of_ours(tmp_path: Path) -> None:
+    """The old hash must not vouch for the new values."""
+    params = big_set(20)
+    rig = Rig(params, tmp_path)
+    await rig.params.load()
+    rig._says(Param(params[0].name, 55.0), 0)
+    await asyncio.sleep(1)
+    rig.params.close()
+    again = Rig(params, tmp_path)
+    loaded = await again.params.load()
+    assert loaded.params == tuple(params)
+    again.params.close()
+
+
+async def test_the_other_generations_name_is_found() -> None:
+    rig = Rig([Param("MAV_SYSID", 3, ParamType.INT16), *big_set(3)], None, autopilot=ARDUPILOT)
+    outcome = await rig.params.get("SYSID_THISMAV")
+    assert (outcome.ok, outcome.name) == (True, "MAV_SYSID")
+    rig.params.close()
+
+
+async def test_a_batch_tells_what_became_of_each() -> None:
+    rig = Rig(big_set(6), None)
+    names = list(rig.board.params)
+    rig.board.read_only.add(names[1])
+    outcomes = await rig.params.set({names[0]: 5.0, names[1]: 5, names[3]: 1.5, "NO_SUCH": 1})
+    assert [o.result for o in outcomes.values()] == ["accepted", "denied", "refused", "unknown"]
+    assert rig.events[-1].text == "1 of 4 parameters set"
+    rig.params.close()
+
+
+async def test_cancelled_half_way_every_one_has_an_outcome() -> None:
+    rig = Rig(big_set(6), None)
+    names = list(rig.board.params)
+    rig.board.read_only.add(names[1])
+    task = asyncio.create_task(rig.params.set({names[0]: 5.0, names[1]: 5, names[3]: 7}))
+    await asyncio.sleep(1.0)
+    assert rig.params.cancel() == 1
+    outcomes = await task
+    assert [o.result for o in outcomes.values()] == ["accepted", "cancelled", "cancelled"]
+    assert outcomes[names[1]].message == "cancelled; it may or may not be set"
+    assert rig.board.params[names[3]].value != 7
+    rig.params.close()
+
+
+async def test_a_list_ends_when_nobody_waits_for_it_any_more() -> None:
+    rig = Rig(big_set(200), None)
+    tasks = [asyncio.create_task(rig.params.load()) for _ in range(2)]
+    await asyncio.sleep(1.0)
+    tasks[0].cancel()
+    await asyncio.sleep(0.5)
+    assert rig.params.status()["loading"]["received"] > 20
+    tasks[1].cancel()
+    await asyncio.sleep(1.0)
+    sent = len(rig.sent)
+    await asyncio.sleep(10.0)
+    assert len(rig.sent) == sent and rig.params.status()["loading"] is None
+    rig.params.close()
+
+
+async def test_a_lost_vehicle_ends_the_list_with_what_came() -> None:
+    rig = Rig(big_set(200), None)
+    task = asyncio.create_task(rig.params.load())
+    await asyncio.sleep(1.0)
+    rig.params.stop_all("lost", "the vehicle was lost")
+    loaded = await task
+    assert (loaded.ok, loaded.result) == (False, "lost") and 20 < len(loaded.params) < 200
+    rig.params.close()
+
+
+async def test_progress_is_told_at_most_once_a_second() -> None:
+    rig = Rig(big_set(400), None)
+    loaded = await rig.params.load()
+    told = [e for e in rig.events if e.data["state"] == "under_way"]
+    assert 2 <= len(told) <= loaded.elapsed_s + 1
+    assert told[-1].data["count"] == 400 and told[-1].data["remaining_s"] < loaded.elapsed_s
+    assert rig.events[-1].text == "parameters: 400 parameters"
+    rig.params.close()
+
+
+async def test_two_vehicles_of_one_id_are_asked_nothing() -> None:
+    rig = Rig(big_set(3), None)
+    rig.vehicle.duplicate = True
+    assert (await rig.params.get("X")).result == "refused"
+    assert (await rig.params.load()).result == "refused"
+    assert rig.sent == []
+    rig.params.close()
+
+
+async def test_a_broken_or_foreign_cache_file_is_no_cache(tmp_path: Path) -> None:
+    params = big_set(5)
+    first = Rig(params, tmp_path)
+    await first.params.load()
+    (file,) = tmp_path.iterdir()  # noqa: ASYNC240  nothing else runs
+    for content in ("", "{}", '{"format":1', '{"format":1,"firmware":"","hash":1,"params":[["X",99,1]]}'):
+        file.write_text(content)
+        again = Rig(params, tmp_path)
+        assert (await again.params.load()).source == "vehicle"
+        again.params.close()
+    first.params.close()
