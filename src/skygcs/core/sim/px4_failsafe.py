@@ -59,14 +59,8 @@ MODES: Mapping[Action, Px4Mode] = {
     Action.RETURN: Px4Mode.RTL,
     Action.LAND: Px4Mode.LAND,
 }
-SEVERITY: Mapping[Action, int] = {
-    Action.WARN: 0,
-    Action.HOLD: 1,
-    Action.RETURN: 2,
-    Action.LAND: 3,
-    Action.STOP: 4,
-}
-"""A milder action does not replace what a graver failsafe has begun."""
+RANK: Mapping[int, int] = {Px4Mode.LOITER: 1, Px4Mode.RTL: 2, Px4Mode.LAND: 3}
+"""A milder mode does not replace what another failsafe has begun."""
 
 
 def watch(v: Px4Vehicle, now: float) -> None:
@@ -119,8 +113,7 @@ def _act(v: Px4Vehicle, action: Action, reason: str, now: float) -> None:
         v.switch_off("Disarmed by failsafe")
         return
     mode = MODES[action]
-    running = {number: way for way, number in MODES.items()}.get(Px4Mode(v.mode))
-    if v.failsafe and running is not None and SEVERITY[running] >= SEVERITY[action]:
+    if v.failsafe and RANK.get(v.mode, 0) >= RANK[mode]:
         return
     v.enter(mode, now)
     v.failsafe = True

@@ -43,6 +43,9 @@ LEAST_THRUST = 0.12
 
 MOST_THRUST = 1.0
 
+LEAST_UPRIGHT = 0.5
+"""Thrust makes up for a lean up to 60 degrees (ArduPilot's get_throttle_boosted)."""
+
 
 class Steering:
     """What the autopilot remembers from tick to tick: where its trajectory is, and the integrals (ENU, m/s²)."""
@@ -63,35 +66,48 @@ class Steering:
         self, body: Body, dt_s: float, setpoint: Setpoint | AttitudeSetpoint, limits: Limits
     ) -> tuple[Quaternion, float]:
         """Attitude (NED/FRD) and thrust for the next ``dt_s``."""
+        level = quaternion_of(0.0, 0.0, body.yaw_rad)
         if isinstance(setpoint, AttitudeSetpoint):
-            attitude = setpoint.attitude_ned_frd
-            if setpoint.thrust is not None:
-                self._trajectory = None
-                return attitude or quaternion_of(0.0, 0.0, body.yaw_rad), setpoint.thrust
-            follow = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
-        else:
-            attitude, follow = None, setpoint
-        path = self._trajectory
+            attitude = setpoint.attitude_ned_frd or level
+            if setpoint.thrust is None:
+                return attitude, self._climb(body, dt_s, setpoint.climb_mps, limits)
+            self._trajectory = None
+            return attitude, setpoint.thrust
+        path = self._go_on(body, dt_s, setpoint, limits)
         if path is None:
-            path = self._trajectory = _begin(body)
-        path.step(dt_s, follow, limits)
+            return level, IDLE_THRUST
+        east, _, up = setpoint.pos_enu_m
+        if east is None:
+            path.east_m, path.north_m = body.east_m, body.north_m
+        if up is None:
+            path.up_m = body.up_m
+        lift = GRAVITY_MPS2 + self._vertical(body, path, dt_s)
+        accel_e, accel_n = self._horizontal(body, path, lift, dt_s)
+        return self._lean(accel_e, accel_n, lift, path.yaw_rad)
+
+    def _go_on(self, body: Body, dt_s: float, setpoint: Setpoint, limits: Limits) -> Motion | None:
+        """The trajectory one step on; None while the ground carries a body that is not to rise."""
+        if self._trajectory is None:
+            self._trajectory = _begin(body)
+        path = self._trajectory
+        path.step(dt_s, setpoint, limits)
         if body.on_ground and path.vel_u_mps <= 0.0:
             self.restart()
-            return quaternion_of(0.0, 0.0, body.yaw_rad), IDLE_THRUST
-        held_e, _, held_u = follow.pos_enu_m
-        if held_e is None:
-            path.east_m, path.north_m = body.east_m, body.north_m
-        if held_u is None and not isinstance(setpoint, AttitudeSetpoint):
-            path.up_m = body.up_m
-        accel_u = self._vertical(body, path, dt_s)
-        if isinstance(setpoint, AttitudeSetpoint):
-            path.vel_e_mps, path.vel_n_mps = body.vel_e_mps, body.vel_n_mps
-            path.yaw_rad = body.yaw_rad
-            level_share = max(0.5, cos(body.roll_rad) * cos(body.pitch_rad))
-            thrust = self._hover_thrust * (GRAVITY_MPS2 + accel_u) / GRAVITY_MPS2 / level_share
-            return attitude or quaternion_of(0.0, 0.0, body.yaw_rad), _bounded(thrust)
-        accel_e, accel_n = self._horizontal(body, path, GRAVITY_MPS2 + accel_u, dt_s)
-        return self._lean(accel_e, accel_n, GRAVITY_MPS2 + accel_u, path.yaw_rad)
+            return None
+        return path
+
+    def _climb(self, body: Body, dt_s: float, climb_mps: float, limits: Limits) -> float:
+        """The thrust that climbs like this, however the body leans."""
+        path = self._go_on(body, dt_s, Setpoint((None, None, None), (None, None, climb_mps)), limits)
+        if path is None:
+            return IDLE_THRUST
+        lift = GRAVITY_MPS2 + self._vertical(body, path, dt_s)
+        # all but the height goes where the attitude takes it; the trajectory follows, for when it leads again
+        path.east_m, path.north_m = body.east_m, body.north_m
+        path.vel_e_mps, path.vel_n_mps = body.vel_e_mps, body.vel_n_mps
+        path.yaw_rad = body.yaw_rad
+        upright = max(LEAST_UPRIGHT, cos(body.roll_rad) * cos(body.pitch_rad))
+        return _bounded(self._hover_thrust * lift / GRAVITY_MPS2 / upright)
 
     def _vertical(self, body: Body, path: Motion, dt_s: float) -> float:
         behind = path.up_m - body.up_m

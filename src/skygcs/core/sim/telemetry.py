@@ -176,7 +176,7 @@ def attitude_quaternion(v: SimVehicle, now: float) -> Fields:
 
 def _throttle_percent(v: SimVehicle) -> int:
     if isinstance(v.motion, Quad):
-        return round(100 * v.motion.thrust)
+        return round(100 * v.motion.thrust) if v.armed else 0
     return 0 if v.landed else HOVER_THROTTLE_PERCENT
 
 

@@ -192,6 +192,21 @@ def test_a_drained_battery_lasts_shorter_and_lifts_less() -> None:
     assert pilot.vehicles[0].motion.up_m == pytest.approx(10.0, abs=0.1), "its height controller makes up for it"
 
 
+def test_a_milder_failsafe_does_not_stop_what_a_graver_one_began() -> None:
+    pilot = Pilot(px4())
+    set_param(pilot, "COM_LOW_BAT_ACT", 2)
+    set_param(pilot, "NAV_DLL_ACT", 1)
+    set_param(pilot, "MPC_LAND_SPEED", 0.3)
+    pilot.hovering()
+    beat(pilot, 3)
+    pilot.vehicles[0].battery.set_percent(6)
+    pilot.run(1)
+    assert px4_mode(pilot) == Px4Mode.LAND
+    pilot.run(10)
+    assert "Failsafe activated: GCS lost, holding" in pilot.texts()
+    assert px4_mode(pilot) == Px4Mode.LAND
+
+
 # -- offboard, position, power
 
 
