@@ -278,6 +278,9 @@ class Commander:
         """The daemon ends."""
         for command in list(self._running):
             self.stop(command, "cancelled", "skygcs is shutting down")
+        for _, future, _ in self._watches:
+            if not future.done():
+                future.set_result(False)  # the timer that would end it is none of ours any more
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -1,0 +1,133 @@
+"""Flown by setpoints, and somebody or something takes the vehicle away: nothing is sent any more, nothing is fought."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.core.sim.copter_setup import CopterMode
+from skygcs.core.sim.px4_setup import Px4Mode
+from support.flown import Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+
+
+def px4(gcs: Flown) -> bool:
+    return gcs.actor().vehicle.family == "px4"
+
+
+@KINDS
+@pytest.mark.parametrize("mode", ["attitude", "velocity"])
+async def test_another_ground_station_takes_it_home_in_mid_step(
+    tmp_path: Path, kind: dict[str, int], mode: str
+) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly(mode)
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        taken = gcs.now
+        gcs.other_sets_mode(4, 5) if px4(gcs) else gcs.other_sets_mode(int(CopterMode.RTL))
+        await gcs.until(lambda: gcs.control()["state"] == "off", 2.0)
+        assert gcs.last_setpoint() < taken + 1.2, "a heartbeat tells of it"
+        await asyncio.sleep(60)
+        assert not gcs.commands(taken), "it was fought"
+        assert gcs.last_setpoint() < taken + 1.2
+        (told,) = gcs.texts(taken)
+        assert told.startswith("control ended: the autopilot left the mode")
+        assert gcs.sim().motion.on_ground and not gcs.sim().armed
+        assert gcs.farthest_m(taken) < 40.0  # the return's climb
+
+
+@KINDS
+async def test_a_mode_taken_while_control_is_being_taken_up_is_left_alone(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        order = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+        await gcs.until(lambda: gcs.control()["state"] == "engaging")
+        await asyncio.sleep(0.2)
+        taken = gcs.now
+        gcs.other_sets_mode(4, 6) if px4(gcs) else gcs.other_sets_mode(int(CopterMode.LAND))
+        outcome = await order
+        assert not outcome["ok"] and "LAND" in outcome["message"], outcome
+        assert not gcs.commands(taken)
+        await gcs.ends_safe(within_m=12.0, since=taken)
+        assert gcs.sim().mode in (Px4Mode.LAND, CopterMode.LAND, Px4Mode.LOITER)
+        await asyncio.sleep(20)
+        assert gcs.sim().motion.on_ground
+
+
+@KINDS
+async def test_disarmed_by_somebody_else(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, height_m=3.0, **kind) as gcs:
+        await gcs.fly("attitude")
+        gone = gcs.now
+        gcs.by_other_station(mav.MAVLink_command_long_message(1, 1, 400, 0, 0, 21196, 0, 0, 0, 0, 0))
+        await asyncio.sleep(8)
+        assert gcs.last_setpoint() < gone + 1.2
+        assert not gcs.commands(gone)
+        told = gcs.texts(gone)
+        assert len(told) == 1 and told[0].startswith("control ended: the vehicle is not armed")
+        assert gcs.sim().motion.on_ground and not gcs.sim().armed
+
+
+@KINDS
+async def test_rebooted_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, height_m=3.0, **kind) as gcs:
+        await gcs.fly("attitude")
+        await gcs.step(2.0, 0.0, 0.0)
+        await asyncio.sleep(0.5)
+        gone = gcs.now
+        gcs.sim().faults.reboot = True
+        await asyncio.sleep(20)
+        assert gcs.last_setpoint() < gone + 2.6
+        assert gcs.sim().motion.on_ground and not gcs.sim().armed
+        assert gcs.control()["state"] == "off"
+        ends = [t for t in gcs.texts(gone) if t.startswith(("control ended", "holding"))]
+        assert 1 <= len(ends) <= 2, ends
+        assert not [c for c in gcs.commands(gone) if int(c.values["command"]) == 400]
+
+
+@KINDS
+async def test_not_heard_any_more_while_positions_still_come(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("attitude")
+        await gcs.step(2.0, 0.0, 0.0)
+        gone = gcs.now
+        gcs.sim().streams.set_interval("HEARTBEAT", math.inf, gcs.now)
+        await gcs.until(lambda: gcs.control()["state"] == "off", 10.0)
+        ended = gcs.now
+        assert ended - gone < 7.0
+        (told,) = gcs.texts(gone)
+        assert told.startswith("control ended: the vehicle is not heard any more")
+        await gcs.ends_safe(within_m=5.0, since=gone)
+
+
+async def test_a_second_vehicle_of_its_id_appears(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs.fly("attitude")
+        await gcs.step(2.0, 0.0, 0.0)
+        seen = gcs.now
+        gcs.daemon.fleet.set_duplicate(1 << 8 | 1, True)
+        await asyncio.sleep(0.01)
+        (told,) = gcs.texts(seen)
+        assert told.startswith("control ended: two vehicles with system id 1")
+        await gcs.ends_safe(within_m=5.0, since=seen)
+        outcome = await gcs.outcome("control.set", mode="position")
+        assert outcome["result"] == "refused" and "two vehicles" in outcome["message"]
+
+
+async def test_it_is_heard_in_a_recording_instead(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs.fly("attitude")
+        order = asyncio.create_task(gcs.actor().flight.engage(gcs.actor().flight.pilot.wanted))
+        await asyncio.sleep(0)
+        seen = gcs.now
+        gcs.daemon.fleet.set_replayed(1 << 8 | 1, True)
+        assert not (await order).ok
+        await asyncio.sleep(5)
+        assert not gcs.setpoints(seen)

@@ -1,0 +1,105 @@
+"""Flown by setpoints, and the telemetry stops, or the daemon: attitude, then position, then hold, and never blind."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from skygcs.core.sim.copter_setup import CopterMode
+from skygcs.core.sim.px4_setup import Px4Mode
+from support.flown import HOLDING, flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+
+
+@KINDS
+async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_there(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("attitude")
+        start = gcs.place()
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        cut = gcs.now
+        gcs.sim().faults.mute = True
+        await asyncio.sleep(1.5)
+        gcs.sim().faults.mute = False
+        blind = [s for s in gcs.setpoints(cut + 0.7) if s.at < cut + 1.4]
+        assert blind and {s.name for s in blind} == {"SET_POSITION_TARGET_GLOBAL_INT"}
+        await asyncio.sleep(20)
+        assert (gcs.control()["state"], gcs.control()["way"]) == ("flying", "position")
+        assert gcs.setpoints(gcs.now - 1.0)[-1].name == "SET_POSITION_TARGET_GLOBAL_INT", "it returned unasked"
+        assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.3)
+        assert gcs.farthest_m(cut, of=start) < 4.0
+        told = gcs.texts(cut)
+        assert len(told) <= 3 and len(set(told)) == len(told)
+        assert any(t.startswith("flown by position setpoints: state is 0.") and "limit" in t for t in told)
+        assert "it does not return by itself" in gcs.control()["reasons"][-1]
+        await gcs.fly("attitude")
+
+
+async def test_it_returns_by_itself_only_after_the_time_that_is_set_for_it(tmp_path: Path) -> None:
+    async with flown(tmp_path, control={"return_after_s": 4.0}) as gcs:
+        await gcs.fly("attitude")
+        start = gcs.place()
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        gcs.sim().faults.mute = True
+        await asyncio.sleep(1.5)
+        gcs.sim().faults.mute = False
+        heard = gcs.now
+        back = await gcs.until(lambda: gcs.control()["way"] == "attitude")
+        assert back - heard >= 4.0
+        assert not [s for s in gcs.setpoints(heard) if s.name == "SET_ATTITUDE_TARGET" and s.at < heard + 4.0]
+        assert gcs.texts(back - 0.1) == ["flown by attitude setpoints again"]
+        await asyncio.sleep(15)
+        assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.4)
+
+
+@KINDS
+@pytest.mark.parametrize("cut_s", [2.5, 10.0])
+async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind: dict[str, int], cut_s: float) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("attitude")
+        start = gcs.place()
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        cut = gcs.now
+        gcs.sim().faults.mute = True
+        await asyncio.sleep(cut_s)
+        gcs.sim().faults.mute = False
+        assert gcs.last_setpoint() < cut + 2.5
+        assert gcs.control()["state"] == ("held" if cut_s < 5 else gcs.control()["state"])
+        await gcs.ends_safe(within_m=4.0, since=cut, of=start)
+        (told,) = [t for t in gcs.texts(cut) if t.startswith("holding, nothing more is sent")]
+        assert "state is 2." in told
+        assert {int(c.values["command"]) for c in gcs.commands(cut)} == {176}, "the hold, and nothing else"
+        assert gcs.sim().mode in HOLDING
+
+
+@KINDS
+@pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
+async def test_a_daemon_that_dies_leaves_the_autopilot_to_its_own_failsafe(
+    tmp_path: Path, kind: dict[str, int], mode: str
+) -> None:
+    """An ArduCopter whose attitude ends is level, but not still: what ends that is its failsafe for a lost station."""
+    async with flown(tmp_path, params={"FS_GCS_ENABLE": 1}, **kind) as gcs:
+        await gcs.fly(mode)
+        start = gcs.place()
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        died, gcs.cut = gcs.now, True
+        await asyncio.sleep(4.5)
+        assert gcs.farthest_m(died, of=start) < (12.0 if kind != {"px4": 1} and mode == "attitude" else 4.0)
+        await asyncio.sleep(1.5)
+        modes = [t.mode for t in gcs.truth[1] if t.at > died]
+        first = next(mode for mode in modes if mode not in (Px4Mode.OFFBOARD, CopterMode.GUIDED))
+        assert first == (CopterMode.RTL if "ardupilot" in kind else Px4Mode.LOITER)
+        await asyncio.sleep(60)
+        assert gcs.is_safe(), gcs.truth[1][-1]
+        assert gcs.farthest_m(died, of=start) < 16.0

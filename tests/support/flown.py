@@ -1,0 +1,315 @@
+"""A whole daemon in virtual time, and simulated vehicles in the air behind a link that can be slow or cut.
+
+The vehicles do not live inside the daemon: they go on when it is cut off or has died. Everything the daemon sends is
+kept with its time, and of every vehicle the simulator's truth ten times a second.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncIterator, Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import FleetConfig
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.sim.conditions import CALM, Conditions
+from skygcs.core.sim.copter_setup import CopterMode
+from skygcs.core.sim.fleet import SimFleet, make_vehicles
+from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.sim.px4_setup import Px4Mode
+from skygcs.core.sim.vehicle import TICK_S, SimVehicle
+from skygcs.daemon import Daemon
+from skygcs.links.base import Channel, OwnMessage
+from skygcs.links.memory import MemoryLink
+from skygcs.rpc.methods import METHODS
+from skygcs.runtime.vehicle_actor import VehicleActor
+from support.pymav import PymavPeer
+
+FIELD = LocalFrame(43.7806, -79.4653, 180.0)
+"""Where the first vehicle stands and the world's origin is; the others stand 5 m apart to the east of it."""
+
+SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"})
+
+Vector = tuple[float, float, float]
+
+HOLDING = frozenset({Px4Mode.LOITER, CopterMode.BRAKE, CopterMode.LOITER, CopterMode.GUIDED})
+GOING_HOME = frozenset({Px4Mode.RTL, Px4Mode.LAND, CopterMode.RTL, CopterMode.LAND})
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A message of the daemon's own as it left; ``state``: of the pilot of the vehicle it is for, at that moment."""
+
+    at: float
+    name: str
+    sysid: int | None
+    values: Mapping[str, Any]
+    state: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """An event of the daemon."""
+
+    at: float
+    kind: str
+    vehicle: str | None
+    text: str
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """One look into the simulator: east, north, up of the FIELD."""
+
+    at: float
+    pos_m: Vector
+    vel_mps: Vector
+    mode: int
+    armed: bool
+    landed: bool
+
+
+@dataclass
+class Flown:
+    """``gcs(method, **params)`` asks as a session does, without a socket, whose waiting has no place in virtual time."""
+
+    daemon: Daemon
+    sims: list[SimVehicle]
+    link: MemoryLink
+    sent: list[Sent] = field(default_factory=list)
+    told: list[Told] = field(default_factory=list)
+    truth: dict[int, list[Truth]] = field(default_factory=dict)
+    cut: bool = False
+    """Nothing passes the link any more, in either direction: so a daemon looks that was killed."""
+
+    def __post_init__(self) -> None:
+        self._fleet = SimFleet(self.sims)
+        self._uplink = FrameParser(self.sims[0].dialect)
+        self.other = PymavPeer(250, 190)
+        """Another ground station, whose frames reach the vehicles straight."""
+        self._record()
+        self.link.peer.on_bytes = self._to_vehicles
+        self.daemon.subscribe_events(
+            lambda e: self.told.append(Told(self.now, e["kind"], e["vehicle"], e["text"], e["data"] or {}))
+        )
+
+    # -- asking
+
+    @property
+    def now(self) -> float:
+        return self.daemon.now()
+
+    async def __call__(self, name: str, **params: Any) -> Any:
+        self.daemon.client_alive()
+        method = METHODS[name]
+        answer = method.handler(self, method.params.model_validate(params))
+        return await answer if asyncio.iscoroutine(answer) else answer
+
+    async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:
+        """Of an order to one vehicle."""
+        (outcome,) = (await self(name, targets=targets, **params))["outcomes"].values()
+        return dict(outcome)
+
+    async def done(self, name: str, targets: str = "v1", **params: Any) -> None:
+        outcomes = (await self(name, targets=targets, **params))["outcomes"]
+        assert all(o["ok"] for o in outcomes.values()), outcomes
+
+    async def fly(self, mode: str, targets: str = "v1") -> None:
+        """Control in this way, and no other."""
+        outcomes = (await self("control.set", targets=targets, mode=mode))["outcomes"]
+        assert all(o["ok"] and f"flown by {mode} setpoints" == o["message"] for o in outcomes.values()), outcomes
+
+    async def step(self, *by_m: float, name: str = "v1") -> None:
+        """A goto by so much from where it is."""
+        here = self.actor(name).vehicle.enu_m()
+        assert here is not None
+        await self.done("vehicles.goto", targets=name, enu_m=[a + b for a, b in zip(here, by_m, strict=True)])
+
+    def actor(self, name: str = "v1") -> VehicleActor:
+        return self.daemon.fleet.find(name)
+
+    def control(self, name: str = "v1") -> dict[str, Any]:
+        return self.actor(name).control_state(self.now)
+
+    async def until(self, condition: Callable[[], object], timeout_s: float = 30.0) -> float:
+        """Wait for it; when it was."""
+        end = self.now + timeout_s
+        while not condition():
+            assert self.now < end, "it never happened"
+            await asyncio.sleep(0.02)
+        return self.now
+
+    # -- what was seen
+
+    def sim(self, name: str = "v1") -> SimVehicle:
+        return self.sims[int(name[1:]) - 1]
+
+    def place(self, name: str = "v1") -> Vector:
+        """In truth, now."""
+        return self._look(self.sim(name)).pos_m
+
+    def setpoints(self, since: float, name: str = "v1") -> list[Sent]:
+        sysid = int(name[1:])
+        return [s for s in self.sent if s.at > since and s.name in SETPOINTS and s.sysid == sysid]
+
+    def last_setpoint(self, name: str = "v1") -> float:
+        return self.setpoints(-1.0, name)[-1].at
+
+    def commands(self, since: float, name: str = "v1") -> list[Sent]:
+        """Orders that move a vehicle, sent since then; questions are none."""
+        orders = (176, 20, 21, 22, 192, 400)
+        return [
+            s
+            for s in self.sent
+            if s.at > since
+            and s.name in ("COMMAND_LONG", "COMMAND_INT")
+            and s.sysid == int(name[1:])
+            and s.values["command"] in orders
+        ]
+
+    def texts(self, since: float, kind: str = "control", name: str | None = "v1") -> list[str]:
+        return [t.text for t in self.told if t.at >= since and t.kind == kind and t.vehicle == name]
+
+    def farthest_m(self, since: float, name: str = "v1", of: Vector | None = None) -> float:
+        """How far it went since then, from where it was then or from ``of``."""
+        looks = [t for t in self.truth[int(name[1:])] if t.at >= since]
+        start = looks[0].pos_m if of is None else of
+        return max(math.dist(start, t.pos_m) for t in looks)
+
+    def is_safe(self, name: str = "v1") -> bool:
+        """On the ground and disarmed, going home by itself, or standing still in a mode that holds."""
+        look = self._look(self.sim(name))
+        if look.landed or look.mode in GOING_HOME:
+            return True
+        return look.mode in HOLDING and math.hypot(*look.vel_mps) < 0.3
+
+    async def ends_safe(self, name: str = "v1", *, within_m: float, since: float, of: Vector | None = None) -> None:
+        """Give it half a minute: safe in truth, still safe at the end, and never far; nothing is sent all the while."""
+        quiet_since = self.now
+        await self.until(lambda: self.is_safe(name))
+        await asyncio.sleep(10)
+        assert self.is_safe(name), self._look(self.sim(name))
+        assert self.farthest_m(since, name, of) < within_m
+        assert not self.setpoints(quiet_since, name), "setpoints after control ended"
+
+    # -- the vehicles' side
+
+    def by_other_station(self, message: Any) -> None:
+        """Another ground station sends this to the vehicles, over a radio of its own."""
+        for frame in self._uplink.feed_datagram(self.other.pack(message)):
+            self._fleet.on_frame(frame, self.now)
+
+    def other_sets_mode(self, main: int, sub: int = 0, sysid: int = 1) -> None:
+        self.by_other_station(mav.MAVLink_command_long_message(sysid, 1, 176, 0, 1, main, sub, 0, 0, 0, 0))
+
+    async def live(self) -> None:
+        """The vehicles' own clock; to be run as a task."""
+        due, looked = self.now, -1.0
+        while True:
+            frames = self._fleet.step(self.now)
+            if frames and not self.cut:
+                self.link.peer.send(b"".join(frames))
+            if self.now - looked >= 0.1 - 1e-6:
+                looked = self.now
+                for sim in self.sims:
+                    self.truth.setdefault(sim.sysid, []).append(self._look(sim))
+            due += TICK_S
+            await asyncio.sleep(max(0.0, due - self.now))
+
+    def _to_vehicles(self, raw: bytes) -> None:
+        if self.cut:
+            return
+        for frame in self._uplink.feed_datagram(raw):
+            self._fleet.on_frame(frame, self.now)
+
+    def _look(self, sim: SimVehicle) -> Truth:
+        motion = sim.motion
+        east, north = FIELD.to_local(*sim.where.to_geodetic(motion.east_m, motion.north_m))
+        velocity = (motion.vel_e_mps, motion.vel_n_mps, motion.vel_u_mps)
+        return Truth(self.now, (east, north, motion.up_m), velocity, sim.mode, sim.armed, motion.on_ground)
+
+    def _record(self) -> None:
+        hub = self.daemon.hub
+        before = hub.on_sent
+
+        def on_sent(channel: Channel, message: OwnMessage, raw: bytes) -> None:
+            before(channel, message, raw)
+            for frame in FrameParser(self.daemon.dialect).feed_datagram(raw):
+                values = frame.fields()
+                sysid = values.get("target_system")
+                actor = self.daemon.fleet.vehicles.get((sysid or 0) << 8 | 1)
+                state = None if actor is None else actor.flight.pilot.state.value
+                assert frame.info is not None
+                self.sent.append(Sent(self.now, frame.info.name, sysid, values, state))
+
+        hub.on_sent = on_sent  # type: ignore[method-assign]
+
+
+@contextlib.asynccontextmanager
+async def flown(
+    tmp_path: Path,
+    *,
+    px4: int = 1,
+    ardupilot: int = 0,
+    height_m: float = 10.0,
+    delay_s: float = 0.0,
+    control: Mapping[str, Any] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    conditions: Conditions = CALM,
+    params: Mapping[str, float] | None = None,
+) -> AsyncIterator[Flown]:
+    """Vehicles that hover at ``height_m`` in the mode a take-off leaves them in. ``control``, ``settings``: the tables
+    defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4, any of
+    an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, …"""
+    config = FleetConfig.model_validate(
+        {
+            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False, **(settings or {})},
+            "origin": {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m},
+            "links": {"air": {"type": "memory", "role": "radio", "delay_s": delay_s}},
+            "defaults": {"control": dict(control or {})},
+        }
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    sims = make_vehicles(
+        load_dialect("ardupilotmega"),
+        px4=px4,
+        ardupilot=ardupilot,
+        first_sysid=1,
+        home=FIELD,
+        now=daemon.now(),
+        unix_us=1_700_000_000_000_000,
+        conditions=conditions,
+    )
+    for sim in sims:
+        for name, value in {"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1.0, **(params or {})}.items():
+            sim.params.set(name, value)  # a firmware that has none of this name takes no notice
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    link = daemon.links.link("air")
+    assert isinstance(link, MemoryLink)
+    gcs = Flown(daemon, sims, link)
+    living = asyncio.create_task(gcs.live())
+    try:
+        await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
+        await asyncio.sleep(12)  # the estimators converge
+        await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
+        await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)
+        await asyncio.sleep(8)
+        yield gcs
+        assert all(s.state in ("engaging", "flying") for s in gcs.sent if s.name in SETPOINTS), (
+            "setpoints after the end"
+        )
+        assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
+    finally:
+        living.cancel()
+        await asyncio.gather(living, return_exceptions=True)
+        daemon.stop()
+        await running
