@@ -56,7 +56,7 @@ class DelayMeter:
     """
 
     __slots__ = (
-        *("_ages", "_last_ping", "_last_pong", "_sent", "_token", "_trips"),
+        *("_ages_at", "_ages_s", "_last_ping", "_last_pong", "_sent", "_token", "_trips"),
         *("pings", "rtt_p95_s", "share", "strange"),
     )
 
@@ -67,7 +67,9 @@ class DelayMeter:
         """Pongs nobody waited for: of another station, twice, too late, or before their ping."""
         self.rtt_p95_s: float | None = None
         """None: not measured yet, or not any more (as of the last tick)."""
-        self._ages: deque[tuple[float, float]] = deque(maxlen=MAX_TICKS)
+        self._ages_at: deque[float] = deque(maxlen=MAX_TICKS)
+        self._ages_s: deque[float] = deque(maxlen=MAX_TICKS)
+        """Of the tick at the same place in ``_ages_at``; apart from it so that they can be sorted as they are."""
         self._trips: deque[float] = deque(maxlen=ROUND_TRIPS)
         self._sent: dict[int, float] = {}
         self._token = 0
@@ -76,12 +78,15 @@ class DelayMeter:
 
     def on_tick(self, state_age_s: float | None, now: float) -> None:
         """To be called in every tick of the loop. No state, or an age that is NaN, is one infinitely old."""
-        if self._ages and now < self._ages[-1][0]:  # the clock ran backwards: what is remembered cannot be dated
-            self._ages.clear()
+        if self._ages_at and now < self._ages_at[-1]:  # the clock ran backwards: what is remembered cannot be dated
+            self._ages_at.clear()
+            self._ages_s.clear()
         age_s = math.inf if state_age_s is None or math.isnan(state_age_s) else max(0.0, state_age_s)
-        self._ages.append((now, age_s))
-        while now - self._ages[0][0] > WINDOW_S:
-            self._ages.popleft()
+        self._ages_at.append(now)
+        self._ages_s.append(age_s)
+        while now - self._ages_at[0] > WINDOW_S:
+            self._ages_at.popleft()
+            self._ages_s.popleft()
         if self._trips and not 0 <= now - self._last_pong <= ROUND_TRIP_VALID_S:
             self._trips.clear()
             self.rtt_p95_s = None
@@ -118,5 +123,5 @@ class DelayMeter:
     @property
     def delay_p95_s(self) -> float | None:
         """None without a round trip or a tick."""
-        rtt_s, age_s = self.rtt_p95_s, p95(age for _, age in self._ages)
+        rtt_s, age_s = self.rtt_p95_s, p95(self._ages_s)
         return None if rtt_s is None or age_s is None else age_s + self.share * rtt_s

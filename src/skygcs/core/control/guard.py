@@ -348,7 +348,11 @@ def _too_old(age_s: float, limit_s: float) -> bool:
 
 
 def _usable(estimate: Estimate) -> bool:
-    return all(abs(value) <= LARGEST_INPUT for value in (*estimate.pos_enu_m, *estimate.vel_enu_mps))
+    x, y, z = estimate.pos_enu_m
+    vx, vy, vz = estimate.vel_enu_mps
+    largest = LARGEST_INPUT
+    at = abs(x) <= largest and abs(y) <= largest and abs(z) <= largest  # each false for NaN
+    return at and abs(vx) <= largest and abs(vy) <= largest and abs(vz) <= largest
 
 
 def _age_text(age_s: float, limit_s: float, what: str) -> str:

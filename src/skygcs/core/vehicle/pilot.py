@@ -43,8 +43,8 @@ TOLD_FRESH_S = 10.0
 ATTITUDE_FRESH_S = 3.0
 """An attitude older than this is no longer asked whether it is a number: it may just not be streamed any more."""
 
-JUDGE_DELAY_S = 0.1
-"""How often the percentile of the delay is worked out anew: it moves with a window of seconds."""
+JUDGE_S = 0.1
+"""How often what moves slowly is looked at anew: the percentile of a window of seconds, fix and battery."""
 
 LARGEST_DT_S = 1.0
 """Told to the law as the longest pause between two steps; it clamps to 1.5 periods itself."""
@@ -167,7 +167,9 @@ class Pilot:
         self._fence: Fence | None = None
         self._breach: tuple[Any, str | None] = (None, None)
         self._fenced: tuple[Place | None, str | None] = (None, None)
-        self._delay_at = -math.inf
+        self._judged_at = -math.inf
+        self._fix_ok = True
+        self._battery_percent: float | None = None
         self._obeys = -1
         self._read: tuple[Any, EnuFrame | None, Estimate | None] = (None, None, None)
         self._last = _Last()
@@ -217,7 +219,7 @@ class Pilot:
         self.was_entered = False
         self._guard.reset(way)
         self._last = _Last()
-        self.delay, self.delay_p95_s, self._delay_at = _delay_meter(), None, -math.inf
+        self.delay, self.delay_p95_s, self._judged_at = _delay_meter(), None, -math.inf
         self._obeys = guided_mode(self.vehicle)
         self._forget()
         self._stay(yaw_rad=self._yaw_rad())
@@ -387,9 +389,10 @@ class Pilot:
 
     def _measure(self, age_s: float | None, now: float) -> None:
         self.delay.on_tick(age_s, now)
-        if now - self._delay_at >= JUDGE_DELAY_S:
-            self._delay_at = now
+        if not 0.0 <= now - self._judged_at < JUDGE_S:
+            self._judged_at = now
             self.delay_p95_s = self.delay.delay_p95_s
+            self._fix_ok, self._battery_percent = self._told_fix_ok(now), self._told_battery_percent(now)
 
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
         vehicle, config = self.vehicle, self.config
@@ -403,9 +406,9 @@ class Pilot:
             delay_p95_s=self.delay_p95_s,
             estimate=estimate,
             finite=self._attitude_is_finite(now),
-            fix_ok=self._fix_ok(now),
+            fix_ok=self._fix_ok,
             airborne=vehicle.in_air(now),
-            battery_percent=self._battery_percent(now),
+            battery_percent=self._battery_percent,
             inside_fence=breach is None,
             reference_inside_fence=reference_breach is None,
             rate_hz=min(config.attitude_hz, self.attitude_hz_allowed),
@@ -491,13 +494,13 @@ class Pilot:
             return True
         return self.vehicle.section("attitude") is not None
 
-    def _fix_ok(self, now: float) -> bool:
+    def _told_fix_ok(self, now: float) -> bool:
         gps, at = self.vehicle.readings.section("gps")
         if gps is None or now - at > TOLD_FRESH_S:
             return True  # its position, which is watched, comes from an estimator that knows
         return bool(gps["fix_type"] >= GPS_FIX_3D)
 
-    def _battery_percent(self, now: float) -> float | None:
+    def _told_battery_percent(self, now: float) -> float | None:
         battery, at = self.vehicle.readings.section("battery")
         return None if battery is None or now - at > TOLD_FRESH_S else battery["percent"]
 

@@ -18,7 +18,7 @@ from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import GuardConfig, Way
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place, Setpoint, Tick
+from skygcs.core.vehicle.pilot import JUDGE_S, Pilot, PilotConfig, PilotState, Place, Setpoint, Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect
@@ -238,7 +238,7 @@ def test_what_is_unsafe_is_held_once_and_then_left_alone(what: str) -> None:
     flight = Flight().fly(Way.ATTITUDE)
     happen, why = HOLDS[what]
     happen(flight)
-    tick = flight.tick()
+    tick = flight.tick(2 * JUDGE_S)
     assert tick.hold and tick.message is None and why in texts(tick), texts(tick)
     assert flight.pilot.state is PilotState.HELD and not flight.pilot.active
     assert why in " ".join(flight.pilot.reasons)
@@ -251,7 +251,7 @@ def test_what_would_be_a_hold_only_ends_an_attempt_to_take_it_over(what: str) ->
     flight.pilot.engage(Way.POSITION, FENCE)
     flight.tick()
     HOLDS[what][0](flight)
-    tick = flight.tick()
+    tick = flight.tick(2 * JUDGE_S)
     assert not tick.hold and tick.message is None and flight.pilot.state is PilotState.OFF
 
 
