@@ -184,6 +184,6 @@ def test_memory_is_bounded_however_fast_the_loop_and_however_dead_the_link() -> 
         meter.on_tick(0.01, n * 0.0001)
     for n in range(100):
         answered(meter, 0.01, 1.0 + n)
-    assert len(meter._ages) == delay.MAX_TICKS
+    assert len(meter._ages_s) == delay.MAX_TICKS
     assert len(meter._sent) <= delay.UNDER_WAY
     assert len(meter._trips) == delay.ROUND_TRIPS
