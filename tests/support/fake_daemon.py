@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
+from skygcs.core.mission.item import MissionType
+from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.rpc.server import RpcServer
@@ -45,12 +47,29 @@ class FakeOutcome:
         return asdict(self)
 
 
+class FakeMissions:
+    """What one vehicle tells of its mission; a test sets ``told``."""
+
+    def __init__(self) -> None:
+        nothing = dict.fromkeys(("mission", "fence", "rally"))
+        self.told: dict[str, Any] = {
+            **dict.fromkeys(("item", "reached", "state", "transfer")),
+            "counts": dict(nothing),
+            "opaque_ids": dict(nothing),
+        }
+
+    def status(self) -> dict[str, Any]:
+        return dict(self.told)
+
+
 class FakeVehicle:
     """Accepts every order unless told otherwise, and remembers them in ``orders``."""
 
     def __init__(self, sysid: int, name: str, autopilot: str, groups: tuple[str, ...]) -> None:
         self.sysid, self.compid, self.name, self.autopilot, self.groups = sysid, 1, name, autopilot, groups
         self.params: Any = None
+        self.missions = FakeMissions()
+        self.stored_plan = MissionPlan()
         self.orders: list[tuple[str, dict[str, Any]]] = []
         self.cancelled = 0
         self.finished: list[str] = []
@@ -126,6 +145,24 @@ class FakeVehicle:
 
     async def command(self, command: str | int, params: Sequence[float | None], **rest: Any) -> FakeOutcome:
         return await self._order("command", command=command, params=list(params), **rest)
+
+    async def upload_plan(self, **arguments: Any) -> FakeOutcome:
+        return await self._order("upload_plan", **arguments)
+
+    async def clear_plan(self, **arguments: Any) -> FakeOutcome:
+        return await self._order("clear_plan", **arguments)
+
+    async def start_mission(self, **arguments: Any) -> FakeOutcome:
+        return await self._order("start_mission", **arguments)
+
+    async def resume_mission(self) -> FakeOutcome:
+        return await self._order("resume_mission")
+
+    async def set_mission_item(self, **arguments: Any) -> FakeOutcome:
+        return await self._order("set_mission_item", **arguments)
+
+    async def download_plan(self, kinds: Collection[MissionType]) -> tuple[FakeOutcome, MissionPlan]:
+        return await self._order("download_plan", kinds=kinds), self.stored_plan
 
     def latest(self, message_name: str) -> dict[str, Any] | None:
         if message_name != "ATTITUDE":

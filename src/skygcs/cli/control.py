@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from skygcs import __version__
-from skygcs.cli import emergency, gains, loops, orders, origin, plot, reading, setpoint, table, track
+from skygcs.cli import emergency, gains, loops, mission_flight, orders, origin, plot, reading, setpoint, table, track
 from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.missions import missions
 from skygcs.cli.options import Json
@@ -129,6 +129,7 @@ app.add_typer(links, name="links", rich_help_panel="Looking")
 app.add_typer(origin.app, name="origin", rich_help_panel="Orders")
 app.add_typer(tlog, name="tlog", rich_help_panel="Looking")
 app.add_typer(missions, name="mission")
+mission_flight.add_to(app)
 gains.add_to(app)
 track.add_to(app)
 setpoint.add_to(app)

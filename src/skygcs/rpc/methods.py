@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
-from skygcs.rpc import control, dispatch, openrpc, origin, params
+from skygcs.rpc import control, dispatch, missions, openrpc, origin, params
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -363,6 +363,7 @@ METHODS: dict[str, Method[Context]] = {
         *origin.METHODS,
         *params.METHODS,
         *control.METHODS,
+        *missions.METHODS,
         Method("rpc.discover", m.NoParams, rpc_discover),
     )
 }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol
 
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mission.item import MissionType
+from skygcs.core.mission.plan import MissionPlan
 
 JsonObject = dict[str, Any]
 OnFrame = Callable[[Frame, Any, float], None]
@@ -31,6 +33,12 @@ class Parameters(Protocol):
     def cancel(self) -> int: ...
 
 
+class Missions(Protocol):
+    """skygcs.runtime.missions.Missions."""
+
+    def status(self) -> JsonObject: ...
+
+
 class Vehicle(Protocol):
     """skygcs.runtime.vehicle_actor.VehicleActor."""
 
@@ -45,6 +53,9 @@ class Vehicle(Protocol):
     def gains(self) -> JsonObject: ...
     def control_state(self, now: float) -> JsonObject: ...
     def record_control(self, on: bool) -> str | None: ...
+    @property
+    def missions(self) -> Missions: ...
+    async def download_plan(self, kinds: Collection[MissionType]) -> tuple[OutcomeLike, MissionPlan]: ...
     @property
     def params(self) -> Parameters: ...
 

@@ -1,0 +1,286 @@
+"""`skygcs-cli mission …` and `fence …` with a daemon: plans to vehicles and back, missions started and followed."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+from skygcs.cli import render
+from skygcs.cli.connection import Exit, client, run, run_offline, waiting
+from skygcs.cli.missions import ListName, PlanFile, missions
+from skygcs.cli.options import Json, OptionalTargets, Targets
+from skygcs.cli.orders import tell_outcomes
+from skygcs.errors import PlanFileError
+from skygcs.rpc.client import Client
+
+fences = typer.Typer(help="Geofences, as polygons and circles of a plan.", no_args_is_help=True)
+
+Lists = Annotated[
+    list[ListName] | None,
+    typer.Option("--only", help="This list only (may be repeated).", show_default=False),
+]
+OneTarget = Annotated[str, typer.Argument(metavar="VEHICLE", help="Its name or system id.", show_default=False)]
+OutFile = Annotated[
+    Path | None,
+    typer.Argument(
+        metavar="[FILE]", help="Default: told, not written. A .plan, or one list as WPL.", show_default=False
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite FILE.")]
+TRANSFERS = ("upload", "download", "clear")
+
+
+@missions.command("upload")
+def _upload(
+    targets: Targets,
+    file: PlanFile,
+    only: Lists = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Although the plan has errors, or the vehicle flies its mission.")
+    ] = False,
+    json_output: Json = False,
+) -> None:
+    """Check a plan against each vehicle and bring it there: mission, fence and rally points that it holds."""
+    _bring(targets, file, None if only is None else [name.value for name in only], force, json_output)
+
+
+@missions.command("download")
+def _download(
+    vehicle: OneTarget,
+    file: OutFile = None,
+    only: Lists = None,
+    force: Overwrite = False,
+    json_output: Json = False,
+) -> None:
+    """Read a vehicle's mission, fence and rally points."""
+    _fetch(vehicle, file, [name.value for name in only or ListName], force, json_output)
+
+
+@missions.command("clear")
+def _clear(
+    targets: Targets,
+    only: Lists = None,
+    force: Annotated[bool, typer.Option("--force", help="Although it flies its mission.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Empty the vehicles' missions; fences and rally points with --only."""
+    lists = ["mission"] if only is None else [name.value for name in only]
+    _order("missions.clear", targets, json_output, lists=lists, force=force)
+
+
+@missions.command("start")
+def _start(
+    targets: Targets,
+    first: Annotated[int, typer.Option("--first", metavar="ITEM", min=1, help="Begin with this item.")] = 1,
+    arm: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
+    json_output: Json = False,
+) -> None:
+    """Fly the mission that is on board."""
+    _order("missions.start", targets, json_output, first=first, arm=arm)
+
+
+@missions.command("pause")
+def _pause(targets: Targets, json_output: Json = False) -> None:
+    """Stop and hold position."""
+    _order("missions.pause", targets, json_output)
+
+
+@missions.command("resume")
+def _resume(targets: Targets, json_output: Json = False) -> None:
+    """Go on with the current item."""
+    _order("missions.resume", targets, json_output)
+
+
+@missions.command("current")
+def _current(
+    targets: Targets,
+    item: Annotated[int, typer.Argument(metavar="ITEM", min=1, help="Counted from 1.", show_default=False)],
+    json_output: Json = False,
+) -> None:
+    """Make an item the current one."""
+    _order("missions.set_current", targets, json_output, item=item)
+
+
+@missions.command("status")
+def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
+    """Show where vehicles are in their missions."""
+    _tell_status(targets, json_output, _mission_line)
+
+
+@missions.command("watch")
+def _watch(targets: OptionalTargets = "all", json_output: Json = False) -> None:
+    """Follow missions and transfers: the status, then every item reached, until Ctrl-C."""
+
+    async def command(gcs: Client) -> None:
+        news = gcs.events(kinds=["mission", "command"])
+        told = await gcs.call("missions.status", targets=targets)
+        names = {status["vehicle"] for status in told}
+        for status in told:
+            typer.echo(json.dumps(status) if json_output else _mission_line(status))
+        async for event in news:
+            if (targets == "all" or event["vehicle"] in names) and _of_missions(event):
+                typer.echo(json.dumps(event) if json_output else render.event_line(event))
+                sys.stdout.flush()
+
+    run(command)
+
+
+@fences.command("upload")
+def _fence_upload(
+    targets: Targets,
+    file: PlanFile,
+    force: Annotated[bool, typer.Option("--force", help="Although the fence has errors.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Bring the fence of a plan to vehicles; their missions stay."""
+    _bring(targets, file, ["fence"], force, json_output)
+
+
+@fences.command("download")
+def _fence_download(
+    vehicle: OneTarget, file: OutFile = None, force: Overwrite = False, json_output: Json = False
+) -> None:
+    """Read a vehicle's fence back."""
+    _fetch(vehicle, file, ["fence"], force, json_output)
+
+
+@fences.command("clear")
+def _fence_clear(
+    targets: Targets,
+    force: Annotated[bool, typer.Option("--force", help="Although it is in the air.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Remove the vehicles' fences."""
+    _order("missions.clear", targets, json_output, lists=["fence"], force=force)
+
+
+@fences.command("status")
+def _fence_status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
+    """Show what fences vehicles hold, and breaches where they tell of them (ArduPilot)."""
+    _tell_status(targets, json_output, _fence_line)
+
+
+def add_to(app: typer.Typer) -> None:
+    app.add_typer(fences, name="fence")
+
+
+def _order(method: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
+    async def command(gcs: Client) -> int:
+        async with waiting(f"{method} {targets}"):
+            answer = await gcs.call(method, targets=targets, **params)
+        return tell_outcomes(answer["outcomes"], json_output)
+
+    run(command)
+
+
+def _bring(targets: str, file: Path, lists: list[str] | None, force: bool, json_output: bool) -> NoReturn:
+    """A file that is no plan is told before a daemon is looked for."""
+
+    async def sent(content: str) -> int:
+        async with client() as gcs, waiting(f"missions.upload {targets}"):
+            answer = await gcs.call(
+                "missions.upload", targets=targets, plan=content, name=file.name, lists=lists, force=force
+            )
+        return tell_outcomes(answer["outcomes"], json_output)
+
+    def command() -> int:
+        from skygcs.cli.mission_files import load_plan
+
+        for note in load_plan(file).notes:
+            typer.echo(f"note: {note}", err=True)
+        return asyncio.run(sent(file.read_text(encoding="utf-8-sig")))
+
+    run_offline(command)
+
+
+def _fetch(vehicle: str, file: Path | None, lists: list[str], force: bool, json_output: bool) -> NoReturn:
+    async def read() -> dict[str, Any]:
+        async with client() as gcs, waiting(f"missions.download {vehicle}"):
+            answer: dict[str, Any] = await gcs.call("missions.download", target=vehicle, lists=lists)
+        return answer
+
+    def command() -> int:
+        if file is not None and file.exists() and not force:
+            raise PlanFileError(str(file), "", "exists; --force overwrites it")
+        answer = asyncio.run(read())
+        code = _tell_download(vehicle, answer, lists, json_output, quiet=file is not None)
+        if file is not None and code == Exit.DONE:
+            _write(file, answer["plan"], lists)
+        return code
+
+    run_offline(command)
+
+
+def _tell_download(vehicle: str, answer: dict[str, Any], lists: list[str], json_output: bool, *, quiet: bool) -> int:
+    outcome = answer["outcome"]
+    if json_output:
+        typer.echo(json.dumps(answer, indent=2))
+        return Exit.DONE if outcome["ok"] else Exit.FAILED
+    code = tell_outcomes({vehicle: outcome}, False)
+    for name in () if quiet else lists:
+        for item in answer[name]:
+            params = " ".join("-" if value is None else f"{value:.10g}" for value in item["params"])
+            typer.echo(f"{name} {item['number']:>4}  {item['command']:>5}  frame {item['frame']:>2}  {params}")
+    return code
+
+
+def _write(file: Path, plan: str | None, lists: list[str]) -> None:
+    """In the format of its name. Raises PlanFileError for what that cannot hold, OSError."""
+    from skygcs.core.mission.formats import read_plan, write_plan
+    from skygcs.core.mission.item import MissionType
+
+    if plan is None:
+        raise PlanFileError(str(file), "", "the plan holds rally points above sea level, which no .plan can")
+    only = MissionType[lists[0].upper()] if len(lists) == 1 else None
+    text = write_plan(read_plan(plan.encode(), "the vehicle's plan").plan, str(file), only)
+    file.write_text(text, encoding="utf-8")
+    typer.echo(f"written to {file}", err=True)
+
+
+def _tell_status(targets: str, json_output: bool, line: Any) -> None:
+    async def command(gcs: Client) -> None:
+        told = await gcs.call("missions.status", targets=targets)
+        if json_output:
+            typer.echo(json.dumps(told, indent=2))
+        for status in () if json_output else told:
+            typer.echo(line(status))
+
+    run(command)
+
+
+def _mission_line(status: dict[str, Any]) -> str:
+    count = status["counts"]["mission"]
+    parts = [f"{status['vehicle']:<10}"]
+    parts.append("no item told yet" if status["item"] is None else f"item {status['item']}")
+    if count is not None:
+        parts[-1] += f" of {count}"
+    if status["reached"] is not None:
+        parts.append(f"reached {status['reached']}")
+    if status["state"] is not None:
+        parts.append(status["state"])
+    if status["transfer"] is not None:
+        percent = status["transfer"]["percent"]
+        parts.append(status["transfer"]["what"] + ("" if percent is None else f" {percent} %"))
+    return "  ".join(parts)
+
+
+def _fence_line(status: dict[str, Any]) -> str:
+    count = status["counts"]["fence"]
+    parts = [f"{status['vehicle']:<10}"]
+    parts.append("fence not read yet" if count is None else f"{count} fence items" if count else "no fence")
+    fence = status["fence"]
+    if fence is not None:
+        breaches = fence["breach_count"]
+        parts.append(f"OUTSIDE, type {fence['breach_type']}" if fence["breach_status"] else "inside")
+        parts.append(f"{breaches} breach{'' if breaches == 1 else 'es'} since boot")
+    return "  ".join(parts)
+
+
+def _of_missions(event: dict[str, Any]) -> bool:
+    order = str(event["data"].get("order", ""))
+    return event["kind"] == "mission" or order.startswith("mission") or order.endswith(TRANSFERS)

@@ -1,0 +1,166 @@
+"""The methods of missions, fences and rally points: `METHODS` is their part of the table."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from skygcs.core.mission.formats import read_plan
+from skygcs.core.mission.item import MissionItem, MissionType
+from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mission.qgc import write_qgc
+from skygcs.errors import PlanFileError
+from skygcs.rpc import dispatch
+from skygcs.rpc import models as m
+from skygcs.rpc.context import Context, one_vehicle, outcomes
+from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.ports import JsonObject, resolve
+
+ListName = Literal["mission", "fence", "rally"]
+Lists = Annotated[list[ListName], Field(min_length=1, max_length=3)]
+ALL_LISTS: list[ListName] = ["mission", "fence", "rally"]
+
+ItemNumber = Annotated[int, Field(ge=1, le=65535, description="An item of the mission, counted from 1.")]
+
+
+class PlanUploadParams(m.TargetsParams):
+    plan: str = Field(min_length=1, description="The content of a .plan or QGC WPL 110 file.")
+    name: str = Field("plan", max_length=200, description="What to call it in error texts: the file's name.")
+    lists: Lists | None = Field(None, description="Which of mission, fence, rally; null: those that the plan holds.")
+    force: bool = Field(False, description="Although the plan has errors, or the vehicle flies its mission.")
+
+
+class PlanDownloadParams(m.TargetParams):
+    lists: Lists = Field(ALL_LISTS, description="Which of mission, fence, rally.")
+
+
+class PlanClearParams(m.TargetsParams):
+    lists: Lists = Field(["mission"], description="Which of mission, fence, rally.")
+    force: bool = Field(False, description="Although it flies its mission, or is in the air without a fence then.")
+
+
+class MissionStartParams(m.TargetsParams):
+    first: ItemNumber = 1
+    arm: bool = Field(True, description="Arm first if it is not armed.")
+
+
+class MissionItemParams(m.TargetsParams):
+    item: ItemNumber
+
+
+class PlanDownload(m.Result):
+    outcome: m.Outcome
+    plan: str | None = Field(description="The content of a .plan file; null if a list could not be read.")
+    mission: list[dict[str, Any]] = Field(description="Items: number, command, frame, params (7), autocontinue.")
+    fence: list[dict[str, Any]]
+    rally: list[dict[str, Any]]
+
+
+class MissionStatus(m.Result):
+    """What a vehicle tells of its mission."""
+
+    vehicle: str
+    item: int | None = Field(description="The current item, from 1; 0 is an ArduPilot's home.")
+    reached: int | None = Field(description="The item it reached last.")
+    state: str | None = Field(description="no mission, not started, active, paused, complete; null: it does not say.")
+    counts: dict[str, int | None] = Field(description="Items per list, as last sent or read; null: not known.")
+    opaque_ids: dict[str, int | None] = Field(description="The vehicle's own numbers for its lists (PX4).")
+    transfer: dict[str, Any] | None = Field(description="what, percent, sent of the transfer under way.")
+    fence: dict[str, Any] | None = Field(description="Fields of FENCE_STATUS; null: it sends none (PX4).")
+
+
+async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObject:
+    """Check a plan against each vehicle and bring it there, its fence first.
+
+    Progress comes as events of kind command, every ten percent. An outcome that is not ok says what the vehicle holds;
+    a client that goes away ends the upload, and an event says the same.
+    """
+    try:
+        plan = read_plan(params.plan.encode(), params.name).plan
+    except PlanFileError as error:
+        raise InvalidParams(("plan", str(error))) from None
+    kinds = plan.holds() if params.lists is None else _kinds(params.lists)
+    return await outcomes(context, params.targets, "upload_plan", plan=plan, kinds=kinds, force=params.force)
+
+
+async def missions_download(context: Context, params: PlanDownloadParams) -> JsonObject:
+    """Read a vehicle's mission, fence and rally points."""
+    outcome, plan = await one_vehicle(context.daemon, params.target).download_plan(_kinds(params.lists))
+    answer = outcome.as_dict()
+    return {
+        "outcome": answer,
+        "plan": _written(plan) if answer["ok"] else None,
+        **{kind.word: [_item(n, i) for n, i in enumerate(plan.items(kind), 1)] for kind in MissionType},
+    }
+
+
+async def missions_clear(context: Context, params: PlanClearParams) -> JsonObject:
+    """Empty lists of vehicles."""
+    return await outcomes(context, params.targets, "clear_plan", kinds=_kinds(params.lists), force=params.force)
+
+
+async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
+    """Fly the mission that is on board, from an item on."""
+    return await outcomes(context, params.targets, "start_mission", first=params.first, arm=params.arm)
+
+
+async def missions_pause(context: Context, params: m.TargetsParams) -> JsonObject:
+    """Stop and hold position; missions.resume goes on with the current item."""
+    return await outcomes(context, params.targets, "hold")
+
+
+async def missions_resume(context: Context, params: m.TargetsParams) -> JsonObject:
+    """Go on with the current item."""
+    return await outcomes(context, params.targets, "resume_mission")
+
+
+async def missions_set_current(context: Context, params: MissionItemParams) -> JsonObject:
+    """Make an item the current one: a vehicle that flies its mission goes there."""
+    return await outcomes(context, params.targets, "set_mission_item", item=params.item)
+
+
+def missions_status(context: Context, params: m.ListParams) -> list[JsonObject]:
+    """Where each vehicle is in its mission, what it holds, and what is being transferred."""
+    told = []
+    for vehicle in resolve(context.daemon, params.targets):
+        has_fence = "FENCE_STATUS" in context.daemon.dialect.by_name
+        fence = vehicle.latest("FENCE_STATUS") if has_fence else None
+        told.append({"vehicle": vehicle.name, **vehicle.missions.status(), "fence": fence and fence["fields"]})
+    return told
+
+
+def _kinds(lists: list[ListName]) -> tuple[MissionType, ...]:
+    return tuple(MissionType[name.upper()] for name in lists)
+
+
+def _written(plan: MissionPlan) -> str | None:
+    """None for what the format cannot hold: rally points above sea level; the items are told anyway."""
+    try:
+        return write_qgc(plan)
+    except ValueError:
+        return None
+
+
+def _item(number: int, item: MissionItem) -> JsonObject:
+    return {
+        "number": number,
+        "command": item.command,
+        "frame": item.frame,
+        "params": list(item.seven),
+        "autocontinue": item.autocontinue,
+    }
+
+
+_TARGET = (dispatch.TARGET_ERROR,)
+
+METHODS: tuple[Method[Context], ...] = (
+    Method("missions.upload", PlanUploadParams, missions_upload, m.Outcomes, _TARGET),
+    Method("missions.download", PlanDownloadParams, missions_download, PlanDownload, _TARGET),
+    Method("missions.clear", PlanClearParams, missions_clear, m.Outcomes, _TARGET),
+    Method("missions.start", MissionStartParams, missions_start, m.Outcomes, _TARGET),
+    Method("missions.pause", m.TargetsParams, missions_pause, m.Outcomes, _TARGET),
+    Method("missions.resume", m.TargetsParams, missions_resume, m.Outcomes, _TARGET),
+    Method("missions.set_current", MissionItemParams, missions_set_current, m.Outcomes, _TARGET),
+    Method("missions.status", m.ListParams, missions_status, list[MissionStatus], _TARGET),
+)

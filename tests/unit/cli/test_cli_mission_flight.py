@@ -1,0 +1,168 @@
+"""`mission` and `fence` with a daemon: what is asked of it, what is printed and written."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from skygcs.cli.control import app
+from skygcs.core.mission.formats import read_plan
+from skygcs.core.mission.item import MissionItem, MissionType
+from skygcs.core.mission.plan import MissionPlan, PlannedHome
+from skygcs.rpc.server import RpcServer
+from support.fake_daemon import FakeDaemon, FakeOutcome
+
+DONE, FAILED, USAGE, UNREACHABLE = 0, 1, 2, 3
+PLAN = MissionPlan(
+    mission=(MissionItem.from_params(22, 3, (0.0, 0.0, 0.0, None, 43.78, -79.46, 10.0), True),),
+    rally=(MissionItem.from_params(5100, 3, (0.0, 0.0, 0.0, 0.0, 43.78, -79.46, 10.0), True),),
+    home=PlannedHome(43.78, -79.46, 180.0),
+)
+WPL = "QGC WPL 110\n0 1 0 16 0 0 0 0 43.78 -79.46 180 1\n1 0 3 22 0 0 0 0 43.78 -79.46 10 1\n"
+
+
+class Site:
+    """A served fake daemon on a loop of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.socket = folder / "s.sock"
+        self.loop = asyncio.new_event_loop()
+        self.thread = threading.Thread(target=self.loop.run_forever)
+        self.thread.start()
+        self.daemon = FakeDaemon()
+        self.server = RpcServer(self.daemon, self.socket)
+        asyncio.run_coroutine_threadsafe(self.server.start(), self.loop).result(10)
+
+    def close(self) -> None:
+        asyncio.run_coroutine_threadsafe(self.server.close(), self.loop).result(10)
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self.thread.join()
+        self.loop.close()
+
+    def run(self, *args: object, code: int = DONE) -> str:
+        result = CliRunner().invoke(app, ["--socket", str(self.socket), *map(str, args)])
+        assert result.exit_code == code, result.output + repr(result.exception)
+        assert "Traceback" not in result.output
+        return result.output
+
+    def asked(self, name: str = "alpha") -> tuple[str, dict[str, Any]]:
+        return self.daemon.vehicle(name).orders[-1]
+
+    def file(self, name: str, text: str) -> Path:
+        path = self.folder / name
+        path.write_text(text)
+        return path
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Site]:
+    opened = Site(tmp_path)
+    yield opened
+    opened.close()
+
+
+def test_a_plan_is_uploaded_with_the_lists_that_it_holds(site: Site) -> None:
+    site.run("mission", "upload", "all", site.file("a.waypoints", WPL))
+    order, arguments = site.asked()
+    assert order == "upload_plan"
+    assert arguments["kinds"] == (MissionType.MISSION,) and arguments["force"] is False
+    assert [item.command for item in arguments["plan"].mission] == [22]
+    assert site.asked("bravo")[0] == "upload_plan"
+
+
+def test_only_the_fence_of_a_plan_is_uploaded_by_fence_upload(site: Site) -> None:
+    site.run("fence", "upload", "alpha", site.file("a.waypoints", WPL), "--force")
+    assert site.asked()[1]["kinds"] == (MissionType.FENCE,)
+    assert site.asked()[1]["force"] is True
+
+
+def test_a_file_that_is_no_plan_needs_no_daemon_to_be_told(site: Site) -> None:
+    path = site.file("a.waypoints", "QGC WPL 120\n")
+    result = CliRunner().invoke(app, ["--socket", str(site.folder / "none"), "mission", "upload", "all", str(path)])
+    assert result.exit_code == FAILED and "line 1: version 120" in result.output
+    good = site.file("b.waypoints", WPL)
+    result = CliRunner().invoke(app, ["--socket", str(site.folder / "none"), "mission", "upload", "all", str(good)])
+    assert result.exit_code == UNREACHABLE
+
+
+def test_a_refused_upload_is_told_per_vehicle_and_fails(site: Site) -> None:
+    site.daemon.vehicle("alpha").outcome = FakeOutcome(False, "refused", "refused: mission item 2: too far")
+    said = site.run("mission", "upload", "alpha", site.file("a.waypoints", WPL), code=FAILED)
+    assert "FAIL" in said and "mission item 2: too far" in said
+
+
+@pytest.mark.parametrize(("name", "lists"), [("a.plan", ()), ("a.waypoints", ("--only", "mission"))])
+def test_what_is_downloaded_is_written_in_the_format_of_its_name(site: Site, name: str, lists: tuple[str, ...]) -> None:
+    site.daemon.vehicle("alpha").stored_plan = PLAN
+    path = site.folder / name
+    assert "written to" in site.run("mission", "download", "alpha", path, *lists)
+    assert read_plan(path.read_bytes(), name).plan.mission == PLAN.mission
+    said = site.run("mission", "download", "alpha", path, *lists, code=FAILED)
+    assert "exists; --force overwrites it" in said
+    site.run("mission", "download", "alpha", path, *lists, "--force")
+
+
+def test_without_a_file_the_items_are_told(site: Site) -> None:
+    site.daemon.vehicle("alpha").stored_plan = PLAN
+    said = site.run("mission", "download", "alpha")
+    assert "mission    1     22  frame  3  0 0 0 - 43.78 -79.46 10" in said
+    answer = json.loads(site.run("mission", "download", "alpha", "--json"))
+    assert answer["rally"][0]["command"] == 5100
+    assert read_plan(answer["plan"].encode(), "x").plan == PLAN
+
+
+def test_a_failed_download_writes_nothing(site: Site) -> None:
+    site.daemon.vehicle("alpha").outcome = FakeOutcome(False, "timeout", "mission: no answer")
+    path = site.folder / "a.plan"
+    assert "no answer" in site.run("mission", "download", "alpha", path, code=FAILED)
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "order"),
+    [
+        (("mission", "clear", "alpha"), ("clear_plan", {"kinds": (MissionType.MISSION,), "force": False})),
+        (("fence", "clear", "alpha", "--force"), ("clear_plan", {"kinds": (MissionType.FENCE,), "force": True})),
+        (("mission", "start", "alpha", "--first", "3"), ("start_mission", {"first": 3, "arm": True})),
+        (("mission", "start", "alpha", "--no-arm"), ("start_mission", {"first": 1, "arm": False})),
+        (("mission", "pause", "alpha"), ("hold", {})),
+        (("mission", "resume", "alpha"), ("resume_mission", {})),
+        (("mission", "current", "alpha", "4"), ("set_mission_item", {"item": 4})),
+    ],
+)
+def test_orders_ask_for_what_they_say(site: Site, args: tuple[str, ...], order: tuple[str, dict[str, Any]]) -> None:
+    assert "ok" in site.run(*args)
+    assert site.asked() == order
+
+
+def test_item_0_is_usage(site: Site) -> None:
+    site.run("mission", "current", "alpha", "0", code=USAGE)
+
+
+def test_status_tells_item_and_transfer_of_each_vehicle(site: Site) -> None:
+    told = site.daemon.vehicle("alpha").missions.told
+    told.update(item=3, reached=2, state="active", transfer={"what": "fence upload", "percent": 40, "sent": 9})
+    told["counts"]["mission"] = 12
+    said = site.run("mission", "status")
+    assert "alpha       item 3 of 12  reached 2  active  fence upload 40 %" in said
+    assert "bravo       no item told yet" in said
+    assert json.loads(site.run("mission", "status", "alpha", "--json"))[0]["item"] == 3
+
+
+def test_fence_status_tells_what_is_held_and_breaches(site: Site) -> None:
+    site.daemon.vehicle("alpha").missions.told["counts"]["fence"] = 5
+    assert "alpha       5 fence items" in site.run("fence", "status", "alpha")
+    assert "bravo       fence not read yet" in site.run("fence", "status", "bravo")
+
+
+def test_a_plan_with_a_wrong_version_is_a_wrong_parameter_of_the_rpc(site: Site) -> None:
+    call = json.dumps({"targets": "all", "plan": "QGC WPL 1", "name": "x.txt"})
+    assert "x.txt: line 1: version 1" in site.run("call", "missions.upload", call, code=USAGE)
