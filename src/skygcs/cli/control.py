@@ -17,6 +17,8 @@ from skygcs.cli import emergency, gains, loops, mission_flight, orders, origin, 
 from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.missions import missions
 from skygcs.cli.options import Json
+from skygcs.cli.params import params
+from skygcs.cli.radio import radios
 from skygcs.cli.wires import links, messages
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
 
@@ -130,6 +132,9 @@ app.add_typer(origin.app, name="origin", rich_help_panel="Orders")
 app.add_typer(tlog, name="tlog", rich_help_panel="Looking")
 app.add_typer(missions, name="mission")
 mission_flight.add_to(app)
+app.add_typer(radios, name="radio")
+mission_flight.add_to(app)
+app.add_typer(params, name="param")
 gains.add_to(app)
 track.add_to(app)
 setpoint.add_to(app)

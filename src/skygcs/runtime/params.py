@@ -90,6 +90,8 @@ class VehicleParams:
         self._slots = asyncio.Semaphore(MAX_EXCHANGES)
         self._book: dict[str, Param] = {}
         self._hash: int | None = None
+        self._hashless = False
+        """Whether it has said, by answering all else, that it has no hash."""
         self._complete = False
         self._unsaved = False
         self._stale = False
@@ -137,7 +139,7 @@ class VehicleParams:
         """End all that is under way; how many that were. After a reboot nothing that was known is vouched for."""
         if result == "lost":
             self._save()
-            self._complete = False
+            self._complete = self._hashless = False
         self._cancelled += 1
         running = list(self._running)
         for exchange in running:
@@ -348,7 +350,10 @@ class VehicleParams:
         return Loaded(True, "accepted", text, "cache", params, len(params), 1, self._loop.time() - started)
 
     async def _ask_hash(self) -> int | None:
+        if self._hashless:
+            return None
         outcome = await self._one(HASH_NAME)
+        self._hashless = outcome.result == "unknown"
         return int(outcome.param.value) if outcome.ok and outcome.param is not None else None
 
     async def _vouched(self) -> bool:

@@ -1,0 +1,299 @@
+"""`skygcs-cli param`: parameters of vehicles and of files, compared, kept and brought back."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fnmatch
+import json
+import os
+import sys
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from skygcs.cli import param_lines
+from skygcs.cli.connection import Exit, run, run_offline
+from skygcs.cli.options import Json, Targets
+from skygcs.cli.param_file import Held, held_of, include_of, kind_of, read_file, write_file
+from skygcs.cli.values import NUMBERS, NumbersCommand, parse_number
+from skygcs.core.params.compare import ApplyPlan, Difference, diff, plan
+from skygcs.core.params.file import Entry
+from skygcs.core.params.names import SORTS
+from skygcs.errors import RefusedError
+from skygcs.rpc.client import Client
+
+params = typer.Typer(
+    help="Read, set, save, compare and apply parameters; `diff` of two files needs no daemon.", no_args_is_help=True
+)
+
+Refresh = Annotated[
+    bool, typer.Option("--refresh", help="Read all from the vehicle, although it vouches for what is known.")
+]
+Burst = Annotated[
+    bool,
+    typer.Option("--burst", help="All at once: quicker on USB or Wi-Fi, but it drowns a radio that vehicles share."),
+]
+Include = Annotated[
+    str,
+    typer.Option(
+        "--include",
+        metavar="SORT,…",
+        help=f"Also what is of one vehicle alone: {', '.join(SORTS[1:])}, or all.",
+    ),
+]
+
+
+@params.command("get")
+def get(
+    targets: Targets,
+    names: Annotated[list[str], typer.Argument(metavar="NAME …", help="Names of parameters.", show_default=False)],
+    json_output: Json = False,
+) -> None:
+    """Read parameters from vehicles: `param get all NAV_RCL_ACT`."""
+
+    async def command(gcs: Client) -> int:
+        answer = await gcs.call("params.get", targets=targets, names=[n.upper() for n in names])
+        return _tell(answer["outcomes"], json_output)
+
+    run(command)
+
+
+@params.command("set", cls=NumbersCommand, context_settings=dict(NUMBERS))
+def set_(
+    targets: Targets,
+    pairs: Annotated[
+        list[str], typer.Argument(metavar="NAME VALUE …", help="One or more, set in this order.", show_default=False)
+    ],
+    json_output: Json = False,
+) -> None:
+    """Set parameters and read them back: `param set 1 NAV_RCL_ACT 0 COM_RC_IN_MODE 4`."""
+    if len(pairs) % 2:
+        raise typer.BadParameter(f"{pairs[-1]} has no value behind it")
+    values = {name.upper(): parse_number(text, name) for name, text in zip(pairs[::2], pairs[1::2], strict=True)}
+
+    async def command(gcs: Client) -> int:
+        return _tell(await _set(gcs, targets, values), json_output)
+
+    run(command)
+
+
+@params.command("list")
+def list_(
+    targets: Targets,
+    pattern: Annotated[
+        str, typer.Argument(metavar="[PATTERN]", help="Only these: MPC_*, *SYSID*. Quote it for the shell.")
+    ] = "*",
+    refresh: Refresh = False,
+    burst: Burst = False,
+    json_output: Json = False,
+) -> None:
+    """All parameters of vehicles, or those whose names fit a pattern."""
+
+    async def command(gcs: Client) -> int:
+        lists = await _lists(gcs, targets, refresh=refresh, burst=burst)
+        for entry in lists.values():
+            entry["params"] = [p for p in entry["params"] if fnmatch.fnmatchcase(p["name"], pattern.upper())]
+        if json_output:
+            typer.echo(json.dumps({"lists": lists}, indent=2))
+        else:
+            for line in param_lines.lists(lists):
+                typer.echo(line)
+        return Exit.DONE if all(entry["ok"] for entry in lists.values()) else Exit.FAILED
+
+    run(command)
+
+
+@params.command("save")
+def save(
+    target: Annotated[str, typer.Argument(metavar="VEHICLE", help="Its name or system id.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help=".params: QGroundControl's; .param, .parm: others'.")],
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    refresh: Refresh = False,
+    burst: Burst = False,
+) -> None:
+    """Save all parameters of a vehicle to a file."""
+    kind = kind_of(file)
+    if file.exists() and not force:
+        raise typer.BadParameter(f"{file} is there already; --force writes over it")
+
+    async def command(gcs: Client) -> int:
+        held = await _held(gcs, target, refresh=refresh, burst=burst)
+        state = await gcs.vehicle(target)
+        write_file(file, held, kind, state)
+        typer.echo(f"{len(held.params)} parameters of {held.name} saved to {file}")
+        return Exit.DONE
+
+    run(command)
+
+
+@params.command("apply")
+def apply(
+    targets: Targets,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A parameter file of any kind.")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be set.")] = False,
+    include: Include = "",
+    force: Annotated[bool, typer.Option("--force", help="Although it seems to be another vehicle's file.")] = False,
+    refresh: Refresh = False,
+    burst: Burst = False,
+    json_output: Json = False,
+) -> None:
+    """Set what a file has otherwise, and nothing else; every value is read back.
+
+    Calibration, statistics and system ids are left alone unless asked for with --include. Nothing is sent if the file
+    has a value that the vehicle cannot hold, or seems to be another vehicle's.
+    """
+    sorts = include_of(include)
+
+    async def command(gcs: Client) -> int:
+        contents = read_file(file)
+        exit_code = Exit.DONE
+        answers: dict[str, Any] = {}
+        for entry in (await _lists(gcs, targets, refresh=refresh, burst=burst)).values():
+            held = held_of(entry)
+            made = plan(
+                contents,
+                {p.name: p for p in held.params},
+                sysid=held.sysid,
+                compid=held.compid,
+                stack=held.autopilot,
+                include=sorts,
+            )
+            answers[held.name] = param_lines.plan_data(made)
+            if not json_output:
+                for line in param_lines.plan_lines(held.name, made):
+                    typer.echo(line)
+            if dry_run:
+                continue
+            _refuse(held.name, made, force=force)
+            outcomes = await _set(gcs, str(held.sysid), {c.name: c.value for c in made.changes}) if made.changes else {}
+            answers[held.name]["outcomes"] = outcomes.get(held.name, {})
+            if not json_output:
+                _tell(outcomes, json_output=False)
+            if not all(o["ok"] for o in answers[held.name]["outcomes"].values()):
+                exit_code = Exit.FAILED
+        if json_output:
+            typer.echo(json.dumps(answers, indent=2))
+        return exit_code
+
+    run(command)
+
+
+@params.command("diff")
+def diff_(
+    first: Annotated[str, typer.Argument(metavar="A", help="A file, or a vehicle.", show_default=False)],
+    second: Annotated[str, typer.Argument(metavar="B", help="A file, or a vehicle.", show_default=False)],
+    include: Include = "all",
+    refresh: Refresh = False,
+    json_output: Json = False,
+) -> None:
+    """Where two sets of parameters differ; exit 1 if they do. Each is a file or a vehicle."""
+    sorts = include_of(include)
+
+    def tell(left: tuple[Entry, ...], right: tuple[Entry, ...]) -> int:
+        found = [d for d in diff(left, right) if d.sort in sorts]
+        if json_output:
+            typer.echo(json.dumps([_difference(d) for d in found], indent=2))
+        else:
+            for line in param_lines.differences(first, second, found):
+                typer.echo(line)
+        return Exit.FAILED if found else Exit.DONE
+
+    if all(_is_file(name) for name in (first, second)):
+        run_offline(lambda: tell(read_file(Path(first)).entries, read_file(Path(second)).entries))
+
+    async def command(gcs: Client) -> int:
+        sides = []
+        for name in (first, second):
+            if _is_file(name):
+                sides.append(read_file(Path(name)).entries)
+            else:
+                held = await _held(gcs, name, refresh=refresh, burst=False)
+                sides.append(tuple(Entry(p.name, p.value) for p in held.params))
+        return tell(*sides)
+
+    run(command)
+
+
+@params.command("cancel")
+def cancel(targets: Targets) -> None:
+    """Stop what is being read or set by anybody."""
+
+    async def command(gcs: Client) -> None:
+        for name, count in (await gcs.call("params.cancel", targets=targets)).items():
+            typer.echo(f"{name}: {count} request{'s' if count != 1 else ''} stopped")
+
+    run(command)
+
+
+def _is_file(name: str) -> bool:
+    """A file that is there, or one by its looks: a vehicle's name has neither a slash nor one of these endings."""
+    return Path(name).is_file() or os.sep in name or name.endswith((".params", ".param", ".parm"))
+
+
+def _difference(d: Difference) -> dict[str, Any]:
+    return {"name": d.name, "other": d.other, "first": d.first, "second": d.second, "kind": d.kind, "sort": d.sort}
+
+
+def _refuse(name: str, made: ApplyPlan, *, force: bool) -> None:
+    """Raises RefusedError if nothing of the file must be sent."""
+    if made.problems:
+        raise RefusedError(f"{name}: nothing was set: {'; '.join(made.problems[:10])}")
+    if made.warnings and not force:
+        raise RefusedError(f"{name}: nothing was set: {'; '.join(made.warnings)}; insist with --force")
+
+
+def _tell(outcomes: Mapping[str, Mapping[str, Mapping[str, Any]]], json_output: bool) -> int:
+    if json_output:
+        typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
+    else:
+        for line in param_lines.outcomes(outcomes):
+            typer.echo(line)
+    return Exit.DONE if all(o["ok"] for of in outcomes.values() for o in of.values()) else Exit.FAILED
+
+
+async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[str, dict[str, dict[str, Any]]]:
+    async with _progress(gcs, targets):
+        answer = await gcs.call("params.set", targets=targets, params=dict(values))
+    outcomes: dict[str, dict[str, dict[str, Any]]] = answer["outcomes"]
+    return outcomes
+
+
+async def _lists(gcs: Client, targets: str, *, refresh: bool, burst: bool) -> dict[str, dict[str, Any]]:
+    async with _progress(gcs, targets):
+        answer = await gcs.call("params.list", targets=targets, refresh=refresh, burst=burst)
+    lists: dict[str, dict[str, Any]] = answer["lists"]
+    for name, entry in lists.items():
+        entry["name"] = name
+    return lists
+
+
+async def _held(gcs: Client, target: str, *, refresh: bool, burst: bool) -> Held:
+    lists = await _lists(gcs, target, refresh=refresh, burst=burst)
+    if len(lists) != 1:
+        raise RefusedError(f"{target} names {len(lists)} vehicles ({', '.join(lists)}); give one")
+    return held_of(next(iter(lists.values())))
+
+
+@contextlib.asynccontextmanager
+async def _progress(gcs: Client, targets: str) -> AsyncIterator[None]:
+    """A bar with the time that is left while the body runs; on a terminal only."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    drawing = asyncio.create_task(_draw(gcs, targets), name="progress")
+    try:
+        yield
+    finally:
+        drawing.cancel()
+        await asyncio.wait([drawing])
+        sys.stderr.write("\r\033[K")
+        sys.stderr.flush()
+
+
+async def _draw(gcs: Client, targets: str) -> None:
+    async for event in gcs.events(targets, kinds=["params"]):
+        sys.stderr.write(f"\r\033[K{param_lines.bar(event)}")
+        sys.stderr.flush()
