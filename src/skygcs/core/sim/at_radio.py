@@ -116,6 +116,12 @@ class AtRadio:
         self.live = dict(self.saved)
         self._in_force = dict(self.saved)
 
+    def renumber(self, node: int) -> None:
+        """Give it a node id, as if it had left the bench with it; nothing where the firmware has none."""
+        for number, (name, _) in REGISTERS[self.kind].items():
+            if name == "NODEID":
+                self.saved[number] = self.live[number] = self._in_force[number] = node
+
     # -- its serial port
 
     @property

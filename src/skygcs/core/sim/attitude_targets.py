@@ -23,6 +23,10 @@ UNIT_TOLERANCE = 1e-3
 """ArduPilot's Quaternion::is_unit_length: how far the squared length may be from 1."""
 
 
+LEAST_BOOST_COSINE = 0.1
+"""AC_AttitudeControl_Multi::get_throttle_boosted divides by no less."""
+
+
 class Refusal(Enum):
     """A message that is no target."""
 
@@ -52,12 +56,13 @@ def px4_attitude(fields: dict[str, Any], last_thrust: float) -> AttitudeSetpoint
 
 
 def copter_attitude(
-    fields: dict[str, Any], *, thrust_as_thrust: bool, climb_mps: float, descent_mps: float
+    fields: dict[str, Any], *, thrust_as_thrust: bool, climb_mps: float, descent_mps: float, angle_boost: bool = False
 ) -> AttitudeSetpoint | Refusal | None:
     """What ArduCopter makes of it in GUIDED; None: a kind that is not flown here.
 
     Without GUID_OPTIONS bit 3 (``thrust_as_thrust``) the thrust is a climb rate: 0.5 holds the height, 1 climbs with
-    WPNAV_SPEED_UP (``climb_mps``), 0 descends with WPNAV_SPEED_DN (``descent_mps``).
+    WPNAV_SPEED_UP (``climb_mps``), 0 descends with WPNAV_SPEED_DN (``descent_mps``). With ``angle_boost`` a thrust is
+    divided by the cosine of the tilt asked for, as set_throttle_out does.
     """
     mask = int(fields["type_mask"])
     if mask & m.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE:
@@ -71,6 +76,8 @@ def copter_attitude(
     if attitude is None or not isfinite(thrust):
         return Refusal.STOP
     if thrust_as_thrust:
+        if angle_boost:
+            thrust /= max(1.0 - 2.0 * (attitude[1] ** 2 + attitude[2] ** 2), LEAST_BOOST_COSINE)
         return AttitudeSetpoint(attitude, min(1.0, max(-1.0, thrust)))
     deflection = 2.0 * min(1.0, max(0.0, thrust)) - 1.0
     return AttitudeSetpoint(attitude, climb_mps=deflection * (climb_mps if deflection > 0.0 else descent_mps))

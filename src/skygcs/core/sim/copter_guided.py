@@ -76,6 +76,7 @@ def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Re
         thrust_as_thrust=bool(int(p["GUID_OPTIONS"]) & THRUST_AS_THRUST),
         climb_mps=p["WPNAV_SPEED_UP"] / 100,
         descent_mps=p["WPNAV_SPEED_DN"] / 100,
+        angle_boost=bool(p["ATC_ANGLE_BOOST"]),
     )
 
 

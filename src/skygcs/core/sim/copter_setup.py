@@ -91,6 +91,7 @@ _F, _8, _16, _32 = m.MAV_PARAM_TYPE_REAL32, m.MAV_PARAM_TYPE_INT8, m.MAV_PARAM_T
 _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("ANGLE_MAX", 3000, _16),
     ("ARMING_CHECK", 1, _32),
+    ("ATC_ANGLE_BOOST", 1, _8),
     ("BATT_CAPACITY", 5200, _32),
     ("BATT_CRT_MAH", 0.0, _F),
     ("BATT_FS_CRT_ACT", 0, _8),
@@ -116,6 +117,7 @@ _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("GUID_TIMEOUT", 3.0, _F),
     ("LAND_SPEED", 50, _16),
     ("LOG_BITMASK", 176126, _32),
+    ("MOT_THST_HOVER", 0.45, _F),
     ("PILOT_TKOFF_ALT", 0.0, _F),
     ("RTL_ALT", 1500, _32),
     ("RTL_ALT_FINAL", 0, _16),

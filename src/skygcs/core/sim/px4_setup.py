@@ -66,7 +66,7 @@ _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("MIS_TAKEOFF_ALT", 2.5, _F),
     ("MPC_ACC_HOR", 3.0, _F),
     ("MPC_LAND_SPEED", 0.7, _F),
-    ("MPC_THR_HOVER", 0.5, _F),
+    ("MPC_THR_HOVER", 0.45, _F),
     ("MPC_TKO_SPEED", 1.5, _F),
     ("MPC_XY_CRUISE", 5.0, _F),
     ("MPC_XY_VEL_MAX", 12.0, _F),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import hypot, inf, nan, radians
+from math import cos, hypot, inf, nan, radians
 
 import pytest
 from hypothesis import given
@@ -77,7 +77,7 @@ def test_no_target_from_outside_is_anything_but_a_unit_attitude_with_a_bounded_t
     fields = {"q": q, "thrust": thrust, "type_mask": mask, **rates}
     for taken in (
         px4_attitude(fields, 0.4),
-        copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5),
+        copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5, angle_boost=True),
         copter_attitude(fields, thrust_as_thrust=False, climb_mps=2.5, descent_mps=1.5),
     ):
         if isinstance(taken, AttitudeSetpoint):
@@ -116,7 +116,7 @@ def test_the_accelerometer_of_a_leaning_vehicle_feels_its_thrust_along_its_own_a
     assert (felt.xacc, felt.yacc) == pytest.approx((0, 0), abs=60), "milli-g; drag is what is left"
     assert felt.zacc == pytest.approx(-1000, abs=60)
     pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 74)
-    assert pilot.last("VFR_HUD").throttle == round(100 * thrust)
+    assert pilot.last("VFR_HUD").throttle == round(100 * thrust / (cos(0.3) * cos(0.2))), "a copter boosts by the tilt"
 
 
 def test_where_it_truly_is_agrees_with_what_it_tells() -> None:
@@ -274,3 +274,12 @@ def test_an_attitude_with_a_climb_lifts_it_off_the_ground() -> None:
     assert pilot.vehicles[0].motion.on_ground
     stream(pilot, 4.0, target(0.8))
     assert pilot.vehicles[0].motion.up_m > 1.0
+
+
+@pytest.mark.parametrize(("boost", "thrust"), [(True, 0.6), (False, 0.3)])
+def test_a_copter_divides_thrust_by_the_cosine_of_the_tilt_unless_told_not_to(boost: bool, thrust: float) -> None:
+    rates = {"body_roll_rate": 0.0, "body_pitch_rate": 0.0, "body_yaw_rate": 0.0}
+    fields = {"q": list(quaternion_of(radians(60), 0.0, 0.0)), "thrust": 0.3, "type_mask": ATTITUDE_AND_THRUST, **rates}
+    taken = copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5, angle_boost=boost)
+    assert isinstance(taken, AttitudeSetpoint)
+    assert taken.thrust == pytest.approx(thrust)
