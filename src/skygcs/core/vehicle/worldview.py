@@ -69,21 +69,24 @@ def yaw_enu_rad(world_yaw_deg: float, origin: Origin) -> float:
 
 
 def shown(status: dict[str, Any], frame: EnuFrame | None, origin: Origin | None) -> dict[str, Any]:
-    """A `Pilot.status` as programs and people get it: JSON-able, along the world's axes."""
+    """A `Pilot.status` as programs and people get it: JSON-able, along the world's axes; without an origin there is no
+    place to tell, and directions are true ENU."""
     reference, error = status["reference"], status["error_enu_m"]
     where = None
     if reference is not None and frame is not None and origin is not None:
         where = _reference(reference, frame, origin)
-    if error is not None and origin is not None:
-        error = _rounded(world_from_enu(tuple(error), origin), 3)
-    integral = status["integral_enu"]
+
+    def along(vector: Sequence[float], digits: int) -> list[float]:
+        x, y, z = vector
+        return _rounded((x, y, z) if origin is None else world_from_enu((x, y, z), origin), digits)
+
     numbers = {key: _number(value) for key, value in status.items() if isinstance(value, float)}
     return {
         **status,
         **numbers,
         "reference": where,
-        "error_enu_m": error,
-        "integral_enu": _rounded(world_from_enu(tuple(integral), origin) if origin is not None else integral, 4),
+        "error_enu_m": None if error is None else along(error, 3),
+        "integral_enu": along(status["integral_enu"], 4),
     }
 
 
