@@ -79,7 +79,7 @@ class Truth:
 
 @dataclass
 class Flown:
-    """``gcs(method, **params)`` asks as a session does, without a socket, whose waiting has no place in virtual time."""
+    """``gcs(method, **params)`` asks as a session does, without a socket: its waiting has no place in virtual time."""
 
     daemon: Daemon
     sims: list[SimVehicle]

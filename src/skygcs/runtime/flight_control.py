@@ -378,7 +378,9 @@ class FlightControl:
 
     async def _flown(self, way: Way) -> Outcome:
         """The guard's first word belongs to the answer."""
-        await asyncio.sleep(2 * self.pilot.period_s)
+        judged = self.clock.ticks + 1
+        while self.flying and self.clock.ticks < judged:
+            await asyncio.sleep(0.02)
         if not self.flying:
             return Outcome(False, "failed", f"control ended at once: {'; '.join(self.pilot.reasons)}")
         flown = self.pilot.way or way

@@ -1,0 +1,124 @@
+"""Flown by setpoints, and something is not as it must be: one hold, the reason with its figures, and silence."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+
+import pytest
+
+from skygcs.core.sim.conditions import Conditions
+from support.flown import Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+MODES = pytest.mark.parametrize("mode", ["attitude", "velocity", "position"])
+
+
+async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: float, why: str) -> None:
+    """It held within the time, told so once with this reason, and sent nothing but the order to hold."""
+    held = await gcs.until(lambda: gcs.control()["state"] == "held", latest_s)
+    await gcs.ends_safe(within_m=within_m, since=since)
+    assert gcs.last_setpoint() <= held
+    (told,) = [t for t in gcs.texts(since) if t.startswith("holding")]
+    assert why in told, told
+    assert {int(c.values["command"]) for c in gcs.commands(since)} == {176}
+
+
+@KINDS
+@MODES
+async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
+    async with flown(tmp_path, control={"battery_min_percent": 30.0}, **kind) as gcs:
+        await gcs.fly(mode)
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        low = gcs.now
+        gcs.sim().battery.set_percent(28)
+        await held_once(gcs, low, latest_s=4.0, within_m=5.0, why="the battery is at 28 % (limit 30 %)")
+        outcome = await gcs.outcome("control.set", mode="position")
+        assert not outcome["ok"] and "battery" in outcome["message"]
+        await gcs.ends_safe(within_m=5.0, since=low)
+
+
+@KINDS
+@MODES
+async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly(mode)
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        broken = gcs.now
+        gcs.sim().faults.nan_attitude = True
+        await held_once(gcs, broken, latest_s=2.0, within_m=5.0, why="NaN")
+        for sent in gcs.setpoints(0.0):
+            assert all(math.isfinite(v) for v in sent.values.values() if isinstance(v, float)), sent
+
+
+@KINDS
+@MODES
+async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
+    """Without a position no mode holds one: the autopilot lands, by the order's refusal or by its own failsafe."""
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly(mode)
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        lost = gcs.now
+        gcs.sim().faults.gps_lost = True
+        await gcs.until(lambda: gcs.control()["state"] in ("held", "off"), 4.0)
+        ended = gcs.now
+        await asyncio.sleep(40)
+        assert gcs.last_setpoint() <= ended
+        assert gcs.sim().motion.on_ground and gcs.farthest_m(lost) < 25.0
+        ends = [t for t in gcs.texts(lost) if t.startswith(("holding", "control ended"))]
+        assert len(ends) == 1, ends
+
+
+@KINDS
+@pytest.mark.parametrize("mode", ["attitude", "velocity"])
+async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
+    """Ten metres to the wall at 3 m/s; what it takes to stop depends on the autopilot."""
+    async with flown(tmp_path, control={"fence": {"x_m": [-10.0, 10.0], "y_m": [-10.0, 10.0]}}, **kind) as gcs:
+        await gcs.fly(mode)
+        began, refused = gcs.now, ""
+        while gcs.now < began + 12.0:
+            outcome = await gcs.outcome("control.setpoint", vel_enu_mps=[3.0, 0.0, None], pos_enu_m=[None, None, 10.0])
+            refused = refused or ("" if outcome["ok"] else outcome["message"])
+            await asyncio.sleep(0.05)
+        assert "it is held: the vehicle is at x 10." in refused and "limit -10..10 m" in refused
+        await held_once(gcs, began, latest_s=0.1, within_m=15.0, why="the vehicle is at x 10.")
+        assert 10.0 < max(t.pos_m[0] for t in gcs.truth[1]) < 14.0
+
+
+@KINDS
+async def test_the_wind_carries_it_out(tmp_path: Path, kind: dict[str, int]) -> None:
+    """The law may lean 5 degrees, which does not bear this wind; the autopilot may more."""
+    control = {"tilt_max_deg": 3.0, "fence": {"x_m": [-8.0, 8.0], "y_m": [-8.0, 8.0]}}
+    async with flown(tmp_path, control=control, conditions=Conditions(wind_enu_mps=(6.0, 0.0, 0.0)), **kind) as gcs:
+        await gcs.fly("attitude")
+        began = gcs.now
+        await held_once(gcs, began, latest_s=60.0, within_m=13.0, why="the vehicle is at x 8.")
+
+
+@KINDS
+async def test_places_outside_are_refused_and_nothing_moves(tmp_path: Path, kind: dict[str, int]) -> None:
+    control = {"fence": {"x_m": [-20.0, 20.0], "y_m": [-20.0, 20.0]}}
+    async with flown(tmp_path, control=control, **kind) as gcs:
+        await gcs.fly("attitude")
+        began = gcs.now
+        outside = {"beyond the wall": [30.0, 0.0, 10.0], "in the margin": [19.0, 0.0, 10.0], "high": [0.0, 0.0, 19.0]}
+        for enu_m in (*outside.values(), [0.0, 0.0, -1.0]):
+            by_goto = await gcs.outcome("vehicles.goto", enu_m=enu_m)
+            by_stream = await gcs.outcome("control.setpoint", pos_enu_m=enu_m, valid_s=2.0)
+            for outcome in (by_goto, by_stream):
+                assert outcome["result"] == "refused", outcome
+                assert "fence" in outcome["message"] or "on the ground" in outcome["message"], outcome
+            await asyncio.sleep(2.0)
+        high = await gcs.outcome("control.setpoint", pos_enu_m=[None, None, 60.0], vel_enu_mps=[0.0, 0.0, None])
+        assert high["result"] == "refused" and "up 60" in high["message"]
+        low = await gcs.outcome("control.setpoint", pos_enu_m=[0.0, 0.0, None], vel_enu_mps=[None, None, 0.0])
+        assert low["ok"], "what follows a velocity has no height to be refused"
+        await asyncio.sleep(5)
+        assert gcs.control()["state"] == "flying"
+        assert gcs.farthest_m(began) < 0.6
