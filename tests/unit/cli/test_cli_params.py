@@ -1,0 +1,210 @@
+"""`skygcs-cli param` against a fake daemon and on files: what it asks, prints, writes and refuses."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from skygcs.cli import param_lines
+from skygcs.cli.control import app
+from skygcs.core.exchange.param import ParamOutcome
+from skygcs.core.mavlink.param import Param, ParamType
+from skygcs.core.params.file import parse
+from skygcs.rpc.server import RpcServer
+from skygcs.runtime.params import Loaded
+from support.fake_daemon import FakeDaemon
+
+HELD = (
+    Param("COMPASS_OFS_X", 4.5),
+    Param("FENCE_ENABLE", 0, ParamType.INT8),
+    Param("SYSID_THISMAV", 1, ParamType.INT16),
+    Param("WPNAV_SPEED", 500.0),
+)
+
+
+class FakeParams:
+    """Holds what it is set to; keeps no WPNAV_SPEED above 1000."""
+
+    def __init__(self) -> None:
+        self.held = {p.name: p for p in HELD}
+        self.set_calls: list[dict[str, float]] = []
+        self.complete = True
+        self.cancelled = 0
+
+    async def get(self, name: str) -> ParamOutcome:
+        param = self.held.get(name)
+        if param is None:
+            return ParamOutcome(False, "unknown", "it has no such parameter", name)
+        return ParamOutcome(True, "accepted", str(param.value), name, param)
+
+    async def set(self, values: Mapping[str, float]) -> dict[str, ParamOutcome]:
+        self.set_calls.append(dict(values))
+        outcomes = {}
+        for name, value in values.items():
+            ok = name in self.held and not (name == "WPNAV_SPEED" and value > 1000)
+            outcomes[name] = ParamOutcome(ok, "accepted" if ok else "denied", f"-> {value:g}" if ok else "no", name)
+        return outcomes
+
+    async def load(self, *, refresh: bool, burst: bool, bytes_per_s: float | None) -> Loaded:
+        if not self.complete:
+            return Loaded(False, "timeout", "nothing came", "vehicle", (), None, 9, 30.0)
+        params = tuple(self.held.values())
+        return Loaded(True, "accepted", f"{len(params)} parameters", "vehicle", params, len(params), 4, 0.1)
+
+    def status(self) -> dict[str, Any]:
+        return {"known": len(self.held)}
+
+    def cancel(self) -> int:
+        self.cancelled += 1
+        return 2
+
+
+class Served:
+    """A served fake daemon on a loop of its own; alpha has parameters."""
+
+    def __init__(self, folder: Path) -> None:
+        self.socket = folder / "s.sock"
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever)
+        self._thread.start()
+        daemon = FakeDaemon()
+        self.alpha = daemon.vehicle("alpha")
+        self.params = self.alpha.params = FakeParams()
+        self._server = RpcServer(daemon, self.socket, tcp_port=None, token=None)
+        asyncio.run_coroutine_threadsafe(self._server.start(), self._loop).result(10)
+
+    def close(self) -> None:
+        asyncio.run_coroutine_threadsafe(self._server.close(), self._loop).result(10)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def run(self, *args: str, code: int = 0) -> str:
+        return param("--socket", str(self.socket), *args, code=code)
+
+
+def param(*args: str, code: int = 0) -> str:
+    """stdout and stderr of a command that must exit with ``code``."""
+    options, rest = (args[:2], args[2:]) if args[0] == "--socket" else ((), args)
+    result = CliRunner().invoke(app, [*options, "param", *rest])
+    assert result.exit_code == code, result.output + repr(result.exception)
+    assert "Traceback" not in result.output
+    return result.output
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
+    served = Served(tmp_path)
+    yield served
+    served.close()
+
+
+def test_get_tells_each_and_fails_with_any(served: Served) -> None:
+    assert served.run("get", "alpha", "wpnav_speed") == "ok   alpha  WPNAV_SPEED       500.0\n"
+    assert "FAIL alpha  NO_SUCH" in served.run("get", "alpha", "WPNAV_SPEED", "NO_SUCH", code=1)
+
+
+def test_set_takes_several_and_negative_values(served: Served) -> None:
+    served.run("set", "alpha", "COMPASS_OFS_X", "-3.5", "FENCE_ENABLE", "1")
+    assert served.params.set_calls == [{"COMPASS_OFS_X": -3.5, "FENCE_ENABLE": 1}]
+    assert isinstance(served.params.set_calls[0]["FENCE_ENABLE"], int)
+    assert "no" in served.run("set", "alpha", "WPNAV_SPEED", "2000", code=1)
+
+
+@pytest.mark.parametrize("args", [("WPNAV_SPEED",), ("WPNAV_SPEED", "fast"), ("BAD NAME", "1"), ("A", "nan")])
+def test_wrong_usage_of_set_sends_nothing(served: Served, args: tuple[str, ...]) -> None:
+    served.run("set", "alpha", *args, code=2)
+    assert served.params.set_calls == []
+
+
+def test_list_with_a_pattern(served: Served) -> None:
+    text = served.run("list", "alpha", "*sysid*")
+    assert "4 parameters (read in 0.1 s)" in text and "SYSID_THISMAV" in text and "WPNAV" not in text
+    served.params.complete = False
+    assert "FAIL nothing came" in served.run("list", "alpha", code=1)
+
+
+@pytest.mark.parametrize("name", ["a.params", "a.param", "a.parm"])
+def test_what_is_saved_differs_in_nothing_and_is_applied_as_nothing(served: Served, tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    served.run("save", "alpha", str(path))
+    file = parse(path.read_text(), "saved")
+    assert (file.kind == "qgc") == (name == "a.params") and file.sysids == {1} and len(file.entries) == 4
+    assert served.run("diff", "alpha", str(path)) == "no difference\n"
+    assert "0 to set, 2 as they are, 2 left alone" in served.run("apply", "alpha", str(path))
+    assert served.params.set_calls == []
+    served.run("save", "alpha", str(path), code=2)
+    served.run("save", "alpha", str(path), "--force")
+
+
+def test_an_incomplete_list_is_not_saved(served: Served, tmp_path: Path) -> None:
+    served.params.complete = False
+    assert "not known" in served.run("save", "alpha", str(tmp_path / "a.param"), code=1)
+    assert not (tmp_path / "a.param").exists()
+
+
+def test_apply_sets_what_differs_and_a_dry_run_only_says_so(served: Served, tmp_path: Path) -> None:
+    path = tmp_path / "a.param"
+    path.write_text("WPNAV_SPEED,600\nFENCE_ENABLE,1\nMAV_SYSID,7\nCOMPASS_OFS_X,9\n")
+    text = served.run("apply", "alpha", str(path), "--dry-run")
+    assert "WPNAV_SPEED       500 -> 600" in text and "left alone (see --include)" in text
+    assert served.params.set_calls == []
+    served.run("apply", "alpha", str(path))
+    served.run("apply", "alpha", str(path), "--include", "identity")
+    assert [list(call) for call in served.params.set_calls] == [
+        ["FENCE_ENABLE", "WPNAV_SPEED"],
+        ["FENCE_ENABLE", "WPNAV_SPEED", "SYSID_THISMAV"],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("# Onboard parameters for Vehicle 9\nWPNAV_SPEED,600\n", "the file is of vehicle 9"),
+        ("WPNAV_SPEED,600\nFENCE_ENABLE,0.5\n", "line 2: FENCE_ENABLE: 0.5 is not whole"),
+        ("WPNAV_SPEED,fast\n", "line 1: 'fast' is no number"),
+    ],
+)
+def test_of_a_wrong_file_nothing_is_sent(served: Served, tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "a.param"
+    path.write_text(text)
+    assert told in served.run("apply", "alpha", str(path), code=1)
+    assert served.params.set_calls == []
+
+
+def test_another_vehicles_file_can_be_insisted_on(served: Served, tmp_path: Path) -> None:
+    path = tmp_path / "a.param"
+    path.write_text("# Onboard parameters for Vehicle 9\nWPNAV_SPEED,600\n")
+    served.run("apply", "alpha", str(path), "--force")
+    assert served.params.set_calls == [{"WPNAV_SPEED": 600}]
+
+
+def test_cancel(served: Served) -> None:
+    assert served.run("cancel", "alpha") == "alpha: 2 requests stopped\n"
+
+
+def test_diff_of_two_files_needs_no_daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SKYGCS_SOCKET", str(tmp_path / "nobody"))
+    first, second = tmp_path / "a.params", tmp_path / "b.parm"
+    first.write_text("1\t1\tSYSID_THISMAV\t1\t4\n1\t1\tWPNAV_SPEED\t500.000000000000000000\t9\n")
+    second.write_text("MAV_SYSID 2\nWPNAV_SPEED 500\n")
+    text = param("diff", str(first), str(second), code=1)
+    assert "SYSID_THISMAV" in text and "(there MAV_SYSID)  [identity]" in text and "WPNAV" not in text
+    assert json.loads(param("diff", str(first), str(second), "--json", code=1))[0]["second"] == 2
+    assert param("diff", str(first), str(second), "--include", "settings") == "no difference\n"
+    assert "cannot be read" in param("diff", str(first), str(tmp_path / "c.param"), code=1)
+    param("diff", str(first), str(second), "--include", "nonsense", code=2)
+
+
+def test_a_bar_tells_how_far_and_how_long() -> None:
+    data = {"received": 650, "count": 1300, "percent": 50, "remaining_s": 12.4}
+    text = param_lines.bar({"vehicle": "alpha", "text": "", "data": data})
+    assert text == f"alpha  [{'#' * 15}{'.' * 15}] 650/1300  12 s left"
