@@ -140,7 +140,7 @@ def record(
         if json_output:
             typer.echo(json.dumps({"files": files}, indent=2))
             return Exit.DONE
-        nothing = "recording begins when it is under control" if switch is Switch.ON else "not recorded any more"
+        nothing = "recording begins when it is under control" if switch is Switch.ON else "nothing was being recorded"
         for name, file in files.items():
             typer.echo(f"{name}: {file or nothing}")
         return Exit.DONE

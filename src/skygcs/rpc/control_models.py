@@ -90,7 +90,7 @@ class GainsAnswer(Result):
 
 
 class Files(Result):
-    files: dict[str, str | None] = Field(description="By vehicle; null: nothing is written now.")
+    files: dict[str, str | None] = Field(description="By vehicle: what is written, or was until now; null: nothing.")
 
 
 class ControlState(Result):

@@ -62,6 +62,9 @@ LATE_ENTRY_S = 2.5
 """After a mode was commanded in vain, or given up while it was on its way, it may still be taken: an exchange's repeats
 and a heartbeat, which tells, come within so long."""
 
+FIRST_WORD_S = 1.0
+"""Some periods of the slowest way."""
+
 TIMESYNC = "TIMESYNC"
 
 Attempt = Callable[[Callable[[float], Plan]], Awaitable[Outcome]]
@@ -237,13 +240,15 @@ class FlightControl:
         }
 
     def record(self, on: bool) -> Path | None:
-        """Trace every tick while it flies; the file's path once there is one."""
+        """Trace every tick while it flies. The path of the file that is written, or was until now; None if there is
+        none yet."""
         self._recording = on
+        if on and self.pilot.active:
+            self._open_trace()
+        path = self.recording
         if not on:
             self._close_trace()
-        elif self.pilot.active:
-            self._open_trace()
-        return self.recording
+        return path
 
     # -- as frames and time come
 
@@ -379,8 +384,7 @@ class FlightControl:
     async def _flown(self, way: Way) -> Outcome:
         """The guard's first word belongs to the answer."""
         judged = self.clock.ticks + 1
-        while self.flying and self.clock.ticks < judged:
-            await asyncio.sleep(0.02)
+        await self._commander.until(lambda: self.clock.ticks >= judged, FIRST_WORD_S)
         if not self.flying:
             return Outcome(False, "failed", f"control ended at once: {'; '.join(self.pilot.reasons)}")
         flown = self.pilot.way or way

@@ -71,7 +71,7 @@ def test_recording_prints_the_files(fleet: Commanded) -> None:
         "alpha: /logs/alpha.csv",
         "bravo: /logs/bravo.csv",
     ]
-    assert fleet.run("control", "record", "alpha", "off") == "alpha: not recorded any more\n"
+    assert fleet.run("control", "record", "alpha", "off") == "alpha: nothing was being recorded\n"
     assert fleet.json("control", "record", "alpha", "off") == {"files": {"alpha": None}}
 
 
