@@ -168,12 +168,7 @@ class FlightControl:
     def release(self, reason: str) -> None:
         """Send nothing from now on. Idempotent."""
         self._next_turn()
-        was_active = self.pilot.active
         self._apply(self.pilot.release(reason))
-        self.clock.stop()
-        self._close_trace()
-        if was_active:
-            self._restore_position()
 
     def fly_to(self, place: Place, yaw_enu_rad: float | None) -> Outcome:
         """Move the reference. Refused outside the fence, and unless it flies."""
@@ -216,7 +211,7 @@ class FlightControl:
                 hover_thrust=changes.get("hover_thrust", law.hover_thrust),
             )
         except ConfigError as error:
-            return _refused(str(error))
+            return _refused("; ".join(error.problems))
         if not force and (why := why_not_delay(new, self.pilot.config.guard.attitude_delay_s)) is not None:
             return _refused(f"{why}; insist with force (--force)")
         self.pilot.change_law(new)
@@ -313,7 +308,12 @@ class FlightControl:
 
     def _begin(self, way: Way) -> None:
         if not self._law_changed:
-            self.pilot.config = _pilot_config(self._settings, offboard.told_hover_thrust(self._vehicle))
+            hover_thrust = offboard.told_hover_thrust(self._vehicle)
+            try:
+                self.pilot.config = _pilot_config(self._settings, hover_thrust)
+            except ConfigError as error:
+                why = "; ".join(error.problems)
+                raise RefusedError(f"it says its hover thrust is {hover_thrust:g}; {why}") from None
         self.refresh_budget()
         origin = self._vehicle.origin
         assert origin is not None

@@ -1,0 +1,386 @@
+"""Entry, exit, ticks, pings and trace of one vehicle's control, against a commander that does what a test says."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Callable, Hashable, Mapping
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.config.control import ControlSettings
+from skygcs.core.airtime import Priority
+from skygcs.core.control.guard import Way
+from skygcs.core.control.trace import decode
+from skygcs.core.exchange.command import Outcome
+from skygcs.core.geo import Origin, geodetic_from_enu
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.pilot import PilotState, Place, Setpoint
+from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from skygcs.runtime.flight_control import NEW_STREAM_S, FlightControl
+from support.vehicles import HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect
+
+pytestmark = pytest.mark.looptime
+
+OFFBOARD = 6 << 16
+ORIGIN = Origin(*HOME)
+SETPOINTS = {
+    "SET_ATTITUDE_TARGET": Way.ATTITUDE,
+    "SET_POSITION_TARGET_LOCAL_NED": Way.VELOCITY,
+    "SET_POSITION_TARGET_GLOBAL_INT": Way.POSITION,
+}
+
+
+def place(x_m: float, y_m: float, up_m: float) -> Place:
+    return Place(*geodetic_from_enu(x_m, y_m, up_m, ORIGIN))
+
+
+class FakeCommander:
+    """Takes messages; a TIMESYNC is answered after ``rtt_s``, unless that is None."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[float, str, Mapping[str, Any], Priority, Hashable | None]] = []
+        self.rtt_s: float | None = 0.01
+        self.fails: Exception | None = None
+        self.on_timesync: Callable[[int], None] = lambda ts1: None
+
+    def transmit(
+        self,
+        message: str,
+        values: Mapping[str, Any],
+        priority: Priority = Priority.COMMAND,
+        key: Hashable | None = None,
+    ) -> bool:
+        if self.fails is not None and message in SETPOINTS:
+            raise self.fails
+        loop = asyncio.get_running_loop()
+        self.sent.append((loop.time(), message, values, priority, key))
+        if message == "TIMESYNC" and self.rtt_s is not None:
+            loop.call_later(self.rtt_s, self.on_timesync, values["ts1"])
+        return True
+
+    async def until(self, met: Callable[[], bool], timeout_s: float) -> bool:
+        ends = asyncio.get_running_loop().time() + timeout_s
+        while not met() and asyncio.get_running_loop().time() < ends:  # noqa: ASYNC110 - a fake may look again and again
+            await asyncio.sleep(0.05)
+        return met()
+
+
+class Field:
+    """One PX4 in the air that tells its position 50 times a second, and its flight control.
+
+    ``enters``: it takes the mode; ``orders`` are the plans that were carried out.
+    """
+
+    def __init__(self, log_dir: Path, **settings: Any) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.voice = Voice(1)
+        self.vehicle = Vehicle(1, 1, flight_dialect(), name="alpha", decoder=Decoder(flight_dialect()))
+        self.vehicle.origin = ORIGIN
+        self.commander = FakeCommander()
+        self.commander.on_timesync = self.pong
+        self.orders: list[Plan] = []
+        self.events: list[Event] = []
+        self.enters = True
+        self.hover_thrust: float | None = None
+        self.mode = PX4_LOITER
+        self.position_enu_m = (0.0, 0.0, 10.0)
+        self.telling = True
+        self.uplink_bytes_per_s = math.inf
+        self.flight = FlightControl(
+            self.vehicle,
+            ControlSettings(**settings),
+            self.commander,  # type: ignore[arg-type]  # all that is used of one
+            flight_dialect(),
+            self.loop,
+            execute=self.execute,
+            attempt=self.attempt,
+            position_hz=2.0,
+            on_event=self.events.append,
+            log_dir=log_dir,
+            uplink_bytes_per_s=lambda: self.uplink_bytes_per_s,
+        )
+        self.beat()
+        self.vehicle.on_frame(self.voice.landed(2), self.loop.time())
+        self._task = self.loop.create_task(self._tell())
+
+    async def _tell(self) -> None:
+        while True:
+            if self.telling:
+                here = place(*self.position_enu_m)
+                frame = self.voice.position(here.lat_deg, here.lon_deg, here.alt_amsl_m, 10.0)
+                self.vehicle.on_frame(frame, self.loop.time())
+                self.beat()
+                self.vehicle.on_frame(self.voice.landed(2), self.loop.time())
+            await asyncio.sleep(0.02)
+
+    async def close(self) -> None:
+        self.flight.close()
+        self._task.cancel()
+        await asyncio.gather(self._task, return_exceptions=True)
+
+    def beat(self) -> None:
+        self.vehicle.on_frame(self.voice.beat(PX4, self.mode, armed=True, status=4), self.loop.time())
+
+    def pong(self, ts1: int) -> None:
+        frame = self.voice.say(mav.MAVLink_timesync_message(123456789, ts1))
+        self.flight.on_timesync(frame, self.loop.time())
+
+    async def attempt(self, planner: Callable[[float], Plan]) -> Outcome:
+        try:
+            return await self.execute(planner(self.loop.time()))
+        except RefusedError as error:
+            return Outcome(False, "refused", str(error))
+
+    async def execute(self, plan: Plan) -> Outcome:
+        self.orders.append(plan)
+        await asyncio.sleep(0.05)
+        if plan.order == "control":
+            if not self.enters:
+                return Outcome(False, "denied", "denied: no")
+            self.mode = OFFBOARD
+            self.beat()
+        if plan.order == "parameters" and self.hover_thrust is not None:
+            told = mav.MAVLink_param_value_message(b"MPC_THR_HOVER", self.hover_thrust, 9, 1, 0)
+            self.vehicle.on_frame(self.voice.say(told), self.loop.time())
+        return Outcome(True, "accepted", plan.done)
+
+    def ways(self, since: float = 0.0) -> list[Way]:
+        return [SETPOINTS[name] for at, name, *_ in self.commander.sent if name in SETPOINTS and at >= since]
+
+    def texts(self) -> str:
+        return " | ".join(event.text for event in self.events)
+
+
+@asynccontextmanager
+async def field(log_dir: Path, **settings: Any) -> AsyncIterator[Field]:
+    made = Field(log_dir, **settings)
+    await asyncio.sleep(0.1)
+    try:
+        yield made
+    finally:
+        await made.close()
+
+
+@pytest.mark.parametrize("way", Way)
+async def test_it_streams_before_the_mode_and_flies_after_it(tmp_path: Path, way: Way) -> None:
+    async with field(tmp_path) as f:
+        began = f.loop.time()
+        outcome = await f.flight.engage(way)
+        assert outcome.ok and outcome.message == f"flown by {way.value} setpoints", outcome
+        assert [plan.order for plan in f.orders][-1] == "control"
+        streamed = f.commander.sent[0][0] - began
+        assert f.flight.flying and outcome.elapsed_s > 1.0 + streamed
+        since = f.loop.time()
+        await asyncio.sleep(2.0)
+        sent = f.ways(since)
+        assert set(sent) == {way}
+        assert len(sent) == pytest.approx({"attitude": 100, "velocity": 20, "position": 10}[way], abs=2)
+        setpoints = [s for s in f.commander.sent if s[1] in SETPOINTS]
+        assert {(s[3], s[4]) for s in setpoints} == {(Priority.SETPOINT, ("setpoint", 1, 1))}
+
+
+async def test_position_is_asked_for_faster_and_given_back(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        await f.flight.engage(Way.VELOCITY)
+        f.flight.release("land was ordered")
+        await asyncio.sleep(0.2)
+        rates = [1e6 / plan.steps[0].command.params[1] for plan in f.orders if plan.order == "interval"]  # type: ignore[union-attr,operator]  # both are given
+        assert rates == pytest.approx([10.0, 2.0])
+        assert "control ended: land was ordered" in f.texts()
+
+
+async def test_a_vehicle_that_does_not_take_the_mode_is_sent_nothing_more(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        f.enters = False
+        outcome = await f.flight.engage(Way.POSITION)
+        assert not outcome.ok and "not switched over: denied: no" in outcome.message
+        assert f.flight.pilot.state is PilotState.OFF and not f.flight.clock.running
+        since = f.loop.time()
+        await asyncio.sleep(5)
+        assert f.ways(since) == []
+
+
+async def test_without_an_origin_or_outside_the_fence_nothing_begins(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        f.position_enu_m = (60.0, 0.0, 10.0)
+        await asyncio.sleep(0.1)
+        assert "at x 60.0 m" in (await f.flight.engage(Way.POSITION)).message
+        f.vehicle.origin = None
+        assert "no origin" in (await f.flight.engage(Way.POSITION)).message
+        assert f.commander.sent == [] and f.orders == []
+
+
+async def test_without_pongs_attitude_is_not_flown(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        f.commander.rtt_s = None
+        outcome = await f.flight.engage(Way.ATTITUDE)
+        assert outcome.ok and "flown by velocity setpoints and not by attitude: round trip" in outcome.message
+        assert Way.ATTITUDE not in f.ways()
+
+
+async def test_the_links_budget_sets_the_pace(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        f.uplink_bytes_per_s = 1440.0
+        assert (await f.flight.engage(Way.ATTITUDE)).ok
+        since = f.loop.time()
+        await asyncio.sleep(5)
+        assert len(f.ways(since)) == pytest.approx(5 * 28, abs=2) and set(f.ways(since)) == {Way.ATTITUDE}
+        f.uplink_bytes_per_s = 720.0
+        f.flight.refresh_budget()
+        await asyncio.sleep(0.2)
+        since = f.loop.time()
+        await asyncio.sleep(1)
+        assert set(f.ways(since)) == {Way.VELOCITY} and "14.1" in f.texts()
+
+
+async def test_the_hover_thrust_is_the_files_else_the_vehicles_else_the_seeds(tmp_path: Path) -> None:
+    for told, settings, wanted in ((0.38, {}, 0.38), (None, {}, 0.45), (0.38, {"hover_thrust": 0.5}, 0.5)):
+        async with field(tmp_path, **settings) as f:
+            f.hover_thrust = told
+            assert (await f.flight.engage(Way.ATTITUDE)).ok
+            assert f.flight.gains()["hover_thrust"] == pytest.approx(wanted)
+
+
+async def test_a_hover_thrust_that_cannot_be_flown_is_refused(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        f.hover_thrust = 0.95
+        outcome = await f.flight.engage(Way.ATTITUDE)
+        assert outcome.result == "refused" and "hover thrust is 0.95" in outcome.message
+        assert f.flight.pilot.state is PilotState.OFF
+
+
+async def test_a_newer_order_during_the_entry_takes_its_place(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        entering = asyncio.create_task(f.flight.engage(Way.VELOCITY))
+        await asyncio.sleep(0.8)
+        assert f.flight.pilot.state is PilotState.ENGAGING
+        f.flight.release("land was ordered")
+        outcome = await entering
+        assert not outcome.ok and "control" not in [plan.order for plan in f.orders]
+        since = f.loop.time()
+        await asyncio.sleep(2)
+        assert f.ways(since) == []
+
+
+async def test_a_vehicle_somebody_takes_away_is_given_no_order(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        await f.flight.engage(Way.VELOCITY)
+        f.mode = PX4_RTL
+        orders = len(f.orders)
+        await asyncio.sleep(1)
+        assert f.flight.pilot.state is PilotState.OFF and not f.flight.clock.running
+        assert [plan.order for plan in f.orders[orders:]] == ["interval"]  # the picture's rate again, and nothing else
+        assert "took over" in f.texts()
+
+
+async def test_a_vehicle_that_goes_silent_is_held_once(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        await f.flight.engage(Way.VELOCITY)
+        f.telling = False
+        await asyncio.sleep(4)
+        assert f.flight.pilot.state is PilotState.HELD
+        assert [plan.order for plan in f.orders].count("hold") == 1
+        refused = f.flight.fly_to(place(1, 1, 10), None)
+        assert refused.result == "refused" and "it is held: state is" in refused.message
+
+
+async def test_a_fault_of_ours_ends_control_and_holds(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        await f.flight.engage(Way.VELOCITY)
+        f.commander.fails = ValueError("a bug")
+        await asyncio.sleep(0.5)
+        assert f.flight.pilot.state is PilotState.OFF and not f.flight.clock.running
+        assert [plan.order for plan in f.orders].count("hold") == 1
+        assert [e.kind for e in f.events].count("fault") == 1 and "ValueError('a bug')" in f.texts()
+
+
+async def test_places_and_setpoints_are_taken_only_while_it_flies_and_within_the_fence(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        stream = Setpoint(place(1, 2, 10))
+        for refused in (f.flight.fly_to(place(1, 1, 10), None), f.flight.follow(stream, 0.5)):
+            assert not refused.ok and "control set alpha position" in refused.message
+        await f.flight.engage(Way.VELOCITY)
+        assert f.flight.fly_to(place(10, -10, 12), 0.0).ok
+        assert "the fence less 2 m" in f.flight.fly_to(place(49, 0, 12), None).message
+        assert f.flight.follow(stream, 0.5).ok
+        assert "valid_s 60" in f.flight.follow(stream, 60.0).message
+        assert "x 80.0" in f.flight.follow(Setpoint(place(80, 0, 10)), 0.5).message
+        climb = Setpoint(place(5, 0, 0), (0.0, 0.0, 0.5), free_z=True)
+        assert f.flight.follow(climb, 0.5).ok  # a height it does not have is not held against it
+        assert "up 40.0" in f.flight.follow(Setpoint(place(0, 0, 40), free_xy=True), 0.5).message
+
+
+async def test_a_stream_in_the_old_frame_ends_with_it(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        await f.flight.engage(Way.VELOCITY)
+        f.flight.follow(Setpoint(place(10, 0, 10)), 0.5)
+        f.flight.origin_changed()
+        assert not f.flight.pilot.streaming and "the origin changed" in f.texts()
+        assert "origin changed under this stream" in f.flight.follow(Setpoint(place(10, 0, 10)), 0.5).message
+        await asyncio.sleep(NEW_STREAM_S + 0.01)
+        assert f.flight.follow(Setpoint(place(10, 0, 10)), 0.5).ok
+        f.events.clear()
+        await asyncio.sleep(1.0)
+        f.flight.origin_changed()  # nobody leads it now
+        assert "the origin changed" not in f.texts()
+
+
+async def test_gains_change_in_flight_and_stay_but_not_to_what_cannot_fly(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        await f.flight.engage(Way.ATTITUDE)
+        assert f.flight.change_gains({"xy": {"vel_p": 0.07}, "hover_thrust": 0.5}).ok
+        assert f.flight.gains()["xy"] == {"pos_p_per_s": 0.95, "vel_p": 0.07, "vel_i": 0.02, "vel_d": 0.0}
+        refused = f.flight.change_gains({"hover_thrust": 0.95})
+        assert refused.result == "refused" and "hover_thrust" in refused.message and "\n" not in refused.message
+        assert "force" in f.flight.change_gains({"z": {"vel_p": 2.0}}).message
+        assert f.flight.gains()["hover_thrust"] == 0.5
+        assert f.flight.change_gains({"z": {"vel_p": 2.0}}, force=True).ok
+        f.flight.release("off")
+        await asyncio.sleep(3)
+        f.mode = PX4_LOITER
+        await asyncio.sleep(0.1)
+        await f.flight.engage(Way.ATTITUDE)
+        assert f.flight.gains()["z"]["vel_p"] == 2.0  # what was changed by hand outlives an engagement
+
+
+async def test_a_trace_is_a_file_per_flight_with_a_row_per_tick(tmp_path: Path) -> None:
+    async with field(tmp_path / "logs") as f:
+        assert f.flight.record(True) is None  # nothing to trace yet
+        await f.flight.engage(Way.ATTITUDE)
+        path = f.flight.recording
+        assert path is not None and f.flight.status(f.loop.time())["recording"] == str(path)
+        await asyncio.sleep(1.0)
+        ticks = f.flight.clock.ticks
+        f.flight.release("land was ordered")
+        assert f.flight.recording is None
+        with path.open(encoding="ascii", newline="") as lines:
+            rows = [entry.row for entry in decode(lines)]
+        assert len(rows) == ticks and {row.way for row in rows} >= {"attitude"}
+        assert [row.following for row in rows].index(True) > 10
+
+
+async def test_a_full_disk_ends_the_trace_and_not_the_flight(tmp_path: Path) -> None:
+    (tmp_path / "logs").write_text("no folder")
+    async with field(tmp_path / "logs") as f:
+        f.flight.record(True)
+        assert (await f.flight.engage(Way.VELOCITY)).ok
+        await asyncio.sleep(1)
+        assert f.flight.flying and f.flight.recording is None and "traced no more" in f.texts()
+        assert f.texts().count("traced no more") == 1
+
+
+async def test_somebody_elses_timesync_is_no_pong(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        request = f.voice.say(mav.MAVLink_timesync_message(0, 5))
+        f.flight.on_timesync(request, f.loop.time())
+        assert f.flight.pilot.delay.strange == 0
+        f.flight.on_timesync(f.voice.say(mav.MAVLink_timesync_message(7, 5)), f.loop.time())
+        assert f.flight.pilot.delay.strange == 1 and f.flight.pilot.delay.rtt_p95_s is None
