@@ -383,3 +383,15 @@ def test_an_outcome_is_json_able_and_has_what_every_order_tells() -> None:
 def test_an_empty_list_is_cleared_and_not_uploaded() -> None:
     with pytest.raises(ValueError, match="0 items"):
         MissionUpload(MissionType.MISSION, [], keeps_old=True)
+
+
+def test_a_list_that_never_stops_changing_is_given_up() -> None:
+    exchange = MissionDownload(MissionType.MISSION)
+    exchange.start(0.0)
+    for n in range(100):
+        exchange.on_count(3 + n, n + 0.1)
+        if exchange.done:
+            break
+        exchange.on_count(4 + n, n + 0.2)
+    assert exchange.outcome is not None
+    assert f"not read in {DOWNLOAD_ROUNDS} rounds: its list changed while it was read" in exchange.outcome.message

@@ -19,6 +19,9 @@ from skygcs.core.mission.item import MissionItem, MissionType
 COUNT = 3
 ITEMS = [MissionItem(16, 3, (float(n), None, 0.0, None), 437800000 + n, -794600000, 10.0 + n) for n in range(COUNT)]
 OTHER = MissionItem(21, 3, (0.0, 0.0, 0.0, 0.0), 437800000, -794600000, 0.0)
+ACKS = (0, 0, 0, 0, 1, 1, 13, 13, 15, 4, 12, 99)
+"""More often those that do not end it at once."""
+
 LIMIT = MAX_ROUNDS * (MAX_TRIES + DOWNLOAD_ROUNDS * MAX_TRIES * (COUNT + 2)) + (ANSWERS_PER_ITEM + 1) * COUNT
 """Messages that any of the exchanges may send at most."""
 
@@ -68,7 +71,7 @@ class AnyPeer(RuleBasedStateMachine):
         self.asked |= {e.values["seq"] for e in items}
         self.take(effects)
 
-    @rule(result=st.integers(0, 16), number=st.none() | st.integers(1, 9))
+    @rule(result=st.sampled_from(ACKS), number=st.none() | st.integers(1, 9))
     def it_acknowledges(self, result: int, number: int | None) -> None:
         self.take(self.exchange.on_ack(result, self.now, number))
 
@@ -82,10 +85,11 @@ class AnyPeer(RuleBasedStateMachine):
         self.take(self.exchange.on_item(seq, item.values(), self.now))
 
     @precondition(lambda self: not self.exchange.done)
-    @rule()
-    def it_is_cancelled(self) -> None:
-        self.take(self.exchange.stop(self.now, "cancelled", "cancelled"))
-        assert self.exchange.done
+    @rule(really=st.integers(0, 19))
+    def it_is_cancelled(self, really: int) -> None:
+        if really == 19:  # seldom: it ends the story
+            self.take(self.exchange.stop(self.now, "cancelled", "cancelled"))
+            assert self.exchange.done
 
     @invariant()
     def it_is_bounded(self) -> None:
@@ -151,5 +155,5 @@ class ClearAny(AnyPeer):
 @pytest.mark.parametrize("machine", [UploadToAny, DownloadFromAny, ClearAny])
 def test_it_keeps_its_promises_whatever_comes(machine: Any) -> None:
     case = machine.TestCase()
-    case.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+    case.settings = settings(max_examples=80, stateful_step_count=50, deadline=None)
     case.runTest()
