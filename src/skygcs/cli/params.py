@@ -262,11 +262,15 @@ async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[s
 
 
 async def _lists(gcs: Client, targets: str, *, refresh: bool, burst: bool) -> dict[str, dict[str, Any]]:
-    async with _progress(gcs, targets):
-        answer = await gcs.call("params.list", targets=targets, refresh=refresh, burst=burst)
-    lists: dict[str, dict[str, Any]] = answer["lists"]
-    for name, entry in lists.items():
-        entry["name"] = name
+    """One vehicle after another, by name: together they could be too much for one answer."""
+    lists: dict[str, dict[str, Any]] = {}
+    for state in await gcs.vehicles(targets):
+        name = state["name"]
+        async with _progress(gcs, name):
+            answer = await gcs.call("params.list", targets=name, refresh=refresh, burst=burst)
+        lists[name] = answer["lists"][name] | {"name": name}
+    if not lists:
+        raise RefusedError("no vehicle has been heard yet")
     return lists
 
 

@@ -19,6 +19,9 @@ from skygcs.rpc.ports import JsonObject, Vehicle
 MAX_NAMES = 2000
 """In one request: more than any autopilot has."""
 
+MAX_WITH_VALUES = 40
+"""Vehicles whose values fit into one answer: each takes some 100 kB, and a client's unread output is bounded."""
+
 
 def _name(text: str) -> str:
     if not is_name(text):
@@ -133,7 +136,13 @@ async def params_list(context: Context, params: ParamListParams) -> JsonObject:
     only by its firmware and their number.
     """
     lists = {}
-    for vehicle in context.daemon.fleet.resolve(params.targets):
+    vehicles = context.daemon.fleet.resolve(params.targets)
+    if params.values and len(vehicles) > MAX_WITH_VALUES:
+        text = (
+            f"{len(vehicles)} vehicles' values are too much for one answer; ask for at most {MAX_WITH_VALUES} at once"
+        )
+        raise dispatch.InvalidParams(("targets", text))
+    for vehicle in vehicles:
         lists[vehicle.name] = await _list(context, vehicle, params)
     return {"lists": lists}
 

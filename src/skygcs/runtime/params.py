@@ -84,7 +84,8 @@ class VehicleParams:
         error = dialect.by_name.get("PARAM_ERROR")
         self._error_id = -1 if error is None else error.msgid
         self._running: dict[Exchange, asyncio.Future[None]] = {}
-        self._not_taken: dict[Exchange, int] = {}
+        self._taken: dict[Exchange, int] = {}
+        """Messages of each that a link took."""
         self._locks = [asyncio.Lock() for _ in range(LOCKS)]
         self._quiet_until: dict[str, float] = {}
         self._slots = asyncio.Semaphore(MAX_EXCHANGES)
@@ -174,20 +175,20 @@ class VehicleParams:
         cancelled = self._cancelled
         vouched = self._complete and self._hash is not None and await self._vouched()
         outcomes: dict[str, ParamOutcome] = {}
-        for done, (name, value) in enumerate(values.items()):
-            if self._cancelled != cancelled:
-                outcomes[name] = ParamOutcome(False, "cancelled", "cancelled: not sent", name)
-                continue
-            if len(values) > 1:
-                self._progress("set", ListProgress(done, len(values), done, 0.0, None), f"set {name}")
-            outcomes[name] = await self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
+        try:
+            for done, (name, value) in enumerate(values.items()):
+                if self._cancelled != cancelled:
+                    outcomes[name] = ParamOutcome(False, "cancelled", "cancelled: not sent", name)
+                    continue
+                if done:
+                    self._progress("set", ListProgress(done, len(values), done, 0.0, None), f"setting {name}")
+                outcomes[name] = await self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
+        finally:
+            self._tell_set(outcomes, len(values))
         if self._hash is not None:
             self._hash = await self._ask_hash() if vouched else None
             self._stale = False
         self._save()
-        if len(values) > 1:
-            good = sum(o.ok for o in outcomes.values())
-            self._tell("set", f"{good} of {len(values)} parameters set", {"received": good, "count": len(values)})
         return outcomes
 
     async def load(
@@ -205,7 +206,7 @@ class VehicleParams:
         finally:
             self._waiting -= 1
             if not self._waiting and self._loading is not None:
-                self.cancel()
+                self._loading.cancel()
 
     def known(self, name: str) -> Param | None:
         """What is known of a parameter without asking."""
@@ -245,14 +246,16 @@ class VehicleParams:
         v = self._vehicle
         return CacheKey(v.family, v.sysid, v.compid, board, firmware)
 
-    def _refusal(self) -> str | None:
+    def _refusal(self) -> tuple[str, str] | None:
+        """Why nothing is to be asked of it now: the word of the outcome, and the text."""
         if not self._able:
-            return f"refused: dialect {self._dialect.name} has no parameter messages"
+            return "refused", f"refused: dialect {self._dialect.name} has no parameter messages"
         if self._vehicle.replayed:
-            return "refused: it is heard in a recording only"
+            return "refused", "refused: it is heard in a recording only"
         if self._vehicle.duplicate:
-            return f"refused: two vehicles with system id {self._vehicle.sysid} are on the air; give one another"
-        return None
+            text = f"two vehicles with system id {self._vehicle.sysid} are on the air; give one of them another"
+            return "refused", f"refused: {text}"
+        return None if self._vehicle.connected else ("lost", "the vehicle is lost: nothing is heard of it")
 
     async def _either(self, name: str, run: Callable[[str], Coroutine[Any, Any, ParamOutcome]]) -> ParamOutcome:
         other = other_name(name)
@@ -269,7 +272,7 @@ class VehicleParams:
     async def _one(self, name: str, value: Value | None = None) -> ParamOutcome:
         refusal = self._refusal()
         if refusal is not None:
-            return ParamOutcome(False, "refused", refusal, name)
+            return ParamOutcome(False, *refusal, name)
         cancelled = self._cancelled
         async with self._locks[hash(name) % LOCKS], self._slots:
             await asyncio.sleep(max(0.0, self._quiet_until.pop(name, 0.0) - self._loop.time()))
@@ -277,11 +280,11 @@ class VehicleParams:
                 return ParamOutcome(False, "cancelled", "cancelled: not sent", name)
             exchange = ParamExchange(name, self._encoding(), value)
             try:
-                await self._run(exchange)
+                unsent = await self._run(exchange)
             finally:
                 self._keep_quiet(name, exchange.quiet_until)
         assert exchange.outcome is not None
-        if self._not_taken.pop(exchange, 0) and exchange.outcome.result == "timeout" and not exchange.answers:
+        if exchange.outcome.result == "timeout" and unsent:
             return ParamOutcome(False, "lost", "could not be sent: no link leads to it", name)
         return exchange.outcome
 
@@ -289,7 +292,7 @@ class VehicleParams:
         started = self._loop.time()
         refusal = self._refusal()
         if refusal is not None:
-            return Loaded(False, "refused", refusal, "vehicle", (), None, 0, 0.0)
+            return Loaded(False, *refusal, "vehicle", (), None, 0, 0.0)
         cancelled = self._cancelled
         px4 = self._vehicle.family == "px4"
         key = self._key()
@@ -305,7 +308,6 @@ class VehicleParams:
             self.progress = None
         outcome = exchange.outcome
         assert outcome is not None
-        self._not_taken.pop(exchange, None)
         if outcome.ok:
             await self._remember(outcome, before)
         self._tell("list", f"parameters: {outcome.message}", {"received": len(outcome.params), "count": outcome.count})
@@ -375,15 +377,22 @@ class VehicleParams:
         if until > now:
             self._quiet_until[name] = until
 
-    async def _run(self, exchange: ParamExchange | ParamList) -> None:
+    async def _run(self, exchange: ParamExchange | ParamList) -> bool:
+        """Until it is done; whether no link took any of its messages."""
         done: asyncio.Future[None] = self._loop.create_future()
         self._running[exchange] = done
+        self._taken[exchange] = 0
         self._apply(exchange, exchange.start(self._loop.time()))
         self._arm_timer()
         try:
             await done
+            return self._taken[exchange] == 0
+        except asyncio.CancelledError:
+            self._apply(exchange, exchange.stop(self._loop.time(), "cancelled", "nobody waits for it any more"))
+            raise
         finally:
             self._running.pop(exchange, None)
+            del self._taken[exchange]
             self._arm_timer()
 
     def _apply(self, exchange: Exchange, effects: Sequence[Effect]) -> None:
@@ -402,8 +411,7 @@ class VehicleParams:
         info = self._set_info if effect.message == "PARAM_SET" else self._dialect.by_name[effect.message]
         assert info is not None
         values = {**effect.values, "target_system": sysid, "target_component": compid}
-        if not self._send(info, values, sysid, compid, Priority.EXCHANGE):
-            self._not_taken[exchange] = self._not_taken.get(exchange, 0) + 1
+        self._taken[exchange] += self._send(info, values, sysid, compid, Priority.EXCHANGE)
 
     def _arm_timer(self) -> None:
         due = min((e.deadline for e in self._running if e.deadline is not None), default=None)
@@ -436,6 +444,17 @@ class VehicleParams:
             rest = "" if progress.remaining_s is None else f", {progress.remaining_s:.0f} s left"
             told = f"{text}: {progress.received} of {progress.count}{rest}"
             self._tell(action, told, _progress_data(progress) | {"state": "under_way"})
+
+    def _tell_set(self, outcomes: Mapping[str, ParamOutcome], wanted: int) -> None:
+        """What was set is worth a line, also when whoever wanted it has gone meanwhile."""
+        good = sum(o.ok for o in outcomes.values())
+        if wanted == 1 and outcomes:
+            ((name, outcome),) = outcomes.items()
+            text = f"{name}: {outcome.message}"
+        else:
+            text = f"{good} of {wanted} parameters set"
+        failed = [name for name, o in outcomes.items() if not o.ok]
+        self._tell("set", text, {"received": good, "count": wanted, "failed": failed})
 
     def _tell(self, action: str, text: str, data: dict[str, Any]) -> None:
         data = {"action": action, "state": "done"} | data

@@ -150,6 +150,7 @@ class VehicleActor:
         self.vehicle.duplicate = value
         if value:  # what is told is of two vehicles, and both would hear what is sent to one
             self.flight.release(f"two vehicles with system id {self.sysid} are on the air")
+            self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air")
 
     def set_origin(self, origin: Origin | None, generation: int) -> None:
         """The fleet's world frame from now on, and its number; see `World`."""

@@ -58,6 +58,8 @@ class Rig:
         self.voice = Voice(3)
         self.events: list[Event] = []
         self.sent: list[str] = []
+        self.deaf = False
+        """No link takes anything."""
         self.params = VehicleParams(
             self.vehicle, flight_dialect(), self.send, self.loop, self.events.append, ParamCache(cache)
         )
@@ -82,6 +84,8 @@ class Rig:
         *,
         everywhere: bool = False,
     ) -> bool:
+        if self.deaf:
+            return False
         raw = encode(info, values, sysid=255, compid=25, seq=0)
         self.sent.append(info.name)
         self.line.carry("up", len(raw), lambda: self._hears(info.name, values))
@@ -231,6 +235,62 @@ async def test_a_list_ends_when_nobody_waits_for_it_any_more() -> None:
     sent = len(rig.sent)
     await asyncio.sleep(10.0)
     assert len(rig.sent) == sent and rig.params.status()["loading"] is None
+    rig.params.close()
+
+
+async def test_who_leaves_a_list_takes_nobody_elses_question_along() -> None:
+    rig = Rig(big_set(200), None)
+    listing = asyncio.create_task(rig.params.load())
+    await asyncio.sleep(1.0)
+    asking = asyncio.create_task(rig.params.get("P0001_A"))
+    await asyncio.sleep(0)
+    listing.cancel()
+    assert (await asking).ok
+    rig.params.close()
+
+
+async def test_a_burst_is_stopped_on_board_when_nobody_waits_for_it() -> None:
+    rig = Rig(big_set(200), None)
+    listing = asyncio.create_task(rig.params.load(burst=True))
+    await asyncio.sleep(0.5)
+    listing.cancel()
+    await asyncio.sleep(0.5)
+    assert rig.sent[-1] == "PARAM_SET"
+    rig.params.close()
+
+
+async def test_what_was_set_is_told_although_nobody_waits_any_more() -> None:
+    rig = Rig(big_set(6), None)
+    names = list(rig.board.params)
+    rig.board.read_only.add(names[1])
+    task = asyncio.create_task(rig.params.set({names[0]: 5.0, names[1]: 5}))
+    await asyncio.sleep(1.0)
+    task.cancel()
+    await asyncio.sleep(0.1)
+    assert rig.events[-1].text == "1 of 2 parameters set"
+    rig.params.close()
+
+
+async def test_one_value_set_is_told_with_both() -> None:
+    rig = Rig(big_set(6), None)
+    await rig.params.set({"P0003_ABC": 12})
+    assert rig.events[-1].text == "P0003_ABC: -4 -> 12"
+    rig.params.close()
+
+
+async def test_a_link_that_takes_nothing_is_no_silent_vehicle() -> None:
+    rig = Rig(big_set(3), None)
+    rig.deaf = True
+    outcome = await rig.params.get("P0001_A")
+    assert (outcome.result, outcome.message) == ("lost", "could not be sent: no link leads to it")
+    rig.params.close()
+
+
+async def test_a_vehicle_that_is_lost_already_is_asked_nothing() -> None:
+    rig = Rig(big_set(3), None)
+    rig.vehicle.connected = False
+    assert (await rig.params.get("P0001_A")).result == "lost"
+    assert (await rig.params.load()).result == "lost" and rig.sent == []
     rig.params.close()
 
 

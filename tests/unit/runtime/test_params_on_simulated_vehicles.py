@@ -1,0 +1,102 @@
+"""Parameters of simulated PX4 and ArduCopter through the whole fleet, and files taken to them, in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.config.models import FleetConfig
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.dialect import MessageInfo
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.params.compare import plan
+from skygcs.core.params.file import of_vehicle, parse, write
+from skygcs.core.sim.fleet import SimFleet, make_vehicles
+from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.vehicle.events import Event
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.param_cache import ParamCache
+from support.vehicles import HOME, flight_dialect
+
+pytestmark = pytest.mark.looptime
+
+
+@contextlib.asynccontextmanager
+async def field(cache: Path) -> AsyncIterator[tuple[Fleet, list[str]]]:
+    """A fleet and a simulated vehicle of each kind, joined by their bytes; and the names of what was sent."""
+    loop, dialect = asyncio.get_running_loop(), flight_dialect()
+    sent: list[str] = []
+    events: list[Event] = []
+    sim = SimFleet(
+        make_vehicles(dialect, px4=1, ardupilot=1, first_sysid=1, home=LocalFrame(*HOME), now=loop.time(), unix_us=1)
+    )
+    up, down = FrameParser(dialect), FrameParser(dialect)
+
+    def send(
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        /,
+        *,
+        everywhere: bool = False,
+    ) -> bool:
+        sent.append(info.name)
+        for frame in up.feed_datagram(encode(info, values, sysid=255, compid=25, seq=0)):
+            loop.call_later(0.1, lambda f=frame: sim.on_frame(f, loop.time()))
+        return True
+
+    fleet = Fleet(FleetConfig(), dialect, send, loop, events.append, param_cache=ParamCache(cache))
+
+    async def run() -> None:
+        while True:
+            for raw in sim.step(loop.time()):
+                for frame in down.feed_datagram(raw):
+                    fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "sim", loop.time())
+            fleet.tick(loop.time())
+            await asyncio.sleep(0.02)
+
+    task = loop.create_task(run())
+    await asyncio.sleep(6)
+    try:
+        yield fleet, sent
+    finally:
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        fleet.close()
+        await asyncio.sleep(0)
+
+
+@pytest.mark.parametrize(("target", "name", "value"), [("1", "NAV_RCL_ACT", 0), ("2", "SYSID_MYGCS", 254)])
+async def test_a_file_of_a_vehicle_taken_to_it_sets_what_was_changed_in_it(
+    target: str, name: str, value: int, tmp_path: Path
+) -> None:
+    async with field(tmp_path) as (fleet, sent):
+        (actor,) = fleet.resolve(target)
+        held = await actor.params.load()
+        assert held.ok and {p.name for p in held.params} >= {name}
+        kept = of_vehicle(held.params, "plain", sysid=actor.sysid, compid=1, about={})
+        text = "\n".join(f"{name},{value}" if line.startswith(name) else line for line in write(kept).splitlines())
+        made = plan(
+            parse(text, "x"),
+            {p.name: p for p in held.params},
+            sysid=actor.sysid,
+            compid=1,
+            stack=actor.vehicle.family,
+        )
+        assert [(c.name, c.value) for c in made.changes] == [(name, value)] and made.warnings == ()
+        outcomes = await actor.params.set({c.name: c.value for c in made.changes})
+        assert outcomes[name].ok
+        assert (await actor.params.get(name)).param is not None
+        before = len(sent)
+        again = await actor.params.load()
+        assert {p.name: p.value for p in again.params}[name] == value
+        if actor.vehicle.family == "ardupilot":
+            assert again.source == "cache" and sent[before:].count("PARAM_REQUEST_READ") == 1
