@@ -7,10 +7,12 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from skygcs.core.exchange.base import Send
+from skygcs.core.exchange.param import LATE_VALUE_S
 from skygcs.core.exchange.param_list import MAX_RESTARTS, MAX_TRIES, SILENCE_S, VALUE_BYTES, WINDOW, ParamList
 from skygcs.core.mavlink.param import HASH_NAME, Param, ParamType, ParamValue
 from support.param_vehicle import Network, ParamVehicle, Wire, big_set
@@ -155,3 +157,88 @@ def test_stopping_px4s_burst_tells_it_and_ardupilots_is_told() -> None:
     assert _stopped(burst=True, stops_burst=True)[0] == ["PARAM_SET"]
     sends, outcome = _stopped(burst=True)
     assert sends == [] and "goes on sending" in outcome.message
+
+
+class ListMachine(RuleBasedStateMachine):
+    """Hypothesis is the network, and turns a feature of the vehicle on and off; in the end the network is good."""
+
+    @initialize(count=st.integers(1, 12), burst=st.booleans())
+    def begin(self, count: int, burst: bool) -> None:
+        self.now = 0.0
+        self.params = big_set(count)
+        self.vehicle = ParamVehicle.of(self.params)
+        self.exchange = ParamList(burst=burst, window=4)
+        self.up: list[Send] = []
+        self.down: list[tuple[float, ParamValue]] = []
+        self.sends = 0
+        self._take(self.exchange.start(self.now))
+
+    def _take(self, effects: tuple[Any, ...]) -> None:
+        sends = [effect for effect in effects if isinstance(effect, Send)]
+        self.sends += len(sends)
+        self.up += sends
+
+    def _arrive(self, at: int, keep: bool) -> None:
+        send = self.up[at] if keep else self.up.pop(at)
+        self.down += [(self.now, value) for value in self.vehicle.hear(send.message, send.values)]
+
+    @precondition(lambda self: self.up)
+    @rule(data=st.data(), keep=st.booleans())
+    def request_arrives(self, data: Any, keep: bool) -> None:
+        self._arrive(data.draw(st.integers(0, len(self.up) - 1)), keep)
+
+    @precondition(lambda self: self.down)
+    @rule(data=st.data(), keep=st.booleans())
+    def answer_arrives(self, data: Any, keep: bool) -> None:
+        at = data.draw(st.integers(0, len(self.down) - 1))
+        _, value = self.down[at] if keep else self.down.pop(at)
+        self._take(self.exchange.on_value(value, self.now))
+
+    @rule(data=st.data())
+    def lost(self, data: Any) -> None:
+        queue: list[Any] = data.draw(st.sampled_from([self.up, self.down]))
+        if queue:
+            queue.pop(data.draw(st.integers(0, len(queue) - 1)))
+
+    @rule(dt=st.floats(0.01, 2.0))
+    def time_passes(self, dt: float) -> None:
+        self.now += dt
+        self.down = [(t, v) for t, v in self.down if self.now - t < LATE_VALUE_S]  # none comes later than that
+        self._take(self.exchange.on_timer(self.now))
+
+    @rule()
+    def a_feature_is_switched(self) -> None:
+        extra = [Param("A_FEATURE", 1), Param("A_FEATURE_TOO", 2)]
+        self.params = self.params[2:] if self.params[0] == extra[0] else [*extra, *self.params]
+        self.vehicle.params = {p.name: p for p in self.params}
+
+    @invariant()
+    def bounded_and_consistent(self) -> None:
+        exchange = self.exchange
+        assert exchange.sent == self.sends <= 1 + (MAX_RESTARTS + 1) * MAX_TRIES * 14
+        assert exchange.done == (exchange.outcome is not None) == (exchange.deadline is None)
+        if exchange.outcome is not None and exchange.outcome.ok:
+            names = [p.name for p in exchange.outcome.params]
+            assert len(set(names)) == len(names) == exchange.outcome.count
+
+    def teardown(self) -> None:
+        if not hasattr(self, "exchange"):
+            return
+        finished_before = self.exchange.done
+        for _ in range(2000):
+            while self.up:
+                self._arrive(0, keep=False)
+            while self.down:
+                self._take(self.exchange.on_value(self.down.pop(0)[1], self.now))
+            if self.exchange.done:
+                break
+            self.time_passes(0.1)
+        outcome = self.exchange.outcome
+        assert outcome is not None
+        if not finished_before and outcome.ok:
+            assert sorted(p.name for p in outcome.params) == sorted(p.name for p in self.params)
+        assert outcome.result in ("accepted", "changing", "timeout", "incomplete")
+
+
+TestListMachine = ListMachine.TestCase
+TestListMachine.settings = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
