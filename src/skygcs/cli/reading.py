@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 SCREEN_HZ = 4.0
 """How often a live table is drawn anew."""
 
+OUTCOME_KEYS = ("outcome", "outcomes", "lists")
+"""Under which answers of methods tell how it went."""
+
 
 def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
     """Show every vehicle, or some."""
@@ -154,11 +157,15 @@ def call(
         async with waiting(method):
             result = await gcs.call(method, **given)
         typer.echo(json.dumps(result, indent=2))
-        outcomes = result.get("outcomes") if isinstance(result, dict) else None
-        good = not isinstance(outcomes, dict) or all(o.get("ok") for o in outcomes.values())
-        return Exit.DONE if good else Exit.FAILED
+        told = [result.get(key, {}) for key in OUTCOME_KEYS] if isinstance(result, dict) else []
+        return Exit.DONE if all(_is_good(outcome) for outcome in told) else Exit.FAILED
 
     run(command)
+
+
+def _is_good(told: dict[str, Any]) -> bool:
+    """Of an outcome, or of outcomes by vehicle, or (parameters) by vehicle and name."""
+    return bool(told["ok"]) if "ok" in told else all(_is_good(outcome) for outcome in told.values())
 
 
 def discover(json_output: Json = False) -> None:

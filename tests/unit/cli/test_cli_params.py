@@ -208,3 +208,17 @@ def test_a_bar_tells_how_far_and_how_long() -> None:
     data = {"received": 650, "count": 1300, "percent": 50, "remaining_s": 12.4}
     text = param_lines.bar({"vehicle": "alpha", "text": "", "data": data})
     assert text == f"alpha  [{'#' * 15}{'.' * 15}] 650/1300  12 s left"
+
+
+@pytest.mark.parametrize(("names", "code"), [(["WPNAV_SPEED"], 0), (["WPNAV_SPEED", "NO_SUCH"], 1)])
+def test_call_exits_by_the_outcome_of_each_parameter(served: Served, names: list[str], code: int) -> None:
+    params = json.dumps({"targets": "alpha", "names": names})
+    result = CliRunner().invoke(app, ["--socket", str(served.socket), "call", "params.get", params])
+    assert result.exit_code == code, result.output
+
+
+def test_call_exits_by_how_reading_a_list_went(served: Served) -> None:
+    args = ["--socket", str(served.socket), "call", "params.list", '{"targets": "alpha"}']
+    assert CliRunner().invoke(app, args).exit_code == 0
+    served.params.complete = False
+    assert CliRunner().invoke(app, args).exit_code == 1
