@@ -19,15 +19,16 @@ from typing import Any, TypeVar
 from skygcs.core.airtime import Priority
 from skygcs.core.exchange.base import Effect, Exchange, Report, Send
 from skygcs.core.exchange.param import ParamExchange, ParamOutcome
-from skygcs.core.exchange.param_list import BYTES_PER_S, ListOutcome, ListProgress, ParamList
+from skygcs.core.exchange.param_list import BYTES_PER_S, ListProgress, ParamList
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.param import HASH_NAME, Encoding, Param, Value, bits_message, encoding_of, value_reader
+from skygcs.core.mavlink.param import HASH_NAME, Param, Value, bits_message, value_reader
 from skygcs.core.params.names import other_name
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.commander import SendFn
-from skygcs.runtime.param_cache import CachedParams, CacheKey, ParamCache
+from skygcs.runtime.param_book import ParamBook
+from skygcs.runtime.param_cache import ParamCache
 
 PARAM_VALUE = 22
 NEEDED = ("PARAM_VALUE", "PARAM_SET", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST")
@@ -77,7 +78,7 @@ class VehicleParams:
         self._send = send
         self._loop = loop
         self._on_event = on_event
-        self._cache = cache
+        self._book = ParamBook(vehicle, dialect, cache)
         self._able = all(name in dialect.by_name for name in NEEDED)
         self._read = value_reader(dialect) if self._able else None
         self._set_info = bits_message(dialect.by_name["PARAM_SET"]) if self._able else None
@@ -89,14 +90,8 @@ class VehicleParams:
         self._locks = [asyncio.Lock() for _ in range(LOCKS)]
         self._quiet_until: dict[str, float] = {}
         self._slots = asyncio.Semaphore(MAX_EXCHANGES)
-        self._book: dict[str, Param] = {}
-        self._hash: int | None = None
         self._hashless = False
         """Whether it has said, by answering all else, that it has no hash."""
-        self._complete = False
-        self._unsaved = False
-        self._stale = False
-        """Whether a value has changed since the hash was read."""
         self._count: int | None = None
         self._loading: asyncio.Task[Loaded] | None = None
         self._waiting = 0
@@ -109,14 +104,11 @@ class VehicleParams:
     def on_frame(self, frame: Frame, now: float) -> None:
         """A frame of this vehicle, of any kind. Hot; never raises."""
         if frame.msgid == PARAM_VALUE and self._read is not None:
-            value = self._read(frame.payload, self._encoding())
+            value = self._read(frame.payload, self._book.encoding)
             if value is None:
                 return
             self._count = value.count
-            known = self._book.get(value.param.name)
-            if known is not None and known != value.param:
-                self._book[value.param.name] = value.param
-                self._unsaved = self._stale = True
+            self._book.heard(value.param)
             for exchange in list(self._running):
                 if isinstance(exchange, ParamExchange | ParamList):
                     self._apply(exchange, exchange.on_value(value, now))
@@ -139,8 +131,8 @@ class VehicleParams:
     def stop_all(self, result: str, message: str) -> int:
         """End all that is under way; how many that were. After a reboot nothing that was known is vouched for."""
         if result == "lost":
-            self._save()
-            self._complete = self._hashless = False
+            self._book.doubt()
+            self._hashless = False
         self._cancelled += 1
         running = list(self._running)
         for exchange in running:
@@ -155,7 +147,7 @@ class VehicleParams:
 
     def close(self) -> None:
         """The daemon ends, or the vehicle is forgotten."""
-        self._save()
+        self._book.save()
         self.stop_all("cancelled", "skygcs is shutting down")
         if self._loading is not None:
             self._loading.cancel()
@@ -173,7 +165,8 @@ class VehicleParams:
         """Set parameters one after another, each read back; the outcome of every one, also of those left out because it
         was cancelled."""
         cancelled = self._cancelled
-        vouched = self._complete and self._hash is not None and await self._vouched()
+        hashed = self._book.complete and self._book.hash is not None
+        vouched = hashed and self._book.vouches(await self._ask_hash())
         outcomes: dict[str, ParamOutcome] = {}
         try:
             for done, (name, value) in enumerate(values.items()):
@@ -185,10 +178,9 @@ class VehicleParams:
                 outcomes[name] = await self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
         finally:
             self._tell_set(outcomes, len(values))
-        if self._hash is not None:
-            self._hash = await self._ask_hash() if vouched else None
-            self._stale = False
-        self._save()
+        if hashed:
+            self._book.vouched(await self._ask_hash() if vouched else None)
+        self._book.save()
         return outcomes
 
     async def load(
@@ -207,44 +199,24 @@ class VehicleParams:
             self._waiting -= 1
             if not self._waiting and self._loading is not None:
                 self._loading.cancel()
+                self._loading = None
 
     def known(self, name: str) -> Param | None:
         """What is known of a parameter without asking."""
-        return self._book.get(name)
+        return self._book.params.get(name)
 
     def status(self) -> dict[str, Any]:
         """JSON-able: what is known, and what is going on."""
         progress = None if self.progress is None else _progress_data(self.progress)
         return {
-            "known": len(self._book),
-            "complete": self._complete,
-            "hash": self._hash,
+            "known": len(self._book.params),
+            "complete": self._book.complete,
+            "hash": self._book.hash,
             "loading": progress,
             "under_way": len(self._running),
         }
 
     # -- how
-
-    def _encoding(self) -> Encoding:
-        fields = self._version_fields()
-        return encoding_of(self._vehicle.autopilot, None if fields is None else int(fields["capabilities"]))
-
-    def _version_fields(self) -> dict[str, Any] | None:
-        info = self._dialect.by_name.get("AUTOPILOT_VERSION")
-        slot = None if info is None else self._vehicle.slots.get(info.msgid)
-        return None if slot is None or slot.frame is None else slot.frame.fields()
-
-    def _key(self) -> CacheKey | None:
-        """None while the vehicle has not said what firmware it runs."""
-        fields = self._version_fields()
-        if fields is None:
-            return None
-        uid2 = bytes(fields.get("uid2") or ())
-        board = uid2.hex() if any(uid2) else f"{int(fields.get('uid', 0)):016x}"
-        commit = bytes(fields.get("flight_custom_version") or ()).hex()
-        firmware = f"{fields.get('flight_sw_version', 0)}-{commit}"
-        v = self._vehicle
-        return CacheKey(v.family, v.sysid, v.compid, board, firmware)
 
     def _refusal(self) -> tuple[str, str] | None:
         """Why nothing is to be asked of it now: the word of the outcome, and the text."""
@@ -261,7 +233,7 @@ class VehicleParams:
         other = other_name(name)
         if other is None:
             return await run(name)
-        if self._complete and name not in self._book and other in self._book:
+        if self._book.complete and name not in self._book.params and other in self._book.params:
             return await run(other)
         outcome = await run(name)
         if outcome.result != "unknown":
@@ -278,7 +250,7 @@ class VehicleParams:
             await asyncio.sleep(max(0.0, self._quiet_until.pop(name, 0.0) - self._loop.time()))
             if self._cancelled != cancelled:
                 return ParamOutcome(False, "cancelled", "cancelled: not sent", name)
-            exchange = ParamExchange(name, self._encoding(), value)
+            exchange = ParamExchange(name, self._book.encoding, value)
             try:
                 unsent = await self._run(exchange)
             finally:
@@ -295,9 +267,8 @@ class VehicleParams:
             return Loaded(False, *refusal, "vehicle", (), None, 0, 0.0)
         cancelled = self._cancelled
         px4 = self._vehicle.family == "px4"
-        key = self._key()
         before = await self._ask_hash() if px4 else None
-        if not refresh and await self._still_known(key, before):
+        if not refresh and await self._still_known(before):
             return self._known_list(started)
         if self._cancelled != cancelled:
             return Loaded(False, "cancelled", "cancelled", "vehicle", (), None, 0, self._loop.time() - started)
@@ -309,7 +280,9 @@ class VehicleParams:
         outcome = exchange.outcome
         assert outcome is not None
         if outcome.ok:
-            await self._remember(outcome, before)
+            # what changed while it was read is good for now, but nobody will vouch for it
+            after = await self._ask_hash() if before is not None else None
+            self._book.remember(outcome.params, after if after == before else None)
         self._tell("list", f"parameters: {outcome.message}", {"received": len(outcome.params), "count": outcome.count})
         return Loaded(
             outcome.ok,
@@ -322,32 +295,17 @@ class VehicleParams:
             self._loop.time() - started,
         )
 
-    async def _still_known(self, key: CacheKey | None, hash_now: int | None) -> bool:
+    async def _still_known(self, hash_now: int | None) -> bool:
         """Whether what was read before, now or in an earlier run, is what the vehicle holds, as far as it can tell."""
-        if not self._complete and key is not None:
-            cached = self._cache.load(key)
-            if cached is not None:
-                self._book = {p.name: p for p in cached.params}
-                self._hash, self._complete = cached.hash, True
-                self._stale = False
-        if not self._complete:
-            return False
-        if self._vehicle.family == "px4":
-            return hash_now is not None and hash_now == self._hash and not self._stale
-        outcome = await self._one(next(iter(self._book)))
-        return outcome.ok and self._count == len(self._book)
-
-    async def _remember(self, outcome: ListOutcome, before: int | None) -> None:
-        """Keep a complete list; what changed while it was read is kept for now only."""
-        self._book = {p.name: p for p in outcome.params}
-        self._complete = True
-        after = await self._ask_hash() if before is not None else None
-        self._hash = after if after == before else None
-        self._unsaved, self._stale = True, False
-        self._save()
+        book = self._book
+        book.recall()
+        if not book.complete or self._vehicle.family == "px4":
+            return book.vouches(hash_now)
+        outcome = await self._one(next(iter(book.params)))
+        return outcome.ok and self._count == len(book.params)
 
     def _known_list(self, started: float) -> Loaded:
-        params = tuple(self._book.values())
+        params = tuple(self._book.params.values())
         text = f"{len(params)} parameters, as known"
         return Loaded(True, "accepted", text, "cache", params, len(params), 1, self._loop.time() - started)
 
@@ -357,17 +315,6 @@ class VehicleParams:
         outcome = await self._one(HASH_NAME)
         self._hashless = outcome.result == "unknown"
         return int(outcome.param.value) if outcome.ok and outcome.param is not None else None
-
-    async def _vouched(self) -> bool:
-        return await self._ask_hash() == self._hash
-
-    def _save(self) -> None:
-        """Keep what is known for the next run, as far as the vehicle will be able to vouch for it."""
-        key = self._key()
-        if self._unsaved and self._complete and key is not None:
-            self._unsaved = False
-            if self._vehicle.family != "px4" or (self._hash is not None and not self._stale):
-                self._cache.store(key, CachedParams(tuple(self._book.values()), self._hash))
 
     def _keep_quiet(self, name: str, until: float) -> None:
         """No further exchange of this name before: answers to the last one may still come."""
@@ -431,7 +378,8 @@ class VehicleParams:
         self._arm_timer()
 
     def _loaded(self, task: asyncio.Task[Loaded]) -> None:
-        self._loading = None
+        if self._loading is task:
+            self._loading = None
         if not task.cancelled() and (error := task.exception()) is not None:
             text = f"reading parameters failed inside skygcs: {error!r}"
             self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, text, {}))

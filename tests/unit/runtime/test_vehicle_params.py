@@ -249,6 +249,16 @@ async def test_who_leaves_a_list_takes_nobody_elses_question_along() -> None:
     rig.params.close()
 
 
+async def test_who_asks_just_after_the_last_one_left_gets_a_list() -> None:
+    rig = Rig(big_set(20), None)
+    leaving = asyncio.create_task(rig.params.load())
+    await asyncio.sleep(0.1)
+    leaving.cancel()
+    await asyncio.sleep(0)
+    assert (await rig.params.load()).ok
+    rig.params.close()
+
+
 async def test_a_burst_is_stopped_on_board_when_nobody_waits_for_it() -> None:
     rig = Rig(big_set(200), None)
     listing = asyncio.create_task(rig.params.load(burst=True))
