@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
+from skygcs.config.control import ControlSettings
 from skygcs.config.keylines import KeyPath
 from skygcs.config.models import (
     FleetConfig,
@@ -50,6 +51,7 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     if ("daemon", "sysid") not in wrong:
         problems += _own_sysid(config)
     problems += _simulated(config)
+    problems += _control(config)
     active = {name: link for name, link in config.links.items() if link.enabled}
     problems += _shared_places(config, active)
     problems += _own_places(active)
@@ -217,6 +219,32 @@ def _simulated(config: FleetConfig) -> Iterator[Problem]:
         elif clash := next((s for s in sysids if s in taken), None):
             yield Problem(path, f"{clash} is also a vehicle of the simulated link {taken[clash]}")
         taken.update(dict.fromkeys(sysids, name))
+
+
+def _control(config: FleetConfig) -> Iterator[Problem]:
+    """Keys of flight control that do not go together, told at the level that first says so."""
+    base = config.defaults.control or ControlSettings()
+    types = {name: t.control.over(base) if t.control else base for name, t in config.types.items()}
+    levels: list[tuple[KeyPath, ControlSettings, ControlSettings]] = [(("defaults",), base, ControlSettings())]
+    levels += [(("types", name), whole, base) for name, whole in types.items()]
+    for name, entry in config.vehicles.items():
+        below = types.get(entry.type or "", base)
+        levels.append((("vehicles", name), entry.control.over(below) if entry.control else below, below))
+    said = dict(_settings(config))
+    for path, whole, below in levels:
+        known = below.problems()
+        for key, text in whole.problems():
+            if (key, text) not in known:
+                yield Problem((*path, "control", *_said(said[path].control, key, text)), text)
+
+
+def _said(settings: ControlSettings | None, key: tuple[str, ...], text: str) -> tuple[str, ...]:
+    """Of the keys that a text is about the one this level has said; ``key`` if none."""
+    table = None if settings is None else settings.model_dump(exclude_none=True)
+    for part in key[:-1]:
+        table = (table or {}).get(part)
+    mentioned = [key[-1], *re.findall(r"[a-z_]+", text)]
+    return (*key[:-1], next((word for word in mentioned if table and word in table), key[-1]))
 
 
 def _places(link: LinkConfig) -> list[tuple[str, str, int | str]]:

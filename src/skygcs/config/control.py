@@ -6,9 +6,10 @@ Every key may be left out at every level; what nobody says has the default of `c
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from skygcs.core.control.config import LARGEST_GAIN, SEED_XY, SEED_Z, AxisGains, ControlConfig
 from skygcs.core.control.fence import Fence
@@ -19,6 +20,9 @@ from skygcs.errors import ConfigError
 Gain = Annotated[float, Field(ge=0, le=LARGEST_GAIN)]
 Seconds = Annotated[float, Field(gt=0, le=60)]
 Span = Annotated[tuple[float, float], Field(description="[least, most] in metres")]
+
+ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, 20.0
+"""Of `core.vehicle.pilot.PilotConfig`; a test compares them."""
 
 SEED_HOVER_THRUST = 0.45
 """Of the seed's F450 (field-notes 2.3), for a vehicle that neither the file nor its own parameters tell of."""
@@ -45,14 +49,6 @@ class FenceSettings(Model):
     up_m: Span | None = None
     margin_m: Annotated[float, Field(ge=0, le=100)] | None = None
     """References are refused this near to the fence already: 2."""
-
-    @model_validator(mode="after")
-    def _rise(self) -> FenceSettings:
-        for key in ("x_m", "y_m", "up_m"):
-            span = getattr(self, key)
-            if span is not None and not span[0] < span[1]:
-                raise ValueError(f"{key} {list(span)}: the first must be less than the second")
-        return self
 
 
 class ControlSettings(Model):
@@ -85,7 +81,7 @@ class ControlSettings(Model):
     fence: FenceSettings | None = None
 
     def over(self, lower: ControlSettings) -> ControlSettings:
-        """These settings, and where they say nothing those of ``lower``, key by key."""
+        """These settings, and where they say nothing those of ``lower``, key by key. Not checked: see `problems`."""
         merged: dict[str, Any] = {}
         for key in type(self).model_fields:
             mine, below = getattr(self, key), getattr(lower, key)
@@ -93,11 +89,11 @@ class ControlSettings(Model):
                 told = {k: v for k, v in mine.model_dump().items() if v is not None}
                 mine = below.model_copy(update=told)
             merged[key] = below if mine is None else mine
-        return ControlSettings(**merged)
+        return ControlSettings.model_construct(**merged)
 
     @property
     def attitude_period_s(self) -> float:
-        return 1.0 / (self.rate_hz or 50.0)
+        return 1.0 / (self.rate_hz or ATTITUDE_HZ)
 
     def law(self, hover_thrust: float | None = None) -> ControlConfig:
         """The law's gains and limits; ``hover_thrust`` is what the autopilot says. Raises ConfigError."""
@@ -129,18 +125,34 @@ class ControlSettings(Model):
         told = {key: value for key in FenceSettings.model_fields if (value := getattr(fence, key)) is not None}
         return Fence(origin, **told)
 
-    @model_validator(mode="after")
-    def _possible(self) -> ControlSettings:
-        """What is impossible beside the defaults is told here, with the table's place."""
-        thrusts = [t for t in (self.thrust_min, self.hover_thrust, self.thrust_max) if t is not None]
-        if thrusts != sorted(set(thrusts)):
-            raise ValueError("thrust_min, hover_thrust and thrust_max must rise in this order")
-        try:
-            self.guard()
-            self.fence_at(Origin(0.0, 0.0, 0.0))
-        except ConfigError as error:
-            raise ValueError("; ".join(error.problems)) from None
-        return self
+    def problems(self) -> list[tuple[tuple[str, ...], str]]:
+        """What is impossible together though each key by itself is not: the path of a key in this table, and a text.
+
+        To be asked of whole settings only (`over`): what one level says may be right with what another says.
+        """
+        found = [
+            *_problems((), self.law),
+            *_problems((), self.guard),
+            *_problems(("fence",), lambda: self.fence_at(Origin(0.0, 0.0, 0.0))),
+        ]
+        rate_hz, least_hz = self.rate_hz or ATTITUDE_HZ, self.rate_min_hz or ATTITUDE_MIN_HZ
+        if rate_hz < least_hz:
+            found.append((("rate_hz",), f"{rate_hz:g} is below rate_min_hz ({least_hz:g}): attitude is never flown"))
+        return found
+
+
+def _problems(table: tuple[str, ...], make: Callable[[], object]) -> list[tuple[tuple[str, ...], str]]:
+    """What `core.control` says of it; its texts begin with the keys they are about."""
+    try:
+        make()
+    except ConfigError as error:
+        parts = [problem.partition(": ") for problem in error.problems]
+        return [((*table, *keys.split(", ")[0].split(".")), _about(keys, text)) for keys, _, text in parts]
+    return []
+
+
+def _about(keys: str, text: str) -> str:
+    return f"{keys}: {text}" if "," in keys else text
 
 
 def _gains(seed: AxisGains, settings: GainSettings | None) -> AxisGains:

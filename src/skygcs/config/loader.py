@@ -16,6 +16,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from skygcs.config.checks import Problem, conflicts, dialect_problems, message_problems, stream_problems
+from skygcs.config.control import ControlSettings, FenceSettings, GainSettings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.keylines import KeyPath, key_lines, line_of
 from skygcs.config.models import (
@@ -280,6 +281,12 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return VehicleSettings
         case ("vehicles", _):
             return VehicleEntry
+        case (*_, "control"):
+            return ControlSettings
+        case (*_, "control", "xy" | "z"):
+            return GainSettings
+        case (*_, "control", "fence"):
+            return FenceSettings
         case ("links", _, "rate_in" | "rate_out"):
             return RateLimits
         case ("links", name):
