@@ -115,6 +115,7 @@ class FlightControl:
         self._turn = 0
         """Increases with everything that ends or begins control: who began under another number goes no further."""
         self._law_changed = False
+        self._hover_thrust_set = False
         self._followed_at = -math.inf
         self._frozen = False
 
@@ -149,6 +150,7 @@ class FlightControl:
             await self._ask_position(POSITION_HZ.get(way))
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
+            self._check_entry(self._loop.time())  # what was true before all this waiting may not be any more
             self._begin(way)
         except RefusedError as error:
             return _refused(str(error))
@@ -216,6 +218,7 @@ class FlightControl:
             return _refused(f"{why}; insist with force (--force)")
         self.pilot.change_law(new)
         self._law_changed = True
+        self._hover_thrust_set |= "hover_thrust" in changes
         return Outcome(True, "accepted", "gains changed")
 
     def gains(self) -> dict[str, Any]:
@@ -307,13 +310,18 @@ class FlightControl:
             self._on_event(Event("warning", self._vehicle.name, self._vehicle.sysid, note, {}))
 
     def _begin(self, way: Way) -> None:
-        if not self._law_changed:
-            hover_thrust = offboard.told_hover_thrust(self._vehicle)
-            try:
-                self.pilot.config = _pilot_config(self._settings, hover_thrust)
-            except ConfigError as error:
-                why = "; ".join(error.problems)
-                raise RefusedError(f"it says its hover thrust is {hover_thrust:g}; {why}") from None
+        hover_thrust = offboard.told_hover_thrust(self._vehicle)
+        try:
+            config = _pilot_config(self._settings, hover_thrust)
+            if self._law_changed:
+                law = self.pilot.config.law
+                if not self._hover_thrust_set:  # other gains were: that the vehicle knows its own better still holds
+                    law = replace(law, hover_thrust=config.law.hover_thrust)
+                config = replace(config, law=law)
+        except ConfigError as error:
+            why = "; ".join(error.problems)
+            raise RefusedError(f"it says its hover thrust is {hover_thrust:g}; {why}") from None
+        self.pilot.config = config
         self.refresh_budget()
         origin = self._vehicle.origin
         assert origin is not None

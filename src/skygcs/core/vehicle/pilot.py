@@ -26,6 +26,7 @@ from skygcs.core.control.config import ControlConfig
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import Facts, Guard, GuardConfig, Verdict, Way
+from skygcs.core.control.pi import clip
 from skygcs.core.control.trace import TraceRow
 from skygcs.core.geo import EnuFrame, Origin, yaw_enu_from_heading_deg
 from skygcs.core.vehicle import setpoint
@@ -252,7 +253,13 @@ class Pilot:
         return Guard(self.config.guard, way).why_not(facts)
 
     def change_law(self, law: ControlConfig) -> None:
-        """New gains from the next tick on. What was integrated is kept: it is thrust, whatever the gains."""
+        """New gains from the next tick on. What was integrated is kept: it is thrust, whatever the gains.
+
+        What of a new hover thrust was integrated already is taken out of the integral, so that the thrust does not jump.
+        """
+        east, north, up = self.memory.integral_enu
+        up = clip(up + self.config.law.hover_thrust - law.hover_thrust, law.thrust_max)
+        self.memory = replace(self.memory, integral_enu=(east, north, up))
         self.config = replace(self.config, law=law)
 
     def fly_to(self, place: Place, yaw_enu_rad: float | None) -> None:

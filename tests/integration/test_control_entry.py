@@ -1,0 +1,170 @@
+"""Taking a vehicle over fails, is cancelled, or something newer is ordered meanwhile: everything is undone."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.sim.copter_setup import CopterMode
+from skygcs.core.sim.px4_setup import Px4Mode
+from support.flown import HOLDING, Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+
+ORDERS: dict[str, tuple[str, dict[str, Any], tuple[int, ...]]] = {
+    "land": ("vehicles.land", {}, (Px4Mode.LAND, CopterMode.LAND)),
+    "rtl": ("vehicles.rtl", {}, (Px4Mode.RTL, CopterMode.RTL)),
+    "hold": ("vehicles.hold", {}, (Px4Mode.LOITER, CopterMode.BRAKE)),
+    "stop": ("vehicles.stop", {"action": "land"}, (Px4Mode.LAND, CopterMode.LAND)),
+    "off": ("control.set", {"mode": "off"}, (Px4Mode.LOITER, CopterMode.BRAKE)),
+}
+ALL_ORDERS = pytest.mark.parametrize("order", ORDERS)
+
+STAGES = pytest.mark.parametrize("after_s", [0.0, 0.05, 0.5, 1.5, 1.9, 2.6])
+"""While parameters are read, while it streams, about the switch of modes, and after it."""
+
+
+async def carried_out(gcs: Flown, order: str) -> None:
+    """The order's outcome is good, its mode is flown, and nothing of control is left."""
+    method, params, modes = ORDERS[order]
+    ordered = gcs.now
+    if order == "off" and not gcs.setpoints(0.0):
+        modes += (gcs.sim().mode,)  # there is nothing to switch off yet
+    await gcs.done(method, **params)
+    quiet = gcs.now
+    assert gcs.sim().mode in modes
+    await asyncio.sleep(8)
+    assert gcs.sim().mode in modes, "something newer came from somewhere"
+    assert not gcs.setpoints(quiet) and not gcs.setpoints(ordered + 0.1)
+    assert gcs.control()["state"] == "off"
+    moved = {int(c.values["command"]) for c in gcs.commands(quiet)}
+    assert not moved, f"commands {moved} after the order's outcome"
+
+
+@KINDS
+@ALL_ORDERS
+async def test_an_order_while_it_flies_ends_control_at_once(tmp_path: Path, kind: dict[str, int], order: str) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("attitude")
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        since = gcs.now
+        await carried_out(gcs, order)
+        assert len(gcs.texts(since)) == 1, gcs.texts(since)
+
+
+@KINDS
+@pytest.mark.parametrize("order", ["land", "hold", "off"])
+@STAGES
+async def test_an_order_while_it_is_being_taken_over_wins(
+    tmp_path: Path, kind: dict[str, int], order: str, after_s: float
+) -> None:
+    async with flown(tmp_path, height_m=5.0, **kind) as gcs:
+        taking = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
+        await asyncio.sleep(after_s)
+        taken_already = taking.done()
+        await carried_out(gcs, order)
+        outcome = await taking
+        assert taken_already or not outcome["ok"], outcome
+
+
+@KINDS
+@STAGES
+async def test_a_client_that_goes_away_leaves_it_as_it_was(
+    tmp_path: Path, kind: dict[str, int], after_s: float
+) -> None:
+    async with flown(tmp_path, height_m=5.0, **kind) as gcs:
+        former, began = gcs.sim().mode, gcs.now
+        taking = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
+        await asyncio.sleep(after_s)
+        if taking.done():
+            return
+        taking.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await taking
+        gone = gcs.now
+        await gcs.ends_safe(within_m=2.0, since=began)
+        assert not gcs.setpoints(gone)
+        assert gcs.control()["state"] == "off"
+        assert gcs.sim().mode == former or gcs.sim().mode in HOLDING
+        if gcs.setpoints(0.0):
+            assert gcs.sim().mode != CopterMode.GUIDED, "it holds, and does not wait for more"
+            assert gcs.texts(began) == ["control ended: it could not be begun"]
+
+
+@KINDS
+async def test_the_mode_is_refused(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        if "ardupilot" in kind:
+            await gcs.done("vehicles.mode", mode="LOITER")
+        former, began = gcs.sim().mode, gcs.now
+        gcs.sim().faults.refuse_mode = "not today"
+        outcome = await gcs.outcome("control.set", mode="velocity")
+        assert not outcome["ok"] and "not today" in outcome["message"], outcome
+        ended = gcs.now
+        gcs.sim().faults.refuse_mode = ""
+        await gcs.ends_safe(within_m=1.0, since=began)
+        assert not gcs.setpoints(ended)
+        assert gcs.sim().mode == former
+        assert len(gcs.texts(began)) == 1
+        await gcs.fly("velocity")
+
+
+async def test_the_stream_does_not_get_through(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PX4 enters OFFBOARD only while setpoints come."""
+    async with flown(tmp_path) as gcs:
+        sim, began = gcs.sim(), gcs.now
+        monkeypatch.setattr(sim, "on_setpoint", lambda name, fields, now: None)
+        outcome = await gcs.outcome("control.set", mode="velocity")
+        assert not outcome["ok"] and "OFFBOARD" in outcome["message"], outcome
+        await gcs.ends_safe(within_m=1.0, since=began)
+        assert sim.mode == Px4Mode.LOITER
+
+
+@KINDS
+@pytest.mark.parametrize("after_s", [0.05, 0.5, 1.5, 2.0])
+async def test_a_second_order_of_control_takes_the_place_of_the_first(
+    tmp_path: Path, kind: dict[str, int], after_s: float
+) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        began = gcs.now
+        first = asyncio.create_task(gcs.outcome("control.set", mode="velocity"))
+        await asyncio.sleep(after_s)
+        if "mode" in gcs.texts(began, kind="mode") or first.done():
+            return
+        second = await gcs.outcome("control.set", mode="position")
+        assert second["message"] == "flown by position setpoints", second
+        superseded = await first
+        assert superseded["ok"] or "newer" in superseded["message"], superseded
+        start = gcs.place()
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(12)
+        assert gcs.control()["state"] == "flying"
+        assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.3)
+        assert {s.name for s in gcs.setpoints(gcs.now - 3.0)} == {"SET_POSITION_TARGET_GLOBAL_INT"}
+
+
+async def test_thrust_that_would_mean_climb_rate_is_refused_before_anything_is_sent(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=0, ardupilot=1, params={"GUID_OPTIONS": 0}) as gcs:
+        began = gcs.now
+        outcome = await gcs.outcome("control.set", mode="attitude")
+        assert outcome["result"] == "refused" and "GUID_OPTIONS to 8" in outcome["message"]
+        assert not gcs.setpoints(0.0)
+        await gcs.ends_safe(within_m=0.5, since=began)
+
+
+async def test_on_the_ground_nothing_is_taken_over(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs.done("vehicles.land")
+        await gcs.until(lambda: not gcs.sim().armed, 60.0)
+        await asyncio.sleep(3)
+        since = gcs.now
+        outcome = await gcs.outcome("control.set", mode="position")
+        assert outcome["result"] == "refused", outcome
+        assert not gcs.setpoints(since) and not gcs.commands(since)

@@ -1,0 +1,170 @@
+"""What may change while vehicles are flown by setpoints: places, origins, gains, streams; nobody jumps."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+
+import pytest
+
+from support.flown import FIELD, Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+
+
+def thrusts(gcs: Flown, since: float) -> list[float]:
+    return [float(s.values["thrust"]) for s in gcs.setpoints(since) if s.name == "SET_ATTITUDE_TARGET"]
+
+
+@KINDS
+@pytest.mark.parametrize("mode", ["attitude", "velocity", "position"])
+async def test_goto_moves_the_reference_and_nothing_else(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly(mode)
+        start, began = gcs.place(), gcs.now
+        for by in ((3.0, 0.0, 0.0), (0.0, -3.0, 0.0), (0.0, 0.0, 2.0)):
+            await gcs.step(*by)
+            await asyncio.sleep(14)
+        assert gcs.place() == pytest.approx((start[0] + 3.0, start[1] - 3.0, start[2] + 2.0), abs=0.4)
+        assert not gcs.commands(began), "no DO_REPOSITION, no mode"
+        assert gcs.control()["state"] == "flying" and not gcs.texts(began)
+
+
+async def test_several_keep_their_formation(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, ardupilot=1) as gcs:
+        await gcs.fly("attitude", targets="all")
+        before = [gcs.place(name) for name in ("v1", "v2", "v3")]
+        await gcs.done("vehicles.goto", targets="all", enu_m=[10.0, 6.0, 12.0])
+        await asyncio.sleep(25)
+        after = [gcs.place(name) for name in ("v1", "v2", "v3")]
+        middle = [sum(axis) / 3 for axis in zip(*after, strict=True)]
+        assert middle == pytest.approx([10.0, 6.0, 12.0], abs=0.4)
+        for i in (1, 2):
+            for axis in (0, 1):
+                assert after[i][axis] - after[0][axis] == pytest.approx(before[i][axis] - before[0][axis], abs=0.5)
+        one_place = (await gcs("control.setpoint", targets="all", pos_enu_m=[0.0, 0.0, 10.0]))["outcomes"]
+        assert all(o["result"] == "refused" for o in one_place.values())
+
+
+@KINDS
+@pytest.mark.parametrize("mode", ["attitude", "velocity"])
+async def test_a_stream_that_ends_leaves_it_where_it_then_is(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly(mode)
+        start = gcs.place()
+        began = gcs.now
+        while gcs.now < began + 4.0:
+            await gcs.done("control.setpoint", vel_enu_mps=[0.0, 1.5, None], pos_enu_m=[None, None, 10.0])
+            await asyncio.sleep(0.05)
+        ended, there = gcs.now, gcs.place()
+        assert there[1] > start[1] + 3.0
+        await asyncio.sleep(12)
+        assert gcs.texts(ended) == ["the setpoints ended: it stays where it is"]
+        assert gcs.control()["state"] == "flying"
+        assert gcs.farthest_m(ended) < 2.5
+        still = gcs.place()
+        await asyncio.sleep(10)
+        assert gcs.place() == pytest.approx(still, abs=0.2)
+
+
+async def test_a_new_origin_moves_nobody_and_freezes_a_stream(tmp_path: Path) -> None:
+    """Three hold, each flown another way; a fourth follows a stream of places of the old frame."""
+    async with flown(tmp_path, px4=3, ardupilot=1) as gcs:
+        for name, mode in (("v1", "attitude"), ("v2", "velocity"), ("v3", "position"), ("v4", "attitude")):
+            await gcs.fly(mode, targets=name)
+        place = gcs.actor("v4").vehicle.enu_m()
+        assert place is not None
+        for _ in range(40):
+            await gcs.done("control.setpoint", targets="v4", pos_enu_m=place, valid_s=0.5)
+            await asyncio.sleep(0.05)
+        changed = gcs.now
+        lat, lon = FIELD.to_geodetic(30.0, -20.0)
+        await gcs("origin.set", lat_deg=lat, lon_deg=lon, alt_amsl_m=FIELD.alt_amsl_m - 5.0, x_heading_deg=200.0)
+        refusals = 0
+        for _ in range(100):
+            outcome = await gcs.outcome("control.setpoint", targets="v4", pos_enu_m=place, valid_s=0.5)
+            refusals += "the origin changed" in outcome["message"]
+            await asyncio.sleep(0.05)
+        assert refusals == 100, "a client that did not notice is not obeyed"
+        await asyncio.sleep(10)
+        for name in ("v1", "v2", "v3", "v4"):
+            assert gcs.farthest_m(changed, name) < 0.3, name
+            assert gcs.control(name)["state"] == "flying"
+            shown = gcs.control(name)["error_m"]
+            assert shown is not None and shown < 0.3
+        told = gcs.texts(changed, name="v4")
+        assert len(told) == 1 and told[0].startswith("the origin changed while setpoints came")
+        here = gcs.actor("v4").vehicle.enu_m()
+        assert here is not None
+        await gcs.done("control.setpoint", targets="v4", pos_enu_m=here, valid_s=0.5)
+        await gcs.done("vehicles.goto", targets="v1", enu_m=gcs.actor("v1").vehicle.enu_m())
+        await asyncio.sleep(5)
+        assert gcs.farthest_m(changed, "v4") < 0.5 and gcs.farthest_m(changed, "v1") < 0.5
+
+
+@KINDS
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"z": {"vel_p": 0.2, "vel_i": 0.03}},
+        {"xy": {"pos_p_per_s": 0.7, "vel_p": 0.1}},
+        {"hover_thrust": 0.40},
+        {"hover_thrust": 0.55},
+    ],
+    ids=str,
+)
+async def test_new_gains_make_no_jump(tmp_path: Path, kind: dict[str, int], changes: dict[str, object]) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("attitude")
+        await asyncio.sleep(30)
+        before = gcs.now
+        await asyncio.sleep(0.5)
+        changed = gcs.now
+        await gcs.done("control.gains", **changes, force=True)
+        await asyncio.sleep(0.3)
+        old, new = thrusts(gcs, before), thrusts(gcs, changed)
+        assert new[0] == pytest.approx(old[-len(new) - 1], abs=0.01)
+        await asyncio.sleep(20)
+        assert gcs.farthest_m(changed) < 0.3
+        assert max(thrusts(gcs, changed)) - min(thrusts(gcs, changed)) < 0.05
+        assert gcs.control()["way"] == "attitude"
+
+
+async def test_gains_that_the_delay_does_not_bear_take_force(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs.fly("attitude")
+        before = gcs.actor().gains()
+        outcome = await gcs.outcome("control.gains", xy={"pos_p_per_s": 4.0, "vel_p": 0.9})
+        assert outcome["result"] == "refused" and "force" in outcome["message"], outcome
+        assert gcs.actor().gains() == before
+        wrong = await gcs.outcome("control.gains", hover_thrust=0.95)
+        assert wrong["result"] == "refused", wrong
+        assert gcs.actor().gains() == before
+        forced = await gcs.outcome("control.gains", xy={"pos_p_per_s": 1.5, "vel_p": 0.35}, force=True)
+        assert forced["ok"] and gcs.actor().gains() != before
+
+
+async def test_gains_set_on_the_ground_leave_the_hover_thrust_to_the_vehicle(tmp_path: Path) -> None:
+    async with flown(tmp_path, params={"MPC_THR_HOVER": 0.47}) as gcs:
+        await gcs.done("control.gains", xy={"pos_p_per_s": 0.9})
+        await gcs.fly("attitude")
+        gains = gcs.actor().gains()
+        assert gains["hover_thrust"] == pytest.approx(0.47, abs=1e-6) and gains["xy"]["pos_p_per_s"] == 0.9
+
+
+@KINDS
+async def test_from_way_to_way_in_flight(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("position")
+        began = gcs.now
+        for mode in ("velocity", "attitude", "position", "attitude", "velocity", "position"):
+            await gcs.fly(mode)
+            await asyncio.sleep(4)
+            assert gcs.control()["way"] == mode
+        assert gcs.farthest_m(began) < 0.5
+        assert not gcs.commands(began)
+        gaps = [b.at - a.at for a, b in zip(gcs.setpoints(began), gcs.setpoints(began)[1:], strict=False)]
+        assert max(gaps) < 0.3 and math.isfinite(max(gaps))
