@@ -256,9 +256,12 @@ def _tell_status(targets: str, json_output: bool, line: Any) -> None:
 def _mission_line(status: dict[str, Any]) -> str:
     count = status["counts"]["mission"]
     parts = [f"{status['vehicle']:<10}"]
-    parts.append("no item told yet" if status["item"] is None else f"item {status['item']}")
-    if count is not None:
-        parts[-1] += f" of {count}"
+    if count == 0:
+        parts.append("no mission")
+    elif status["item"] is None:
+        parts.append("no item told yet")
+    else:
+        parts.append(f"item {status['item']}" + ("" if count is None else f" of {count}"))
     if status["reached"] is not None:
         parts.append(f"reached {status['reached']}")
     if status["state"] is not None:

@@ -154,6 +154,8 @@ def test_status_tells_item_and_transfer_of_each_vehicle(site: Site) -> None:
     said = site.run("mission", "status")
     assert "alpha       item 3 of 12  reached 2  active  fence upload 40 %" in said
     assert "bravo       no item told yet" in said
+    site.daemon.vehicle("bravo").missions.told["counts"]["mission"] = 0
+    assert "bravo       no mission" in site.run("mission", "status", "bravo")
     assert json.loads(site.run("mission", "status", "alpha", "--json"))[0]["item"] == 3
 
 

@@ -168,10 +168,14 @@ class MissionUpload(MissionExchange):
         return ()
 
     def on_count(self, count: int, now: float, number: int | None = None) -> tuple[Effect, ...]:
-        return () if self._reading is None else self._read(now, self._reading.on_count(count, now, number))
+        if self.state is not UploadState.READING or self._reading is None:
+            return ()
+        return self._read(now, self._reading.on_count(count, now, number))
 
     def on_item(self, seq: int, fields: Mapping[str, Any], now: float) -> tuple[Effect, ...]:
-        return () if self._reading is None else self._read(now, self._reading.on_item(seq, fields, now))
+        if self.state is not UploadState.READING or self._reading is None:
+            return ()
+        return self._read(now, self._reading.on_item(seq, fields, now))
 
     def on_timer(self, now: float) -> tuple[Effect, ...]:
         if self.deadline is None or now < self.deadline:

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.exchange.base import Send
+from skygcs.core.exchange.base import Finish, Send
 from skygcs.core.exchange.mission import CLEAR_TRIES, MAX_TRIES, MissionClear, MissionOutcome, opaque_id
 from skygcs.core.exchange.mission_download import MAX_ROUNDS as DOWNLOAD_ROUNDS
 from skygcs.core.exchange.mission_download import MissionDownload
-from skygcs.core.exchange.mission_upload import ANSWERS_PER_ITEM, LINGER_S, MAX_ROUNDS, MissionUpload
+from skygcs.core.exchange.mission_upload import ANSWERS_PER_ITEM, LINGER_S, MAX_ROUNDS, SILENCE_S, MissionUpload
 from skygcs.core.mission.item import MissionItem, MissionType
 from support.frames import dialect
 from support.mission_vehicle import (
@@ -276,6 +276,17 @@ def test_a_request_that_came_over_two_links_is_answered_once() -> None:
     assert len(exchange.on_request(0, 1.0)) == 2
     assert exchange.on_request(0, 1.02) == ()
     assert len(exchange.on_request(0, 1.3)) == 2
+
+
+def test_an_upload_that_was_accepted_while_it_was_read_back_stays_over() -> None:
+    exchange = upload(mission(1), Px4Mission())
+    exchange.start(0.0)
+    exchange.on_request(0, 0.2)
+    exchange.on_timer(0.2 + SILENCE_S)
+    assert any(isinstance(effect, Finish) for effect in exchange.on_ack(0, 7.0))
+    assert exchange.on_count(1, 7.1) == ()
+    assert exchange.on_item(0, mission(1, 5)[0].values(), 7.2) == ()
+    assert exchange.done and exchange.deadline is None
 
 
 def test_a_request_beyond_the_list_is_ignored() -> None:
