@@ -113,7 +113,11 @@ def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None
 
 
 @missions.command("watch")
-def _watch(targets: OptionalTargets = "all", json_output: Json = False) -> None:
+def _watch(
+    targets: OptionalTargets = "all",
+    count: Annotated[int, typer.Option("--count", metavar="N", help="End after so many events.", min=1)] = sys.maxsize,
+    json_output: Json = False,
+) -> None:
     """Follow missions and transfers: the status, then every item reached, until Ctrl-C."""
 
     async def command(gcs: Client) -> None:
@@ -122,10 +126,14 @@ def _watch(targets: OptionalTargets = "all", json_output: Json = False) -> None:
         names = {status["vehicle"] for status in told}
         for status in told:
             typer.echo(json.dumps(status) if json_output else _mission_line(status))
+        seen = 0
         async for event in news:
             if (targets == "all" or event["vehicle"] in names) and _of_missions(event):
                 typer.echo(json.dumps(event) if json_output else render.event_line(event))
                 sys.stdout.flush()
+                seen += 1
+                if seen >= count:
+                    return
 
     run(command)
 

@@ -159,6 +159,23 @@ def test_status_tells_item_and_transfer_of_each_vehicle(site: Site) -> None:
     assert json.loads(site.run("mission", "status", "alpha", "--json"))[0]["item"] == 3
 
 
+def test_watch_shows_the_status_and_then_what_concerns_missions(site: Site) -> None:
+    def happen() -> None:
+        emit = site.daemon.emit
+        emit("mission", "bravo", "reached item 9")
+        emit("command", "alpha", "arm: accepted", order="arm")
+        emit("command", "alpha", "mission upload: in progress 10 %", order="mission upload")
+        emit("mission", "alpha", "reached item 2 of 4", reached=2)
+
+    site.loop.call_soon_threadsafe(site.loop.call_later, 0.5, happen)
+    lines = site.run("mission", "watch", "alpha", "--count", "2").splitlines()
+    assert [line.rpartition("alpha")[2] for line in lines] == [
+        "       no item told yet",
+        ": mission upload: in progress 10 %",
+        ": reached item 2 of 4",
+    ]
+
+
 def test_fence_status_tells_what_is_held_and_breaches(site: Site) -> None:
     site.daemon.vehicle("alpha").missions.told["counts"]["fence"] = 5
     assert "alpha       5 fence items" in site.run("fence", "status", "alpha")
