@@ -18,6 +18,7 @@ DOCUMENT: dict[str, Any] = json.loads(json.dumps(openrpc.document(METHODS.values
 CONTRACT = {
     "daemon": "info",
     "vehicles": "list get arm disarm mode takeoff land rtl hold goto reboot set_home interval stream command",
+    "control": "set gains setpoint status record",
     "messages": "latest send list",
     "links": "list add change remove",
     "router": "stats",
