@@ -27,7 +27,9 @@ def outcomes(told: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[st
 def lists(told: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     """All parameters, each vehicle under its head."""
     for name, entry in told.items():
-        how = "known" if entry["source"] == "cache" else f"read in {entry['elapsed_s']:.1f} s"
+        how = "not read again" if entry["source"] == "cache" else f"read in {entry['elapsed_s']:.1f} s"
+        if entry["vouched"] == "count":
+            how = "from an earlier run, by their number only; --refresh reads them"
         yield f"{name}: {entry['message']} ({how})" if entry["ok"] else f"{name}: FAIL {entry['message']}"
         for param in entry["params"]:
             yield f"  {param['name']:<{NAME_CHARS}}  {_value(param['value']):<14} {param['type']}"

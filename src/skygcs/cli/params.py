@@ -151,7 +151,7 @@ def apply(
         contents = read_file(file)
         exit_code = Exit.DONE
         answers: dict[str, Any] = {}
-        for entry in (await _lists(gcs, targets, refresh=refresh, burst=burst)).values():
+        for entry in (await _lists(gcs, targets, refresh=refresh, burst=burst, sure=True)).values():
             held = held_of(entry)
             made = plan(
                 contents,
@@ -261,13 +261,20 @@ async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[s
     return outcomes
 
 
-async def _lists(gcs: Client, targets: str, *, refresh: bool, burst: bool) -> dict[str, dict[str, Any]]:
-    """One vehicle after another, by name: together they could be too much for one answer."""
+async def _lists(
+    gcs: Client, targets: str, *, refresh: bool, burst: bool, sure: bool = False
+) -> dict[str, dict[str, Any]]:
+    """One vehicle after another, by name: together they could be too much for one answer.
+
+    ``sure``: something rests on the values; that their number is what it was will not do.
+    """
     lists: dict[str, dict[str, Any]] = {}
     for state in await gcs.vehicles(targets):
         name = state["name"]
         async with _progress(gcs, name):
             answer = await gcs.call("params.list", targets=name, refresh=refresh, burst=burst)
+            if sure and answer["lists"][name]["vouched"] == "count":
+                answer = await gcs.call("params.list", targets=name, refresh=True, burst=burst)
         lists[name] = answer["lists"][name] | {"name": name}
     if not lists:
         raise RefusedError("no vehicle has been heard yet")
@@ -275,7 +282,7 @@ async def _lists(gcs: Client, targets: str, *, refresh: bool, burst: bool) -> di
 
 
 async def _held(gcs: Client, target: str, *, refresh: bool, burst: bool) -> Held:
-    lists = await _lists(gcs, target, refresh=refresh, burst=burst)
+    lists = await _lists(gcs, target, refresh=refresh, burst=burst, sure=True)
     if len(lists) != 1:
         raise RefusedError(f"{target} names {len(lists)} vehicles ({', '.join(lists)}); give one")
     return held_of(next(iter(lists.values())))

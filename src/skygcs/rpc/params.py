@@ -87,6 +87,10 @@ class ParamsOfVehicle(m.Result):
     result: str = Field(description="accepted, incomplete, timeout, changing, cancelled, lost or refused.")
     message: str
     source: str = Field(description='"vehicle", or "cache": nothing was transferred but what vouches for it.')
+    vouched: str = Field(
+        description='How sure it is: "read" (and changes since were heard), "hash" (over all values), or "count": only '
+        "their number and the firmware are what they were in an earlier run (ArduPilot)."
+    )
     count: int | None
     sent: int = Field(description="Messages it took.")
     elapsed_s: float
@@ -158,6 +162,7 @@ async def _list(context: Context, vehicle: Vehicle, params: ParamListParams) -> 
         "result": loaded.result,
         "message": loaded.message,
         "source": loaded.source,
+        "vouched": loaded.vouched,
         "count": loaded.count,
         "sent": loaded.sent,
         "elapsed_s": round(loaded.elapsed_s, 3),

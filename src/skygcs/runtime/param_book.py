@@ -13,6 +13,7 @@ from skygcs.runtime.param_cache import CachedParams, CacheKey, ParamCache
 class ParamBook:
     """``complete``: these are all. ``hash``: PX4's over them when they were read, None without one.
 
+    ``recalled``: they come from an earlier run, or from before the vehicle was lost: changes may not have been heard.
     ``stale``: a value has changed since that hash was read, so it must not vouch for what is known now.
     """
 
@@ -21,6 +22,7 @@ class ParamBook:
         self.complete = False
         self.hash: int | None = None
         self.stale = False
+        self.recalled = False
         self._vehicle = vehicle
         self._dialect = dialect
         self._cache = cache
@@ -43,6 +45,7 @@ class ParamBook:
         """A complete list has been read; ``hash_`` None: nobody vouches for it, or it changed meanwhile."""
         self.params = {p.name: p for p in params}
         self.complete = self._unsaved = True
+        self.recalled = False
         self.vouched(hash_)
         self.save()
 
@@ -61,7 +64,7 @@ class ParamBook:
         cached = None if key is None else self._cache.load(key)
         if cached is not None:
             self.params = {p.name: p for p in cached.params}
-            self.complete = True
+            self.complete = self.recalled = True
             self.vouched(cached.hash)
 
     def save(self) -> None:

@@ -47,12 +47,17 @@ T = TypeVar("T")
 @dataclass(frozen=True, slots=True)
 class Loaded:
     """All parameters of a vehicle, or why not. ``source``: "vehicle", or "cache" if the vehicle vouched for what was
-    known; ``sent``: messages it took."""
+    known.
+
+    ``vouched``: how sure that is: "read" (and whatever changed since was heard), "hash" (of all values), or "count"
+    (only their number and the firmware are what they were). ``sent``: messages it took.
+    """
 
     ok: bool
     result: str
     message: str
     source: str
+    vouched: str
     params: tuple[Param, ...]
     count: int | None
     sent: int
@@ -201,10 +206,6 @@ class VehicleParams:
                 self._loading.cancel()
                 self._loading = None
 
-    def known(self, name: str) -> Param | None:
-        """What is known of a parameter without asking."""
-        return self._book.params.get(name)
-
     def status(self) -> dict[str, Any]:
         """JSON-able: what is known, and what is going on."""
         progress = None if self.progress is None else _progress_data(self.progress)
@@ -264,14 +265,14 @@ class VehicleParams:
         started = self._loop.time()
         refusal = self._refusal()
         if refusal is not None:
-            return Loaded(False, *refusal, "vehicle", (), None, 0, 0.0)
+            return Loaded(False, *refusal, "vehicle", "read", (), None, 0, 0.0)
         cancelled = self._cancelled
         px4 = self._vehicle.family == "px4"
         before = await self._ask_hash() if px4 else None
         if not refresh and await self._still_known(before):
             return self._known_list(started)
         if self._cancelled != cancelled:
-            return Loaded(False, "cancelled", "cancelled", "vehicle", (), None, 0, self._loop.time() - started)
+            return Loaded(False, "cancelled", "cancelled", "vehicle", "read", (), None, 0, self._loop.time() - started)
         exchange = ParamList(burst=burst, bytes_per_s=bytes_per_s, stops_burst=px4)
         try:
             await self._run(exchange)
@@ -289,6 +290,7 @@ class VehicleParams:
             outcome.result,
             outcome.message,
             "vehicle",
+            "read",
             outcome.params,
             outcome.count,
             outcome.sent,
@@ -307,7 +309,8 @@ class VehicleParams:
     def _known_list(self, started: float) -> Loaded:
         params = tuple(self._book.params.values())
         text = f"{len(params)} parameters, as known"
-        return Loaded(True, "accepted", text, "cache", params, len(params), 1, self._loop.time() - started)
+        vouched = "hash" if self._book.hash is not None else "count" if self._book.recalled else "read"
+        return Loaded(True, "accepted", text, "cache", vouched, params, len(params), 1, self._loop.time() - started)
 
     async def _ask_hash(self) -> int | None:
         if self._hashless:

@@ -6,6 +6,7 @@ import asyncio
 import json
 import threading
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,8 @@ class FakeParams:
         self.held = {p.name: p for p in HELD}
         self.set_calls: list[dict[str, float]] = []
         self.complete = True
+        self.vouched = "read"
+        self.refreshed = 0
         self.cancelled = 0
 
     async def get(self, name: str) -> ParamOutcome:
@@ -54,9 +57,13 @@ class FakeParams:
 
     async def load(self, *, refresh: bool, burst: bool, bytes_per_s: float | None) -> Loaded:
         if not self.complete:
-            return Loaded(False, "timeout", "nothing came", "vehicle", (), None, 9, 30.0)
+            return Loaded(False, "timeout", "nothing came", "vehicle", "read", (), None, 9, 30.0)
         params = tuple(self.held.values())
-        return Loaded(True, "accepted", f"{len(params)} parameters", "vehicle", params, len(params), 4, 0.1)
+        self.refreshed += refresh
+        if self.vouched == "count" and not refresh:
+            old = (replace(HELD[0], value=99.0), *params[1:])
+            return Loaded(True, "accepted", "4 parameters, as known", "cache", "count", old, 4, 1, 0.1)
+        return Loaded(True, "accepted", f"{len(params)} parameters", "vehicle", "read", params, len(params), 4, 0.1)
 
     def status(self) -> dict[str, Any]:
         return {"known": len(self.held)}
@@ -185,6 +192,17 @@ def test_another_vehicles_file_can_be_insisted_on(served: Served, tmp_path: Path
     path.write_text("# Onboard parameters for Vehicle 9\nWPNAV_SPEED,600\n")
     served.run("apply", "alpha", str(path), "--force")
     assert served.params.set_calls == [{"WPNAV_SPEED": 600}]
+
+
+def test_what_is_known_by_number_only_is_read_before_anything_rests_on_it(served: Served, tmp_path: Path) -> None:
+    served.params.vouched = "count"
+    assert "by their number only; --refresh reads them" in served.run("list", "alpha")
+    assert served.params.refreshed == 0
+    served.run("save", "alpha", str(tmp_path / "a.param"))
+    assert "COMPASS_OFS_X,4.5" in (tmp_path / "a.param").read_text()
+    served.run("apply", "alpha", str(tmp_path / "a.param"), "--include", "all")
+    served.run("diff", "alpha", str(tmp_path / "a.param"))
+    assert served.params.refreshed == 3 and served.params.set_calls == []
 
 
 def test_cancel(served: Served) -> None:

@@ -128,6 +128,9 @@ async def test_1300_parameters_over_57600_baud_with_loss_and_none_the_second_tim
     again = Rig(params, tmp_path, autopilot=autopilot)
     second = await again.params.load()
     assert second.ok and second.source == "cache" and second.params == tuple(params)
+    assert second.vouched == ("hash" if autopilot == PX4 else "count")
+    if autopilot == ARDUPILOT:
+        assert (await rig.params.load()).vouched == "read"  # in the same run every change was heard
     assert again.sent == ["PARAM_REQUEST_READ"]  # the one that vouches
     rig.params.close()
     again.params.close()
