@@ -6,6 +6,7 @@ What is sent and when it ends is decided in `core.vehicle.pilot`; here it meets 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import asdict, replace
@@ -320,7 +321,9 @@ class FlightControl:
                 config = replace(config, law=law)
         except ConfigError as error:
             why = "; ".join(error.problems)
-            raise RefusedError(f"it says its hover thrust is {hover_thrust:g}; {why}") from None
+            raise RefusedError(
+                f"it says its hover thrust is {hover_thrust:g}, and {why}; give hover_thrust in the fleet file"
+            ) from None
         self.pilot.config = config
         self.refresh_budget()
         origin = self._vehicle.origin
@@ -498,7 +501,10 @@ class FlightControl:
                 self._give_up_trace(error)
 
     def _give_up_trace(self, error: OSError) -> None:
-        self._trace, self.pilot.tracing = None, False
+        trace, self._trace, self.pilot.tracing = self._trace, None, False
+        if trace is not None:
+            with contextlib.suppress(OSError):  # of what could not be written, which is told below
+                trace.close()
         text = f"its control is traced no more: {error.strerror or error}"
         self._on_event(Event("warning", self._vehicle.name, self._vehicle.sysid, text, {}))
 
