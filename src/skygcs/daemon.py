@@ -99,7 +99,7 @@ class Daemon:
             DeadMan(own.operator_timeout_s, own.operator_lost), self.fleet, self.loop, self.on_event
         )
         if self.watchman.watching:
-            self.hub.add_tap({HEARTBEAT}, None, lambda frame, _, now: self.watchman.on_heartbeat(frame, now))
+            self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event)
         self._postman = Postman(self.hub, self.fleet, self.links)
         self.socket_path = own.socket or default_socket_path()
@@ -163,6 +163,11 @@ class Daemon:
             except Exception as error:
                 self.hub.fault(error)
             await asyncio.sleep(period_s)
+
+    def _on_heartbeat(self, frame: Frame, channel: Channel, now: float) -> None:
+        """The operator of a recording is nobody who watches."""
+        if channel.config.type != "replay":
+            self.watchman.on_heartbeat(frame, now)
 
     def _beat(self) -> None:
         values = {"type": 6, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}

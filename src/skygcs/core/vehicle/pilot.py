@@ -255,7 +255,7 @@ class Pilot:
     def change_law(self, law: ControlConfig) -> None:
         """New gains from the next tick on. What was integrated is kept: it is thrust, whatever the gains.
 
-        What of a new hover thrust was integrated already is taken out of the integral, so that the thrust does not jump.
+        What of a new hover thrust was integrated already is taken out of the integral: the thrust does not jump.
         """
         east, north, up = self.memory.integral_enu
         up = clip(up + self.config.law.hover_thrust - law.hover_thrust, law.thrust_max)

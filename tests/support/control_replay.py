@@ -1,0 +1,93 @@
+"""Flight control run over a capture: what would have been sent, tick by tick, had the vehicle obeyed.
+
+As a program it prints the digest: `python -m support.control_replay FILE SYSID SECONDS`, so that a test can have it
+from another process, with other hashes and another memory.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from skygcs.config.dialects import load_dialect
+from skygcs.core.control.config import SEED_XY, SEED_Z, ControlConfig
+from skygcs.core.control.guard import Facts, GuardConfig, Way
+from skygcs.core.tlog import iter_records
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place
+from skygcs.core.vehicle.vehicle import Vehicle
+
+TICK_S = 0.02
+ROUND_TRIP_S = 0.03
+STEP_EVERY_S = 8.0
+STEP_DEG = 3e-5
+"""3 m of latitude."""
+
+TOLERANT = GuardConfig(attitude_delay_s=1.0, velocity_delay_s=5.0, stale_s=1.5, position_stale_s=5.0)
+"""Captures tell positions at 1 to 4 Hz. Gaps longer than this fall back, which is to be replayed as well."""
+
+
+class Obeyed(Pilot):
+    """Flies what flew otherwise: the guard is told that it obeys, and asked for everything else."""
+
+    def _facts(self, *args: Any) -> Facts:
+        facts = super()._facts(*args)
+        return replace(facts, following=True, armed=True, airborne=None, connected=True)
+
+
+class Replay:
+    """``packed`` are the messages of all ticks, in order; ``names`` how many of each."""
+
+    def __init__(self, capture: bytes, sysid: int, seconds: float) -> None:
+        self.packed: list[bytes] = []
+        self.names: Counter[str] = Counter()
+        self._dialect = load_dialect("ardupilotmega")
+        self._vehicle = Vehicle(sysid, 1, self._dialect)
+        law = ControlConfig(xy=SEED_XY, z=SEED_Z, hover_thrust=0.45)
+        self._pilot = Obeyed(self._vehicle, PilotConfig(law, TOLERANT))
+        self._next_step_at = 0.0
+        self._run(capture, sysid, seconds)
+
+    @property
+    def digest(self) -> str:
+        return hashlib.sha256(b"".join(self.packed)).hexdigest()
+
+    def _run(self, capture: bytes, sysid: int, seconds: float) -> None:
+        due = 0.0
+        for record in iter_records(capture, self._dialect):
+            if record.elapsed_s > seconds:
+                break
+            while due < record.elapsed_s:
+                self._tick(due)
+                due += TICK_S
+            frame = record.frame
+            if frame is not None and frame.info is not None and (frame.sysid, frame.compid) == (sysid, 1):
+                self._vehicle.on_frame(frame, record.elapsed_s)
+
+    def _tick(self, now: float) -> None:
+        pilot = self._pilot
+        position = self._vehicle.section("position")
+        if not self._vehicle.connected or position is None or position["lat_deg"] is None:
+            return
+        if pilot.state in (PilotState.OFF, PilotState.HELD):
+            pilot.engage(Way.ATTITUDE, None)
+            pilot.entered()
+            self._next_step_at = now
+        if pilot.delay.due_ping(now):
+            pilot.delay.on_pong(pilot.delay.ping(now - ROUND_TRIP_S), now)
+        if now >= self._next_step_at:
+            self._next_step_at += STEP_EVERY_S
+            north = STEP_DEG if int(now / STEP_EVERY_S) % 2 else -STEP_DEG
+            pilot.fly_to(Place(position["lat_deg"] + north, position["lon_deg"], position["alt_amsl_m"]), now % 3.0)
+        message = pilot.tick(now).message
+        if message is not None:
+            name, values = message
+            self.names[name] += 1
+            self.packed.append(self._dialect.by_name[name].pack(values))
+
+
+if __name__ == "__main__":
+    print(Replay(Path(sys.argv[1]).read_bytes(), int(sys.argv[2]), float(sys.argv[3])).digest)
