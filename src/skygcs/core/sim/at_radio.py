@@ -97,6 +97,8 @@ class AtRadio:
     commands: list[str] = field(default_factory=list)
     """Every command that was taken, for tests to look at."""
     restarts: int = 0
+    unique_id: str = "0x0123456789ABCDEF"
+    """What ATI8 tells; RFD900x firmware only."""
     command_mode: bool = False
     traffic: bytes = b""
     """What was heard as data and passed on to the air."""
@@ -244,7 +246,7 @@ class AtRadio:
                 lost, self.faults.loses_lines = self.faults.loses_lines, 0
                 return [*lines[:10], *lines[10 + lost :]]
             case "8" if rfd:
-                return ["0x0123456789ABCDEF"]
+                return [self.unique_id]
             case _:
                 return ["ERROR"]
 
