@@ -6,20 +6,25 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from skygcs.rpc.models import Enu, Params, Result, TargetsParams
+from skygcs.rpc.models import Params, Result, TargetsParams
 
 Gain = Annotated[float, Field(ge=0, le=100)]
 Mode = Literal["off", "position", "velocity", "attitude"]
 Axes = Annotated[
     list[float | None],
-    Field(min_length=3, max_length=3, description="[x, y, up] in the fleet's frame; null: not given."),
+    Field(
+        min_length=3, max_length=3, description="[x, y, up] in the fleet's frame; null: not given."
+    ),
 ]
 
 
 class ControlSetParams(TargetsParams):
     """Who closes the loops: the autopilot all (position) or the velocity loop (velocity), or skygcs (attitude)."""
 
-    mode: Mode
+    mode: Mode = Field(
+        description="What is sent: attitude and thrust, velocities, or places; off: nothing, and hold. See "
+        "docs/explanation/flight-control.md."
+    )
     force: bool = Field(
         False, description="Attitude also where the autopilot would lean on long after a lost setpoint."
     )
@@ -37,9 +42,11 @@ class AxisChange(Params):
 class ControlGainsParams(TargetsParams):
     """Without changes the gains are read."""
 
-    xy: AxisChange | None = None
-    z: AxisChange | None = None
-    hover_thrust: Annotated[float, Field(gt=0, lt=1)] | None = None
+    xy: AxisChange | None = Field(None, description="Any of pos_p_per_s, vel_p, vel_i, vel_d; the rest stays.")
+    z: AxisChange | None = Field(None, description="The same of the vertical axis.")
+    hover_thrust: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None, description="Normalised thrust that carries the weight."
+    )
     force: bool = Field(False, description="Also gains that the measured delay leaves too little margin.")
 
     def changes(self) -> dict[str, Any]:
@@ -53,7 +60,9 @@ class SetpointParams(TargetsParams):
 
     pos_enu_m: Axes | None = None
     vel_enu_mps: Axes | None = None
-    acc_enu_mps2: Enu | None = None
+    acc_enu_mps2: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
+        None, description="Fed forward, in attitude mode only: [x, y, up] along the fleet's axes."
+    )
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
         None, description="From the frame's x axis, counter-clockwise; without it the yaw stays."
     )
@@ -102,10 +111,12 @@ class ControlState(Result):
     state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
     reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
     reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")
-    error_enu_m: list[float] | None = Field(description="Reference minus position, per axis.")
+    error_enu_m: list[float] | None = Field(
+        description="Reference minus position along the fleet's axes; 0 for a height that follows its velocity."
+    )
     error_m: float | None
     state_age_s: float | None = Field(description="Age of the newest position.")
-    delay_p95_s: float | None = Field(description="State age and half the round trip, 95th percentile.")
+    delay_p95_s: float | None = Field(description="State age and round trip, 95th percentile: what the guard judges.")
     rtt_s: float | None = Field(description="Round trip, 95th percentile.")
     rate_hz: float | None
     ticks: int

@@ -16,6 +16,8 @@ def kind(schema: dict[str, Any]) -> str:
     """A short word for a parameter's JSON type."""
     if "anyOf" in schema:
         return " or ".join(dict.fromkeys(kind(option) for option in schema["anyOf"]))
+    if "$ref" in schema:
+        return "object"
     if "enum" in schema:
         return " or ".join(f'"{value}"' for value in schema["enum"])
     if schema.get("type") == "array":
