@@ -90,7 +90,7 @@ def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
     except RefusedError as error:
         return str(error)
     if vehicle.failsafe:
-        return "its own failsafe is active; see its status texts, and let it land or end the failsafe first"
+        return "its own failsafe is active: see its status texts, then let it land, or take it over with hold first"
     return None
 
 
