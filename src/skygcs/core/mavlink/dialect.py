@@ -181,10 +181,13 @@ class MessageInfo:
                     wire += _NUMBERS[: count or 1]
                     continue
                 given += 1
-                if count:
-                    wire += values[name]
+                value = values[name]
+                if not count:
+                    wire.append(value)
+                elif len(value) == count:
+                    wire += value
                 else:
-                    wire.append(values[name])
+                    return None
             return compiled.pack(*wire) if given == len(values) else None
         except (struct.error, TypeError, OverflowError):
             return None

@@ -52,6 +52,18 @@ def test_says_where_it_is_and_what_the_limit_is() -> None:
     assert FENCE.why_not(*at(0, 0, 5)) is None
 
 
+def test_looks_only_at_the_axes_that_have_a_place_and_calls_it_what_it_is_told() -> None:
+    fence = Fence(ORIGIN, up_m=(5.0, 20.0))
+    assert fence.why_not(*at(0.0, 0.0, 0.0), reference=True, free_z=True) is None
+    assert "up 0.0 m" in str(fence.why_not(*at(900.0, 0.0, 0.0), reference=True, free_xy=True))
+    assert fence.why_not(*at(900.0, -900.0, 10.0), reference=True, free_xy=True) is None
+    assert fence.why_not(*at(900.0, 0.0, 90.0), free_xy=True, free_z=True) is None
+    assert str(fence.why_not(*at(60.0, 0.0, 10.0), what="its shadow", free_z=True)).startswith(
+        "its shadow is at x 60.0 m"
+    )
+    assert fence.why_not(math.nan, 0.0, 0.0, free_xy=True, free_z=True) is not None
+
+
 def test_stands_along_the_axes_of_its_origin() -> None:
     north_up = Origin(43.78, -79.46, 170.0, x_heading_deg=0.0)
     corridor = Fence(north_up, x_m=(0.0, 40.0), y_m=(-5.0, 5.0))

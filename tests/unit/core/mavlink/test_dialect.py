@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+from random import Random
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import ABSENT, Dialect, MessageInfo
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from support.frames import dialect, offline
+from support.frames import dialect, offline, random_values
 
 WIRE = """HEARTBEAT 0 9 50 | SYS_STATUS 1 43 124 | GPS_RAW_INT 24 52 24 | ATTITUDE 30 28 39
 | LOCAL_POSITION_NED 32 28 185 | GLOBAL_POSITION_INT 33 28 104 | ATTITUDE_QUATERNION 31 48 246
@@ -162,6 +163,47 @@ def test_a_reader_of_some_fields_agrees_with_unpacking_all(msgid: int, payload: 
     names = data.draw(st.lists(st.sampled_from(scalars), unique=True, min_size=1))
     values = info.unpack(payload)
     assert repr(info.reader(*names)(payload)) == repr(tuple(values[n] for n in names))
+
+
+@given(st.sampled_from(sorted(load_all().messages)), st.randoms(use_true_random=False), st.booleans())
+def test_what_is_packed_is_unpacked_again_and_a_field_left_out_is_zero(msgid: int, rng: Random, short: bool) -> None:
+    info = load_all().messages[msgid]
+    values = random_values(info, rng)
+    if short:  # shorter arrays are filled up, left-out fields are zero
+        values = {k: v[:-1] if isinstance(v, list) and v else v for k, v in list(values.items())[::2]}
+    told = info.unpack(info.pack(values))
+    for field in info.fields:
+        value = values.get(field.name)
+        got = told[field.name]
+        if isinstance(got, list):
+            value = [*(value or []), *[0] * field.array_length][: field.array_length]
+        elif field.type == "char":
+            got, value = got.rstrip("\0"), value or ""
+        assert got == (0 if value is None else value), field.name
+
+
+@pytest.mark.parametrize(
+    ("values", "complaint"),
+    [
+        ({"q": [1.0, 0.0, 0.0, 0.0, 0.0]}, "SET_ATTITUDE_TARGET.q (float): 5 values do not fit in 4"),
+        ({"q": 1.0}, "SET_ATTITUDE_TARGET.q (float)"),
+        ({"type_mask": 256}, "SET_ATTITUDE_TARGET.type_mask (uint8_t)"),
+        ({"thrust": "half"}, "SET_ATTITUDE_TARGET.thrust (float)"),
+        ({"thrust": None}, "SET_ATTITUDE_TARGET.thrust (float)"),
+        ({"thrust": 1e300}, "SET_ATTITUDE_TARGET.thrust (float)"),
+        ({"trust": 0.5}, "SET_ATTITUDE_TARGET has no field 'trust'"),
+    ],
+)
+def test_what_cannot_be_packed_is_told_by_its_field(values: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError) as caught:
+        dialect().find("SET_ATTITUDE_TARGET").pack(values)
+    assert complaint in str(caught.value)
+
+
+def test_one_array_does_not_run_over_into_the_next() -> None:
+    values = {"pose_covariance": [1.0] * 22, "velocity_covariance": [2.0] * 20}
+    with pytest.raises(ValueError, match=r"ODOMETRY.pose_covariance \(float\): 22 values do not fit in 21"):
+        dialect().find("ODOMETRY").pack(values)
 
 
 def test_a_reader_of_a_field_that_is_not_there_fails_when_made() -> None:
