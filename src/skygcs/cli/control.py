@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from skygcs import __version__
 from skygcs.cli import emergency, gains, loops, mission_flight, orders, origin, plot, reading, setpoint, table, track
 from skygcs.cli.connection import fail, run_offline
+from skygcs.cli.link import link
 from skygcs.cli.missions import missions
 from skygcs.cli.options import Json
 from skygcs.cli.params import params
@@ -133,6 +134,7 @@ app.add_typer(tlog, name="tlog", rich_help_panel="Looking")
 app.add_typer(missions, name="mission")
 mission_flight.add_to(app)
 app.add_typer(radios, name="radio")
+app.add_typer(link, name="link")
 app.add_typer(params, name="param")
 gains.add_to(app)
 track.add_to(app)

@@ -76,7 +76,9 @@ def emulate_radio(link: Path, kind: str, node: int | None, remotes: str) -> int:
         radio.remotes = [_made(kind, int(text)) for text in remotes.split(",") if text.strip()]
     except ValueError:
         raise typer.BadParameter(f"--remotes: {remotes!r} are not node ids with commas between") from None
-    if link.is_symlink() or link.exists():
+    if link.is_symlink() and not link.exists():  # left behind by one that was killed
+        link.unlink()
+    elif link.exists():
         raise RefusedError(f"{link} exists; give another name, or remove it")
     port = EmulatedPort(link, radio)
     typer.echo(f"an emulated {kind} radio at {link}, {radio.baud} baud; Ctrl-C ends it")

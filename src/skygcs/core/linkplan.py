@@ -1,0 +1,246 @@
+"""What one shared radio can carry: arithmetic on wire sizes, serial rate and timeslots, before anything flies.
+
+Downlink: every vehicle sends its profile, all of it comes out of the ground radio's serial port. Uplink: everything for
+all vehicles goes through the ground radio's one slot a round. The timeslot model is that of open SiK multipoint (one
+slot of two full packets per node and a sync slot); RFD900x firmware is closed and may schedule otherwise: an order of
+magnitude. What vehicles stream by their own settings is not in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+BITS_PER_BYTE = 10
+"""8N1 on the serial port."""
+
+FILL = 0.5
+"""Share of a way that the plan uses: commands, acknowledgements, parameters, texts, losses and repeats get the rest
+(field-notes 10.2 keeps to it on the serial port, and so does the air here)."""
+
+PACKET_BYTES = 252
+SLOT_BYTES = 2 * PACKET_BYTES
+"""What a node sends in its slot: the window holds two full packets."""
+
+SLOT_BITS, SLOT_LATENCY_S = 4602, 0.0093
+SYNC_BITS, SYNC_LATENCY_S = 946, 0.0038
+"""Slot and sync slot: what is sent at the air speed, and switching over. Fitted to the firmware's own arithmetic at 64
+and 250 kbit/s with 2 to 16 nodes (field-notes 8.2); at 125 kbit/s within 2 %."""
+
+MAX_NODES = 16
+"""Node ids of RFD900x multipoint firmware."""
+
+OFFBOARD_MIN_HZ = 2.0
+OFFBOARD_LOSS_S = 1.0
+"""PX4 wants setpoints at this rate, and leaves OFFBOARD when none came for COM_OF_LOSS_T."""
+
+FRAME_BYTES: Mapping[str, int] = {
+    "HEARTBEAT": 21,
+    "SYS_STATUS": 55,
+    "GPS_RAW_INT": 64,
+    "ATTITUDE": 40,
+    "LOCAL_POSITION_NED": 40,
+    "GLOBAL_POSITION_INT": 40,
+    "SET_ATTITUDE_TARGET": 51,
+    "SET_POSITION_TARGET_LOCAL_NED": 65,
+    "COMMAND_INT": 47,
+}
+"""MAVLink 2, unsigned, nothing trimmed: payload and 12 (field-notes 10.1). Real frames may be shorter."""
+
+PROFILES: Mapping[str, Mapping[str, float]] = {
+    "monitor": {"HEARTBEAT": 1, "SYS_STATUS": 0.5, "GPS_RAW_INT": 0.5, "GLOBAL_POSITION_INT": 1},
+    "nav": {"HEARTBEAT": 1, "SYS_STATUS": 0.5, "GPS_RAW_INT": 0.5, "GLOBAL_POSITION_INT": 2, "ATTITUDE": 1},
+    "control": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "LOCAL_POSITION_NED": 5},
+    "control-10": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "LOCAL_POSITION_NED": 10},
+    "full": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "LOCAL_POSITION_NED": 10, "ATTITUDE": 10},
+}
+"""Hz of each message from one vehicle (field-notes 10.2)."""
+
+SETPOINTS: Mapping[str, str | None] = {
+    "none": None,
+    "position": "SET_POSITION_TARGET_LOCAL_NED",
+    "velocity": "SET_POSITION_TARGET_LOCAL_NED",
+    "attitude": "SET_ATTITUDE_TARGET",
+}
+"""What is streamed up to each vehicle; none: single orders such as goto."""
+
+UNSCALED = frozenset({"HEARTBEAT"})
+"""Kept at its rate however little room there is: without it a vehicle counts as lost."""
+
+
+def slot_s(air_kbps: float) -> float:
+    """How long one node's slot is."""
+    return SLOT_LATENCY_S + SLOT_BITS / (air_kbps * 1000)
+
+
+def round_s(air_kbps: float, nodes: int) -> float:
+    """Until it is a node's turn again."""
+    return nodes * slot_s(air_kbps) + SYNC_LATENCY_S + SYNC_BITS / (air_kbps * 1000)
+
+
+def profile_bytes_per_s(rates_hz: Mapping[str, float]) -> float:
+    """Of one vehicle. Raises KeyError for a message whose size is not known here."""
+    return sum(FRAME_BYTES[name] * rate for name, rate in rates_hz.items())
+
+
+@dataclass(frozen=True, slots=True)
+class LinkDemand:
+    """What is to be planned."""
+
+    vehicles: int
+    baud: int = 57600
+    air_kbps: float | None = 64.0
+    """None: no timeslots (a cable, a pair of radios for one vehicle, Wi-Fi)."""
+    profile: str = "nav"
+    rates_hz: Mapping[str, float] = field(default_factory=lambda: PROFILES["nav"])
+    setpoint: str = "none"
+    setpoint_hz: float = 0.0
+    fill: float = FILL
+
+    @property
+    def nodes(self) -> int:
+        return self.vehicles + 1
+
+    @property
+    def down_per_vehicle_bytes_per_s(self) -> float:
+        return profile_bytes_per_s(self.rates_hz)
+
+    @property
+    def up_per_vehicle_bytes_per_s(self) -> float:
+        message = SETPOINTS[self.setpoint]
+        return 0.0 if message is None else FRAME_BYTES[message] * self.setpoint_hz
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One of the four narrow places, in bytes/s: what is needed, what it has, and how much of that the plan may use."""
+
+    name: str
+    needed: float
+    capacity: float
+    usable: float
+
+    @property
+    def share(self) -> float:
+        return self.needed / self.capacity
+
+    @property
+    def fits(self) -> bool:
+        return self.needed <= self.usable + 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class LinkPlan:
+    """The answer: fits or not and why, how many would, what each gets, and what else to do."""
+
+    demand: LinkDemand
+    ways: tuple[Way, ...]
+    round_s: float | None
+    most_vehicles: int
+    """That this profile and these setpoints leave room for."""
+    rates_hz: Mapping[str, float]
+    """What each vehicle gets of what is wanted; less where it does not fit."""
+    setpoint_hz: float
+    problems: tuple[str, ...]
+    proposals: tuple[str, ...]
+
+    @property
+    def fits(self) -> bool:
+        return not self.problems
+
+
+def plan_link(demand: LinkDemand) -> LinkPlan:
+    """Work it out. ``demand.vehicles`` is at least 1, rates are not negative."""
+    ways = _ways(demand)
+    problems = [_tight(way) for way in ways if not way.fits]
+    if demand.air_kbps is not None and demand.nodes > MAX_NODES:
+        problems.append(f"{demand.nodes} nodes: RFD900x multipoint has {MAX_NODES} node ids, one of them the ground's")
+    problems += _too_slow_for_setpoints(demand)
+    down = min((w.usable / w.needed for w in ways if w.name.startswith("down") and w.needed), default=1.0)
+    up = min((w.usable / w.needed for w in ways if w.name.startswith("up") and w.needed), default=1.0)
+    return LinkPlan(
+        demand,
+        ways,
+        None if demand.air_kbps is None else round_s(demand.air_kbps, demand.nodes),
+        _most_vehicles(demand),
+        _scaled(demand, min(1.0, down)),
+        demand.setpoint_hz * min(1.0, up) if SETPOINTS[demand.setpoint] else 0.0,
+        tuple(problems),
+        tuple(_proposals(demand)) if problems else (),
+    )
+
+
+def _ways(demand: LinkDemand) -> tuple[Way, ...]:
+    serial = demand.baud / BITS_PER_BYTE
+    down, up = demand.down_per_vehicle_bytes_per_s, demand.up_per_vehicle_bytes_per_s
+    heartbeat = FRAME_BYTES["HEARTBEAT"]  # one a second from the ground, for all
+    all_up = up * demand.vehicles + heartbeat
+    ways = [
+        Way("down, ground serial", down * demand.vehicles, serial, serial * demand.fill),
+        Way("up, ground serial", all_up, serial, serial * demand.fill),
+    ]
+    if demand.air_kbps is not None:
+        slot = SLOT_BYTES / round_s(demand.air_kbps, demand.nodes)
+        ways += [
+            Way("down, a vehicle's slot", down, slot, slot * demand.fill),
+            Way("up, the ground's slot", all_up, slot, slot * demand.fill),
+        ]
+    return tuple(ways)
+
+
+def _tight(way: Way) -> str:
+    return f"{way.name}: {way.needed:,.0f} of {way.capacity:,.0f} B/s are wanted, {way.usable:,.0f} may be planned with"
+
+
+def _too_slow_for_setpoints(demand: LinkDemand) -> list[str]:
+    if demand.air_kbps is None or SETPOINTS[demand.setpoint] is None:
+        return []
+    duration = round_s(demand.air_kbps, demand.nodes)
+    if duration > 1 / OFFBOARD_MIN_HZ:
+        return [
+            f"setpoints: the ground sends once a round, every {duration:.2f} s; PX4 wants {OFFBOARD_MIN_HZ:g} Hz, and "
+            f"{'even' if duration > OFFBOARD_LOSS_S else 'one lost slot makes'} "
+            f"{duration if duration > OFFBOARD_LOSS_S else 2 * duration:.2f} s of its {OFFBOARD_LOSS_S:g} s"
+        ]
+    return []
+
+
+def _most_vehicles(demand: LinkDemand) -> int:
+    most = 0
+    limit = MAX_NODES - 1 if demand.air_kbps is not None else 254
+    for vehicles in range(1, limit + 1):
+        trial = replace(demand, vehicles=vehicles)
+        if not all(way.fits for way in _ways(trial)) or _too_slow_for_setpoints(trial):
+            break
+        most = vehicles
+    return most
+
+
+def _scaled(demand: LinkDemand, factor: float) -> dict[str, float]:
+    """The rates that fit: all by one factor, but those that must be kept."""
+    kept = {name: rate for name, rate in demand.rates_hz.items() if name in UNSCALED}
+    room = demand.down_per_vehicle_bytes_per_s * factor - profile_bytes_per_s(kept)
+    others = demand.down_per_vehicle_bytes_per_s - profile_bytes_per_s(kept)
+    scale = min(1.0, max(0.0, room / others)) if others else 0.0
+    return {name: rate if name in kept else rate * scale for name, rate in demand.rates_hz.items()}
+
+
+def _proposals(demand: LinkDemand) -> list[str]:
+    """Changes of one thing that make it fit, the one that costs least first."""
+    tried: list[tuple[str, LinkDemand]] = []
+    if demand.setpoint != "none":
+        once = "one goto per vehicle (47 B each) instead of streaming setpoints"
+        tried.append((once, replace(demand, setpoint="none", setpoint_hz=0.0)))
+    for name, rates in sorted(PROFILES.items(), key=lambda item: -profile_bytes_per_s(item[1])):
+        if profile_bytes_per_s(rates) < demand.down_per_vehicle_bytes_per_s:
+            tried.append((f"profile {name}", replace(demand, profile=name, rates_hz=rates)))
+    if demand.air_kbps is not None:
+        faster = (125.0, 250.0)
+        tried += [(f"air speed {a:g} kbit/s", replace(demand, air_kbps=a)) for a in faster if a > demand.air_kbps]
+    tried += [(f"{baud} baud", replace(demand, baud=baud)) for baud in (115200, 230400) if baud > demand.baud]
+    found = [text for text, trial in tried if _most_vehicles(trial) >= demand.vehicles]
+    if found:
+        return found
+    if most := _most_vehicles(demand):
+        return [f"{most} vehicle{'s' if most > 1 else ''} on this radio, the others on a second one or on Wi-Fi"]
+    return ["several of these together, or another way than this radio: Wi-Fi"]
