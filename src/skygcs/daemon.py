@@ -7,6 +7,7 @@ inner group first, so that what links did last is still recorded and told.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import time
 from collections import deque
@@ -43,6 +44,9 @@ MAX_EVENTS = 1000
 
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
+
+PARK_S = 2.0
+"""Two transmissions of the order to hold; who stops the daemon is not to wait for a vehicle that does not answer."""
 
 FLEET_TICK_S = 0.2
 """How late a lost vehicle may be noticed; its timeout is seconds."""
@@ -136,12 +140,23 @@ class Daemon:
                 clocks.append(group.create_task(beat, name="heartbeat"))
             self.links.start(group)
             self.ready.set()
-            await self._stopping.wait()
-            for clock in clocks:
-                clock.cancel()
-            self.watchman.close()
-            self.fleet.close()  # who waits for an outcome is told before the links are gone
+            try:
+                await self._stopping.wait()
+                await self._park()
+            finally:  # also if a part of the daemon has failed: nothing flies on then
+                for clock in clocks:
+                    clock.cancel()
+                self.watchman.close()
+                self.fleet.close()  # who waits for an outcome is told before the links are gone
             await self.links.close()
+
+    async def _park(self) -> None:
+        """Who is flown by setpoints is told to hold before they cease: an ArduCopter's attitude would only level."""
+        flown = [actor.name for actor in self.fleet.flown()]
+        if flown:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(PARK_S):
+                    await self.fleet.command_all(flown, "hold")
 
     def stop(self) -> None:
         """End `run` in order. Idempotent; safe as a signal handler of the loop."""

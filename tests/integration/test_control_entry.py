@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.airtime import TxQueue
 from skygcs.core.sim.copter_setup import CopterMode
 from skygcs.core.sim.px4_setup import Px4Mode
 from support.flown import HOLDING, Flown, flown
@@ -157,6 +159,57 @@ async def test_thrust_that_would_mean_climb_rate_is_refused_before_anything_is_s
         assert outcome["result"] == "refused" and "GUID_OPTIONS to 8" in outcome["message"]
         assert not gcs.setpoints(0.0)
         await gcs.ends_safe(within_m=0.5, since=began)
+
+
+async def test_a_vehicle_that_another_program_flies_is_not_taken_over(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        stream = mav.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0b110111000111, *(0.0,) * 11)
+
+        async def fly_it() -> None:
+            while True:
+                gcs.by_other_station(stream)
+                await asyncio.sleep(0.1)
+
+        other = asyncio.create_task(fly_it())
+        await asyncio.sleep(2)
+        gcs.other_sets_mode(6)
+        await asyncio.sleep(2)
+        since = gcs.now
+        outcome = await gcs.outcome("control.set", mode="velocity")
+        assert outcome["result"] == "refused" and "OFFBOARD already" in outcome["message"], outcome
+        assert not gcs.setpoints(since) and not gcs.commands(since)
+        other.cancel()
+
+
+async def test_thrust_that_becomes_climb_rate_in_flight_ends_attitude(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+        await gcs.fly("attitude")
+        changed = gcs.now
+        gcs.by_other_station(mav.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 0.0, 6))
+        await asyncio.sleep(8)
+        assert "SET_ATTITUDE_TARGET" not in {s.name for s in gcs.setpoints(changed + 0.2)}
+        (told,) = gcs.texts(changed)
+        assert told.startswith("flown by velocity setpoints: its GUID_OPTIONS is 0")
+        assert gcs.farthest_m(changed) < 0.5
+
+
+async def test_a_setpoint_that_waits_for_a_busy_link_does_not_leave_after_the_end(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs.fly("attitude")
+        queue: TxQueue[str] = TxQueue()
+        before = gcs.daemon.hub.send
+
+        def send(info: Any, values: Any, sysid: int, compid: int, priority: Any, key: Any = None, **more: Any) -> bool:
+            queue.offer(info.name, priority, gcs.now, key)
+            return before(info, values, sysid, compid, priority, key, **more)
+
+        gcs.daemon.hub.send = send  # type: ignore[method-assign]
+        await asyncio.sleep(0.2)
+        await gcs.done("vehicles.land")
+        left = []
+        while (entry := queue.pop(gcs.now)) is not None:
+            left.append(entry[0])
+        assert "SET_ATTITUDE_TARGET" not in left and "COMMAND_LONG" in left, left
 
 
 async def test_on_the_ground_nothing_is_taken_over(tmp_path: Path) -> None:

@@ -82,6 +82,48 @@ async def test_a_longer_cut_ends_in_one_hold_and_in_silence(tmp_path: Path, kind
         assert gcs.sim().mode in HOLDING
 
 
+async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs.fly("velocity")
+        began = gcs.now
+        while gcs.now < began + 2.0:
+            await gcs.done("control.setpoint", vel_enu_mps=[2.0, 0.0, 0.0], valid_s=5.0)
+            await asyncio.sleep(0.05)
+        cut, start = gcs.now, gcs.place()
+        gcs.sim().faults.mute = True
+        await asyncio.sleep(1.5)
+        gcs.sim().faults.mute = False
+        assert {s.name for s in gcs.setpoints(cut + 0.7)} == {"SET_POSITION_TARGET_GLOBAL_INT"}
+        await asyncio.sleep(10)
+        assert gcs.farthest_m(cut, of=start) < 2.5
+        assert "its velocity setpoints end: it stays where it is" in gcs.texts(cut)
+
+
+@KINDS
+async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("attitude")
+        start = gcs.place()
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        stopped = gcs.now
+        gcs.daemon.stop()
+        await gcs.ends_safe(within_m=4.0, since=stopped, of=start)
+        assert gcs.last_setpoint() <= stopped + 0.1
+        assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.BRAKE)
+
+
+async def test_a_daemon_of_which_a_part_fails_sends_nothing_more(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs.fly("attitude")
+        failed = gcs.now
+        (inner,) = [t for t in asyncio.all_tasks() if t.get_name() == "the daemon"]
+        inner.cancel()
+        await asyncio.sleep(10)
+        assert gcs.last_setpoint() <= failed + 0.05
+        assert gcs.is_safe()
+
+
 @KINDS
 @pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
 async def test_a_daemon_that_dies_leaves_the_autopilot_to_its_own_failsafe(

@@ -9,13 +9,19 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.control.trace import decode, rerun
+from skygcs.core.control.trace import Entry, Trace, decode, rerun
 from skygcs.runtime.trace_file import TraceFile
 from support.flown import flown
 
 pytestmark = pytest.mark.looptime
 
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+
+
+def read(path: Path) -> tuple[Trace, list[Entry]]:
+    with path.open(encoding="ascii") as lines:
+        trace = decode(lines)
+        return trace, list(trace)
 
 
 @KINDS
@@ -42,9 +48,7 @@ async def test_a_flight_with_everything_in_it_runs_again_alike(tmp_path: Path, k
         await gcs.done("control.set", mode="off")
         files = (await gcs("control.record", targets="v1", on=False))["files"]
         assert files["v1"] is None or files["v1"] == path
-    with Path(path).open(encoding="ascii") as lines:
-        trace = decode(lines)
-        entries = list(trace)
+    trace, entries = read(Path(path))
     assert trace.cut_line is None and trace.head.vehicle == "v1"
     assert not list(rerun(entries))
     assert len(entries) >= ticks - 20 and {e.row.way for e in entries} == {"attitude", "velocity", "position"}

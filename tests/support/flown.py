@@ -291,7 +291,7 @@ async def flown(
     for sim in sims:
         for name, value in {"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1.0, **(params or {})}.items():
             sim.params.set(name, value)  # a firmware that has none of this name takes no notice
-    running = asyncio.create_task(daemon.run())
+    running = asyncio.create_task(daemon.run(), name="the daemon")
     await daemon.ready.wait()
     link = daemon.links.link("air")
     assert isinstance(link, MemoryLink)
@@ -312,4 +312,5 @@ async def flown(
         living.cancel()
         await asyncio.gather(living, return_exceptions=True)
         daemon.stop()
-        await running
+        with contextlib.suppress(asyncio.CancelledError):
+            await running

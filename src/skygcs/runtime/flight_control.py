@@ -68,6 +68,7 @@ FIRST_WORD_S = 1.0
 
 TIMESYNC = "TIMESYNC"
 
+
 Attempt = Callable[[Callable[[float], Plan]], Awaitable[Outcome]]
 Execute = Callable[[Plan], Awaitable[Outcome]]
 
@@ -293,10 +294,16 @@ class FlightControl:
         refusal = offboard.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
             refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
+        if refusal is None and not self.pilot.active and self._led_by_another():
+            refusal = f"it is in {self._vehicle.mode} already: another program sends it setpoints; end that first"
         if refusal is None:
             refusal = self._outside_now(self._vehicle.origin)
         if refusal is not None:
             raise RefusedError(refusal)
+
+    def _led_by_another(self) -> bool:
+        """PX4 is in OFFBOARD only while setpoints come, and obeys each of two streams in turn. GUIDED tells nothing."""
+        return self._vehicle.family == "px4" and offboard.is_following(self._vehicle)
 
     async def _check_attitude(self, *, force: bool) -> None:
         """Raises RefusedError where thrust would not mean thrust, or cannot be checked, or where losing the setpoints
@@ -425,12 +432,13 @@ class FlightControl:
                 self._trace.write(tick.row, self.pilot.config.law, tick.before, tick.after)
             except OSError as error:
                 self._give_up_trace(error)
-        for event in tick.events:
-            self._on_event(event)
         if not self.pilot.active and self.clock.running:
             self.clock.stop()
+            self._displace()
             self._close_trace()
             self._restore_position()
+        for event in tick.events:
+            self._on_event(event)
         if tick.hold:
             self._spawn(self._hold(self._turn), "hold")
 
@@ -447,6 +455,13 @@ class FlightControl:
             return
         token = self.pilot.delay.ping(now)
         self._commander.transmit(TIMESYNC, {"tc1": 0, "ts1": token}, Priority.EXCHANGE)
+
+    def _displace(self) -> None:
+        """A setpoint may still wait for a busy link, and would leave after whatever ended control: a ping takes its
+        place (latest wins), for want of a way to take it back."""
+        if TIMESYNC in self._dialect.by_name:
+            token = self.pilot.delay.ping(self._loop.time())
+            self._commander.transmit(TIMESYNC, {"tc1": 0, "ts1": token}, Priority.SETPOINT, key=self._queue_key)
 
     async def _ask_position(self, rate_hz: float | None) -> None:
         if rate_hz is not None:

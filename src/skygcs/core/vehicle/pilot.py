@@ -31,7 +31,7 @@ from skygcs.core.control.trace import TraceRow
 from skygcs.core.geo import EnuFrame, Origin, yaw_enu_from_heading_deg
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.offboard import boosts_thrust, guided_mode
+from skygcs.core.vehicle.offboard import attitude_refusal, boosts_thrust, guided_mode
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
@@ -257,9 +257,10 @@ class Pilot:
 
         What of a new hover thrust was integrated already is taken out of the integral: the thrust does not jump.
         """
-        east, north, up = self.memory.integral_enu
-        up = clip(up + self.config.law.hover_thrust - law.hover_thrust, law.thrust_max)
-        self.memory = replace(self.memory, integral_enu=(east, north, up))
+        learnt = law.hover_thrust - self.config.law.hover_thrust
+        if learnt:
+            east, north, up = self.memory.integral_enu
+            self.memory = replace(self.memory, integral_enu=(east, north, clip(up - learnt, law.thrust_max)))
         self.config = replace(self.config, law=law)
 
     def fly_to(self, place: Place, yaw_enu_rad: float | None) -> None:
@@ -313,6 +314,10 @@ class Pilot:
         self.reasons = verdict.reasons
         if verdict.changed:
             events += self._on_change(verdict)
+        if verdict.way is Way.POSITION and self.wanted is not Way.POSITION and self._free():
+            # a velocity is flown on by no way the guard has refused it to
+            self._stay(yaw_rad=self._reference.yaw_rad)
+            events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
         if verdict.action == "hold" or verdict.way is None:
             self.state, self.way, self._until = PilotState.HELD, None, None
             return Tick(events=tuple(events), hold=True)
@@ -421,6 +426,7 @@ class Pilot:
             rate_hz=min(config.attitude_hz, self.attitude_hz_allowed),
             rate_min_hz=config.rate_min_hz,
             refusing=self.refusing,
+            attitude_refused=attitude_refusal(vehicle) if self.wanted is Way.ATTITUDE else None,
             engaging=self.state is PilotState.ENGAGING,
             position_breach=breach,
             reference_breach=reference_breach,
@@ -444,6 +450,9 @@ class Pilot:
         self.memory = Memory()
         self._until = None
         self._last.output = None
+
+    def _free(self) -> bool:
+        return self._reference.velocity_only_xy or self._reference.velocity_only_z
 
     def _stay(self, yaw_rad: float) -> None:
         estimate = self._read_estimate()

@@ -53,6 +53,8 @@ class Flight:
         self.beat()
         self.landed(2)
         self.at(0.0, 0.0, up_m)
+        if autopilot == ARDUPILOT:
+            self.guid_options(8)
 
     @property
     def obeying(self) -> int:
@@ -64,6 +66,10 @@ class Flight:
 
     def landed(self, state: int) -> None:
         self.vehicle.on_frame(self.voice.landed(state), self.now)
+
+    def guid_options(self, bits: int) -> None:
+        told = mav.MAVLink_param_value_message(b"GUID_OPTIONS", bits, 6, 1, 0)
+        self.vehicle.on_frame(self.voice.say(told), self.now)
 
     def at(self, east_m: float, north_m: float, up_m: float, heading_cdeg: int = 0) -> None:
         here = place(east_m, north_m, up_m)
@@ -349,6 +355,22 @@ def test_with_fewer_setpoints_than_attitude_takes_it_flies_by_velocity() -> None
     assert tick.message is not None and tick.message[0] == MESSAGES[Way.VELOCITY] and "14" in texts(tick)
 
 
+def test_an_arducopter_whose_thrust_became_a_climb_rate_is_not_flown_by_attitude_any_more() -> None:
+    flight = Flight(ARDUPILOT).fly(Way.ATTITUDE)
+    flight.guid_options(0)
+    tick = flight.tick()
+    assert tick.message is not None and tick.message[0] == MESSAGES[Way.VELOCITY] and "GUID_OPTIONS" in texts(tick)
+
+
+def test_a_velocity_is_flown_on_by_no_way_the_guard_has_refused_it_to() -> None:
+    flight = Flight().fly(Way.VELOCITY)
+    flight.pilot.follow(Setpoint(None, (2.0, 0.0, 0.0), free_xy=True, free_z=True), flight.now + 5)
+    flight.tick()
+    tick = flight.tick(0.6, fresh=False)
+    assert tick.message is not None and tick.message[0] == MESSAGES[Way.POSITION]
+    assert "stays where it is" in texts(tick) and not flight.pilot.streaming
+
+
 # --- time
 
 
@@ -621,3 +643,12 @@ def test_the_equator_and_the_first_meridian_are_places_like_any_other(lat_deg: f
     flight.fly(way, Fence(here))
     tick = flight.tick()
     assert tick.message is not None and tick.message[0] == MESSAGES[way]
+
+
+def test_a_new_hover_thrust_makes_no_step_in_the_thrust() -> None:
+    flight = Flight().fly(Way.ATTITUDE)
+    before = flight.tick().message
+    flight.pilot.change_law(replace(flight.pilot.config.law, hover_thrust=0.55))
+    after = flight.tick().message
+    assert before is not None and after is not None
+    assert after[1]["thrust"] == pytest.approx(before[1]["thrust"], abs=1e-6)
