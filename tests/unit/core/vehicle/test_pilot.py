@@ -355,22 +355,6 @@ def test_with_fewer_setpoints_than_attitude_takes_it_flies_by_velocity() -> None
     assert tick.message is not None and tick.message[0] == MESSAGES[Way.VELOCITY] and "14" in texts(tick)
 
 
-def test_an_arducopter_whose_thrust_became_a_climb_rate_is_not_flown_by_attitude_any_more() -> None:
-    flight = Flight(ARDUPILOT).fly(Way.ATTITUDE)
-    flight.guid_options(0)
-    tick = flight.tick()
-    assert tick.message is not None and tick.message[0] == MESSAGES[Way.VELOCITY] and "GUID_OPTIONS" in texts(tick)
-
-
-def test_a_velocity_is_flown_on_by_no_way_the_guard_has_refused_it_to() -> None:
-    flight = Flight().fly(Way.VELOCITY)
-    flight.pilot.follow(Setpoint(None, (2.0, 0.0, 0.0), free_xy=True, free_z=True), flight.now + 5)
-    flight.tick()
-    tick = flight.tick(0.6, fresh=False)
-    assert tick.message is not None and tick.message[0] == MESSAGES[Way.POSITION]
-    assert "stays where it is" in texts(tick) and not flight.pilot.streaming
-
-
 # --- time
 
 
