@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import logging
 import os
 import signal
@@ -34,6 +35,9 @@ async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None
 
     async def announce() -> None:
         await daemon.ready.wait()
+        # What is there now stays: 60 000 objects that a full collection would look at again for 35 ms, amid control.
+        gc.collect()
+        gc.freeze()
         _notify_service_manager("READY=1")
         log.info(
             "skygcs is up",

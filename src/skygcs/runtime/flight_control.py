@@ -68,6 +68,9 @@ FIRST_WORD_S = 1.0
 
 TIMESYNC = "TIMESYNC"
 
+GOLDEN_RATIO = 0.6180339887498949
+"""Its multiples, without the whole turns, lie as far from each other as any number of them can: the ticks of a fleet
+that one order engages do not wait for each other."""
 
 Attempt = Callable[[Callable[[float], Plan]], Awaitable[Outcome]]
 Execute = Callable[[Plan], Awaitable[Outcome]]
@@ -107,7 +110,8 @@ class FlightControl:
         self._log_dir = log_dir
         self._uplink_bytes_per_s = uplink_bytes_per_s
         self.pilot = Pilot(vehicle, _pilot_config(settings, None))
-        self.clock = ControlClock(loop, self._tick, lambda: self.pilot.period_s)
+        phase = vehicle.sysid * GOLDEN_RATIO % 1.0
+        self.clock = ControlClock(loop, self._tick, lambda: self.pilot.period_s, phase=phase)
         self._fence: Fence | None = None
         self._queue_key = ("setpoint", vehicle.sysid, vehicle.compid)
         """Of the link's queue: a newer setpoint replaces one that still waits."""

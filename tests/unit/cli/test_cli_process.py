@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import socket
 from pathlib import Path
 
@@ -59,3 +60,14 @@ async def test_the_service_manager_hears_when_it_is_up_fed_and_stopping(
     while said[-1] != b"STOPPING=1":
         said.append(await asyncio.wait_for(loop.sock_recv(manager, 64), 10))
     manager.close()
+
+
+async def test_what_is_there_when_it_is_up_is_not_looked_at_by_the_collector_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frozen: list[bool] = []
+    config = FleetConfig(daemon=DaemonConfig(socket=tmp_path / "s", record=False))
+    daemon = Daemon(config, load_dialect(config.dialect))
+    monkeypatch.setattr(gc, "freeze", lambda: frozen.append(daemon.ready.is_set()))
+    await serve_until_signal(daemon, on_ready=daemon.stop)
+    assert frozen == [True]

@@ -45,12 +45,12 @@ class Deadlines:
 
 
 class Ticked:
-    def __init__(self, period_s: float = 0.02) -> None:
+    def __init__(self, period_s: float = 0.02, phase: float = 0.0) -> None:
         self.loop = Deadlines()
         self.period_s = period_s
         self.at: list[float] = []
         self.on_tick: Callable[[], None] = lambda: None
-        self.clock = ControlClock(self.loop, self._tick, lambda: self.period_s)  # type: ignore[arg-type]  # all it uses
+        self.clock = ControlClock(self.loop, self._tick, lambda: self.period_s, phase=phase)  # type: ignore[arg-type]  # all it uses
 
     def _tick(self, now: float) -> None:
         self.at.append(now - 100.0)
@@ -66,6 +66,26 @@ def test_the_first_tick_comes_at_once_and_the_rest_a_period_apart() -> None:
         ticked.loop.run()
     assert ticked.at == pytest.approx([0.0, 0.02, 0.04, 0.06])
     assert ticked.clock.as_dict() == {"ticks": 4, "late": 0, "skipped": 0, "lateness_p99_s": 0.0}
+
+
+@pytest.mark.parametrize(("period_s", "first_s"), [(0.02, 0.01), (0.2, 0.025)])
+def test_clocks_started_together_are_spread_over_a_short_while(period_s: float, first_s: float) -> None:
+    ticked = Ticked(period_s)
+    clock = ControlClock(ticked.loop, ticked._tick, lambda: period_s, phase=0.5)  # type: ignore[arg-type]  # all it uses
+    clock.start()
+    for _ in range(3):
+        ticked.loop.run()
+    assert ticked.at == pytest.approx([first_s, first_s + period_s, first_s + 2 * period_s])
+    assert (clock.late, clock.skipped) == (0, 0)
+
+
+@pytest.mark.parametrize(("period_s", "first_s"), [(0.02, 0.005), (0.2, 0.0125)])
+def test_clocks_of_other_phases_tick_one_after_the_other(period_s: float, first_s: float) -> None:
+    ticked = Ticked(period_s, phase=0.25)
+    ticked.clock.start()
+    for _ in range(2):
+        ticked.loop.run()
+    assert ticked.at == pytest.approx([first_s, first_s + period_s])
 
 
 def test_a_late_tick_does_not_move_the_next() -> None:
