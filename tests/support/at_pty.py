@@ -1,0 +1,24 @@
+"""An emulated radio that answers in a thread, on a pty, while a test talks to it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from skygcs.cli.radio_emulated import EmulatedPort
+from skygcs.core.sim.at_radio import AtRadio
+
+
+@contextmanager
+def on_a_pty(path: Path, radio: AtRadio) -> Iterator[AtRadio]:
+    port = EmulatedPort(path, radio)
+    server = threading.Thread(target=port.serve, name="emulated radio", daemon=True)
+    server.start()
+    try:
+        yield radio
+    finally:
+        port.stop()
+        server.join(timeout=5)
+        port.close()

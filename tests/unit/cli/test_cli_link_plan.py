@@ -1,0 +1,63 @@
+"""`link plan`: what it prints, and its exit code."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from skygcs.cli.control import app
+
+DONE, FAILED, USAGE = 0, 1, 2
+
+
+def run(*args: str, code: int = DONE) -> str:
+    result = CliRunner().invoke(app, ["link", "plan", *args])
+    assert result.exit_code == code, result.output + repr(result.exception)
+    return result.output
+
+
+def test_what_fits_is_shown_with_its_shares() -> None:
+    said = run("10")
+    assert "a round of 11 nodes: 912 ms" in said
+    assert "down, ground serial          2,005     5,760     2,880     35%" in said
+    assert "each vehicle gets (Hz): HEARTBEAT 1, SYS_STATUS 0.5, GPS_RAW_INT 0.5, GLOBAL_POSITION_INT 2" in said
+    assert "vehicles that fit like this: 14" in said
+
+
+def test_what_does_not_fit_is_told_with_figures_and_a_proposal() -> None:
+    said = run("10", "--setpoints", "position", "--setpoint-rate", "2", code=FAILED)
+    assert "does not fit: up, the ground's slot: 1,321 of 553 B/s are wanted" in said
+    assert "would fit: one goto per vehicle" in said
+
+
+def test_json_holds_the_same() -> None:
+    answer = json.loads(run("10", "--profile", "control-10", "--json", code=FAILED))
+    assert (answer["fits"], answer["most_vehicles"]) == (False, 5)
+    assert [way["fits"] for way in answer["ways"]] == [False, True, False, True]
+    assert answer["rates_hz"]["LOCAL_POSITION_NED"] < 10
+
+
+def test_a_profile_of_ones_own_is_the_sum_of_its_messages() -> None:
+    answer = json.loads(run("1", "--profile", "custom", "--rate", "attitude=5", "--air-speed", "none", "--json"))
+    assert answer["down_per_vehicle_bytes_per_s"] == 21 + 5 * 40
+    assert [way["name"] for way in answer["ways"]] == ["down, ground serial", "up, ground serial"]
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ("0",),
+        ("3", "--profile", "racing"),
+        ("3", "--rate", "ATTITUDE"),
+        ("3", "--rate", "SPEED=1"),
+        ("3", "--rate", "ATTITUDE=nan"),
+        ("3", "--air-speed", "fast"),
+        ("3", "--setpoints", "thrust"),
+        ("3", "--setpoints", "position", "--setpoint-rate", "0"),
+        ("3", "--fill", "2"),
+    ],
+)
+def test_what_makes_no_sense_is_a_usage_error(args: tuple[str, ...]) -> None:
+    run(*args, code=USAGE)

@@ -1,0 +1,178 @@
+"""`radio …` without a radio: plans, refusals, ports that are none, and what is asked of the daemon."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from skygcs.cli import radio_daemon
+from skygcs.cli.control import app
+from skygcs.cli.radio_daemon import lent
+from skygcs.errors import DaemonUnreachable, LinkError, RefusedError, RpcError
+
+DONE, FAILED, USAGE = 0, 1, 2
+FLEET = """
+[links.wire]
+type = "serial"
+device = "/dev/null1"
+[links.radio]
+type = "serial"
+device = "/dev/null2"
+baud = [115200, 57600]
+rtscts = true
+role = "radio"
+[vehicles.zulu]
+sysid = 1
+[vehicles.alpha]
+sysid = 9
+"""
+
+
+@pytest.fixture(autouse=True)
+def no_daemon(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("SKYGCS_SOCKET", str(tmp_path / "nobody.sock"))
+
+
+def run(*args: str | Path, code: int = DONE) -> str:
+    result = CliRunner().invoke(app, ["radio", *map(str, args)])
+    assert result.exit_code == code, result.output + repr(result.exception)
+    return result.output
+
+
+def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text(FLEET)
+    words = ("provision", tmp_path / "fleet.toml", "--nodes", "4", "--net-id", "5", "--set", "TXPOWER=20", "--json")
+    answer = json.loads(run(*words))
+    assert [(row["node"], row["for"]) for row in answer["plan"]] == [
+        (1, "ground"),
+        (2, "zulu"),
+        (3, "alpha"),
+        (4, "spare"),
+    ]
+    settings = answer["plan"][0]["settings"]
+    assert (settings["SERIAL_SPEED"], settings["RTSCTS"], settings["NETID"], settings["TXPOWER"]) == (115, 1, 5, 20)
+    assert run(*words) == run(*words)
+    shown = run("provision", tmp_path / "fleet.toml", "--nodes", "4")
+    assert "all nodes: NODEDESTINATION 255 (all nodes), NETID 0, AIR_SPEED 64 kbit/s" in shown
+    assert "node 1   ground         NODEID 1, NETCOUNT 1, NODECOUNT 4" in shown
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "said"),
+    [
+        (("show", "{}/none"), FAILED, "no such device"),
+        (("show", "{}/file"), FAILED, "not a serial port"),
+        (("show", "{}/file", "--baud", "fast"), USAGE, "--baud"),
+        (("set", "{}/file", "NETID=a"), USAGE, "whole numbers"),
+        (("set", "{}/file", "NETID"), USAGE, "name=value"),
+        (("set", "{}/none", "NETID=7"), FAILED, "nothing was changed"),
+        (("diff", "{}/file"), USAGE, "two or more"),
+        (("diff", "{}/file", "{}/binary"), FAILED, "backup"),
+        (("diff", "{}/none", "{}/file"), FAILED, "No such file"),
+        (("backup", "{}/none", "{}/file"), FAILED, "--force overwrites"),
+        (("restore", "{}/none", "{}/file"), FAILED, "version: must be 1"),
+        (("provision", "{}/fleet.toml", "--nodes", "2"), FAILED, "give --nodes 3"),
+        (("provision", "{}/fleet.toml", "p", "--node", "4"), FAILED, "more than the plan's 3 radios"),
+        (("emulate", "{}/file"), FAILED, "exists"),
+        (("emulate", "{}/new", "--kind", "xbee"), USAGE, "--kind"),
+        (("emulate", "{}/new", "--remotes", "a"), USAGE, "--remotes"),
+    ],
+)
+def test_what_cannot_be_done_is_told(args: tuple[str, ...], code: int, said: str, tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text(FLEET)
+    (tmp_path / "file").write_text("x = 1\n")
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    assert said in run(*(arg.format(tmp_path) for arg in args), code=code)
+    assert not (tmp_path / "new").exists()
+
+
+class Gcs:
+    """Stands for the daemon: a radio's link, and vehicles."""
+
+    def __init__(self, device: str, armed: tuple[str, ...] = (), broken: bool = False) -> None:
+        self.rows = [
+            {"name": "radio", "type": "serial", "channels": [{"peer": device}]},
+            {"name": "net", "type": "udp_server", "channels": [{"peer": "127.0.0.1:1"}]},
+            {"name": "off", "type": "serial", "channels": []},
+        ]
+        self.armed = armed
+        self.broken = broken
+        self.changes: list[tuple[str, Any]] = []
+
+    async def call(self, method: str, **params: Any) -> Any:
+        if method == "links.list":
+            return self.rows
+        if method == "vehicles.list":
+            return [{"name": name, "armed": name in self.armed} for name in ("alpha", "bravo")]
+        assert method == "links.change"
+        if self.broken and params["link"]["enabled"]:
+            raise RpcError(-32001, "no such link")
+        self.changes.append((params["name"], params["link"]))
+
+
+def running(monkeypatch: pytest.MonkeyPatch, gcs: Gcs | None) -> None:
+    @asynccontextmanager
+    async def client() -> AsyncIterator[Gcs]:
+        if gcs is None:
+            raise DaemonUnreachable("here", "nobody listens")
+        yield gcs
+
+    monkeypatch.setattr(radio_daemon, "client", client)
+
+
+async def test_the_daemon_lends_the_port_under_whatever_name_and_takes_it_back_after_an_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "ttyUSB0").touch()
+    (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
+    gcs = Gcs(str(tmp_path / "by-id"))
+    running(monkeypatch, gcs)
+    with pytest.raises(LinkError):
+        async with lent([str(tmp_path / "ttyUSB0")], changes=True, force=False):
+            assert gcs.changes == [("radio", {"enabled": False})]
+            raise LinkError("silence")
+    assert gcs.changes[1:] == [("radio", {"enabled": True})]
+
+
+async def test_another_port_is_none_of_the_daemons_business(monkeypatch: pytest.MonkeyPatch) -> None:
+    gcs = Gcs("/dev/one", armed=("alpha",))
+    running(monkeypatch, gcs)
+    async with lent(["/dev/two"], changes=False, force=False):
+        pass
+    assert gcs.changes == []
+
+
+@pytest.mark.parametrize(("port", "changes"), [("/dev/one", False), ("/dev/one", True), ("/dev/two", True)])
+async def test_nothing_happens_while_a_vehicle_is_armed_unless_forced(
+    port: str, changes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gcs = Gcs("/dev/one", armed=("alpha", "bravo"))
+    running(monkeypatch, gcs)
+    with pytest.raises(RefusedError, match="alpha, bravo are armed"):
+        async with lent([port], changes=changes, force=False):
+            raise AssertionError("the radio was touched")
+    assert gcs.changes == []
+    async with lent([port], changes=changes, force=True):
+        pass
+    assert len(gcs.changes) == (2 if port == "/dev/one" else 0)
+
+
+async def test_without_a_daemon_there_is_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    running(monkeypatch, None)
+    async with lent(["/dev/one"], changes=True, force=False):
+        pass
+
+
+async def test_a_link_that_stays_closed_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    running(monkeypatch, Gcs("/dev/one", broken=True))
+    async with lent(["/dev/one"], changes=False, force=False):
+        pass
+    assert "skygcs-cli links change radio enabled=true" in " ".join(capsys.readouterr().err.split())
