@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test check bench soak clean format
+.PHONY: demo test check bench bench-control soak clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
@@ -19,6 +19,9 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m pytest tests/bench -s --timeout 600
+
+bench-control: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m bench.control
 
 format: $(STAMP)
 	$(BIN)/ruff format .

@@ -1,0 +1,63 @@
+"""`make bench-control`: what flight control does and what it costs. Tables on stdout, all in build/bench/control.json.
+
+python -m bench.control [--only steps|fleet] [--profile] [--nice N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from bench.control.figures import Section, virtual_sections
+from bench.control.fleet import ROOT, Load, carry
+from bench.control.fleet_report import fleet_section
+
+LOADS = (Load(10, 50.0, 0.1), Load(50, 20.0, 0.5))
+"""The second with a guard that bears the delays of a machine which also has to simulate fifty vehicles: it is about
+what fifty cost."""
+OUT = ROOT / "build" / "bench"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="bench.control", description=__doc__.splitlines()[0])
+    parser.add_argument("--only", choices=("steps", "fleet"), help="steps: virtual time; fleet: processes and sockets")
+    parser.add_argument("--profile", action="store_true", help="the daemon under cProfile, which makes it slower")
+    parser.add_argument("--nice", type=int, default=0, help="of daemon and simulator; negative needs root")
+    options = parser.parse_args()
+    began = time.monotonic()
+    told: dict[str, Any] = {"cpus": os.cpu_count(), "python": sys.version.split()[0]}
+    missed: list[str] = []
+    OUT.mkdir(parents=True, exist_ok=True)
+    if options.only != "fleet":
+        for section in virtual_sections():
+            _show(section, told, missed)
+    if options.only != "steps":
+        for load in LOADS:
+            profile = OUT / f"control-profile-{load.vehicles}.txt" if options.profile else None
+            with tempfile.TemporaryDirectory() as folder:
+                carried = carry(replace(load, nice=options.nice), Path(folder), profile)
+            _show(fleet_section(carried), told, missed)
+    told["missed"] = missed
+    told["seconds"] = round(time.monotonic() - began, 1)
+    (OUT / "control.json").write_text(json.dumps(told, indent=2) + "\n")
+    print(f"\n{told['seconds']:.0f} s; all of it in {OUT / 'control.json'}")
+    for what in missed:
+        print(f"MISSED: {what}")
+    return 1 if missed else 0
+
+
+def _show(section: Section, told: dict[str, Any], missed: list[str]) -> None:
+    print(f"\n{section.title}\n{section.text()}", flush=True)
+    told[section.key] = section.data
+    missed += section.missed
+
+
+if __name__ == "__main__":
+    sys.exit(main())
