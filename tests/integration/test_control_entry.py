@@ -23,12 +23,13 @@ ORDERS: dict[str, tuple[str, dict[str, Any], tuple[int, ...]]] = {
     "land": ("vehicles.land", {}, (Px4Mode.LAND, CopterMode.LAND)),
     "rtl": ("vehicles.rtl", {}, (Px4Mode.RTL, CopterMode.RTL)),
     "hold": ("vehicles.hold", {}, (Px4Mode.LOITER, CopterMode.BRAKE)),
+    "mode": ("vehicles.mode", {"mode": "{holding}"}, (Px4Mode.LOITER, CopterMode.LOITER)),
     "stop": ("vehicles.stop", {"action": "land"}, (Px4Mode.LAND, CopterMode.LAND)),
     "off": ("control.set", {"mode": "off"}, (Px4Mode.LOITER, CopterMode.BRAKE)),
 }
 ALL_ORDERS = pytest.mark.parametrize("order", ORDERS)
 
-STAGES = pytest.mark.parametrize("after_s", [0.0, 0.05, 0.5, 1.5, 1.9, 2.6])
+STAGES = pytest.mark.parametrize("after_s", [0.05, 0.5, 1.5, 1.9, 2.6])
 """While parameters are read, while it streams, about the switch of modes, and after it."""
 
 
@@ -36,6 +37,8 @@ async def carried_out(gcs: Flown, order: str) -> None:
     """The order's outcome is good, its mode is flown, and nothing of control is left."""
     method, params, modes = ORDERS[order]
     ordered = gcs.now
+    if order == "mode":
+        params = {"mode": "AUTO.LOITER" if gcs.actor().vehicle.family == "px4" else "LOITER"}
     if order == "off" and not gcs.setpoints(0.0):
         modes += (gcs.sim().mode,)  # there is nothing to switch off yet
     await gcs.done(method, **params)
@@ -127,6 +130,60 @@ async def test_the_stream_does_not_get_through(tmp_path: Path, monkeypatch: pyte
         assert not outcome["ok"] and "OFFBOARD" in outcome["message"], outcome
         await gcs.ends_safe(within_m=1.0, since=began)
         assert sim.mode == Px4Mode.LOITER
+
+
+async def test_a_landing_of_all_by_broadcast_ends_control_of_all(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1, ardupilot=2) as gcs:
+        await gcs.fly("attitude", targets="all")
+        engaging = asyncio.create_task(gcs("control.set", targets="v2", mode="velocity"))
+        await asyncio.sleep(0.2)
+        ordered = gcs.now
+        await gcs.done("vehicles.land", targets="all")
+        await engaging
+        assert any(s.name == "COMMAND_LONG" and s.sysid == 0 and s.at >= ordered for s in gcs.sent), "no broadcast"
+        await asyncio.sleep(40)
+        for name in ("v1", "v2", "v3"):
+            assert not gcs.setpoints(ordered, name)
+            assert gcs.sim(name).motion.on_ground
+            assert gcs.texts(ordered, name=name) == ["control ended: land was ordered"]
+
+
+async def test_what_the_guard_refuses_while_it_streams_ends_in_a_hold(tmp_path: Path) -> None:
+    """An ArduCopter in GUIDED obeys the very first setpoint, long before its taking over is complete."""
+    async with flown(tmp_path, px4=0, ardupilot=1) as gcs:
+        taking = asyncio.create_task(gcs.outcome("control.set", mode="attitude"))
+        await gcs.until(lambda: gcs.control()["state"] == "engaging")
+        await asyncio.sleep(0.6)
+        broken = gcs.now
+        gcs.sim().faults.nan_attitude = True
+        outcome = await taking
+        assert not outcome["ok"] and "NaN" in outcome["message"], outcome
+        assert gcs.setpoints(0.0)
+        await gcs.ends_safe(within_m=0.6, since=broken)
+        assert gcs.sim().mode == CopterMode.BRAKE
+
+
+@KINDS
+async def test_a_fault_of_ours_ends_control_in_a_hold(
+    tmp_path: Path, kind: dict[str, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.fly("attitude")
+        await gcs.step(3.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        broken = gcs.now
+
+        def attitude_target(*args: Any, **more: Any) -> None:
+            raise ZeroDivisionError("a mistake")
+
+        monkeypatch.setattr("skygcs.core.vehicle.setpoint.attitude_target", attitude_target)
+        await asyncio.sleep(0.1)
+        assert gcs.control()["state"] == "off"
+        await gcs.ends_safe(within_m=4.0, since=broken)
+        assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.BRAKE)
+        (told,) = gcs.texts(broken, "fault")
+        assert "flight control failed inside skygcs and ends" in told
+        gcs.told.clear()
 
 
 @KINDS
