@@ -14,6 +14,8 @@ from typer.testing import CliRunner
 from skygcs.cli import radio_daemon
 from skygcs.cli.control import app
 from skygcs.cli.radio_daemon import lent
+from skygcs.core.radio.backup import to_toml
+from skygcs.core.radio.parameters import Firmware, RadioState, Register
 from skygcs.errors import DaemonUnreachable, LinkError, RefusedError, RpcError
 
 DONE, FAILED, USAGE = 0, 1, 2
@@ -90,6 +92,26 @@ def test_what_cannot_be_done_is_told(args: tuple[str, ...], code: int, said: str
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
     assert said in run(*(arg.format(tmp_path) for arg in args), code=code)
     assert not (tmp_path / "new").exists()
+
+
+def test_backups_are_compared_with_the_first_and_as_one_network(tmp_path: Path) -> None:
+    def backup(name: str, unique_id: str, **values: int) -> Path:
+        held = {"NETID": 0, "AIR_SPEED": 64, "RTSCTS": 1, **values}
+        registers = {n: Register(f"S{i}", n, v) for i, (n, v) in enumerate(held.items())}
+        state = RadioState("RFD SiK 3.00MP", Firmware.RFD_MULTIPOINT, registers, unique_id=unique_id)
+        (tmp_path / name).write_text(to_toml(state))
+        return tmp_path / name
+
+    ground, alpha = backup("ground", "0x1", NODEID=1), backup("alpha", "0x2", NODEID=2)
+    assert "as one network they go together" in run("diff", ground, alpha)
+    wrong = backup("bravo", "0x3", NODEID=2, AIR_SPEED=125)
+    said = run("diff", ground, alpha, wrong, code=FAILED)
+    assert "node id 2 is in 2 radios" in said
+    assert "AIR_SPEED differs" in said
+    before = backup("ground-before", "0x1", NODEID=1, NETID=5)
+    answer = json.loads(run("diff", ground, before, "--json", code=FAILED))
+    assert answer["problems"] == []
+    assert answer["differences"][str(before)] == [{"name": "NETID", str(ground): 0, str(before): 5}]
 
 
 class Gcs:

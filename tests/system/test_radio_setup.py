@@ -1,0 +1,98 @@
+"""Radios on ptys set up by the real command line, in real time; one of them lent by a real daemon."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from skygcs.core.sim.at_radio import AtRadio, Faults
+from support.at_pty import on_a_pty
+from support.process import DaemonProcess, wait_until
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+"""Guard times and restarts are real: a visit takes four seconds, a change nine."""
+
+CLI = str(Path(sys.executable).with_name("skygcs-cli"))
+
+
+def cli(folder: Path, *words: str | Path, code: int = 0) -> str:
+    """`skygcs-cli radio WORDS`, beside no daemon; what it printed."""
+    done = subprocess.run(
+        [CLI, "radio", *map(str, words)],
+        env={**os.environ, "SKYGCS_SOCKET": str(folder / "nobody.sock")},
+        capture_output=True,
+        text=True,
+        timeout=50,
+        check=False,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def test_a_radio_is_backed_up_changed_and_restored_at_another_rate(tmp_path: Path) -> None:
+    port, file = tmp_path / "ttyRADIO", tmp_path / "radio.toml"
+    with on_a_pty(port, AtRadio()) as radio:
+        cli(tmp_path, "backup", port, file)
+        told = cli(tmp_path, "set", port, "NETID=7", "SERIAL_SPEED=115")
+        assert "written, saved, restarted and read back: all as wanted" in told
+        assert (radio.saved[3], radio.baud) == (7, 115200)
+        cli(tmp_path, "restore", port, file, "--baud", "115200")
+        assert (radio.saved[3], radio.baud, radio.command_mode) == (0, 57600, False)
+
+
+def test_two_radios_are_provisioned_and_the_one_that_fails_is_told_from_the_other(tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text("[vehicles.alpha]\nsysid = 1\n")
+    ground, air = tmp_path / "ttyGROUND", tmp_path / "ttyAIR"
+    bad = AtRadio(faults=Faults(refuses=frozenset({"DUTY_CYCLE"})))
+    with on_a_pty(ground, AtRadio()) as master, on_a_pty(air, bad):
+        words = ("provision", tmp_path / "fleet.toml", ground, air, "--duty-cycle", "90")
+        told = cli(tmp_path, *words, "--json", code=1)
+        radios = json.loads(told)["radios"]
+        assert [r["ok"] for r in radios] == [True, False]
+        assert radios[1]["told"] == [
+            "the radio refused DUTY_CYCLE=90 (S11)",
+            "nothing was saved; the radio was restarted and is as it was",
+        ]
+        assert (master.saved[24], master.node_table) == (1, {0: (0, 2)})
+        assert bad.saved[24] == 2
+
+
+def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_came(tmp_path: Path) -> None:
+    port = tmp_path / "ttyRADIO"
+    with on_a_pty(port, AtRadio()) as radio:
+        work = subprocess.Popen(
+            [CLI, "radio", "set", str(port), "NETID=7", "AIR_SPEED=125"],
+            env={**os.environ, "SKYGCS_SOCKET": str(tmp_path / "nobody.sock")},
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        radio.faults.dies_at = "ATS2="
+        wait_until(lambda: "ATS2=125" in radio.commands, "the second setting is being written")
+        radio.faults.silent = False
+        time.sleep(0.1)
+        work.send_signal(signal.SIGINT)
+        _, told = work.communicate(timeout=20)
+        assert work.returncode == 130
+        assert "interrupted" in told
+        assert "written: NETID; perhaps written: AIR_SPEED" in " ".join(told.split())
+        wait_until(lambda: radio.restarts == 1, "the radio was restarted")
+        assert radio.live[3] == 0
+
+
+def test_a_daemon_lends_its_radio_and_has_it_back(tmp_path: Path) -> None:
+    port = tmp_path / "ttyRADIO"
+    toml = f'heartbeat = false\n[links.radio]\ntype = "serial"\ndevice = "{port}"\nrole = "radio"\n'
+    with on_a_pty(port, AtRadio()) as radio, DaemonProcess(tmp_path, toml) as daemon:
+        wait_until(lambda: daemon.call("links.list")[0]["state"] == "up", "the link is up")
+        done = daemon.cli("radio", "set", str(port), "DUTY_CYCLE=50")
+        assert done.returncode == 0, done.stderr
+        assert "link radio: closed in the daemon meanwhile" in done.stderr
+        assert radio.saved[11] == 50
+        wait_until(lambda: daemon.call("links.list")[0]["state"] == "up", "the link is up again")
