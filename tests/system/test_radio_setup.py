@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import serial
 
 from skygcs.core.sim.at_radio import AtRadio, Faults
 from support.at_pty import on_a_pty
@@ -84,6 +85,13 @@ def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_cam
         assert "written: NETID; perhaps written: AIR_SPEED" in " ".join(told.split())
         wait_until(lambda: radio.restarts == 1, "the radio was restarted")
         assert radio.live[3] == 0
+
+
+def test_a_port_in_use_by_another_program_is_left_alone(tmp_path: Path) -> None:
+    port = tmp_path / "ttyRADIO"
+    with on_a_pty(port, AtRadio()) as radio, serial.Serial(str(port), 57600, exclusive=True):
+        assert "in use by another program" in cli(tmp_path, "set", port, "NETID=7", code=1)
+    assert radio.traffic == b""
 
 
 def test_a_daemon_lends_its_radio_and_has_it_back(tmp_path: Path) -> None:

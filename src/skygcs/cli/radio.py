@@ -142,15 +142,16 @@ def backup(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Default: stdout.")] = None,
     remote: Remote = None,
     baud: Baud = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
     force: Force = False,
 ) -> None:
-    """Write a radio's settings as TOML. An existing FILE is overwritten only with --force."""
+    """Write a radio's settings as TOML."""
     rates = _rates(baud)
 
     def command() -> int:
         from skygcs.cli import radio_work
 
-        return radio_work.backup(port, file, remote, rates, force)
+        return radio_work.backup(port, file, remote, rates, force, overwrite)
 
     run_offline(command)
 

@@ -12,7 +12,7 @@ from typing import Any
 import typer
 
 from skygcs.cli import radio_report as report
-from skygcs.cli.connection import Exit, fail
+from skygcs.cli.connection import Exit, fail, waiting
 from skygcs.cli.radio_daemon import lent
 from skygcs.cli.radio_port import RadioPort
 from skygcs.config.loader import load_fleet
@@ -47,9 +47,9 @@ def set_radio(
     return _change_one(port, remote, rates, lambda _: values, force, as_json)
 
 
-def backup(port: str, file: Path | None, remote: int | None, rates: Sequence[int], force: bool) -> int:
-    if file is not None and file.exists() and not force:
-        raise RefusedError(f"{file} exists; --force overwrites it")
+def backup(port: str, file: Path | None, remote: int | None, rates: Sequence[int], force: bool, overwrite: bool) -> int:
+    if file is not None and file.exists() and not overwrite:
+        raise RefusedError(f"{file} exists; --overwrite replaces it")
     _, state = asyncio.run(_lent_look(port, remote, rates, force))
     text = to_toml(state, f"Read from {_named(port, remote)}.")
     if file is None:
@@ -184,10 +184,11 @@ async def _change(port: str, remote: int | None, bauds: Sequence[int], wanted: W
     visit = Visit()
     try:
         with RadioPort(port) as radio:
-            return await radio.run(change(visit, bauds, remote, wanted), visit)
+            async with waiting(f"{_named(port, remote)}: looking, writing, restarting"):
+                return await radio.run(change(visit, bauds, remote, wanted), visit)
     except SkygcsError as error:
         ledger = visit.ledger or Ledger()
-        ledger.problem = str(error)
+        ledger.problem = str(error).removeprefix(f"{port}: ")
         return ledger
     except BaseException:
         if visit.ledger is not None:
@@ -206,7 +207,8 @@ async def _look(port: str, remote: int | None, rates: Sequence[int]) -> tuple[in
     visit = Visit()
     with RadioPort(port) as radio:
         try:
-            state = await radio.run(look(visit, rates or LIKELY_BAUD, remote), visit)
+            async with waiting(f"{_named(port, remote)}: looking"):
+                state = await radio.run(look(visit, rates or LIKELY_BAUD, remote), visit)
         except LinkError as error:
             raise LinkError(str(error) if str(error).startswith(port) else f"{port}: {error}") from None
     return visit.baud, state

@@ -77,7 +77,7 @@ def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: P
         (("diff", "{}/file"), USAGE, "two or more"),
         (("diff", "{}/file", "{}/binary"), FAILED, "backup"),
         (("diff", "{}/none", "{}/file"), FAILED, "No such file"),
-        (("backup", "{}/none", "{}/file"), FAILED, "--force overwrites"),
+        (("backup", "{}/none", "{}/file"), FAILED, "--overwrite replaces"),
         (("restore", "{}/none", "{}/file"), FAILED, "version: must be 1"),
         (("provision", "{}/fleet.toml", "--nodes", "2"), FAILED, "give --nodes 3"),
         (("provision", "{}/fleet.toml", "p", "--node", "4"), FAILED, "more than the plan's 3 radios"),
