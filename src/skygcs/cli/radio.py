@@ -100,18 +100,20 @@ def provision(
     at once or one after the other (--node); every step is verified.
     """
     rates = _rates(baud)
-    options: dict[str, object] = {
-        "net_id": net_id,
-        "air_speed_kbps": air_speed_kbps,
-        "duty_cycle_percent": duty_cycle,
-        "to_ground_only": to_ground_only,
-        "extra": _settings(extra or []),
-    }
+    further = _settings(extra or [])
 
     def command() -> int:
         from skygcs.cli import radio_work
+        from skygcs.core.radio.network import NetworkSettings
 
-        return radio_work.provision(fleet, ports or [], nodes, node, options, rates, force, json_output)
+        common = NetworkSettings(
+            net_id=net_id,
+            air_speed_kbps=air_speed_kbps,
+            duty_cycle_percent=duty_cycle,
+            to_ground_only=to_ground_only,
+            extra=further,
+        )
+        return radio_work.provision(fleet, ports or [], nodes, node, common, rates, force, json_output)
 
     run_offline(command)
 

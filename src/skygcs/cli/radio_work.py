@@ -6,6 +6,7 @@ import asyncio
 import json
 import stat
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from skygcs.cli.radio_port import RadioPort
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig, SerialLink
 from skygcs.core.radio.backup import MAX_BYTES, differences, from_toml, restorable, to_toml
-from skygcs.core.radio.network import NetworkPlan, check_network, plan_network
+from skygcs.core.radio.network import NetworkPlan, NetworkSettings, check_network, plan_network
 from skygcs.core.radio.parameters import Firmware, RadioState
 from skygcs.core.radio.reading import LIKELY_BAUD
 from skygcs.core.radio.setting import Ledger
@@ -104,7 +105,7 @@ def provision(
     ports: Sequence[str],
     nodes: int | None,
     first: int,
-    options: Mapping[str, object],
+    common: NetworkSettings,
     rates: Sequence[int],
     force: bool,
     as_json: bool,
@@ -112,8 +113,9 @@ def provision(
     config = load_fleet(fleet)
     link = _radio_link(config)
     vehicles = [name for name, _ in sorted(config.vehicles.items(), key=lambda item: item[1].sysid)]
-    serial = {} if link is None else {"serial_baud": _first_rate(link), "rtscts": link.rtscts}
-    plan = plan_network(vehicles, nodes, **{**serial, **options})
+    if link is not None:
+        common = replace(common, serial_baud=_first_rate(link), rtscts=link.rtscts)
+    plan = plan_network(vehicles, nodes, common)
     if first + len(ports) - 1 > plan.nodes:
         raise RefusedError(f"{len(ports)} ports from node {first} on are more than the plan's {plan.nodes} radios")
     rows = report.plan_rows(plan, Firmware.RFD_MULTIPOINT)
@@ -128,7 +130,7 @@ def provision(
         return Exit.DONE
     if not as_json:
         report.show_plan(rows)
-    bauds = rates or tuple(dict.fromkeys((plan.serial_baud, *LIKELY_BAUD)))
+    bauds = rates or tuple(dict.fromkeys((common.serial_baud, *LIKELY_BAUD)))
     done = asyncio.run(_provision(plan, ports, first - 1, bauds, force, as_json))
     if as_json:
         radios = [report.outcome_json(port, ledger) for port, ledger in done.items()]

@@ -21,12 +21,9 @@ GROUND = "ground"
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkPlan:
-    """A network to be: ``members`` in the order of their node ids, the ground first."""
+class NetworkSettings:
+    """What all radios of a network have alike."""
 
-    members: tuple[str, ...]
-    nodes: int
-    """Slots in a round, those without a member as well."""
     net_id: int = 0
     air_speed_kbps: int = 64
     serial_baud: int = 57600
@@ -35,7 +32,17 @@ class NetworkPlan:
     to_ground_only: bool = False
     """Vehicles send to the master alone: other vehicles' serial ports stay quiet."""
     extra: Mapping[str, int] = field(default_factory=dict)
-    """Further settings, the same in all radios."""
+    """Further settings, by the radios' names."""
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkPlan:
+    """A network to be: ``members`` in the order of their node ids, the ground first."""
+
+    members: tuple[str, ...]
+    nodes: int
+    """Slots in a round, those without a member as well."""
+    common: NetworkSettings = NetworkSettings()
 
     def settings(self, position: int, firmware: Firmware) -> dict[str, int]:
         """What the radio of the member at ``position`` (0: ground) must hold. NODECOUNT stands for the node table where
@@ -49,30 +56,32 @@ class NetworkPlan:
         everyone = 255 if firmware is Firmware.RFD_MULTIPOINT else 65535
         settings = {
             "NODEID": master + position,
-            "NODEDESTINATION": master if self.to_ground_only and position else everyone,
-            "NETID": self.net_id,
-            "AIR_SPEED": self.air_speed_kbps,
-            "SERIAL_SPEED": next(code for code, baud in SERIAL_BAUD.items() if baud == self.serial_baud),
+            "NODEDESTINATION": master if self.common.to_ground_only and position else everyone,
+            "NETID": self.common.net_id,
+            "AIR_SPEED": self.common.air_speed_kbps,
+            "SERIAL_SPEED": next(code for code, baud in SERIAL_BAUD.items() if baud == self.common.serial_baud),
             "MAVLINK": 1,
-            "RTSCTS": int(self.rtscts),
-            "DUTY_CYCLE": self.duty_cycle_percent,
+            "RTSCTS": int(self.common.rtscts),
+            "DUTY_CYCLE": self.common.duty_cycle_percent,
         }
         if firmware is Firmware.SIK_MULTIPOINT:
             settings["NODECOUNT"] = self.nodes
         elif position == 0:
             settings |= {"NETCOUNT": 1, "NODECOUNT": self.nodes}
-        return settings | dict(self.extra)
+        return settings | dict(self.common.extra)
 
     def name(self, position: int) -> str:
         return self.members[position] if position < len(self.members) else "spare"
 
 
-def plan_network(vehicles: Sequence[str], nodes: int | None, **options: object) -> NetworkPlan:
+def plan_network(
+    vehicles: Sequence[str], nodes: int | None, common: NetworkSettings = NetworkSettings()
+) -> NetworkPlan:
     """The network of the ground and these vehicles (by system id). ``nodes`` counts all radios, spare ones as well;
     None: as many as needed. Raises RefusedError with what does not go together."""
     members = (GROUND, *vehicles)
     count = len(members) if nodes is None else nodes
-    plan = NetworkPlan(members, count, **options)  # type: ignore[arg-type]
+    plan = NetworkPlan(members, count, common)
     problems = []
     if count < 2:
         problems.append("a network has at least two nodes; are there vehicles in the fleet file?")
@@ -84,9 +93,9 @@ def plan_network(vehicles: Sequence[str], nodes: int | None, **options: object) 
         problems.append(
             f"RFD900x multipoint has {RFD_LAST_NODE} node ids, {count} are wanted; use two networks, or Wi-Fi"
         )
-    if plan.serial_baud not in SERIAL_BAUD.values():
-        problems.append(f"a radio's serial port has no rate of {plan.serial_baud} baud")
-    taken = sorted({"NODEID", "NODECOUNT", "FORMAT"} & {name.upper() for name in plan.extra})
+    if common.serial_baud not in SERIAL_BAUD.values():
+        problems.append(f"a radio's serial port has no rate of {common.serial_baud} baud")
+    taken = sorted({"NODEID", "NODECOUNT", "FORMAT"} & {name.upper() for name in common.extra})
     if taken:
         problems.append(f"{', '.join(taken)} follows from the plan and cannot be given")
     if problems:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.radio.network import check_network, plan_network
+from skygcs.core.radio.network import NetworkSettings, check_network, plan_network
 from skygcs.core.radio.parameters import Firmware, RadioState, Register
 from skygcs.core.radio.visit import Visit, change, look
 from skygcs.core.sim.at_radio import AtRadio, Kind
@@ -20,7 +20,7 @@ def radio(firmware: Firmware = Firmware.RFD_MULTIPOINT, **values: int) -> RadioS
 
 
 def test_the_ground_is_master_and_alone_holds_the_node_count() -> None:
-    plan = plan_network(["alpha", "bravo"], 4, net_id=3, air_speed_kbps=125, serial_baud=115200)
+    plan = plan_network(["alpha", "bravo"], 4, NetworkSettings(net_id=3, air_speed_kbps=125, serial_baud=115200))
     settings = [plan.settings(i, Firmware.RFD_MULTIPOINT) for i in range(4)]
     assert [s["NODEID"] for s in settings] == [1, 2, 3, 4]
     assert [plan.name(i) for i in range(4)] == ["ground", "alpha", "bravo", "spare"]
@@ -31,26 +31,26 @@ def test_the_ground_is_master_and_alone_holds_the_node_count() -> None:
 
 
 def test_open_sik_counts_from_zero_and_every_node_holds_the_count() -> None:
-    plan = plan_network(["alpha"], None, to_ground_only=True)
+    plan = plan_network(["alpha"], None, NetworkSettings(to_ground_only=True))
     settings = [plan.settings(i, Firmware.SIK_MULTIPOINT) for i in range(2)]
     assert [(s["NODEID"], s["NODEDESTINATION"], s["NODECOUNT"]) for s in settings] == [(0, 65535, 2), (1, 0, 2)]
 
 
 @pytest.mark.parametrize(
-    ("vehicles", "nodes", "options", "said"),
+    ("vehicles", "nodes", "common", "said"),
     [
-        (3, 3, {}, "give --nodes 4"),
-        (16, None, {}, "16 node ids, 17 are wanted"),
-        (0, None, {}, "at least two nodes"),
-        (1, None, {"serial_baud": 12345}, "no rate of 12345"),
-        (1, None, {"extra": {"NODEID": 4}}, "NODEID follows from the plan"),
+        (3, 3, NetworkSettings(), "give --nodes 4"),
+        (16, None, NetworkSettings(), "16 node ids, 17 are wanted"),
+        (0, None, NetworkSettings(), "at least two nodes"),
+        (1, None, NetworkSettings(serial_baud=12345), "no rate of 12345"),
+        (1, None, NetworkSettings(extra={"NODEID": 4}), "NODEID follows from the plan"),
     ],
 )
 def test_what_does_not_go_together_is_refused(
-    vehicles: int, nodes: int | None, options: dict[str, object], said: str
+    vehicles: int, nodes: int | None, common: NetworkSettings, said: str
 ) -> None:
     with pytest.raises(RefusedError, match=said):
-        plan_network([f"v{i}" for i in range(vehicles)], nodes, **options)
+        plan_network([f"v{i}" for i in range(vehicles)], nodes, common)
 
 
 def test_radios_that_make_no_network_are_refused() -> None:
@@ -61,7 +61,7 @@ def test_radios_that_make_no_network_are_refused() -> None:
 
 @given(st.integers(2, 16), st.sampled_from([Firmware.RFD_MULTIPOINT, Firmware.SIK_MULTIPOINT]), st.booleans())
 def test_every_plan_makes_a_sound_network(nodes: int, firmware: Firmware, to_ground: bool) -> None:
-    plan = plan_network(["a"], nodes, to_ground_only=to_ground)
+    plan = plan_network(["a"], nodes, NetworkSettings(to_ground_only=to_ground))
     radios = {str(i): radio(firmware, **plan.settings(i, firmware)) for i in range(nodes)}
     if firmware is Firmware.RFD_MULTIPOINT:  # the node count is the master's table there, and no register
         del radios["0"].registers["NODECOUNT"]  # type: ignore[attr-defined]
