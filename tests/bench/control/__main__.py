@@ -1,6 +1,6 @@
 """`make bench-control`: what flight control does and what it costs. Tables on stdout, all in build/bench/control.json.
 
-python -m bench.control [--only steps|fleet] [--profile] [--nice N]
+python -m bench.control [--only steps|fleet] [--profile] [--realtime]
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.control", description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=("steps", "fleet"), help="steps: virtual time; fleet: processes and sockets")
     parser.add_argument("--profile", action="store_true", help="the daemon under cProfile, which makes it slower")
-    parser.add_argument("--nice", type=int, default=0, help="of daemon and simulator; negative needs root")
+    parser.add_argument("--realtime", action="store_true", help="daemon and simulator before all others; needs root")
     options = parser.parse_args()
     began = time.monotonic()
     told: dict[str, Any] = {"cpus": os.cpu_count(), "python": sys.version.split()[0]}
@@ -42,7 +42,7 @@ def main() -> int:
         for load in LOADS:
             profile = OUT / f"control-profile-{load.vehicles}.txt" if options.profile else None
             with tempfile.TemporaryDirectory() as folder:
-                carried = carry(replace(load, nice=options.nice), Path(folder), profile)
+                carried = carry(replace(load, realtime=options.realtime), Path(folder), profile)
             _show(fleet_section(carried), told, missed)
     told["missed"] = missed
     told["seconds"] = round(time.monotonic() - began, 1)

@@ -65,8 +65,8 @@ class Load:
     rate_hz: float
     attitude_delay_s: float
     seconds: float = 20.0
-    nice: int = 0
-    """Of both processes. Negative (root only) shows on a loaded machine what a quiet one would do."""
+    realtime: bool = False
+    """Both processes before all others (SCHED_FIFO, root only): on a loaded machine what a quiet one would show."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ class Carried:
     """By then what is kept of the last seconds is full; after it nothing should grow."""
     rss_end_mb: float
     load_average: float
-    nice: int
+    realtime: bool
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -125,9 +125,9 @@ def carry(load: Load, folder: Path, profile: Path | None = None) -> Carried:
     ]
     sim_words = ["skygcs", "sim", "--px4", str(load.vehicles), "--ardupilot", "0"]
     sim_words += ["--udp", f"127.0.0.1:{port}", "--separate-ports", "--gps-noise", "0.05"]
-    with _process(words, load.nice) as daemon:
+    with _process(words, load.realtime) as daemon:
         _wait(lambda: (folder / "s").exists(), "the daemon did not come up")
-        with _process(sim_words, load.nice) as simulator:
+        with _process(sim_words, load.realtime) as simulator:
             samples, states = asyncio.run(_fly(load, folder / "s", daemon.pid, simulator.pid))
     return _summary(load, samples, states, lateness.read_bytes())
 
@@ -216,7 +216,7 @@ def _summary(
         rss_middle_mb=round(samples[len(samples) // 2].daemon.rss_mb, 1),
         rss_end_mb=round(last.daemon.rss_mb, 1),
         load_average=round(os.getloadavg()[0], 2),
-        nice=load.nice,
+        realtime=load.realtime,
     )
 
 
@@ -248,10 +248,10 @@ def _wait(condition: Callable[[], bool], what: str) -> None:
 
 
 @contextmanager
-def _process(words: list[str], nice: int) -> Iterator[subprocess.Popen[bytes]]:
+def _process(words: list[str], realtime: bool) -> Iterator[subprocess.Popen[bytes]]:
     """A module of Python's; told to end at the end."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests")}
-    command = ["nice", "-n", str(nice)] if nice else []
+    command = ["chrt", "--fifo", "10"] if realtime else []
     command += [sys.executable, "-m", *words]
     process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL)
     try:

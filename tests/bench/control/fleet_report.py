@@ -32,7 +32,10 @@ def fleet_section(carried: Carried) -> Section:
         ("delay p95, ms", f"{c.delay_p95_ms}"),
         ("daemon's CPU, % of one core", f"{c.cpu_percent} (median {c.cpu_percent_median})"),
         ("simulator's CPU", f"{c.simulator_cpu_percent}"),
-        ("daemon waited for a CPU, % of time", f"{c.waited_percent} (load average {c.load_average}, nice {c.nice})"),
+        (
+            "daemon waited for a CPU, % of time",
+            f"{c.waited_percent} (load average {c.load_average}, {'real-time' if c.realtime else 'usual'} priority)",
+        ),
         ("memory, MB", f"{c.rss_begin_mb} -> {c.rss_middle_mb} -> {c.rss_end_mb}"),
     ]
     section.data = c.as_dict()

@@ -43,7 +43,7 @@ QUIET = Carried(
     rss_middle_mb=76.0,
     rss_end_mb=76.0,
     load_average=0.5,
-    nice=0,
+    realtime=False,
 )
 
 
