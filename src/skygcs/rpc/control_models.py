@@ -12,9 +12,7 @@ Gain = Annotated[float, Field(ge=0, le=100)]
 Mode = Literal["off", "position", "velocity", "attitude"]
 Axes = Annotated[
     list[float | None],
-    Field(
-        min_length=3, max_length=3, description="[x, y, up] in the fleet's frame; null: not given."
-    ),
+    Field(min_length=3, max_length=3, description="[x, y, up] in the fleet's frame; null: not given."),
 ]
 
 
