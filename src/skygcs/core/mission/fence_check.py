@@ -88,7 +88,7 @@ class FenceArea:
     def conflict(self, place: Corner) -> str | None:
         """Why one may not be there; None if one may."""
         point = self._plane.xy(place)
-        held = [(name, inclusion, _inside(point, corners)) for name, inclusion, corners in self._polygons]
+        held = [(name, inclusion, inside_polygon(point, corners)) for name, inclusion, corners in self._polygons]
         held += [(n, inclusion, math.dist(point, center) <= r) for n, inclusion, center, r in self._circles]
         for name, inclusion, inside in held:
             if not inclusion and inside:
@@ -161,7 +161,7 @@ def _between(a: Point, b: Point, c: Point) -> bool:
     return min(a[0], b[0]) <= c[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= c[1] <= max(a[1], b[1])
 
 
-def _inside(point: Point, corners: Sequence[Point]) -> bool:
+def inside_polygon(point: Point, corners: Sequence[Point]) -> bool:
     """Even-odd rule."""
     x, y = point
     inside = False

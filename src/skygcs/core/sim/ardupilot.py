@@ -12,11 +12,13 @@ from math import isfinite, radians
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.sim import copter_failsafe, copter_guided
+from skygcs.core.sim import copter_failsafe, copter_guided, copter_mission
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.commands import Command
 from skygcs.core.sim.conditions import CALM, Conditions
+from skygcs.core.sim.copter_lists import CopterLists
+from skygcs.core.sim.copter_mission import CopterRun
 from skygcs.core.sim.copter_setup import (
     GUIDED_FLAG_MODES,
     NEEDS_POSITION,
@@ -125,7 +127,7 @@ class CopterVehicle(SimVehicle):
     def limits(self) -> Limits:
         p = self.params
         return Limits(
-            speed_mps=self._speed_mps or p["WPNAV_SPEED"] / 100,
+            speed_mps=self.speed_mps or p["WPNAV_SPEED"] / 100,
             accel_mps2=p["WPNAV_ACCEL"] / 100,
             climb_mps=p["WPNAV_SPEED_UP"] / 100,
             descent_mps=p["WPNAV_SPEED_DN"] / 100,
@@ -140,12 +142,20 @@ class CopterVehicle(SimVehicle):
             return "Need Position Estimate"
         return None
 
+    @property
+    def tells_of_fence(self) -> bool:
+        return bool(self.params["FENCE_ENABLE"])
+
+    def make_lists(self) -> tuple[CopterLists, CopterRun]:
+        run = CopterRun()
+        return CopterLists(lambda: run.changed(self)), run
+
     # -- life
 
     def on_boot(self, now: float) -> None:
         self.mode: int = CopterMode.STABILIZE
         self.failsafe = False
-        self._speed_mps = 0.0
+        self.speed_mps = 0.0
         self.target_at = now
         self.velocity_target = False
         self._prearm_at = now + 3.0
@@ -166,8 +176,10 @@ class CopterVehicle(SimVehicle):
         if not self.armed and now >= self._prearm_at:
             self._prearm_at = now + PREARM_EVERY_S
             self._tell_prearm()
-        if self.taking_off and self.plan.arrived:
+        if self.taking_off and self.plan.arrived and self.mode != CopterMode.AUTO:
             self.taking_off = False
+        if self.mode == CopterMode.AUTO and self.armed:
+            self.run.step(self, now)
         copter_guided.watch(self, now)
         copter_failsafe.watch(self, now)
         delay = self.params["DISARM_DELAY"]
@@ -191,7 +203,8 @@ class CopterVehicle(SimVehicle):
         return  # ArduCopter says nothing
 
     def on_landed(self, now: float) -> None:
-        if self.mode in (CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL) and self.armed:
+        lands = self.mode in (CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL) or self.run.landing
+        if lands and self.armed:
             self.switch_off()
 
     def on_gcs_heartbeat(self, sender: tuple[int, int], now: float) -> None:
@@ -200,28 +213,29 @@ class CopterVehicle(SimVehicle):
 
     # -- modes
 
-    def _try_mode(self, number: int) -> bool:
+    def try_mode(self, number: int, now: float) -> bool:
         """Change the mode if ArduCopter would; a disarmed vehicle takes any mode it has."""
         if number not in CopterMode._value2member_map_:
             self.tx.say(m.MAV_SEVERITY_WARNING, f"No such mode {number}")
             return False
         mode = CopterMode(number)
         reason = self.faults.refuse_mode
-        if self.armed and mode != self.mode:
-            if mode == CopterMode.AUTO:
-                reason = "no mission"
-            elif mode in NEEDS_POSITION and not self.position_ok:
-                reason = "requires position"
+        if not reason and self.armed and mode == CopterMode.AUTO and mode != self.mode:
+            reason = copter_mission.why_not_auto(self)
+        if not reason and self.armed and mode != self.mode and mode in NEEDS_POSITION and not self.position_ok:
+            reason = "requires position"
         if reason:
             self.tx.say(m.MAV_SEVERITY_WARNING, f"Mode change to {mode.name} failed: {reason}")
             return False
-        self.enter(mode)
+        self.enter(mode, now)
         return True
 
-    def enter(self, mode: CopterMode) -> None:
+    def enter(self, mode: CopterMode, now: float) -> None:
         """Be in this mode and begin what it does."""
         if mode == self.mode:
             return
+        if self.mode == CopterMode.AUTO:
+            self.run.leave()
         self.mode = mode
         self.failsafe = False
         self.taking_off = False
@@ -232,21 +246,27 @@ class CopterVehicle(SimVehicle):
             speed = self.params["LAND_SPEED"] / 100
             self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
         elif mode in (CopterMode.RTL, CopterMode.SMART_RTL) and not self.landed and self.home is not None:
-            home, p = self.home, self.params
-            up = max(motion.up_m, home.up_m + p["RTL_ALT"] / 100)
-            legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up), GoTo(home.east_m, home.north_m, up)]
-            legs.append(Wait(p["RTL_LOIT_TIME"] / 1000))
-            final = p["RTL_ALT_FINAL"] / 100
-            if final > 0:
-                legs.append(GoTo(home.east_m, home.north_m, home.up_m + final))
-            else:
-                legs.append(Land(home.east_m, home.north_m, p["LAND_SPEED"] / 100))
-            self.plan.fly(*legs)
+            self.fly_home()
+        elif mode == CopterMode.AUTO and self.armed:
+            self.run.begin(self, now)
         else:
             self.hold_here()
 
+    def fly_home(self) -> None:
+        """Climb, go there, wait, and down as far as RTL_ALT_FINAL says."""
+        motion, home, p = self.believed, self.home or Home(*self.believed.pos_enu_m), self.params
+        up = max(motion.up_m, home.up_m + p["RTL_ALT"] / 100)
+        legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up), GoTo(home.east_m, home.north_m, up)]
+        legs.append(Wait(p["RTL_LOIT_TIME"] / 1000))
+        final = p["RTL_ALT_FINAL"] / 100
+        if final > 0:
+            legs.append(GoTo(home.east_m, home.north_m, home.up_m + final))
+        else:
+            legs.append(Land(home.east_m, home.north_m, p["LAND_SPEED"] / 100))
+        self.plan.fly(*legs)
+
     def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
-        self._try_mode(custom_mode)  # SET_MODE is not acknowledged
+        self.try_mode(custom_mode, now)  # SET_MODE is not acknowledged
 
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
         copter_guided.take(self, name, fields, now)
@@ -278,17 +298,17 @@ class CopterVehicle(SimVehicle):
             case m.MAV_CMD_DO_SET_MODE:
                 if not (isfinite(c.p1) and isfinite(c.p2) and int(c.p1) & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
                     return m.MAV_RESULT_DENIED
-                return self._accepted_if(self._try_mode(int(c.p2)))
+                return self._accepted_if(self.try_mode(int(c.p2), now))
             case m.MAV_CMD_NAV_TAKEOFF:
                 return self._command_takeoff(c)
             case m.MAV_CMD_NAV_LAND:
-                return self._accepted_if(self._try_mode(CopterMode.LAND))
+                return self._accepted_if(self.try_mode(CopterMode.LAND, now))
             case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return self._accepted_if(self._try_mode(CopterMode.RTL))
+                return self._accepted_if(self.try_mode(CopterMode.RTL, now))
             case m.MAV_CMD_DO_REPOSITION:
-                return self._command_reposition(c)
+                return self._command_reposition(c, now)
             case m.MAV_CMD_DO_CHANGE_SPEED:
-                self._speed_mps = c.p2 if c.p2 > 0 else 0.0
+                self.speed_mps = c.p2 if c.p2 > 0 else 0.0
                 return m.MAV_RESULT_ACCEPTED
             case m.MAV_CMD_CONDITION_YAW:
                 return self._command_yaw(c)
@@ -303,7 +323,9 @@ class CopterVehicle(SimVehicle):
                 self._tell_banner(now)
                 return m.MAV_RESULT_ACCEPTED
             case m.MAV_CMD_MISSION_START:
-                return m.MAV_RESULT_FAILED  # no mission on board
+                return copter_mission.start(self, now)
+            case m.MAV_CMD_DO_SET_MISSION_CURRENT:
+                return copter_mission.set_current(self, c, now)
             case _:
                 return common_command(self, c, now)
 
@@ -344,7 +366,7 @@ class CopterVehicle(SimVehicle):
         self.taking_off = True
         return m.MAV_RESULT_ACCEPTED
 
-    def _command_reposition(self, c: Command) -> int:
+    def _command_reposition(self, c: Command, now: float) -> int:
         change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
         if self.mode != CopterMode.GUIDED and not change_mode:
             return m.MAV_RESULT_DENIED
@@ -355,7 +377,7 @@ class CopterVehicle(SimVehicle):
         east, north = self.where.to_local(c.lat_deg, c.lon_deg)
         if not copter_failsafe.inside_fence(self, east, north, up):
             return m.MAV_RESULT_FAILED
-        if self.mode != CopterMode.GUIDED and not self._try_mode(CopterMode.GUIDED):
+        if self.mode != CopterMode.GUIDED and not self.try_mode(CopterMode.GUIDED, now):
             return m.MAV_RESULT_FAILED
         if not self.landed:
             self.taking_off = self.velocity_target = False

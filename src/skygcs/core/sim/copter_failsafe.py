@@ -7,14 +7,18 @@ from typing import TYPE_CHECKING
 
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.copter_setup import NEEDS_POSITION, CopterMode
-from skygcs.core.sim.failsafe import outside
+from skygcs.core.sim.failsafe import outside, tell_breach
+from skygcs.core.sim.fence_shapes import within
 
 if TYPE_CHECKING:
     from skygcs.core.sim.ardupilot import CopterVehicle
 
 FENCE_HEIGHT = 1
 FENCE_CIRCLE = 2
-"""Bits of FENCE_TYPE."""
+FENCE_POLYGON = 4
+"""Bits of FENCE_TYPE; the last one is for polygons and circles of the fence list."""
+
+TEXTS = {"height": "Max Alt fence breached", "distance": "Circle fence breached", "polygon": "Polygon fence breached"}
 
 GIVE_UP_M = 100.0
 """FENCE_GIVE_UP_DISTANCE: this far outside, a return has failed and it lands."""
@@ -55,14 +59,14 @@ def watch(v: CopterVehicle, now: float) -> None:
     p, alarms = v.params, v.failsafes
     if alarms.position_lost(v, now) and v.mode in NEEDS_POSITION:
         v.tx.say(m.MAV_SEVERITY_CRITICAL, "EKF Failsafe: changed to LAND Mode")
-        _go(v, CopterMode.LAND)
+        _go(v, now, CopterMode.LAND)
     _watch_battery(v, now)
     was_lost = alarms.gcs.raised
     lost = alarms.gcs_lost(now, p["FS_GCS_TIMEOUT"])
     action = int(p["FS_GCS_ENABLE"])
     if lost and action and v.armed:
         v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe")
-        _go(v, GCS_LOSS.get(action, CopterMode.RTL))
+        _go(v, now, GCS_LOSS.get(action, CopterMode.RTL))
     elif was_lost and not alarms.gcs.raised and action:
         v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe Cleared")
     _watch_fence(v, now)
@@ -80,24 +84,27 @@ def _breach(v: CopterVehicle, east_m: float, north_m: float, up_m: float) -> str
     kinds = int(p["FENCE_TYPE"])
     radius = p["FENCE_RADIUS"] if kinds & FENCE_CIRCLE else 0.0
     height = p["FENCE_ALT_MAX"] if kinds & FENCE_HEIGHT else 0.0
+    if kinds & FENCE_POLYGON and not within(v.lists.fence, v.where, east_m, north_m, every=True):
+        return "polygon"
     return outside(v, east_m, north_m, up_m, radius_m=radius, height_m=height)
 
 
 def _watch_fence(v: CopterVehicle, now: float) -> None:
-    if not v.params["FENCE_ENABLE"]:
-        v.failsafes.fence.check(False, now)
-        return
+    """It knows of a breach on the ground, too; it acts on it only with the motors on, and there by switching them
+    off."""
     here = v.believed
     breach = _breach(v, *here.pos_enu_m)
-    if not v.failsafes.fence.check(breach != "" and v.armed and not v.landed, now):
+    tell_breach(v, breach)
+    if not v.failsafes.fence.check(breach != "" and v.armed, now):
         return
-    v.tx.say(m.MAV_SEVERITY_WARNING, "Circle fence breached" if breach == "distance" else "Max Alt fence breached")
+    if not v.landed:
+        v.tx.say(m.MAV_SEVERITY_WARNING, TEXTS[breach])
     action = int(v.params["FENCE_ACTION"])
     if action == 0:
         return
     home = v.home
     far = home is not None and here.distance_m(*home.pos_enu_m) > v.params["FENCE_RADIUS"] + GIVE_UP_M
-    _go(v, CopterMode.LAND if far and breach == "distance" else FENCE.get(action, CopterMode.RTL))
+    _go(v, now, CopterMode.LAND if far and breach != "height" else FENCE.get(action, CopterMode.RTL))
 
 
 def _watch_battery(v: CopterVehicle, now: float) -> None:
@@ -111,20 +118,20 @@ def _watch_battery(v: CopterVehicle, now: float) -> None:
             v.tx.say(
                 m.MAV_SEVERITY_WARNING, f"Battery 1 is {word} {battery.volts:.1f}V used {battery.used_mah:.0f} mAh"
             )
-            _act_on_battery(v, int(action))
+            _act_on_battery(v, int(action), now)
 
 
-def _act_on_battery(v: CopterVehicle, action: int) -> None:
+def _act_on_battery(v: CopterVehicle, action: int, now: float) -> None:
     if action == 0 or not v.armed:
         return
     v.tx.say(m.MAV_SEVERITY_WARNING, "Battery Failsafe")
     if action == TERMINATE:
         v.switch_off()
     else:
-        _go(v, BATTERY.get(action, CopterMode.RTL))
+        _go(v, now, BATTERY.get(action, CopterMode.RTL))
 
 
-def _go(v: CopterVehicle, mode: CopterMode) -> None:
+def _go(v: CopterVehicle, now: float, mode: CopterMode) -> None:
     """Change to the mode, to LAND where it is impossible; on the ground: disarm."""
     if not v.armed:
         return
@@ -135,5 +142,5 @@ def _go(v: CopterVehicle, mode: CopterMode) -> None:
         mode = CopterMode.LAND
     if v.mode == CopterMode.LAND and v.failsafe:
         return  # a landing that a failsafe has begun goes on
-    v.enter(mode)
+    v.enter(mode, now)
     v.failsafe = True

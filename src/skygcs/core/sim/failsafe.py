@@ -8,6 +8,8 @@ from __future__ import annotations
 from math import hypot
 from typing import TYPE_CHECKING
 
+from skygcs.core.sim import protocol as m
+
 if TYPE_CHECKING:
     from skygcs.core.sim.vehicle import SimVehicle
 
@@ -18,11 +20,13 @@ GPS_FAILSAFE_S = 5.0
 class Alarm:
     """One condition and since when it holds."""
 
-    __slots__ = ("_since", "raised")
+    __slots__ = ("_since", "raised", "raised_at")
 
     def __init__(self) -> None:
         self._since: float | None = None
         self.raised = False
+        self.raised_at: float | None = None
+        """When it went off last."""
 
     def check(self, bad: bool, now: float, after_s: float = 0.0) -> bool:
         """True at the one moment when it has been bad for ``after_s``."""
@@ -35,6 +39,7 @@ class Alarm:
         if self.raised or now - self._since < after_s:
             return False
         self.raised = True
+        self.raised_at = now
         return True
 
 
@@ -71,3 +76,13 @@ def outside(v: SimVehicle, east_m: float, north_m: float, up_m: float, *, radius
     if radius_m > 0 and hypot(east_m - home.east_m, north_m - home.north_m) > radius_m:
         return "distance"
     return "height" if height_m > 0 and up_m - home.up_m > height_m else ""
+
+
+def tell_breach(v: SimVehicle, breach: str) -> None:
+    """Keep in mind, for telemetry, which side of its fence it is beyond: as `outside` says, or "polygon"."""
+    kind = m.FENCE_BREACH_NONE
+    if breach:
+        kind = m.FENCE_BREACH_MAXALT if breach == "height" else m.FENCE_BREACH_BOUNDARY
+    if kind != m.FENCE_BREACH_NONE and v.fence_breach == m.FENCE_BREACH_NONE:
+        v.fence_breaches += 1
+    v.fence_breach = kind

@@ -7,9 +7,10 @@ https://mavlink.io/en/services/parameter.html#parameter-encoding
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
+from zlib import crc32
 
 from skygcs.core.sim import protocol as m
 
@@ -19,6 +20,9 @@ INTEGER_RANGE: dict[int, tuple[int, int]] = {
     m.MAV_PARAM_TYPE_INT16: (-32768, 32767),
     m.MAV_PARAM_TYPE_INT32: (-(1 << 31), (1 << 31) - 1),
 }
+
+NO_NAN = 0x7F7FFFFF
+"""Keeps a hash from being a NaN where it travels as a float: Python would not carry every one of those unchanged."""
 
 
 @dataclass(slots=True)
@@ -50,6 +54,38 @@ class Params:
 
     def at(self, index: int) -> Param | None:
         return self._all[index] if 0 <= index < len(self._all) else None
+
+    @property
+    def hash(self) -> int:
+        """PX4's _HASH_CHECK, 32 bits over all names and values (not its very number: it has other parameters)."""
+        number = 0
+        for param in self._all:
+            number = crc32(param.name.encode() + struct.pack("<d", param.value), number)
+        return number & NO_NAN
+
+    def take_in(self, params: Mapping[str, Param]) -> None:
+        """Values from elsewhere, and parameters that it had not; its own keep their types where the values allow."""
+        for param in params.values():
+            found = self.find(param.name)
+            if found is None:
+                self._all.append(param)
+                continue
+            own = found[1]
+            whole = own.type == m.MAV_PARAM_TYPE_REAL32 or param.value == round(param.value)
+            own.value = param.value
+            if not whole:
+                own.type = param.type
+        self._all.sort(key=lambda p: p.name)
+        self._index = {p.name: i for i, p in enumerate(self._all)}
+
+    def rename(self, old: str, new: str) -> None:
+        """The firmware's other generation calls it so."""
+        kept = [p for p in self._all if p.name != new]
+        for param in kept:
+            if param.name == old:
+                param.name = new
+        self._all = sorted(kept, key=lambda p: p.name)
+        self._index = {p.name: i for i, p in enumerate(self._all)}
 
     def encode(self, param: Param) -> float:
         """What goes into PARAM_VALUE.param_value."""

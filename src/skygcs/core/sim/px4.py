@@ -13,7 +13,7 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim import px4_failsafe
+from skygcs.core.sim import px4_failsafe, px4_mission
 from skygcs.core.sim.attitude_targets import Refusal, px4_attitude
 from skygcs.core.sim.body import AttitudeSetpoint
 from skygcs.core.sim.chance import Chance
@@ -22,6 +22,8 @@ from skygcs.core.sim.conditions import CALM, Conditions
 from skygcs.core.sim.kinematics import Limits, LocalFrame, Setpoint
 from skygcs.core.sim.params import Params
 from skygcs.core.sim.plan import Descend, Follow, GoTo, Land, Leg, Wait
+from skygcs.core.sim.px4_lists import Px4Lists
+from skygcs.core.sim.px4_mission import Px4Run
 from skygcs.core.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_mode, px4_params
 from skygcs.core.sim.requests import common_command
 from skygcs.core.sim.targets import is_altitude, is_position, setpoint_of
@@ -118,7 +120,7 @@ class Px4Vehicle(SimVehicle):
     def limits(self) -> Limits:
         p = self.params
         return Limits(
-            speed_mps=self._cruise_mps or p["MPC_XY_CRUISE"],
+            speed_mps=self.cruise_mps or p["MPC_XY_CRUISE"],
             accel_mps2=p["MPC_ACC_HOR"],
             climb_mps=p["MPC_Z_V_AUTO_UP"],
             descent_mps=p["MPC_Z_V_AUTO_DN"],
@@ -147,12 +149,23 @@ class Px4Vehicle(SimVehicle):
             return "Arming denied: switch to another mode first"
         return None
 
+    @property
+    def tells_of_fence(self) -> bool:
+        return False
+
+    def make_lists(self) -> tuple[Px4Lists, Px4Run]:
+        run = Px4Run()
+        return Px4Lists(lambda: run.changed(self)), run
+
+    def tail_of(self, name: str) -> bytes:
+        return px4_mission.ids(self) if name == "MISSION_CURRENT" else b""
+
     # -- life
 
     def on_boot(self, now: float) -> None:
         self.mode: int = Px4Mode.LOITER
         self.failsafe = False
-        self._cruise_mps = 0.0
+        self.cruise_mps = 0.0
         self.setpoint_at = -1e9
         self._last_thrust = 0.0
         self._stream_since = now
@@ -165,6 +178,8 @@ class Px4Vehicle(SimVehicle):
         if self.mode == Px4Mode.TAKEOFF and self.plan.arrived and not self.landed:
             self.mode = Px4Mode.LOITER
             self.taking_off = False
+        if self.mode == Px4Mode.MISSION and self.armed:
+            self.run.step(self, now)
         px4_failsafe.watch(self, now)
         if self.armed and self.landed:
             self._auto_disarm(now)
@@ -183,7 +198,8 @@ class Px4Vehicle(SimVehicle):
         self.disarm()
         self.failsafe = False
         self.say_event(m.MAV_SEVERITY_INFO, text)
-        if self.mode in (Px4Mode.LAND, Px4Mode.RTL, Px4Mode.TAKEOFF, Px4Mode.PRECLAND):
+        if self.mode in (Px4Mode.LAND, Px4Mode.RTL, Px4Mode.TAKEOFF, Px4Mode.PRECLAND, Px4Mode.MISSION):
+            self.run.leave()
             self.mode = Px4Mode.LOITER
 
     def on_takeoff(self, now: float) -> None:
@@ -197,7 +213,7 @@ class Px4Vehicle(SimVehicle):
 
     # -- modes
 
-    def _try_mode(self, mode: int, now: float) -> bool:
+    def try_mode(self, mode: int, now: float) -> bool:
         """Change the mode if PX4 would."""
         if self.faults.refuse_mode or not self._may_enter(mode, now):
             name = Px4Mode(mode).name if mode in Px4Mode._value2member_map_ else "unknown"
@@ -208,8 +224,10 @@ class Px4Vehicle(SimVehicle):
         return True
 
     def _may_enter(self, mode: int, now: float) -> bool:
-        if mode not in Px4Mode._value2member_map_ or mode in (Px4Mode.MISSION, Px4Mode.READY):
-            return False  # no mission on board
+        if mode not in Px4Mode._value2member_map_ or mode == Px4Mode.READY:
+            return False
+        if mode == Px4Mode.MISSION and not self.lists.mission:
+            return False
         if mode == Px4Mode.OFFBOARD:
             fresh = now - self.setpoint_at <= OFFBOARD_GAP_S
             return fresh and now - self._stream_since >= OFFBOARD_STREAM_S
@@ -219,8 +237,10 @@ class Px4Vehicle(SimVehicle):
 
     def enter(self, mode: int, now: float) -> None:
         """Be in this mode and begin what it does."""
-        if mode == self.mode and mode not in (Px4Mode.LOITER, Px4Mode.TAKEOFF):
+        if mode == self.mode and mode not in (Px4Mode.LOITER, Px4Mode.TAKEOFF, Px4Mode.MISSION):
             return
+        if self.mode == Px4Mode.MISSION:
+            self.run.leave()
         self._set_mode(mode)
         motion = self.believed
         if mode == Px4Mode.TAKEOFF:
@@ -232,6 +252,8 @@ class Px4Vehicle(SimVehicle):
             self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
         elif mode == Px4Mode.RTL:
             self._return()
+        elif mode == Px4Mode.MISSION and self.armed:
+            self.run.begin(self, now)
         else:
             self.hold_here()
 
@@ -267,7 +289,7 @@ class Px4Vehicle(SimVehicle):
         )
 
     def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
-        ok = self._try_mode(custom_mode, now)
+        ok = self.try_mode(custom_mode, now)
         result = m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_TEMPORARILY_REJECTED
         self.tx.acknowledge(m.MAV_CMD_DO_SET_MODE, result, sender)
 
@@ -305,15 +327,15 @@ class Px4Vehicle(SimVehicle):
             case m.MAV_CMD_NAV_TAKEOFF:
                 return self._command_takeoff(c, now)
             case m.MAV_CMD_NAV_LAND:
-                return self._accepted_if(self._try_mode(Px4Mode.LAND, now))
+                return self._accepted_if(self.try_mode(Px4Mode.LAND, now))
             case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return self._accepted_if(self._try_mode(Px4Mode.RTL, now))
+                return self._accepted_if(self.try_mode(Px4Mode.RTL, now))
             case m.MAV_CMD_MISSION_START:
-                return self._accepted_if(self._try_mode(Px4Mode.MISSION, now))
+                return px4_mission.start(self, c, now)
             case m.MAV_CMD_DO_REPOSITION:
                 return self._command_reposition(c, now)
             case m.MAV_CMD_DO_CHANGE_SPEED:
-                self._cruise_mps = c.p2 if c.p2 > 0 else 0.0
+                self.cruise_mps = c.p2 if c.p2 > 0 else 0.0
                 return m.MAV_RESULT_ACCEPTED
             case m.MAV_CMD_DO_SET_HOME:
                 return self._command_home(c)
@@ -343,8 +365,8 @@ class Px4Vehicle(SimVehicle):
             self.say_event(m.MAV_SEVERITY_CRITICAL, refusal)
             return m.MAV_RESULT_TEMPORARILY_REJECTED
         self.arm(now)
-        if self.mode == Px4Mode.TAKEOFF and self.plan.leg is None:
-            self.enter(Px4Mode.TAKEOFF, now)
+        if self.mode in (Px4Mode.TAKEOFF, Px4Mode.MISSION) and self.plan.leg is None:
+            self.enter(self.mode, now)
         self.say_event(m.MAV_SEVERITY_INFO, "Armed by external command")
         return m.MAV_RESULT_ACCEPTED
 
@@ -353,7 +375,7 @@ class Px4Vehicle(SimVehicle):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
         if not int(c.p1) & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
             return m.MAV_RESULT_TEMPORARILY_REJECTED
-        result = self._accepted_if(self._try_mode(px4_mode(int(c.p2), int(c.p3)), now))
+        result = self._accepted_if(self.try_mode(px4_mode(int(c.p2), int(c.p3)), now))
         # commander and navigator both answer: a real PX4 acknowledges DO_SET_MODE twice
         self.tx.acknowledge(c.id, result, c.sender)
         return result
@@ -371,7 +393,7 @@ class Px4Vehicle(SimVehicle):
 
     def _command_reposition(self, c: Command, now: float) -> int:
         change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
-        if change_mode and not self._try_mode(Px4Mode.LOITER, now):
+        if change_mode and not self.try_mode(Px4Mode.LOITER, now):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
         if self.mode == Px4Mode.LOITER and not self.landed:
             motion = self.believed
@@ -379,7 +401,7 @@ class Px4Vehicle(SimVehicle):
             if is_position(c.lat_deg, c.lon_deg):
                 east, north = self.where.to_local(c.lat_deg, c.lon_deg)
             up = c.p7 - self.where.alt_amsl_m if is_altitude(c.p7) else motion.up_m
-            self._cruise_mps = c.p1 if c.p1 > 0 else 0.0
+            self.cruise_mps = c.p1 if c.p1 > 0 else 0.0
             self.plan.fly(GoTo(east, north, up, yaw_rad=c.p4 if isfinite(c.p4) else None))
         return m.MAV_RESULT_ACCEPTED
 

@@ -11,7 +11,8 @@ from enum import Enum
 from typing import TYPE_CHECKING
 
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim.failsafe import outside
+from skygcs.core.sim.failsafe import outside, tell_breach
+from skygcs.core.sim.fence_shapes import within
 from skygcs.core.sim.plan import Follow
 from skygcs.core.sim.px4_setup import Px4Mode
 
@@ -76,7 +77,10 @@ def watch(v: Px4Vehicle, now: float) -> None:
         _act_if(v, DATA_LINK_LOSS.get(int(p["NAV_DLL_ACT"])), "GCS lost", now)
     here = v.believed
     breach = outside(v, *here.pos_enu_m, radius_m=p["GF_MAX_HOR_DIST"], height_m=p["GF_MAX_VER_DIST"])
-    if alarms.fence.check(breach != "" and not v.landed, now):
+    if not breach and not within(v.lists.fence, v.where, here.east_m, here.north_m, every=False):
+        breach = "polygon"
+    tell_breach(v, breach)
+    if alarms.fence.check(breach != "", now):
         _act_if(v, GEOFENCE.get(int(p["GF_ACTION"])), f"fence {breach}", now)
 
 

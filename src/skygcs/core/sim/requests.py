@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+from skygcs.core.mavlink.param import HASH_NAME
+from skygcs.core.sim import mission_lists
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.commands import Command, from_int, from_long
 from skygcs.core.sim.streams import NEVER
@@ -36,7 +39,7 @@ MAX_INTERVAL_US = 60_000_000
 """ArduPilot's longest."""
 
 INDEX_UNKNOWN = 65535
-"""PARAM_VALUE.param_index of an answer to a request by name (ArduPilot)."""
+"""PARAM_VALUE.param_index of _HASH_CHECK (PX4)."""
 
 
 @dataclass(slots=True)
@@ -63,6 +66,9 @@ def handle(v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float)
         if result is not None:
             v.tx.acknowledge(command.id, result, sender)
         return
+    if name in mission_lists.MESSAGES:
+        v.lists.hear(v, name, fields, sender, now)
+        return
     handler = _HANDLERS.get(name)
     if handler is not None:
         handler(v, fields, sender, now)
@@ -71,7 +77,8 @@ def handle(v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float)
 
 
 def step(v: SimVehicle, now: float) -> None:
-    """What goes on over many ticks: a parameter list, a calibration."""
+    """What goes on over many ticks: a parameter list, a calibration, a mission transfer."""
+    v.lists.step(v, now)
     for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
         _send_param(v, v.param_queue.pop(0))
     running = v.calibration
@@ -193,7 +200,19 @@ def _send_param(v: SimVehicle, index: int, reported_index: int | None = None) ->
         )
 
 
+def _send_hash(v: SimVehicle) -> None:
+    bits = struct.unpack("<f", struct.pack("<I", v.params.hash))[0]
+    fields = {"param_id": HASH_NAME, "param_value": bits, "param_type": m.MAV_PARAM_TYPE_UINT32}
+    v.tx.send("PARAM_VALUE", {**fields, "param_count": len(v.params), "param_index": INDEX_UNKNOWN})
+
+
+def _is_hash(v: SimVehicle, fields: Fields) -> bool:
+    return v.autopilot == m.MAV_AUTOPILOT_PX4 and fields["param_id"] == HASH_NAME
+
+
 def _param_list(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if v.autopilot == m.MAV_AUTOPILOT_PX4:
+        _send_hash(v)
     v.param_queue = list(range(len(v.params)))
 
 
@@ -202,12 +221,18 @@ def _param_read(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> No
     if index >= 0:
         _send_param(v, index)
         return
+    if _is_hash(v, fields):
+        _send_hash(v)
+        return
     found = v.params.find(fields["param_id"])
     if found is not None:
         _send_param(v, found[0], v.named_param_index)
 
 
 def _param_set(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if _is_hash(v, fields):  # the ground station knows all: no list
+        v.param_queue = []
+        return
     param = v.params.set(fields["param_id"], fields["param_value"])
     found = v.params.find(fields["param_id"])
     if param is not None and found is not None:
@@ -215,26 +240,18 @@ def _param_set(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> Non
         v.on_param(param.name, now)
 
 
-# -- missions: none on board
+# -- missions
 
 
-def _mission_list(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
-    v.tx.send("MISSION_COUNT", _to(sender) | {"count": 0, "mission_type": fields["mission_type"]})
+def _mission_current(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    v.run.on_set_current(v, int(fields["seq"]), now)
 
 
-def _mission_refuse(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
-    v.tx.send("MISSION_ACK", _to(sender) | {"type": m.MAV_MISSION_UNSUPPORTED, "mission_type": fields["mission_type"]})
-
-
-def _mission_clear(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
-    v.tx.send("MISSION_ACK", _to(sender) | {"type": m.MAV_MISSION_ACCEPTED, "mission_type": fields["mission_type"]})
+# -- clocks, streams, modes
 
 
 def _to(sender: Sender) -> Fields:
     return {"target_system": sender[0], "target_component": sender[1]}
-
-
-# -- clocks, streams, modes
 
 
 def _ping(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
@@ -288,9 +305,7 @@ _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
     "PARAM_REQUEST_LIST": _param_list,
     "PARAM_REQUEST_READ": _param_read,
     "PARAM_SET": _param_set,
-    "MISSION_REQUEST_LIST": _mission_list,
-    "MISSION_COUNT": _mission_refuse,
-    "MISSION_CLEAR_ALL": _mission_clear,
+    "MISSION_SET_CURRENT": _mission_current,
     "PING": _ping,
     "TIMESYNC": _timesync,
     "SET_GPS_GLOBAL_ORIGIN": _set_origin,

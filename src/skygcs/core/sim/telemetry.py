@@ -69,9 +69,12 @@ def sys_status(v: SimVehicle, now: float) -> Fields:
         health |= m.MAV_SYS_STATUS_AHRS
     if v.arming_refusal() is None:
         health |= m.MAV_SYS_STATUS_PREARM_CHECK
+    fenced = m.MAV_SYS_STATUS_GEOFENCE if v.tells_of_fence else 0
+    if v.fence_breach == m.FENCE_BREACH_NONE:
+        health |= fenced
     return {
-        "onboard_control_sensors_present": _ALL_SENSORS,
-        "onboard_control_sensors_enabled": _ALL_SENSORS,
+        "onboard_control_sensors_present": _ALL_SENSORS | fenced,
+        "onboard_control_sensors_enabled": _ALL_SENSORS | fenced,
         "onboard_control_sensors_health": health,
         "load": 350 if v.armed else 280,
         "voltage_battery": round(v.battery.volts * 1000),
@@ -243,7 +246,17 @@ def extended_sys_state(v: SimVehicle, now: float) -> Fields:
 
 
 def mission_current(v: SimVehicle, now: float) -> Fields:
-    return {"seq": 0, "total": UNKNOWN_U16}
+    return v.run.facts(v)
+
+
+def fence_status(v: SimVehicle, now: float) -> Fields:
+    alarm = v.failsafes.fence
+    return {
+        "breach_status": int(v.fence_breach != m.FENCE_BREACH_NONE),
+        "breach_count": v.fence_breaches,
+        "breach_type": v.fence_breach,
+        "breach_time": 0 if alarm.raised_at is None else max(0, round((alarm.raised_at - v.boot_at) * 1000)),
+    }
 
 
 def rc_channels(v: SimVehicle, now: float) -> Fields:
@@ -367,4 +380,4 @@ def builders_of(autopilot: int) -> Mapping[str, Builder]:
             "ALTITUDE": altitude,
             "ESTIMATOR_STATUS": estimator_status,
         }
-    return {**COMMON, "RAW_IMU": raw_imu, "EKF_STATUS_REPORT": ekf_status_report}
+    return {**COMMON, "RAW_IMU": raw_imu, "EKF_STATUS_REPORT": ekf_status_report, "FENCE_STATUS": fence_status}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.faults import Faults
@@ -35,12 +35,13 @@ class Transmitter:
         self._seq = 0
         self._text_id = 0
 
-    def send(self, name: str, fields: Mapping[str, Any]) -> None:
-        """One message now. A message the dialect lacks is not sent."""
+    def send(self, name: str, fields: Mapping[str, Any], tail: bytes = b"") -> None:
+        """One message now, ``tail`` behind what the dialect knows of it. A message the dialect lacks is not sent."""
         info = self._dialect.by_name.get(name)
         if info is None:
             return
-        raw = encode(info, fields, sysid=self.sysid, compid=m.MAV_COMP_ID_AUTOPILOT1, seq=self._seq)
+        payload = info.pack(fields) + tail
+        raw = encode_payload(info, payload, sysid=self.sysid, compid=m.MAV_COMP_ID_AUTOPILOT1, seq=self._seq)
         self._seq = (self._seq + 1) & 0xFF
         if not self._faults.mute:
             self._out.append(raw)

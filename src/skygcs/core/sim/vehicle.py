@@ -24,6 +24,8 @@ from skygcs.core.sim.conditions import CALM, Conditions, body_of
 from skygcs.core.sim.failsafe import Failsafes
 from skygcs.core.sim.faults import Faults
 from skygcs.core.sim.kinematics import Limits, LocalFrame
+from skygcs.core.sim.mission_lists import MissionLists
+from skygcs.core.sim.mission_run import MissionRun
 from skygcs.core.sim.params import Params
 from skygcs.core.sim.plan import GoTo, Plan
 from skygcs.core.sim.sensors import Sensors
@@ -79,6 +81,14 @@ class SimVehicle(ABC):
     """Whether a command for system 0 is taken; PX4 takes those for its own id only (and asks for capabilities)."""
     mode: int
     """HEARTBEAT.custom_mode."""
+    lists: MissionLists
+    """Mission, fence and rally points on board."""
+    run: MissionRun
+    """The mission as it is flown."""
+    fence_breach: int
+    """FENCE_BREACH: which side of its fence it is beyond, flying or not."""
+    fence_breaches: int
+    """Since boot."""
 
     def __init__(
         self,
@@ -103,6 +113,7 @@ class SimVehicle(ABC):
         self.sensors = Sensors(self.motion, conditions, TICK_S, chance.seed())
         self.battery = Battery()
         self.plan = Plan()
+        self.lists, self.run = self.make_lists()
         self._unix_offset_us = unix_us - now * 1e6
         self._clock = now
         self.home: Home | None = None
@@ -123,6 +134,14 @@ class SimVehicle(ABC):
     @abstractmethod
     def version(self) -> dict[str, Any]:
         """Fields of AUTOPILOT_VERSION."""
+
+    @property
+    @abstractmethod
+    def tells_of_fence(self) -> bool:
+        """Whether SYS_STATUS has a bit for the fence now."""
+
+    @abstractmethod
+    def make_lists(self) -> tuple[MissionLists, MissionRun]: ...
 
     @property
     @abstractmethod
@@ -211,8 +230,12 @@ class SimVehicle(ABC):
             return False
         fields = builder(self, now)
         if fields is not None:
-            self.tx.send(name, fields)
+            self.tx.send(name, fields, self.tail_of(name))
         return True
+
+    def tail_of(self, name: str) -> bytes:
+        """What its firmware sends behind the fields that the dialect knows."""
+        return b""
 
     def send_soon(self, name: str) -> None:
         """Send this message after the answer that is being worked out."""
@@ -335,6 +358,10 @@ class SimVehicle(ABC):
         self._ready_s = self.ready_after_s * (1 + self.chance.spread(0.2))
         self._was_ready = False
         self.failsafes = Failsafes()
+        self.fence_breach = m.FENCE_BREACH_NONE
+        self.fence_breaches = 0
+        self.lists.forget_transfers()
+        self.run.leave()
         self.armed = False
         self.armed_at = now
         self.landed = self.motion.on_ground

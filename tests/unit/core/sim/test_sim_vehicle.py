@@ -181,6 +181,8 @@ def test_parameters_are_listed_read_and_set(make: type[SimVehicle]) -> None:
     pilot.send(mav.MAVLink_param_request_list_message(9, 1))
     pilot.run(5)
     values = pilot.all("PARAM_VALUE", 9)
+    if make is px4:
+        assert (values[0].param_id, values.pop(0).param_index) == ("_HASH_CHECK", 65535)
     assert [x.param_index for x in values] == list(range(values[0].param_count))
     names = [x.param_id for x in values]
     assert names == sorted(names) and len(names) == len(set(names)) > 20
@@ -211,8 +213,6 @@ def test_there_is_no_mission_fence_or_rally_on_board(make: type[SimVehicle]) -> 
         count = pilot.send(mav.MAVLink_mission_request_list_message(1, 1, kind))[0]
         assert (count.get_type(), count.count, count.mission_type) == ("MISSION_COUNT", 0, kind)
         assert (count.target_system, count.target_component) == (255, 190)
-    answer = pilot.send(mav.MAVLink_mission_count_message(1, 1, 3))[0]
-    assert answer.type == mav.MAV_MISSION_UNSUPPORTED
 
 
 @BOTH
