@@ -1,0 +1,213 @@
+"""docs/reference/seed-parity.md, run as it is written: every command of its tables, in their order, is one flight."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from skygcs.cli.control import app
+from skygcs.rpc.methods import METHODS
+from support.process import ROOT, DaemonProcess, wait_until
+
+pytestmark = pytest.mark.system
+
+PAGE = (ROOT / "docs" / "reference" / "seed-parity.md").read_text(encoding="utf-8")
+HEADER = "| seed | skygcs-cli | RPC | then | different, and why |"
+VEHICLES = ("alpha", "bravo", "charlie")
+SHOWN_PATIENCE_S = 30.0
+"""How long a vehicle may take to show what it was ordered: most of it is its landing from 3 m."""
+
+SEED = re.findall(
+    r"\S+",
+    """
+/mavlink/from /mavros/state /mavros/imu/data /mavros/gpsstatus/gps1/raw /mavros/global_position/local
+/mavros/global_position/raw/fix /mavros/setpoint_raw/local /mavros/setpoint_raw/attitude /mavros/global_position/home
+/mavros/cmd/arming set_mode /mavros/cmd/command /mavros/cmd/set_home cmd/takeoff mavros.cpp tgt_system tgt_component
+roslaunch rostopic AUTO.TAKEOFF AUTO.LAND AUTO.RTL AUTO.LOITER OFFBOARD
+connect( wait_ready rate=4 SYSID_THISMAV SYSID_MYGCS fix_type satellites_visible attitude.roll location.global_frame
+vehicle.velocity vehicle.heading system_status.state
+mavlink_connection wait_heartbeat target_system request_data_stream_send x25crc start_time uptime flightmode sysid_state
+waypoint_request_list_send waypoint_request_send MISSION_COUNT MISSION_ITEM SYSTEM_TIME ATTITUDE GPS_RAW_INT
+GLOBAL_POSITION_INT HEARTBEAT BATTERY_STATUS HL_FAILURE_FLAG STATUSTEXT MISSION_CURRENT MISSION_ACK COMMAND_ACK
+POSITION_TARGET_GLOBAL_INT POSITION_TARGET_LOCAL_NED SERVO_OUTPUT_RAW LOCAL_POSITION_NED DO_SET_MODE arducopter_arm
+arducopter_disarm MAVWPLoader waypoint_clear_all_send waypoint_count_send MISSION_REQUEST NAV_TAKEOFF MISSION_START
+0b10011111000 0b010111000000 0b110000111111 write_csv
+DigiMeshDevice read_data send_data_broadcast tmux
+""",
+)
+"""What the experiment's sections 4.1, 5.1 and 7.1 to 7.4 call, publish, subscribe to and read."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """`position.alt_rel_m > 2`: what a vehicle's state tells."""
+
+    path: str
+    operator: str
+    wanted: Any
+    tolerance: float
+
+    @classmethod
+    def of(cls, text: str) -> Check:
+        match = re.fullmatch(r"([\w.]+) (=|!=|<|>) (.+?)(?: ± ([\d.]+))?", text)
+        assert match is not None, f"not a check of the state: {text}"
+        return cls(match[1], match[2], json.loads(match[3]), float(match[4] or 0))
+
+    def holds(self, state: Any) -> bool:
+        for key in self.path.split("."):
+            if state is None:
+                break
+            state = state[int(key)] if isinstance(state, list) else state.get(key)
+        if self.operator == "=":
+            return self._same(state, self.wanted)
+        if self.operator == "!=":
+            return bool(state != self.wanted)
+        return state is not None and bool(state < self.wanted if self.operator == "<" else state > self.wanted)
+
+    def _same(self, told: Any, wanted: Any) -> bool:
+        if isinstance(wanted, list):
+            return isinstance(told, list) and all(self._same(t, w) for t, w in zip(told, wanted, strict=True))
+        if self.tolerance:
+            return told is not None and abs(told - wanted) <= self.tolerance
+        return bool(told == wanted)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the page's tables, with its cells taken apart."""
+
+    seed: str
+    commands: list[str]
+    methods: list[str]
+    checks: list[Check]
+    prints: str
+    refused: str
+
+    @classmethod
+    def of(cls, line: str) -> Row:
+        seed, commands, methods, then, _ = (cell.strip() for cell in line.strip()[1:-1].split("|"))
+        prints, refused = (re.search(rf"{word} `([^`]+)`", then) for word in ("prints", "refused:"))
+        state = re.sub(r"(prints|refused:) `[^`]+`", "", then)
+        return cls(
+            seed,
+            re.findall(r"`([^`]+)`", commands),
+            re.findall(r"`([^`]+)`", methods),
+            [Check.of(text) for text in re.findall(r"`([^`]+)`", state)],
+            prints[1] if prints else "",
+            refused[1] if refused else "",
+        )
+
+    @property
+    def vehicles(self) -> list[str]:
+        """Whose state tells: those the commands name, or else all of them."""
+        named = [name for name in VEHICLES if re.search(rf"\b{name}\b", " ".join(self.commands))]
+        return named or list(VEHICLES)
+
+
+def rows() -> Iterator[Row]:
+    in_table = False
+    for line in PAGE.splitlines():
+        if line.startswith("|") and in_table and not line.startswith("|---"):
+            yield Row.of(line)
+        in_table = line == HEADER or (in_table and line.startswith("|"))
+
+
+ROWS = list(rows())
+
+
+def write_examples(folder: Path) -> None:
+    """The files that the page's commands read, from the page and the checkout."""
+    for name in ("configs", "dialects"):
+        (folder / name).symlink_to(ROOT / name)
+    for name, content in re.findall(r"`([\w.]+)` of the example.*?```\w+\n(.*?)```", PAGE, re.DOTALL):
+        (folder / name).write_text(content, encoding="utf-8")
+
+
+def simulated_fleet() -> str:
+    """configs/sim.toml without its ports and folders."""
+    parts = (ROOT / "configs" / "sim.toml").read_text(encoding="utf-8").split("\n\n")
+    kept = [part for part in parts if re.search(r"^\[(origin|links\.field|vehicles\.\w+)\]", part, re.MULTILINE)]
+    assert len(kept) == 2 + len(VEHICLES)
+    return "\n\n".join(kept)
+
+
+def run(command: str) -> tuple[int, str]:
+    """Exit code and all that it printed. In this process where that is the same: interpreters that start would be most
+    of the test's time."""
+    words = shlex.split(command)
+    if words[0] == "skygcs-cli" and "<" not in words:
+        result = CliRunner().invoke(app, words[1:])
+        assert result.exception is None or isinstance(result.exception, SystemExit), repr(result.exception)
+        return result.exit_code, result.output
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(["bash", "-c", command], env=os.environ | {"PATH": path}, capture_output=True, text=True)
+    return done.returncode, done.stdout + done.stderr
+
+
+def wait_for(check: Check, vehicle: str, daemon: DaemonProcess, label: str) -> None:
+    deadline = time.monotonic() + SHOWN_PATIENCE_S
+    while not check.holds(state := daemon.call("vehicles.get", target=vehicle)):
+        section = state.get(check.path.split(".")[0])
+        assert time.monotonic() < deadline, f"{label}: {vehicle} never showed {check}; it told {section}"
+        time.sleep(0.05)
+
+
+@pytest.mark.timeout(240)
+def test_every_command_of_the_page_does_what_the_page_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_examples(tmp_path)
+    with DaemonProcess(tmp_path, simulated_fleet()) as daemon:
+        wait_until(
+            lambda: (
+                {n: v["position"] and v["position"]["alt_rel_m"] is not None for n, v in daemon.vehicles().items()}
+                == dict.fromkeys(VEHICLES, True)
+            ),
+            "all vehicles know where they are",
+        )
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("SKYGCS_SOCKET", str(daemon.socket))
+        for row in ROWS:
+            fly(row, daemon)
+
+
+def fly(row: Row, daemon: DaemonProcess) -> None:
+    """Run a row's commands, and look whether what it says came true."""
+    label = f"{row.seed}: {row.commands}"
+    told = ""
+    for command in row.commands:
+        code, output = run(command)
+        told += output
+        assert code == (1 if row.refused else 0), f"{command}: exit {code}: {told}"
+        assert "Traceback" not in told, told
+    assert row.prints in told and row.refused in told, f"{label} told {told}"
+    for vehicle in row.vehicles:
+        for check in row.checks:
+            wait_for(check, vehicle, daemon, label)
+
+
+def test_every_method_of_the_page_exists() -> None:
+    assert {method for row in ROWS for method in row.methods} - set(METHODS) == set()
+
+
+def test_every_row_has_a_command_and_something_to_see_it_by() -> None:
+    assert len(ROWS) > 50
+    assert [row.seed for row in ROWS if not row.commands] == []
+    dumb = [row.commands[0] for row in ROWS if not (row.checks or row.prints or row.refused)]
+    assert len(dumb) <= 2, dumb
+
+
+@pytest.mark.parametrize("name", SEED)
+def test_everything_the_experiment_called_is_on_the_page(name: str) -> None:
+    cells = [line.split(" | ")[0] for line in PAGE.splitlines() if line.startswith("| ")]
+    assert any(name in cell for cell in cells)
