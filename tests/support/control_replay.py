@@ -35,7 +35,7 @@ class Obeyed(Pilot):
 
     def _facts(self, *args: Any) -> Facts:
         facts = super()._facts(*args)
-        return replace(facts, following=True, armed=True, airborne=None, connected=True)
+        return replace(facts, following=True, armed=True, airborne=None, connected=True, attitude_refused=None)
 
 
 class Replay:
