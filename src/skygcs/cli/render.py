@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 import textwrap
@@ -209,7 +210,7 @@ def event_line(event: Mapping[str, Any]) -> str:
     clock = time.strftime("%H:%M:%S", time.localtime(event["time_unix_s"]))
     vehicle = event.get("vehicle")
     text = str(event["text"])
-    if vehicle and vehicle not in text:
+    if vehicle and re.search(rf"\b{re.escape(vehicle)}\b", text) is None:  # "ac" is not told by "reached"
         text = f"{vehicle}: {text}"
     lost = f"  [{event['dropped']} events lost before this one]" if event.get("dropped") else ""
     return f"{clock} {event['kind']:<18} {text}{lost}"

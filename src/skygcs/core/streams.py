@@ -17,12 +17,13 @@ DEFAULT_RATES_HZ: Mapping[str, float] = {
     "EXTENDED_SYS_STATE": 0.5,
     "SYSTEM_TIME": 0.2,
     "EKF_STATUS_REPORT": 0.2,
+    "MISSION_CURRENT": 0.5,
 }
 """The nav profile of field-notes 10.2 (200 B/s per vehicle: fourteen on half of 57600 baud), the landed state and the
-clock (11 B/s more), and of ArduPilot the estimator (7 B/s more)."""
+clock (11 B/s more), and of ArduPilot the estimator (7 B/s more) and the current item of its mission (9 B/s more)."""
 
-ARDUPILOT_ONLY = frozenset({"EKF_STATUS_REPORT"})
-"""PX4 tells of its estimator by ESTIMATOR_STATUS, which it streams by itself."""
+ARDUPILOT_ONLY = frozenset({"EKF_STATUS_REPORT", "MISSION_CURRENT"})
+"""PX4 tells of its estimator by ESTIMATOR_STATUS and streams MISSION_CURRENT, both by itself."""
 
 STREAM_GROUPS: Mapping[str, int] = {
     "GLOBAL_POSITION_INT": 6,
@@ -31,6 +32,7 @@ STREAM_GROUPS: Mapping[str, int] = {
     "GPS_RAW_INT": 2,
     "SYSTEM_TIME": 12,
     "EKF_STATUS_REPORT": 12,
+    "MISSION_CURRENT": 2,
 }
 """MAV_DATA_STREAM of each message on ArduPilot (GCS_MAVLink stream tables): for firmware that knows no
 SET_MESSAGE_INTERVAL."""

@@ -206,3 +206,9 @@ def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
     assert lines[4].split() == ["spare", "serial", "peer", "disabled"]
     assert max(len(line.rstrip()) for line in lines[:5]) < 130  # no error widens the table
     assert " ".join(lines[5:]).split() == ["lte:", *["refused"] * 40]
+
+
+def test_an_event_names_its_vehicle_although_a_word_of_the_text_holds_the_name() -> None:
+    event = {"time_unix_s": 0.0, "kind": "mission", "vehicle": "ac", "text": "reached item 1", "dropped": 0}
+    assert render.event_line(event).endswith("ac: reached item 1")
+    assert render.event_line({**event, "text": "ac is here"}).endswith("  ac is here")

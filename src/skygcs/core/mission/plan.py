@@ -10,7 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from skygcs.core.mission.fence import FencePlan, fence_from_items, fence_items
-from skygcs.core.mission.item import DO_JUMP, GLOBAL, NAV_WAYPOINT, MissionItem, MissionType
+from skygcs.core.mission.item import DO_JUMP, GLOBAL, MISSION_FRAME, NAV_WAYPOINT, MissionItem, MissionType
+
+PLACELESS = frozenset(
+    {20, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 187, 197, 203, 205, 206, 211, 218, 222, 223, 530, 531, 532}
+    | {600, 601, 2000, 2001, 2500, 2501, 3000}
+)
+"""Commands without a place. Their frame means nothing to an ArduPilot, which keeps none and tells frame 0 of them; a
+PX4 takes them in MAV_FRAME_MISSION only, which Mission Planner's files do not have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +102,27 @@ def shifted_jumps(items: tuple[MissionItem, ...], by: int) -> tuple[MissionItem,
 def to_wire(items: tuple[MissionItem, ...], home_item: MissionItem | None) -> tuple[MissionItem, ...]:
     """The items of a *mission* as they are sent: behind ``home_item`` to an ArduPilot, without (None) to a PX4.
 
-    Fence and rally lists travel as they are."""
+    Fence and rally lists travel as they are. An ArduPilot keeps a 0 for a number that is not set, and refuses many
+    items that have one; a PX4 gets commands without a place in the one frame that it takes them in.
+    """
     if home_item is not None:
-        return (home_item, *items)
-    return shifted_jumps(items, -1)
+        return (home_item, *map(_all_set, items))
+    return shifted_jumps(tuple(map(_without_place, items)), -1)
 
 
 def from_wire(items: tuple[MissionItem, ...], *, first_is_home: bool) -> tuple[MissionItem, ...]:
-    """The inverse of `to_wire` for what was downloaded."""
-    return items[1:] if first_is_home else shifted_jumps(items, 1)
+    """The inverse of `to_wire` for what was downloaded, as far as the vehicle kept it."""
+    if first_is_home:
+        return tuple(map(_without_place, items[1:]))
+    return shifted_jumps(items, 1)
+
+
+def _all_set(item: MissionItem) -> MissionItem:
+    p1, p2, p3, p4 = (0.0 if value is None else value for value in item.params)
+    return replace(item, params=(p1, p2, p3, p4))
+
+
+def _without_place(item: MissionItem) -> MissionItem:
+    if item.command in PLACELESS and (item.x, item.y) == (0, 0):
+        return replace(item, frame=MISSION_FRAME)
+    return item

@@ -357,18 +357,22 @@ class Px4Vehicle(SimVehicle):
             if self.armed:
                 self.switch_off("Disarmed by external command")
             return m.MAV_RESULT_ACCEPTED
+        return self._accepted_if(self.try_arm(now, forced=forced))
+
+    def try_arm(self, now: float, *, forced: bool = False) -> bool:
+        """Armed afterwards; why not is said."""
         if self.armed:
-            return m.MAV_RESULT_ACCEPTED
+            return True
         refusal = None if forced else self.arming_refusal()
         if refusal is not None:
             self.say_event(m.MAV_SEVERITY_CRITICAL, "Arming denied: preflight checks failed")
             self.say_event(m.MAV_SEVERITY_CRITICAL, refusal)
-            return m.MAV_RESULT_TEMPORARILY_REJECTED
+            return False
         self.arm(now)
         if self.mode in (Px4Mode.TAKEOFF, Px4Mode.MISSION) and self.plan.leg is None:
             self.enter(self.mode, now)
         self.say_event(m.MAV_SEVERITY_INFO, "Armed by external command")
-        return m.MAV_RESULT_ACCEPTED
+        return True
 
     def _command_mode(self, c: Command, now: float) -> int:
         if not all(isfinite(p) and 0 <= p < 256 for p in (c.p1, c.p2, c.p3)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from skygcs.core.mission.item import MissionType
@@ -60,9 +61,14 @@ def ids(v: Px4Vehicle) -> bytes:
 
 
 def start(v: Px4Vehicle, c: Command, now: float) -> int:
-    """MAV_CMD_MISSION_START: the item, the mode, and motors on."""
-    if not v.lists.mission or not v.try_mode(Px4Mode.MISSION, now):
-        return m.MAV_RESULT_TEMPORARILY_REJECTED
-    if c.p1 > 0:
+    """MAV_CMD_MISSION_START: the mode, motors on, and the item unless it is -1."""
+    if not v.lists.mission:
+        v.say_event(m.MAV_SEVERITY_CRITICAL, "Mission start denied! No valid mission")
+        return m.MAV_RESULT_DENIED
+    if not (isfinite(c.p1) and -1 <= c.p1 < len(v.lists.mission)):
+        return m.MAV_RESULT_DENIED
+    if c.p1 >= 0:
         v.run.set_current(v, int(c.p1), now)
+    if not v.try_mode(Px4Mode.MISSION, now) or not v.try_arm(now):
+        return m.MAV_RESULT_TEMPORARILY_REJECTED
     return m.MAV_RESULT_ACCEPTED

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -337,3 +338,15 @@ def test_the_name_says_the_format() -> None:
     ]
     with pytest.raises(PlanFileError, match=r"a\.kml: must end in"):
         format_of("a.kml")
+
+
+def test_each_autopilot_gets_the_items_as_it_takes_them() -> None:
+    """An ArduPilot refuses LOITER_TIME with an unset yaw and keeps no frame of a speed; a PX4 refuses one in frame 3."""
+    loiter = MissionItem.from_params(19, 3, (5.0, None, None, None, 47.0, 8.0, 10.0), True)
+    speed = MissionItem.from_params(178, 3, (1.0, 4.0, -1.0, 0.0, 0.0, 0.0, 0.0), True)
+    home = PlannedHome(47.0, 8.0, 400.0).item()
+    assert to_wire((loiter, speed), home)[1].params == (5.0, 0.0, 0.0, 0.0)
+    told = (home, loiter, replace(speed, frame=0))
+    assert [item.frame for item in from_wire(told, first_is_home=True)] == [3, 2]
+    assert [item.frame for item in to_wire((loiter, speed), None)] == [3, 2]
+    assert to_wire((loiter, speed), None)[0] == loiter, "a PX4 knows what is not set"

@@ -73,7 +73,6 @@ class Uploader(Pilot):
         v = self.vehicles[0]
         if v.autopilot == mav.MAV_AUTOPILOT_PX4:
             assert self.command(mav.MAV_CMD_MISSION_START) == 0
-            assert self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
             return
         assert self.command(mav.MAV_CMD_DO_SET_MODE, 1, COPTER_GUIDED) == 0
         assert self.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
@@ -358,7 +357,7 @@ def test_clearing_empties_one_list(make: type[SimVehicle]) -> None:
     lists = pilot.vehicles[0].lists
     assert not lists.mission and len(lists.items[MissionType.RALLY]) == 1
     if make is px4:
-        assert pilot.command(mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_TEMPORARILY_REJECTED
+        assert pilot.command(mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_DENIED
 
 
 def test_a_px4s_hash_changes_with_a_parameter_and_back() -> None:

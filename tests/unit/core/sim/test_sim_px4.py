@@ -243,9 +243,10 @@ def test_modes_it_cannot_fly_are_rejected_with_a_text() -> None:
     assert set_mode(pilot, Px4Mode.MISSION) == REJECTED
     assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 42, 0) == REJECTED
     assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 0, 4, 3) == REJECTED, "no custom mode flag"
-    assert pilot.command(mav.MAV_CMD_MISSION_START) == REJECTED
+    assert pilot.command(mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_DENIED
     assert px4_mode(pilot) == Px4Mode.LOITER
-    assert len([t for t in pilot.texts() if "not possible" in t]) == 3
+    assert len([t for t in pilot.texts() if "not possible" in t]) == 2
+    assert "Mission start denied! No valid mission" in pilot.texts()
 
 
 def test_the_deprecated_set_mode_message_works() -> None:
