@@ -8,6 +8,7 @@ SkygcsError                  base; str() is one line for a person, never a trace
 ├── LinkError                a device or an address: could not be opened, or broke
 ├── TargetError              a target that names no vehicle ("7", "alpha")
 ├── RefusedError             an order skygcs itself refuses (unsafe, wrong state); says how to insist if one can
+│   └── NotReadyError        the same, but in a moment it may be taken
 └── RpcError                 an answer of the JSON-RPC server that is an error (code, message, data)
     └── DaemonUnreachable    nobody listens on the socket
 """
@@ -71,6 +72,10 @@ class TargetError(SkygcsError):
 
 class RefusedError(SkygcsError):
     """skygcs refuses the order itself; the text says why and, where one can, how to insist."""
+
+
+class NotReadyError(RefusedError):
+    """An order that is refused now and may be taken in a moment: the vehicle has not told something yet."""
 
 
 class RpcError(SkygcsError):

@@ -15,6 +15,8 @@ from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
 
+SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"})
+
 
 def target_fields(info: MessageInfo) -> tuple[str | None, str | None]:
     """Names of the fields that say which system and component a message is for ("target" in MANUAL_CONTROL)."""
@@ -44,6 +46,8 @@ class Postman:
         system, _ = target_fields(info)
         if target is not None and link is not None:
             raise RefusedError("give either a target or a link, not both")
+        if info.name in SETPOINTS:
+            self._refuse_flown(info, fields, target)
         if link is not None:
             self._links.require(link)
             return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields)))
@@ -55,6 +59,17 @@ class Postman:
                 "(0: everyone)"
             )
         return self._to_field(info, fields)
+
+    def _refuse_flown(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None) -> None:
+        """Two streams of setpoints to one vehicle would tear it to and fro."""
+        system, _ = target_fields(info)
+        sysid = int(fields.get(system or "", 0) or 0)
+        meant = None if target is None else {actor.sysid for actor in self._fleet.resolve(target)}
+        for actor in self._fleet.flown():
+            if actor.sysid in meant if meant is not None else sysid in (0, actor.sysid):
+                raise RefusedError(
+                    f"{actor.name} is flown by setpoints of skygcs: end that first (control set {actor.name} off)"
+                )
 
     def _to_field(self, info: MessageInfo, fields: Mapping[str, Any]) -> dict[str, Any]:
         """Where the message's own target fields say; to all without such fields."""

@@ -24,6 +24,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
@@ -33,7 +34,7 @@ from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.worldview import setpoint_from_world, shown
-from skygcs.errors import RefusedError
+from skygcs.errors import NotReadyError, RefusedError
 from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
 from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.missions import MESSAGES as MISSION_MESSAGES
@@ -42,6 +43,7 @@ from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.params import VehicleParams
 from skygcs.runtime.plan_runner import MOVING, PlanRunner, two_of_one_id
+from skygcs.runtime.preflight import Preflight
 from skygcs.runtime.upkeep import Planner, Upkeep
 
 COMMAND_ACK = 77
@@ -69,10 +71,14 @@ class VehicleActor:
         log_dir: Path = Path("logs"),
         uplink_bytes_per_s: Callable[[], float] = lambda: math.inf,
         param_cache: ParamCache | None = None,
+        configured: bool | None = None,
+        preflight_valid_s: float = math.inf,
+        heard: Callable[[], Mapping[str, LinkFacts]] = dict,
     ) -> None:
         """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints.
 
-        ``param_cache``: where its parameters are kept; None: nowhere.
+        ``param_cache``: where its parameters are kept; None: nowhere. ``configured``, ``preflight_valid_s``, ``heard``
+        (how, by link): see `Preflight`.
         """
         self.vehicle = vehicle
         self.config = config
@@ -98,6 +104,18 @@ class VehicleActor:
         )
         self.params = VehicleParams(vehicle, dialect, send, loop, on_event, param_cache or ParamCache(None))
         self.missions = Missions(vehicle, self.commander, dialect, loop, self._report, on_event)
+        self.preflight = Preflight(
+            vehicle,
+            config,
+            self.params,
+            dialect,
+            lambda message: self._attempt(lambda now: orders.request_message(vehicle, now, dialect, message)),
+            loop,
+            gcs_sysid=own[0],
+            configured=configured,
+            valid_s=preflight_valid_s,
+            links=heard,
+        )
         self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
 
     @property
@@ -194,8 +212,16 @@ class VehicleActor:
         self.commander.close()
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
-        """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over."""
-        return await self._retried("arm", lambda now: orders.arm(self.vehicle, now, force=force), wait_s)
+        """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over.
+
+        ``force``: without the autopilot's checks, and without the preflight it may require here.
+        """
+
+        def planner(now: float) -> Plan:
+            self._require_preflight(force=force)
+            return orders.arm(self.vehicle, now, force=force)
+
+        return await self._retried("arm", planner, wait_s)
 
     async def disarm(self, *, force: bool = False) -> Outcome:
         """``force`` stops the motors even in the air, and even if the vehicle is lost: emergency priority."""
@@ -204,13 +230,21 @@ class VehicleActor:
     async def set_mode(self, name: str) -> Outcome:
         return await self._run("mode", lambda now: orders.set_mode(self.vehicle, now, name))
 
-    async def takeoff(self, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0) -> Outcome:
+    async def takeoff(
+        self, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
+    ) -> Outcome:
         """To a height above where it stands; None: the fleet file's takeoff_height_m. Arms first unless told not to.
 
-        ``wait_s`` as for `arm`: an ArduCopter takes neither GUIDED nor arming until it knows where it is.
+        ``wait_s`` as for `arm`: an ArduCopter takes neither GUIDED nor arming until it knows where it is. ``force``:
+        without the preflight it may require here; the autopilot still checks what it checks.
         """
         height = self.config.takeoff_height_m if height_m is None else height_m
-        return await self._retried("takeoff", lambda now: orders.takeoff(self.vehicle, now, height, arm=arm), wait_s)
+
+        def planner(now: float) -> Plan:
+            self._require_preflight(force=force)
+            return orders.takeoff(self.vehicle, now, height, arm=arm)
+
+        return await self._retried("takeoff", planner, wait_s)
 
     async def land(self) -> Outcome:
         return await self._run("land", lambda now: orders.land(self.vehicle, now))
@@ -339,9 +373,14 @@ class VehicleActor:
         outcome, plan = await self.missions.fetch(kinds)
         return self._told("plan download", outcome), plan
 
-    async def start_mission(self, *, first: int = 1, arm: bool = True) -> Outcome:
-        """See `mission_orders.start`."""
-        return await self._run("mission", lambda now: mission_orders.start(self.vehicle, now, first=first, arm=arm))
+    async def start_mission(self, *, first: int = 1, arm: bool = True, force: bool = False) -> Outcome:
+        """See `mission_orders.start`; ``force`` as for `takeoff`."""
+
+        def planner(now: float) -> Plan:
+            self._require_preflight(force=force)
+            return mission_orders.start(self.vehicle, now, first=first, arm=arm)
+
+        return await self._run("mission", planner)
 
     async def resume_mission(self) -> Outcome:
         """Go on with the current item; pausing is `hold`."""
@@ -413,6 +452,12 @@ class VehicleActor:
         """Refuse an order for a reason the fleet knows."""
         return self._told(order, Outcome(False, "refused", f"refused: {reason}"))
 
+    def _require_preflight(self, *, force: bool) -> None:
+        """Raises RefusedError if it must not be armed now."""
+        reason = self.preflight.refusal(force=force)
+        if reason is not None:
+            raise RefusedError(reason)
+
     def _lead(
         self,
         lat_deg: float | None,
@@ -478,6 +523,8 @@ class VehicleActor:
     async def _attempt(self, planner: Planner) -> Outcome:
         try:
             plan = planner(self._loop.time())
+        except NotReadyError as error:
+            return Outcome(False, "temporarily_rejected", f"not ready: {error}")
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}")
         if self.duplicate and not plan.emergency:
@@ -520,6 +567,7 @@ class VehicleActor:
                 self.missions.stop("lost", "the vehicle rebooted")
                 self.params.stop_all("lost", "the vehicle rebooted")
                 self.flight.release("the vehicle rebooted")
+                self.preflight.forget()
                 self._upkeep.restart(now)
             self._on_event(event)
 

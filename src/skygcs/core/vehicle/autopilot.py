@@ -33,7 +33,7 @@ from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
 from skygcs.core.vehicle.plan import LIFT_OFF_S, ArmedIs, LiftedOff, ModeIn, Plan, Step, TargetNear
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import RefusedError
+from skygcs.errors import NotReadyError, RefusedError
 
 NAV_RETURN_TO_LAUNCH = 20
 NAV_LAND = 21
@@ -98,7 +98,7 @@ def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan
     """``alt_amsl_m``: where the vehicle stands; PX4 needs it, ArduCopter counts from home itself."""
     if vehicle.family == "px4":
         if alt_amsl_m is None:
-            raise RefusedError("its altitude is not known yet, and PX4 takes off to an altitude above sea level")
+            raise NotReadyError("its altitude is not known yet, and PX4 takes off to an altitude above sea level")
         steps = _px4_takeoff(vehicle, alt_amsl_m, height_m)
     elif vehicle.family == "ardupilot" and modes.is_copter(vehicle.type):
         steps = _copter_takeoff(vehicle, height_m, alt_amsl_m)

@@ -1,0 +1,49 @@
+"""Setpoints by hand, and orders given too early, beside flight control."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import FleetConfig
+from skygcs.daemon import Daemon
+from skygcs.errors import RefusedError
+from support.flown import flown
+
+pytestmark = pytest.mark.looptime
+
+BY_HAND: dict[str, Any] = {"coordinate_frame": 1, "type_mask": 0xDC7, "vx": 1.0}
+
+
+async def test_no_setpoint_by_hand_goes_to_a_vehicle_that_is_flown_by_ours(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1) as gcs:
+        await gcs.fly("velocity")
+        send = gcs.daemon.send_message
+        for to in ({"target": "v1"}, {"target": "all"}, {"link": "air"}, {}):
+            fields = {"target_system": 0} if not to else {}
+            with pytest.raises(RefusedError, match="v1 is flown by setpoints of skygcs"):
+                send("SET_POSITION_TARGET_LOCAL_NED", {**BY_HAND, **fields}, **to)
+        assert send("STATUSTEXT", {"severity": 6, "text": "hello"}, target="v1")["sent"] == 1
+
+
+async def test_a_takeoff_may_be_ordered_before_the_vehicle_knows_where_it_is(tmp_path: Path) -> None:
+    config = FleetConfig.model_validate(
+        {
+            "daemon": {"socket": str(tmp_path / "s"), "log_dir": str(tmp_path), "record": False},
+            "links": {"sim": {"type": "simulated", "px4": 1}},
+        }
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    task = asyncio.create_task(daemon.run())
+    try:
+        await asyncio.sleep(1.5)  # the first heartbeat came, no position yet
+        at_once = (await daemon.fleet.command_all("all", "takeoff", 5.0))["v1"]
+        assert not at_once.ok and at_once.message.startswith("not ready: its altitude is not known yet")
+        assert (await daemon.fleet.command_all("all", "takeoff", 5.0, wait_s=30.0))["v1"].ok
+    finally:
+        daemon.stop()
+        await task
