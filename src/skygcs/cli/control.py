@@ -6,7 +6,6 @@ Exit codes: 0 done, 1 refused or failed, 2 usage, 3 daemon not reachable. Contra
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -14,12 +13,11 @@ from typer.core import TyperGroup
 
 from skygcs import __version__
 from skygcs.cli import emergency, gains, loops, mission_flight, orders, origin, plot, reading, setpoint, table, track
-from skygcs.cli.connection import fail, run_offline
 from skygcs.cli.link import link
 from skygcs.cli.missions import missions
-from skygcs.cli.options import Json
 from skygcs.cli.params import params
 from skygcs.cli.radio import radios
+from skygcs.cli.tlog_commands import tlog
 from skygcs.cli.wires import links, messages
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
 
@@ -76,7 +74,6 @@ app = typer.Typer(
     help="Look at and command the vehicles of a running skygcs daemon.",
     epilog="Exit codes: 0 done, 1 refused or failed (any vehicle), 2 usage, 3 daemon not reachable.",
 )
-tlog = typer.Typer(help="Offline: look into tlog files and raw captures.", no_args_is_help=True)
 
 
 def _version(wanted: bool) -> None:
@@ -104,24 +101,6 @@ def _root(
         os.environ[SOCKET_VARIABLE] = socket
     if token_file is not None:
         os.environ[TOKEN_FILE_VARIABLE] = token_file
-
-
-@tlog.command("info")
-def _tlog_info(
-    files: Annotated[list[str], typer.Argument(metavar="FILE …", help="Tlogs, or bytes as they came from a link.")],
-    dialect: Annotated[
-        str | None, typer.Option("--dialect", metavar="NAME", help="Default: all of pymavlink's, and PX4's own.")
-    ] = None,
-    json_output: Json = False,
-) -> None:
-    """Count each file's records, messages, sources and vehicles."""
-
-    def command() -> int:
-        from skygcs.cli.tlog import tlog_infos
-
-        return tlog_infos([Path(file) for file in files], json_output, dialect, fail)
-
-    run_offline(command)
 
 
 reading.add_to(app)

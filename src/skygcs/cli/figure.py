@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,12 +37,23 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 def save(figure: Figure, path: Path) -> None:
     """Write it in the format of the path's suffix; the same figure gives the same bytes. Raises SkygcsError."""
-    from matplotlib import rc_context
-
-    suffix = path.suffix.lower().removeprefix(".")
-    metadata = {"Date": None} if suffix == "svg" else None
     try:
-        with rc_context({"svg.hashsalt": "skygcs", "svg.fonttype": "none"}):
-            figure.savefig(path, format=suffix, metadata=metadata)
+        _write(figure, path, path.suffix.lower().removeprefix("."))
     except OSError as error:
         raise SkygcsError(f"{path}: {error.strerror or error}") from None
+
+
+def svg(figure: Figure) -> str:
+    """The figure as an SVG document, to be put into a page."""
+    content = BytesIO()
+    _write(figure, content, "svg")
+    text = content.getvalue().decode()
+    return text[text.index("<svg") :]
+
+
+def _write(figure: Figure, file: Path | BytesIO, form: str) -> None:
+    from matplotlib import rc_context
+
+    metadata = {"Date": None} if form == "svg" else None
+    with rc_context({"svg.hashsalt": "skygcs", "svg.fonttype": "none"}):
+        figure.savefig(file, format=form, metadata=metadata)

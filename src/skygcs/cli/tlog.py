@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import mmap
-import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from skygcs.config.dialects import load_dialect, offline_dialect
+from skygcs.cli.log_file import KIND_NAMES, Progress, dialect_named, mapped, no_mavlink
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
@@ -22,9 +19,6 @@ from skygcs.core.vehicle.discovery import HEARTBEAT, discovers
 from skygcs.errors import SkygcsError
 
 RAW_PIECE_BYTES = 1 << 16
-
-PROGRESS_FROM_BYTES = 20 << 20
-"""Some 2 s of work; below this a bar would only flash up."""
 
 
 @dataclass(slots=True)
@@ -129,30 +123,6 @@ class Census:
             vehicle.on_heartbeat(frame, elapsed_s)
 
 
-class Progress:
-    """Called with the offset reached; draws a bar for a long file on a terminal, else nothing."""
-
-    def __init__(self, size: int) -> None:
-        self._bar: Any = None
-        self._next = 0
-        if size >= PROGRESS_FROM_BYTES and sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import Progress as Bar
-
-            self._bar = Bar(console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("reading", total=size)
-            self._bar.start()
-
-    def __call__(self, offset: int) -> None:
-        if self._bar is not None and offset >= self._next:
-            self._next = offset + (1 << 20)
-            self._bar.update(self._task, completed=offset)
-
-    def stop(self) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-
 def tlog_infos(files: Sequence[Path], json_output: bool, dialect: str | None, fail: Callable[[str], None]) -> int:
     """Print what is in each file; 0 if all of them are good. JSON is a list, each answer with its "file".
 
@@ -160,7 +130,7 @@ def tlog_infos(files: Sequence[Path], json_output: bool, dialect: str | None, fa
     """
     if len(files) == 1:
         return tlog_info(files[0], json_output, dialect)
-    table = offline_dialect() if dialect is None else load_dialect(dialect)
+    table = dialect_named(dialect)
     answers = []
     for file in files:
         try:
@@ -178,7 +148,7 @@ def tlog_infos(files: Sequence[Path], json_output: bool, dialect: str | None, fa
 
 def tlog_info(file: Path, json_output: bool = False, dialect: str | None = None) -> int:
     """Print what is in ``file``; 0. Raises SkygcsError for a file that cannot be read or holds no MAVLink."""
-    kind, answer = _counted(file, offline_dialect() if dialect is None else load_dialect(dialect))
+    kind, answer = _counted(file, dialect_named(dialect))
     if json_output:
         print(json.dumps(answer, indent=1))
     else:
@@ -188,10 +158,10 @@ def tlog_info(file: Path, json_output: bool = False, dialect: str | None = None)
 
 def _counted(file: Path, table: Dialect) -> tuple[str, dict[str, Any]]:
     """What kind of file it is, and what is in it."""
-    with _mapped(file) as data:
+    with mapped(file) as data:
         kind = sniff(data, table) or ("tlog" if file.suffix == ".tlog" else None)
         census = Census(table)
-        progress = Progress(len(data))
+        progress = Progress(data)
         try:
             if kind == "tlog":
                 census.read_tlog(data, progress)
@@ -201,24 +171,8 @@ def _counted(file: Path, table: Dialect) -> tuple[str, dict[str, Any]]:
             progress.stop()
     answer = census.as_dict()
     if not answer["records"]:
-        raise SkygcsError(f"{file}: no MAVLink in it, neither as a tlog nor as a raw capture")
-    return "tlog" if kind == "tlog" else "raw capture", answer
-
-
-@contextmanager
-def _mapped(file: Path) -> Iterator[ByteSource]:
-    """The file's bytes without reading it whole; a pipe is read whole."""
-    try:
-        with file.open("rb") as handle:
-            try:
-                data: mmap.mmap | bytes = mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ)
-            except (OSError, ValueError):  # a pipe, or empty
-                data = handle.read()
-            yield data
-            if isinstance(data, mmap.mmap):
-                data.close()
-    except OSError as error:
-        raise SkygcsError(f"{file}: {error.strerror or error}") from None
+        raise no_mavlink(file)
+    return KIND_NAMES["tlog" if kind == "tlog" else "raw"], answer
 
 
 def _rounded(seconds: float | None) -> float | None:

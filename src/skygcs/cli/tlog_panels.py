@@ -1,0 +1,327 @@
+"""The panels of a flight's figure. Every artist of a vehicle has its name in the ``gid``: a page can hide it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from skygcs.core.recording.curves import Curve
+from skygcs.core.recording.flight import Flight, VehicleFlight
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+MODE_COLOURS = (
+    *("#9CC9E8", "#F6C28B", "#A5D6A7", "#E3A9C9", "#F2E08A", "#C5B4E3", "#B7C0C7", "#F0A79B"),
+    *("#8FD3CB", "#D7CBA8", "#CFE39B", "#DDDDDD"),
+)
+"""Behind black letters; a log has five modes or so, and from the thirteenth on they begin anew."""
+
+LOSS_COLOURS = ("#E8F3EA", "#FFE08A", "#FF9F43", "#D62728")
+"""No loss to a quarter and more."""
+
+LOSS_FULL = 0.25
+
+MAV_SEVERITY_WARNING = 4
+
+ROW_SHARE_IN = 0.3
+TEXT_LINE_IN = 0.165
+"""Heights of a table's row and of a line of small print."""
+
+LONGEST_TEXT = 66
+SILENT_COLOUR = "#303030"
+SMALLEST_MAP_M = 4.0
+"""A vehicle that stands still looks as if it flew circles if its GPS's noise fills the map."""
+
+GRID: dict[str, Any] = {"color": "0.88", "linewidth": 0.6}
+FEW = 60
+"""Points that are shown as such: a line through one is not seen."""
+
+LETTER_SHARE = 0.0075
+"""Of the width of the axis, for one letter of a mode's name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    colour: str
+    line: str
+
+
+def gid(vehicle: VehicleFlight, what: str) -> str:
+    return f"v{vehicle.sysid}.{vehicle.compid}-{what}"
+
+
+# --- the map ---------------------------------------------------------------------------------------------------------
+
+
+def draw_map(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]) -> None:
+    """The vehicles that told a position; there is one at least."""
+    placed = [v for v in vehicles if v.track.ends is not None]
+    for vehicle in placed:
+        _draw_track(panel, vehicle, styles[vehicle.name])
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.grid(**GRID)
+    panel.set_axisbelow(True)
+    panel.set_xlabel("east, m")
+    panel.set_ylabel("north, m")
+    _widen(panel, placed)
+    panel.plot(0, 0, "+", color="0.3", markersize=10, zorder=1)
+    panel.set_title(_map_title(flight, placed), fontsize=9, loc="left")
+    panel.legend(fontsize=8, loc="best", ncols=1 + len(placed) // 10, framealpha=0.85)
+
+
+def _draw_track(panel: Axes, vehicle: VehicleFlight, style: Style) -> None:
+    xs, ys = vehicle.track.line()
+    line: dict[str, Any] = dict(color=style.colour, linestyle=style.line, linewidth=1.4, solid_capstyle="round")
+    panel.plot(xs, ys, label=f"vehicle {vehicle.name}", gid=gid(vehicle, "track"), **line)
+    ends = vehicle.track.ends
+    assert ends is not None
+    for (x_m, y_m), marker, size in zip(ends, ("o", "s"), (7, 6), strict=True):
+        face = "white" if marker == "o" else style.colour
+        edge = style.colour if marker == "o" else "white"
+        dot: dict[str, Any] = dict(markerfacecolor=face, markeredgecolor=edge, markersize=size, zorder=3)
+        panel.plot(x_m, y_m, marker, gid=gid(vehicle, f"end-{marker}"), **dot)
+
+
+def _widen(panel: Axes, placed: Sequence[VehicleFlight]) -> None:
+    xs = [x for v in placed for x in v.track.line()[0] if not math.isnan(x)]
+    ys = [y for v in placed for y in v.track.line()[1] if not math.isnan(y)]
+    middle_x, middle_y = (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+    half = SMALLEST_MAP_M / 2
+    panel.update_datalim([(middle_x - half, middle_y - half), (middle_x + half, middle_y + half)])
+    panel.autoscale_view()
+
+
+def _map_title(flight: Flight, placed: Sequence[VehicleFlight]) -> str:
+    own = [v.name for v in placed if v.place == "LOCAL_POSITION_NED"]
+    text = "○ first, ■ last position"
+    if flight.origin is not None and len(own) < len(placed):
+        text += f";  + is {flight.origin.lat_deg:.6f}, {flight.origin.lon_deg:.6f}"
+    if own:
+        text += f";  about its own origin: {', '.join(own)}"
+    return text
+
+
+# --- the table -------------------------------------------------------------------------------------------------------
+
+HEADS = ("vehicle", "kind", "armed", "height", "farthest", "frames", "lost", "silent")
+
+
+def summary_row(vehicle: VehicleFlight) -> tuple[str, ...]:
+    heights = vehicle.altitude.extremes()
+    silent_s = sum(end - begin for begin, end in vehicle.silences)
+    return (
+        vehicle.name,
+        f"{vehicle.autopilot} {vehicle.kind.replace('_', ' ')}",
+        f"{vehicle.armed_s:.0f} s" if vehicle.armed_s else "–",
+        "–" if heights is None else f"{heights[0]:z.1f} … {heights[1]:z.1f} m",
+        f"{vehicle.farthest_m:.1f} m" if vehicle.track.ends is not None else "–",
+        f"{vehicle.frames:,}",
+        f"{100 * vehicle.loss_ratio:.1f} %",
+        f"{silent_s:.0f} s" if silent_s else "–",
+    )
+
+
+def draw_summary(panel: Axes, height_in: float, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]) -> None:
+    """A table of the vehicles and below it, as far as there is room, what they warned of."""
+    from matplotlib.transforms import Bbox
+
+    panel.set_axis_off()
+    rows = [summary_row(vehicle) for vehicle in vehicles]
+    widths = [max(len(row[n]) for row in (HEADS, *rows)) + 2 for n in range(len(HEADS))]
+    total = sum(widths)
+    high = ROW_SHARE_IN * (len(rows) + 1) / height_in
+    table = panel.table(
+        cellText=rows,
+        colLabels=HEADS,
+        colWidths=[width / total for width in widths],
+        loc="upper left",
+        cellLoc="left",
+        edges="horizontal",
+        colLoc="left",
+        bbox=Bbox.from_bounds(0, 1 - high, 1, high),
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    for (row, column), cell in table.get_celld().items():
+        cell.set_edgecolor("0.85")
+        if row == 0:
+            cell.set_text_props(color="0.35")
+        elif column == 0:
+            cell.set_text_props(color=styles[vehicles[row - 1].name].colour, weight="bold")
+    _draw_warnings(panel, height_in, high, vehicles, styles)
+
+
+def _draw_warnings(
+    panel: Axes, height_in: float, used: float, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]
+) -> None:
+    warned = sorted(
+        ((t.at_s, v.name, t.text) for v in vehicles for t in v.texts if t.severity <= MAV_SEVERITY_WARNING),
+        key=lambda text: text[0],
+    )
+    line = TEXT_LINE_IN / height_in
+    room = int((1 - used) / line) - 3
+    if not warned or room < 1:
+        return
+    shown = warned if len(warned) <= room else warned[: room - 1]
+    y = 1 - used - 2 * line
+    small: dict[str, Any] = dict(fontsize=7, va="top", clip_on=True)
+    panel.text(0, y, "warnings: time in s, vehicle", color="0.35", **small)
+    for at_s, name, text in shown:
+        y -= line
+        panel.text(0.075, y, f"{at_s:.1f}", ha="right", color="0.35", **small)
+        panel.text(0.1, y, name, color=styles[name].colour, weight="bold", **small)
+        panel.text(0.16, y, _plain(text), **small)
+    if len(shown) < len(warned):
+        panel.text(0.16, y - line, f"… and {len(warned) - len(shown)} more", color="0.35", **small)
+
+
+def _plain(text: str) -> str:
+    """Nothing that matplotlib reads as mathematics, and no more than a line."""
+    text = "".join(c if c.isprintable() else "·" for c in text).replace("$", r"\$")
+    return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
+
+
+# --- over time -------------------------------------------------------------------------------------------------------
+
+
+def draw_lines(
+    panel: Axes, label: str, vehicles: Sequence[VehicleFlight], curves: Sequence[Curve], styles: dict[str, Style]
+) -> None:
+    for vehicle, curve in zip(vehicles, curves, strict=True):
+        if curve:
+            style = styles[vehicle.name]
+            line: dict[str, Any] = dict(color=style.colour, linestyle=style.line, linewidth=1.2)
+            times, values = curve.points()
+            if len(times) < FEW:
+                line |= dict(marker=".", markersize=4)
+            panel.plot(times, values, gid=gid(vehicle, label.partition(",")[0]), **line)
+    panel.set_ylabel(label)
+    panel.grid(**GRID)
+    panel.set_axisbelow(True)
+    if label.endswith("%"):
+        panel.set_ylim(-2, 104)
+    else:
+        low, high = panel.get_ylim()
+        if high - low < 1.0:  # else noise looks like a flight
+            panel.set_ylim((low + high) / 2 - 0.5, (low + high) / 2 + 0.5)
+    panel.tick_params(labelbottom=False)
+
+
+def draw_rows(
+    panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight], styles: dict[str, Style], what: str
+) -> None:
+    """One row for each vehicle, the first on top: its modes, or what its link lost."""
+    if what == "modes":
+        _draw_modes(panel, flight, vehicles)
+        panel.tick_params(labelbottom=False)
+    else:
+        _draw_links(panel, flight, vehicles)
+    panel.set_ylim(len(vehicles) - 0.5, -0.5)
+    panel.set_yticks(range(len(vehicles)), [v.name for v in vehicles], fontsize=8)
+    for tick, vehicle in zip(panel.get_yticklabels(), vehicles, strict=True):
+        tick.set_color(styles[vehicle.name].colour)
+        tick.set_fontweight("bold")
+    panel.tick_params(axis="y", length=0)
+    panel.set_ylabel(what)
+
+
+def _draw_modes(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    modes = list(dict.fromkeys(span.mode for vehicle in vehicles for span in vehicle.modes))
+    colours = {mode: MODE_COLOURS[n % len(MODE_COLOURS)] for n, mode in enumerate(modes)}
+    letter_s = LETTER_SHARE * max(flight.end_s - (flight.begin_s or 0.0), 1.0)
+    for row, vehicle in enumerate(vehicles):
+        ends = [span.begin_s for span in vehicle.modes[1:]] + [vehicle.last_s]
+        for span, end_s in zip(vehicle.modes, ends, strict=True):
+            bar: dict[str, Any] = dict(height=0.8, align="center", gid=gid(vehicle, "mode"))
+            panel.barh(row, end_s - span.begin_s, left=span.begin_s, color=colours[span.mode], linewidth=0, **bar)
+        for mode, begin_s, end_s in _runs(vehicle, ends):
+            begin_s, end_s = _longest_heard(begin_s, end_s, vehicle.silences)
+            if end_s - begin_s > letter_s * (len(mode) + 1):
+                words: dict[str, Any] = dict(
+                    fontsize=7, va="center", ha="center", clip_on=True, gid=gid(vehicle, "mode-name")
+                )
+                panel.text((begin_s + end_s) / 2, row, mode, **words)
+        for begin_s, end_s in _armed(vehicle, ends):
+            line: dict[str, Any] = dict(
+                color="#B00000", linewidth=2.2, solid_capstyle="butt", gid=gid(vehicle, "armed")
+            )
+            panel.plot((begin_s, end_s), (row + 0.36, row + 0.36), **line)
+        for begin_s, end_s in vehicle.silences:  # what it did meanwhile nobody knows
+            veil: dict[str, Any] = dict(height=0.84, linewidth=0, alpha=0.8, zorder=3, gid=gid(vehicle, "veil"))
+            panel.barh(row, end_s - begin_s, left=begin_s, color="white", **veil)
+    handles: list[Any] = [Patch(facecolor=colours[mode], label=mode) for mode in modes[:12]]
+    handles.append(Line2D([], [], color="#B00000", linewidth=2.2, label="armed"))
+    _legend_above(panel, handles)
+
+
+def _runs(vehicle: VehicleFlight, ends: Sequence[float]) -> list[tuple[str, float, float]]:
+    """Modes with their times; arming alone begins no new one."""
+    runs: list[tuple[str, float, float]] = []
+    for span, end_s in zip(vehicle.modes, ends, strict=True):
+        if runs and runs[-1][0] == span.mode:
+            runs[-1] = (span.mode, runs[-1][1], end_s)
+        else:
+            runs.append((span.mode, span.begin_s, end_s))
+    return runs
+
+
+def _longest_heard(begin_s: float, end_s: float, silences: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """The longest piece of a time between silences: where a name is read."""
+    best, at_s = (begin_s, begin_s), begin_s
+    for silent_s, heard_s in [*(s for s in silences if s[0] < end_s and s[1] > begin_s), (end_s, end_s)]:
+        if silent_s - at_s > best[1] - best[0]:
+            best = at_s, silent_s
+        at_s = heard_s
+    return best
+
+
+def _armed(vehicle: VehicleFlight, ends: Sequence[float]) -> list[tuple[float, float]]:
+    times: list[tuple[float, float]] = []
+    for span, end_s in zip(vehicle.modes, ends, strict=True):
+        if not span.armed:
+            continue
+        if times and times[-1][1] == span.begin_s:
+            times[-1] = (times[-1][0], end_s)
+        else:
+            times.append((span.begin_s, end_s))
+    return times
+
+
+def _draw_links(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.patches import Patch
+
+    shades = LinearSegmentedColormap.from_list("loss", LOSS_COLOURS)
+    span_s = flight.end_s - (flight.begin_s or 0.0)
+    for row, vehicle in enumerate(vehicles):
+        curve = vehicle.loss
+        width_s = curve.pieces(span_s / 150) * curve.width_s
+        for n, ratio in enumerate(curve.ratios(span_s / 150)):
+            if ratio is not None:
+                left_s = max(n * width_s, vehicle.first_s)
+                width = min((n + 1) * width_s, flight.end_s) - left_s
+                bar: dict[str, Any] = dict(height=0.8, linewidth=0, gid=gid(vehicle, "loss"))
+                panel.barh(row, max(width, 0.0), left=left_s, color=shades(_shade(ratio)), **bar)
+        for begin_s, end_s in vehicle.silences:
+            black: dict[str, Any] = dict(height=0.8, linewidth=0, gid=gid(vehicle, "silent"))
+            panel.barh(row, end_s - begin_s, left=begin_s, color=SILENT_COLOUR, **black)
+    words = {0.0: "no loss", 0.02: "2 %", 0.1: "10 %", LOSS_FULL: f"{100 * LOSS_FULL:.0f} % and more lost"}
+    handles = [Patch(facecolor=shades(_shade(ratio)), label=text) for ratio, text in words.items()]
+    _legend_above(panel, [*handles, Patch(facecolor=SILENT_COLOUR, label="silent for 3 s and more")])
+
+
+def _shade(ratio: float) -> float:
+    """Small losses differ most."""
+    return math.sqrt(min(ratio / LOSS_FULL, 1.0))
+
+
+def _legend_above(panel: Axes, handles: Sequence[Any]) -> None:
+    """Where it covers nothing."""
+    place: dict[str, Any] = dict(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=len(handles), columnspacing=1.2)
+    panel.legend(handles=handles, fontsize=7.5, frameon=False, handlelength=1.2, **place)

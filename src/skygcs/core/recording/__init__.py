@@ -1,0 +1,1 @@
+"""Recorded flights, read from end to end in bounded memory: selection, tables, curves."""
