@@ -85,6 +85,14 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--gps-noise", type=float, default=0.1, metavar="M", help="standard deviation (default 0.1)")
     sim.add_argument("--attitude-noise", type=float, default=0.2, metavar="DEG", help="the same (default 0.2)")
     sim.add_argument("--sensor-latency", type=float, default=0.0, metavar="S", help="age of what telemetry tells")
+    sim.add_argument(
+        "--params",
+        action="append",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="a .params, .param or .parm file, for the vehicles of its firmware; may be repeated",
+    )
     sim.set_defaults(run=_sim)
     return parser
 
@@ -155,4 +163,5 @@ def _sim(args: argparse.Namespace) -> int:
             attitude_noise_deg=args.attitude_noise,
             sensor_latency_s=args.sensor_latency,
         ),
+        params=args.params,
     )

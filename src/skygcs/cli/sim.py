@@ -6,10 +6,12 @@ import asyncio
 import signal
 import time
 from collections.abc import Sequence
+from pathlib import Path
 
 from skygcs.cli.process import run_loop
 from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort
 from skygcs.config.dialects import load_dialect
+from skygcs.config.sim_params import load_param_set
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
@@ -42,6 +44,7 @@ def run_sim(
     speedup: float = 1.0,
     radio: bool = True,
     conditions: Conditions = CALM,
+    params: Sequence[Path] = (),
 ) -> int:
     """Run simulated vehicles until SIGINT or SIGTERM; the exit code. Says on stdout how to reach each.
 
@@ -49,8 +52,8 @@ def run_sim(
     ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
     its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
     behind a radio, which with ``radio`` reports RADIO_STATUS. ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
-    for all of them, each with its own noise.
-    Raises LinkError, one line for a person, for what cannot be understood or opened.
+    for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
+    Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """
     if not 0 < speedup <= MAX_SPEEDUP:
         raise LinkError(f"speedup {speedup:g}: must be above 0 and at most {MAX_SPEEDUP:g}")
@@ -69,6 +72,7 @@ def run_sim(
             seed=seed,
             unix_us=int(time.time() * 1e6),
             conditions=conditions,
+            params=[load_param_set(path) for path in params],
         )
     except ValueError as error:
         raise LinkError(str(error)) from None

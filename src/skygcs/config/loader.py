@@ -8,7 +8,7 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, get_args
 
@@ -28,6 +28,7 @@ from skygcs.config.models import (
     OriginConfig,
     RateLimits,
     ReplayLink,
+    SimulatedLink,
     VehicleEntry,
     VehicleSettings,
 )
@@ -311,15 +312,20 @@ def _with_paths(config: FleetConfig, folder: Path) -> FleetConfig:
         for key in ("socket", "token_file", "log_dir")
         if (value := getattr(daemon, key)) is not None
     }
-    links = {
-        name: link.model_copy(update={"file": absolute(link.file)}) if isinstance(link, ReplayLink) else link
-        for name, link in config.links.items()
-    }
+    links = {name: _link_with_paths(link, absolute) for name, link in config.links.items()}
     dialect = tuple(
         str(absolute(Path(name))) if "/" in name or name.endswith(".xml") else name for name in _listed(config.dialect)
     )
     update = {"daemon": daemon.model_copy(update=paths), "links": links, "dialect": dialect}
     return config.model_copy(update=update)
+
+
+def _link_with_paths(link: LinkConfig, absolute: Callable[[Path], Path]) -> LinkConfig:
+    if isinstance(link, ReplayLink):
+        return link.model_copy(update={"file": absolute(link.file)})
+    if isinstance(link, SimulatedLink) and link.params is not None:
+        return link.model_copy(update={"params": absolute(link.params)})
+    return link
 
 
 def _shown(problems: list[Problem], lines: dict[KeyPath, int]) -> list[str]:

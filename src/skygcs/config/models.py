@@ -199,6 +199,8 @@ class SimulatedLink(LinkCommon):
     gps_noise_m: Annotated[float, Field(ge=0, le=10)] = 0.0
     attitude_noise_deg: Annotated[float, Field(ge=0, le=10)] = 0.0
     sensor_latency_s: Annotated[float, Field(ge=0, le=2)] = 0.0
+    params: Path | None = None
+    """A parameter file, taken in by the vehicles of its firmware when they are powered up."""
 
 
 LinkConfig = (

@@ -11,13 +11,14 @@ from collections.abc import Hashable
 
 from skygcs.config import models
 from skygcs.config.dialects import load_dialect
+from skygcs.config.sim_params import load_param_set
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.sim.conditions import conditions_of
 from skygcs.core.sim.fleet import SimFleet, make_vehicles
 from skygcs.core.sim.kinematics import LocalFrame
 from skygcs.core.sim.vehicle import TICK_S, SimVehicle
-from skygcs.errors import LinkError
+from skygcs.errors import ConfigError, LinkError
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing
 
 SIM_DIALECT = "ardupilotmega"
@@ -103,6 +104,7 @@ class SimulatedVehiclesLink(Link):
         config = self.config
         dialect = load_dialect(SIM_DIALECT)
         try:
+            params = [] if config.params is None else [load_param_set(config.params)]
             vehicles = make_vehicles(
                 dialect,
                 px4=config.px4,
@@ -123,7 +125,10 @@ class SimulatedVehiclesLink(Link):
                     attitude_noise_deg=config.attitude_noise_deg,
                     sensor_latency_s=config.sensor_latency_s,
                 ),
+                params=params,
             )
+        except ConfigError as error:
+            raise LinkError(f"simulated {self.name}: {error.source}: {'; '.join(error.problems)}") from None
         except ValueError as error:
             raise LinkError(f"simulated {self.name}: {error}") from None
         self._fleet = SimFleet(vehicles)

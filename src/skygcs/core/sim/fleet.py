@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import cos, radians, sin
 
 from skygcs.core.mavlink.dialect import Dialect
@@ -10,6 +11,7 @@ from skygcs.core.sim.ardupilot import CopterVehicle
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.conditions import CALM, Conditions
 from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.sim.param_set import ParamSet
 from skygcs.core.sim.px4 import Px4Vehicle
 from skygcs.core.sim.vehicle import SimVehicle
 
@@ -46,8 +48,10 @@ def make_vehicles(
     now: float = 0.0,
     unix_us: int = 0,
     conditions: Conditions = CALM,
+    params: Iterable[ParamSet] = (),
 ) -> list[SimVehicle]:
     """PX4s first, then ArduCopters, sysids from ``first_sysid`` on, in rows of five SPACING_M apart about ``home``.
+    ``params``: each for the vehicles of its firmware, a later one over an earlier.
 
     Raises ValueError if the last sysid would be above 255.
     """
@@ -55,22 +59,23 @@ def make_vehicles(
     if first_sysid < 1 or first_sysid + count - 1 > 255:
         raise ValueError(f"{count} vehicles from system id {first_sysid} on do not fit in 1..255")
     vehicles: list[SimVehicle] = []
+    params = tuple(params)
     for i in range(count):
         right, back = SPACING_M * (i % ROW), SPACING_M * (i // ROW)
         turn = radians(heading_deg)
         east, north = right * cos(turn) - back * sin(turn), -right * sin(turn) - back * cos(turn)
         lat, lon = home.to_geodetic(east, north)
         kind = Px4Vehicle if i < px4 else CopterVehicle
-        vehicles.append(
-            kind(
-                dialect,
-                first_sysid + i,
-                LocalFrame(lat, lon, home.alt_amsl_m),
-                chance=Chance(seed * 1000 + i),
-                now=now,
-                unix_us=unix_us,
-                heading_deg=heading_deg,
-                conditions=conditions,
-            )
+        vehicle = kind(
+            dialect,
+            first_sysid + i,
+            LocalFrame(lat, lon, home.alt_amsl_m),
+            chance=Chance(seed * 1000 + i),
+            now=now,
+            unix_us=unix_us,
+            heading_deg=heading_deg,
+            conditions=conditions,
         )
+        vehicle.begin_with(s.params for s in params if s.family == ("px4" if kind is Px4Vehicle else "ardupilot"))
+        vehicles.append(vehicle)
     return vehicles

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from zlib import crc32
 
@@ -68,7 +68,7 @@ class Params:
         for param in params.values():
             found = self.find(param.name)
             if found is None:
-                self._all.append(param)
+                self._all.append(replace(param))  # each vehicle has its own
                 continue
             own = found[1]
             whole = own.type == m.MAV_PARAM_TYPE_REAL32 or param.value == round(param.value)
@@ -76,15 +76,6 @@ class Params:
             if not whole:
                 own.type = param.type
         self._all.sort(key=lambda p: p.name)
-        self._index = {p.name: i for i, p in enumerate(self._all)}
-
-    def rename(self, old: str, new: str) -> None:
-        """The firmware's other generation calls it so."""
-        kept = [p for p in self._all if p.name != new]
-        for param in kept:
-            if param.name == old:
-                param.name = new
-        self._all = sorted(kept, key=lambda p: p.name)
         self._index = {p.name: i for i, p in enumerate(self._all)}
 
     def encode(self, param: Param) -> float:

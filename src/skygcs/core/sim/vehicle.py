@@ -7,7 +7,7 @@ worked out on a fixed grid of TICK_S, so that it does not depend on how often `s
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import radians
 from typing import Any, Final
@@ -26,7 +26,7 @@ from skygcs.core.sim.faults import Faults
 from skygcs.core.sim.kinematics import Limits, LocalFrame
 from skygcs.core.sim.mission_lists import MissionLists
 from skygcs.core.sim.mission_run import MissionRun
-from skygcs.core.sim.params import Params
+from skygcs.core.sim.params import Param, Params
 from skygcs.core.sim.plan import GoTo, Plan
 from skygcs.core.sim.sensors import Sensors
 from skygcs.core.sim.streams import Streams
@@ -245,6 +245,14 @@ class SimVehicle(ABC):
         """Do this at that time, unless the vehicle reboots before."""
         self._later.append((at, what))
         self._later.sort(key=lambda entry: entry[0])
+
+    def begin_with(self, sets: Iterable[Mapping[str, Param]]) -> None:
+        """Take these parameters in and boot with them, as if it had always had them."""
+        told = list(sets)
+        for params in told:
+            self.params.take_in(params)
+        if told:
+            self._boot(self._clock)
 
     # -- state others read
 

@@ -341,7 +341,7 @@ def test_the_name_says_the_format() -> None:
 
 
 def test_each_autopilot_gets_the_items_as_it_takes_them() -> None:
-    """An ArduPilot refuses LOITER_TIME with an unset yaw and keeps no frame of a speed; a PX4 refuses one in frame 3."""
+    """An ArduPilot refuses LOITER_TIME without a yaw and keeps no frame of a speed; a PX4 refuses one in frame 3."""
     loiter = MissionItem.from_params(19, 3, (5.0, None, None, None, 47.0, 8.0, 10.0), True)
     speed = MissionItem.from_params(178, 3, (1.0, 4.0, -1.0, 0.0, 0.0, 0.0, 0.0), True)
     home = PlannedHome(47.0, 8.0, 400.0).item()
