@@ -34,6 +34,7 @@ COPTER_PARAMETERS = (
     ("GUID_TIMEOUT", True),
     ("ATC_ANGLE_BOOST", True),
     ("MOT_THST_HOVER", True),
+    ("FS_GCS_ENABLE", True),
 )
 PX4_PARAMETERS = (("MPC_THR_HOVER", True), ("COM_OF_LOSS_T", True), ("COM_OBL_RC_ACT", True))
 """What flying by attitude has to know, and whether it can do without."""
@@ -136,6 +137,11 @@ def loss_refusal(vehicle: Vehicle) -> str | None:
 
 def loss_note(vehicle: Vehicle) -> str | None:
     """What an operator should know of the vehicle's own reaction to setpoints that cease."""
+    if vehicle.family == "ardupilot" and vehicle.param("FS_GCS_ENABLE") == 0:
+        return (
+            "its FS_GCS_ENABLE is 0: should the setpoints cease, it levels and drifts with the wind, and nothing "
+            "brings it back; set FS_GCS_ENABLE to 1 (return) or 5 (land)"
+        )
     action = vehicle.param("COM_OBL_RC_ACT")
     if vehicle.family != "px4" or action not in BY_STICKS:
         return None

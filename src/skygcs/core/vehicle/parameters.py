@@ -11,6 +11,7 @@ WATCHED = frozenset(
         "COM_OBL_RC_ACT",
         "COM_OF_LOSS_T",
         "COM_RC_IN_MODE",
+        "FS_GCS_ENABLE",
         "GUID_OPTIONS",
         "GUID_TIMEOUT",
         "MOT_THST_EXPO",

@@ -104,6 +104,40 @@ def test_px4_of_a_type_whose_thrust_it_drops_is_sent_no_attitude(kind: int) -> N
     assert "MAV_TYPE" in str(offboard.attitude_refusal(flying(PX4, kind=kind)[0]))
 
 
+@pytest.mark.parametrize(
+    ("autopilot", "name", "timeout_s", "refused"),
+    [
+        (ARDUPILOT, "GUID_TIMEOUT", 3.0, True),
+        (ARDUPILOT, "GUID_TIMEOUT", 1.0, False),
+        (PX4, "COM_OF_LOSS_T", 5.0, True),
+        (PX4, "COM_OF_LOSS_T", 0.5, False),
+    ],
+)
+def test_who_leans_on_for_long_after_the_last_setpoint_is_flown_by_attitude_only_if_insisted(
+    autopilot: int, name: str, timeout_s: float, refused: bool
+) -> None:
+    vehicle, voice = flying(autopilot)
+    assert offboard.loss_refusal(vehicle) is None, "what was not told is no reason"
+    vehicle.on_frame(param(voice, name, timeout_s), NOW)
+    refusal = offboard.loss_refusal(vehicle)
+    assert (refusal is not None) is refused
+    assert not refused or (f"{name} is {timeout_s:g} s" in str(refusal) and "force" in str(refusal))
+
+
+def test_an_operator_is_told_what_a_vehicle_left_alone_would_do() -> None:
+    px4, voice = flying(PX4)
+    assert offboard.loss_note(px4) is None
+    px4.on_frame(bytewise(voice, "COM_OBL_RC_ACT", 0), NOW)
+    assert "Position mode" in str(offboard.loss_note(px4))
+    px4.on_frame(bytewise(voice, "COM_OBL_RC_ACT", 5), NOW)
+    assert offboard.loss_note(px4) is None
+    copter, voice = flying(ARDUPILOT)
+    copter.on_frame(param(voice, "FS_GCS_ENABLE", 0), NOW)
+    assert "FS_GCS_ENABLE is 0" in str(offboard.loss_note(copter))
+    copter.on_frame(param(voice, "FS_GCS_ENABLE", 5), NOW)
+    assert offboard.loss_note(copter) is None
+
+
 def test_parameters_are_read_by_each_autopilots_own_encoding_and_forgotten_by_a_reboot() -> None:
     px4, voice = flying(PX4)
     px4.on_frame(bytewise(voice, "COM_RC_IN_MODE", 4), NOW)
