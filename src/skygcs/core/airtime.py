@@ -1,14 +1,17 @@
-"""What waits to be sent on one link, and in which order: strict classes, every one with a bound and a policy.
+"""What waits to be sent on one link, in which order and how fast: strict classes, vehicles served alike within a class,
+every class with a bound and a policy, all of it within a budget of bytes.
 
-Pure: the sender (shell) offers, asks what is next, and writes. Fitting the whole to a radio's budget builds on this.
+Pure: the sender (shell) offers, asks when the next may go and what it is, and writes. How large the budget is decides
+`core.pacing`.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 
@@ -16,9 +19,16 @@ HEARTBEAT_WAITS_S = 1.0
 """A heartbeat that waited so long goes before everything but an emergency. Without our heartbeats a vehicle's ground
 station failsafe takes over (ArduPilot: after 5 s), and no flood of anything else may bring that about."""
 
+WAITS_KEPT = 256
+"""Waits per class of which the percentiles are taken: the last ones."""
+
+
+MAX_LEFT = 512
+"""Flows without anything waiting that a class remembers: more than there are system ids."""
+
 
 class Priority(IntEnum):
-    """Order of service on a link, most urgent first (docs/explanation/architecture.md, "uplink")."""
+    """Order of service on a link, most urgent first (docs/explanation/airtime.md)."""
 
     EMERGENCY = 0
     COMMAND = 1
@@ -43,92 +53,312 @@ BOUND: dict[Priority, int] = {
 DROPS_OLDEST = frozenset({Priority.HEARTBEAT, Priority.CORRECTION, Priority.FORWARDED})
 """Classes whose newest entry is worth more than their oldest; the others refuse when full, and the sender retries."""
 
+RESERVED_SHARE = 0.5
+"""Of the burst, kept for emergencies, commands and an overdue heartbeat: they find it filled however busy the link is,
+and so leave at once. Everything else is sent from the other half."""
+
+ROUNDING_BYTES = 1e-3
+"""By so much a budget may be overdrawn: of a sum of floats at large clock values nothing finer can be asked."""
+
+
+class ByteBudget:
+    """Bytes that may be sent: ``bytes_per_s`` and up to ``burst_bytes`` that were saved up while less was sent.
+
+    Over any time W no more than bytes_per_s * W + burst_bytes are spent by whoever asks `ready_at` first; a single
+    frame larger than the burst goes when all is saved up.
+    """
+
+    __slots__ = ("_at", "_saved", "burst_bytes", "bytes_per_s")
+
+    def __init__(self, bytes_per_s: float, burst_bytes: float, now: float = 0.0) -> None:
+        """Both positive. It begins with nothing spent."""
+        self.bytes_per_s = bytes_per_s
+        self.burst_bytes = burst_bytes
+        self._saved = burst_bytes
+        self._at = now
+
+    def saved(self, now: float) -> float:
+        """What may be sent at once; below 0 after a frame larger than the burst."""
+        if now > self._at:
+            self._saved = min(self.burst_bytes, self._saved + (now - self._at) * self.bytes_per_s)
+            self._at = now
+        return self._saved
+
+    def set_rate(self, bytes_per_s: float, now: float) -> None:
+        """From now on; what was saved stays."""
+        self.saved(now)
+        self.bytes_per_s = bytes_per_s
+
+    def set_burst(self, burst_bytes: float, now: float) -> None:
+        """From now on; what was saved beyond it is forgotten."""
+        self._saved = min(self.saved(now), burst_bytes)
+        self.burst_bytes = burst_bytes
+
+    def ready_at(self, size: int, reserve_bytes: float, now: float) -> float:
+        """From when ``size`` bytes may go so that ``reserve_bytes`` stay; ``now`` if at once."""
+        needed = min(size + reserve_bytes, self.burst_bytes)
+        missing = needed - self.saved(now)
+        return now if missing <= ROUNDING_BYTES else now + missing / self.bytes_per_s
+
+    def spend(self, size: int, now: float) -> None:
+        """``size`` bytes went."""
+        self._saved = self.saved(now) - size
+
+
+class Waits:
+    """How long the last entries of a class waited."""
+
+    __slots__ = ("_last",)
+
+    def __init__(self) -> None:
+        self._last: deque[float] = deque(maxlen=WAITS_KEPT)
+
+    def add(self, wait_s: float) -> None:
+        self._last.append(wait_s)
+
+    def percentile(self, share: float) -> float | None:
+        """Seconds that this share of them waited at most; None if nothing was sent yet."""
+        if not self._last:
+            return None
+        ordered = sorted(self._last)
+        return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+
 
 @dataclass(slots=True)
 class ClassCounters:
     """What became of the entries of one class."""
 
     sent: int = 0
+    sent_bytes: int = 0
     replaced: int = 0
     dropped: int = 0
     refused: int = 0
+    waits: Waits = field(default_factory=Waits)
+
+    def as_dict(self) -> dict[str, Any]:
+        p50, p95 = self.waits.percentile(0.5), self.waits.percentile(0.95)
+        return {
+            "sent": self.sent,
+            "sent_bytes": self.sent_bytes,
+            "replaced": self.replaced,
+            "dropped": self.dropped,
+            "refused": self.refused,
+            "wait_p50_s": None if p50 is None else round(p50, 4),
+            "wait_p95_s": None if p95 is None else round(p95, 4),
+        }
 
 
-@dataclass(slots=True)
+Waiting = tuple[T, int, float]
+"""An entry, its bytes, and since when it waits."""
+
+
+class _Class(Generic[T]):
+    """The entries of one class: a line per flow, first in first out; the flow that was sent fewest bytes goes next."""
+
+    __slots__ = ("_clock", "_left", "_used", "length", "lines")
+
+    def __init__(self) -> None:
+        self.lines: dict[Hashable, dict[Hashable, Waiting[T]]] = {}
+        """In order of arrival. An entry without a key stands under a serial number, one with a key under (key,)."""
+        self._used: dict[Hashable, float] = {}
+        """Bytes sent of each flow with a line, on a clock that those who come later begin at: who was silent for an
+        hour has not saved up an hour."""
+        self._left: dict[Hashable, float] = {}
+        """The same of flows that have nothing waiting any more."""
+        self._clock = 0.0
+        self.length = 0
+
+    def add(self, flow: Hashable, slot: Hashable, entry: Waiting[T]) -> None:
+        line = self.lines.get(flow)
+        if line is None:
+            line = self.lines[flow] = {}
+            self._used[flow] = max(self._clock, self._left.pop(flow, 0.0))
+        line[slot] = entry
+        self.length += 1
+
+    def next_flow(self) -> Hashable:
+        if len(self.lines) == 1:
+            return next(iter(self.lines))
+        return min(self._used, key=self._used.__getitem__)  # of equals the one that waits longest
+
+    def head(self) -> Waiting[T]:
+        """What goes next. Only where something waits."""
+        return next(iter(self.lines[self.next_flow()].values()))
+
+    def take(self) -> Waiting[T]:
+        flow = self.next_flow()
+        line = self.lines[flow]
+        entry = line.pop(next(iter(line)))
+        self.length -= 1
+        used = self._used.pop(flow)
+        self._clock = used  # that of the flow in service: who comes now is served from here on
+        if line:
+            self._used[flow] = used + entry[1]  # at the end: of equals it is the last
+        else:
+            del self.lines[flow]
+            self._leave(flow, used + entry[1])
+        return entry
+
+    def drop_oldest(self) -> None:
+        """Of the flow that has most waiting: who floods loses his own."""
+        lines = self.lines
+        flow = next(iter(lines)) if len(lines) == 1 else max(lines, key=lambda f: len(lines[f]))
+        line = lines[flow]
+        del line[next(iter(line))]
+        self.length -= 1
+        if not line:
+            del lines[flow]
+            self._leave(flow, self._used.pop(flow))
+
+    def clear(self) -> int:
+        gone, self.length = self.length, 0
+        self.lines.clear()
+        self._used.clear()
+        self._left.clear()
+        self._clock = 0.0
+        return gone
+
+    def _leave(self, flow: Hashable, used: float) -> None:
+        """The flow has nothing more for now; what it was sent is remembered while others wait, so that one which comes
+        again after each entry has no advantage."""
+        if not self.lines:
+            self._left.clear()
+            self._clock = 0.0
+            return
+        self._left[flow] = used
+        if len(self._left) > MAX_LEFT:
+            self._left = {f: u for f, u in self._left.items() if u > self._clock}
+
+
 class TxQueue(Generic[T]):
-    """Bounded, prioritised queue of one link. Entries with a ``key`` replace the waiting one of the same key."""
+    """Bounded, prioritised queue of one link. Entries with a ``key`` replace the waiting one of the same key.
 
-    counters: dict[Priority, ClassCounters] = field(default_factory=lambda: {p: ClassCounters() for p in Priority})
-    _waiting: dict[Priority, dict[Hashable, T]] = field(default_factory=lambda: {p: {} for p in Priority})
-    """In order of arrival; an entry without a key stands under a serial number, one with a key under (key,)."""
-    _serial: int = 0
-    _length: int = 0
-    _heartbeat_since: float | None = None
-    """Since when heartbeats wait and none was sent; None: none waits."""
+    ``budget``: what may be sent; None: as much as the writer takes. ``counters`` by class.
+    """
+
+    __slots__ = ("_classes", "_heartbeat_since", "_length", "_serial", "budget", "counters")
+
+    def __init__(self, budget: ByteBudget | None = None) -> None:
+        self.budget = budget
+        self.counters: dict[Priority, ClassCounters] = {p: ClassCounters() for p in Priority}
+        self._classes: dict[Priority, _Class[T]] = {p: _Class() for p in Priority}
+        self._serial = 0
+        self._length = 0
+        self._heartbeat_since: float | None = None
+        """Since when heartbeats wait and none was sent; None: none waits."""
 
     def __len__(self) -> int:
         return self._length
 
-    def offer(self, entry: T, priority: Priority, now: float, key: Hashable | None = None) -> bool:
+    def waiting(self, priority: Priority) -> int:
+        """Entries of a class that wait now."""
+        return self._classes[priority].length
+
+    def offer(
+        self,
+        entry: T,
+        priority: Priority,
+        now: float,
+        key: Hashable | None = None,
+        *,
+        size: int = 0,
+        flow: Hashable = None,
+    ) -> bool:
         """Queue it; False if its class is full and refuses. Never blocks, never raises.
 
-        With a key the newest value takes the place of the waiting one (latest wins), keeping that one's turn.
+        With a key the newest value takes the place of the waiting one (latest wins), keeping that one's turn. ``size``
+        is what it takes of the budget. ``flow`` is whom it is for: within a class flows get alike many bytes.
         """
         counters = self.counters[priority]
-        waiting = self._waiting[priority]
-        if priority is Priority.HEARTBEAT and not waiting:
+        of_class = self._classes[priority]
+        if priority is Priority.HEARTBEAT and not of_class.length:
             self._heartbeat_since = now
         slot: Hashable
         if key is not None:
             slot = (key,)
-            if slot in waiting:
-                waiting[slot] = entry
+            line = of_class.lines.get(flow)
+            if line is not None and slot in line:
+                line[slot] = (entry, size, now)
                 counters.replaced += 1
                 return True
         else:
             slot = self._serial = self._serial + 1
-        if len(waiting) >= BOUND[priority]:
+        if of_class.length >= BOUND[priority]:
             if priority not in DROPS_OLDEST:
                 counters.refused += 1
                 return False
-            del waiting[next(iter(waiting))]
+            of_class.drop_oldest()
             self._length -= 1
             counters.dropped += 1
-        waiting[slot] = entry
+        of_class.add(flow, slot, (entry, size, now))
         self._length += 1
         return True
 
     def pop(self, now: float) -> tuple[T, Priority] | None:
-        """The most urgent entry, oldest first within a class; None when nothing waits.
+        """The most urgent entry, oldest first within a class and flow; None when nothing waits or the budget is spent.
 
-        A heartbeat that has waited for HEARTBEAT_WAITS_S is second to emergencies only.
+        A heartbeat that has waited for HEARTBEAT_WAITS_S is second to emergencies only. Nothing overtakes an entry
+        that waits for the budget, but what is more urgent.
         """
-        if not self._length:
+        priority = self._next_class(now)
+        if priority is None:
             return None
-        since = self._heartbeat_since
-        overdue = since is not None and now - since >= HEARTBEAT_WAITS_S
-        for priority, waiting in self._waiting.items():
-            if waiting:
-                if overdue and priority is not Priority.EMERGENCY:
-                    return self._taken(Priority.HEARTBEAT, now)
-                return self._taken(priority, now)
-        return None
-
-    def _taken(self, priority: Priority, now: float) -> tuple[T, Priority]:
-        waiting = self._waiting[priority]
+        of_class = self._classes[priority]
+        if self.budget is not None:
+            size = of_class.head()[1]
+            if self.budget.ready_at(size, self._reserve(priority, now), now) > now:
+                return None
+            self.budget.spend(size, now)
+        entry, size, since = of_class.take()
         self._length -= 1
-        self.counters[priority].sent += 1
-        entry = waiting.pop(next(iter(waiting)))
+        counters = self.counters[priority]
+        counters.sent += 1
+        counters.sent_bytes += size
+        counters.waits.add(now - since)
         if priority is Priority.HEARTBEAT:
-            self._heartbeat_since = now if waiting else None
+            self._heartbeat_since = now if of_class.length else None
         return entry, priority
+
+    def next_send_time(self, now: float) -> float | None:
+        """From when `pop` gives something, if nothing more is offered: ``now`` if at once, None if nothing waits."""
+        priority = self._next_class(now)
+        if priority is None or self.budget is None:
+            return None if priority is None else now
+        size = self._classes[priority].head()[1]
+        at = self.budget.ready_at(size, self._reserve(priority, now), now)
+        since = self._heartbeat_since
+        if since is not None and priority is not Priority.EMERGENCY and at > since + HEARTBEAT_WAITS_S > now:
+            beat = self._classes[Priority.HEARTBEAT].head()[1]
+            at = min(at, max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(beat, 0.0, now)))
+        return at
 
     def clear(self) -> int:
         """Forget everything that waits (the link went down); how many that were. Counted as dropped."""
         gone = self._length
-        for priority, waiting in self._waiting.items():
-            self.counters[priority].dropped += len(waiting)
-            waiting.clear()
+        for priority, of_class in self._classes.items():
+            self.counters[priority].dropped += of_class.clear()
         self._length = 0
         self._heartbeat_since = None
         return gone
+
+    def status(self) -> dict[str, dict[str, Any]]:
+        """Counters of every class by its name, and what waits."""
+        return {p.name.lower(): {"waiting": self._classes[p].length, **self.counters[p].as_dict()} for p in Priority}
+
+    def _next_class(self, now: float) -> Priority | None:
+        if not self._length:
+            return None
+        for priority, of_class in self._classes.items():
+            if of_class.length:
+                return Priority.HEARTBEAT if self._overdue(now) and priority is not Priority.EMERGENCY else priority
+        return None
+
+    def _overdue(self, now: float) -> bool:
+        since = self._heartbeat_since
+        return since is not None and now - since >= HEARTBEAT_WAITS_S
+
+    def _reserve(self, priority: Priority, now: float) -> float:
+        """Bytes of the budget that an entry of this class has to leave."""
+        if priority <= Priority.COMMAND or (priority is Priority.HEARTBEAT and self._overdue(now)):
+            return 0.0
+        return RESERVED_SHARE * self.budget.burst_bytes if self.budget is not None else 0.0
