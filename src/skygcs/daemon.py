@@ -32,6 +32,7 @@ from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.postman import Postman
@@ -91,6 +92,7 @@ class Daemon:
         )
         self.hub = Hub(
             config,
+            lambda key: self.link_watch.of(key, self.now()),
             dialect,
             self.loop,
             on_vehicle_frame=self.fleet.on_frame,
@@ -105,6 +107,8 @@ class Daemon:
         if self.watchman.watching:
             self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event)
+        self.link_watch = LinkWatch(self.hub)
+        self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
         self._postman = Postman(self.hub, self.fleet, self.links)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
@@ -141,6 +145,7 @@ class Daemon:
             self.links.start(group)
             self.ready.set()
             try:
+                group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="link watch"),
                 await self._stopping.wait()
                 await self._park()
             finally:  # also if a part of the daemon has failed: nothing flies on then

@@ -110,8 +110,10 @@ class FakeVehicle:
         self.mode = name
         return await self._order("set_mode", name=name)
 
-    async def takeoff(self, height_m: float | None, *, arm: bool = True, wait_s: float = 0.0) -> FakeOutcome:
-        return await self._order("takeoff", height_m=height_m, arm=arm, wait_s=wait_s)
+    async def takeoff(
+        self, height_m: float | None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
+    ) -> FakeOutcome:
+        return await self._order("takeoff", height_m=height_m, arm=arm, wait_s=wait_s, force=force)
 
     async def land(self) -> FakeOutcome:
         return await self._order("land")
@@ -273,6 +275,8 @@ class FakeFleet:
         self.origin: Origin | None = None
         self.generation = 0
         self.origin_asked: list[tuple[Any, ...]] = []
+        self.preflight_asked: list[tuple[bool, Any]] = []
+        self.preflight_told: dict[str, dict[str, Any]] = {}
 
     def origin_status(self) -> dict[str, Any]:
         return {"origin": None if self.origin is None else asdict(self.origin), "generation": self.generation}
@@ -294,6 +298,15 @@ class FakeFleet:
     ) -> dict[str, FakeOutcome]:
         self.origin_asked.append(("push", home, force))
         return {vehicle.name: vehicle.outcome for vehicle in self.resolve(targets)}
+
+    async def preflight(
+        self, targets: str | list[str], *, fix: bool, confirmed: Mapping[str, Mapping[str, float]] | None
+    ) -> dict[str, Any]:
+        self.preflight_asked.append((fix, confirmed))
+        return {vehicle.name: self.preflight_told[vehicle.name] for vehicle in self.resolve(targets)}
+
+    def preflight_status(self, targets: str | list[str]) -> dict[str, Any]:
+        return {vehicle.name: {"state": "never"} for vehicle in self.resolve(targets)}
 
     def resolve(self, targets: str | list[str]) -> list[FakeVehicle]:
         parts = targets if isinstance(targets, list) else targets.split(",")

@@ -12,7 +12,20 @@ import typer
 from typer.core import TyperGroup
 
 from skygcs import __version__
-from skygcs.cli import emergency, gains, loops, mission_flight, orders, origin, plot, reading, setpoint, table, track
+from skygcs.cli import (
+    emergency,
+    gains,
+    loops,
+    mission_flight,
+    orders,
+    origin,
+    plot,
+    preflight,
+    reading,
+    setpoint,
+    table,
+    track,
+)
 from skygcs.cli.link import link
 from skygcs.cli.missions import missions
 from skygcs.cli.params import params
@@ -105,6 +118,7 @@ def _root(
 
 reading.add_to(app)
 orders.add_to(app)
+preflight.add_to(app)
 emergency.add_to(app)
 app.add_typer(messages, name="message", rich_help_panel="Looking")
 app.add_typer(links, name="links", rich_help_panel="Looking")

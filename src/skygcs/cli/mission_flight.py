@@ -78,10 +78,11 @@ def _start(
     targets: Targets,
     first: Annotated[int, typer.Option("--first", metavar="ITEM", min=1, help="Begin with this item.")] = 1,
     arm: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Without a required preflight.")] = False,
     json_output: Json = False,
 ) -> None:
     """Fly the mission that is on board."""
-    _order("missions.start", targets, json_output, first=first, arm=arm)
+    _order("missions.start", targets, json_output, first=first, arm=arm, force=force)
 
 
 @missions.command("pause")

@@ -43,7 +43,9 @@ Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying fo
 
 def arm(
     targets: Targets,
-    force: Annotated[bool, typer.Option("--force", help="Skip the autopilot's own checks.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Skip the autopilot's own checks, and a required preflight.")
+    ] = False,
     wait: Wait = 0.0,
     json_output: Json = False,
 ) -> None:
@@ -67,11 +69,12 @@ def takeoff(
         typer.Argument(metavar="[HEIGHT]", help="Metres above the ground; default: the fleet file's.", parser=finite),
     ] = None,
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Without a required preflight.")] = False,
     wait: Wait = 0.0,
     json_output: Json = False,
 ) -> None:
     """Take off, arming first."""
-    order("takeoff", targets, json_output, height_m=height, arm=arm_first, wait_s=wait)
+    order("takeoff", targets, json_output, height_m=height, arm=arm_first, wait_s=wait, force=force)
 
 
 def land(targets: Targets, json_output: Json = False) -> None:

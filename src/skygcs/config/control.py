@@ -22,6 +22,7 @@ Seconds = Annotated[float, Field(gt=0, le=60)]
 Span = Annotated[tuple[float, float], Field(description="[least, most] in metres")]
 
 ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, 20.0
+VELOCITY_HZ, POSITION_HZ = 10.0, 5.0
 """Of `core.vehicle.pilot.PilotConfig`; a test compares them."""
 
 SEED_HOVER_THRUST = 0.45

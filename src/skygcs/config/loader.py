@@ -32,6 +32,7 @@ from skygcs.config.models import (
     VehicleEntry,
     VehicleSettings,
 )
+from skygcs.config.preflight import PreflightSettings, RuleSettings
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
 
@@ -213,6 +214,8 @@ def _translated(errors: Iterable[ErrorDetails], table: dict[str, Any]) -> list[P
         if any(len(other) > len(path) and other[: len(path)] == path for other in deepest):
             continue  # the other branch of a union says it more exactly
         wanted = " or ".join(dict.fromkeys(wanted_list))
+        if any(p.path == path for p in problems):
+            continue
         hint = _did_you_mean(str(given[path]), wanted.removeprefix("one of ").split(", ")) if "one of" in wanted else ""
         problems.append(Problem(path, f"must be {wanted}, not {_quoted(given[path])}{hint}"))
     return problems
@@ -283,6 +286,10 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
         case ("vehicles", _):
             return VehicleEntry
         case (*_, "control"):
+        case (*_, "preflight"):
+            return PreflightSettings
+        case (*_, "preflight", "params", _):
+            return RuleSettings
             return ControlSettings
         case (*_, "control", "xy" | "z"):
             return GainSettings

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from skygcs.config.control import ControlSettings
+from skygcs.config.preflight import PreflightSettings
 from skygcs.core.geo import EAST_DEG
 from skygcs.core.streams import DEFAULT_RATES_HZ
 
@@ -61,6 +62,10 @@ class DaemonConfig(Model):
     operator_lost: Literal["hold", "land", "rtl"] = "hold"
     """... are told this. Never unless a time is set."""
     bad_crc: Literal["drop", "pass"] = "drop"
+    require_preflight: bool = False
+    """Arm and take off only vehicles that have passed preflight since they started ..."""
+    preflight_valid_minutes: Annotated[float, Field(gt=0, le=1440)] = 30.0
+    """... and not longer ago than this."""
     """What becomes of a known message with a wrong CRC from a source that was verified before."""
 
 
@@ -231,6 +236,10 @@ class VehicleSettings(Model):
 
 
 class VehicleEntry(VehicleSettings):
+    preflight: PreflightSettings | None = None
+    """What is expected of it before it flies; laid over the lower levels' key by key."""
+    require_preflight: bool | None = None
+    """As in [daemon], for these vehicles."""
     """[vehicles.NAME]"""
 
     sysid: Sysid
@@ -252,6 +261,12 @@ class VehicleConfig(Model):
 
 
 class OriginConfig(Model):
+    control_planned: bool = False
+    """Whether any level has a control table: it is to be flown by setpoints."""
+    preflight: PreflightSettings = PreflightSettings()
+    require_preflight: bool = False
+    named: bool = False
+    """Whether it is in the fleet file."""
     """[origin]: the fleet's world frame. ENU positions are shown only when it is set here or at run time.
 
     The keys are the fields of `core.geo.Origin`.
@@ -293,7 +308,8 @@ class FleetConfig(Model):
 
     def vehicle_configs(self) -> tuple[VehicleConfig, ...]:
         """Every vehicle with defaults < type < vehicle applied."""
-        return tuple(self._resolved(name, entry) for name, entry in self.vehicles.items())
+        named = {"named": True}
+        return tuple(self._resolved(n, entry).model_copy(update=named) for n, entry in self.vehicles.items())
 
     def default_vehicle(self, sysid: int) -> VehicleConfig:
         """Settings of a vehicle that is not in the file."""
@@ -301,10 +317,13 @@ class FleetConfig(Model):
 
     def _resolved(self, name: str, entry: VehicleEntry) -> VehicleConfig:
         layers = [self.defaults, self.types.get(entry.type or "", VehicleSettings()), entry]
-        merged: dict[str, Any] = {"goto_limit_m": self.daemon.goto_limit_m}
+        merged: dict[str, Any] = {
+            "goto_limit_m": self.daemon.goto_limit_m,
+            "require_preflight": self.daemon.require_preflight,
+        }
         groups: list[str] = []
         for layer in layers:
-            for key in ("autopilot", "takeoff_height_m", "goto_limit_m", "streams"):
+            for key in ("autopilot", "takeoff_height_m", "goto_limit_m", "streams", "require_preflight"):
                 value = getattr(layer, key)
                 if value is not None:
                     merged[key] = value
@@ -313,3 +332,6 @@ class FleetConfig(Model):
             if layer.group is not None:
                 groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
         return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)
+                merged["control_planned"] = True
+            if layer.preflight is not None:
+                merged["preflight"] = layer.preflight.over(merged.get("preflight", PreflightSettings()))

@@ -12,7 +12,6 @@ from itertools import islice
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
-from skygcs.rpc import control, dispatch, missions, openrpc, origin, params
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -365,6 +364,7 @@ METHODS: dict[str, Method[Context]] = {
         *control.METHODS,
         *missions.METHODS,
         Method("rpc.discover", m.NoParams, rpc_discover),
+        *preflight.METHODS,
     )
 }
 """By name, in the order in which they are documented."""

@@ -43,6 +43,7 @@ class PlanClearParams(m.TargetsParams):
 class MissionStartParams(m.TargetsParams):
     first: ItemNumber = 1
     arm: bool = Field(True, description="Arm first if it is not armed.")
+    force: bool = Field(False, description="Although preflight is required and not passed.")
 
 
 class MissionItemParams(m.TargetsParams):
@@ -102,7 +103,8 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
 
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on."""
-    return await outcomes(context, params.targets, "start_mission", first=params.first, arm=params.arm)
+    arguments = {"first": params.first, "arm": params.arm, "force": params.force}
+    return await outcomes(context, params.targets, "start_mission", **arguments)
 
 
 async def missions_pause(context: Context, params: m.TargetsParams) -> JsonObject:

@@ -92,7 +92,11 @@ class TargetsParams(Params):
 
 
 class ArmParams(TargetsParams):
-    force: bool = Field(False, description="Arm although the autopilot's checks fail (magic number 21196).")
+    force: bool = Field(
+        False,
+        description="Arm although the autopilot's checks fail (magic number 21196), or a required preflight is not "
+        "passed.",
+    )
     wait_s: float = Field(
         0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to arm yet."
     )
@@ -113,6 +117,9 @@ class TakeoffParams(TargetsParams):
     arm: bool = Field(True, description="Arm first if it is not armed.")
     wait_s: float = Field(
         0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to fly yet."
+    )
+    force: bool = Field(
+        False, description="Although preflight is required and not passed; the autopilot's own checks remain."
     )
 
 

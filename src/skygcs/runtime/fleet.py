@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from skygcs.config.models import FleetConfig, VehicleConfig
@@ -13,6 +13,7 @@ from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.geo import Origin, world_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.vehicle import discovery, orders, stop, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
@@ -22,6 +23,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.runtime.commander import Carrier, SendFn
 from skygcs.runtime.param_cache import ParamCache
+from skygcs.runtime.preflight_all import examine_all, meant
 from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
 from skygcs.runtime.world import OnOriginChange, World
 
@@ -83,11 +85,12 @@ class Fleet:
         may_broadcast: Callable[[], bool] = lambda: True,
         uplink_bytes_per_s: Callable[[int, int], float] = lambda sysid, compid: math.inf,
         param_cache: ParamCache | None = None,
+        heard: Callable[[int], Mapping[str, LinkFacts]] = lambda key: {},
     ) -> None:
         """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``.
 
         ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it. ``param_cache``:
-        where parameters are kept; None: nowhere.
+        where parameters are kept; None: nowhere. ``heard(sysid << 8 | compid)``: how well, by link.
         """
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
@@ -101,6 +104,7 @@ class Fleet:
         self._may_broadcast = may_broadcast
         self._uplink_bytes_per_s = uplink_bytes_per_s
         self._param_cache = param_cache
+        self._heard = heard
         self._kept: set[asyncio.Task[dict[str, Outcome]]] = set()
         self._duplicates: set[int] = set()
         self._replayed: set[int] = set()
@@ -233,6 +237,21 @@ class Fleet:
             one_place = "several vehicles were sent to one place; send each its own setpoint"
             return {actor.name: Outcome(False, "refused", f"refused: {one_place}") for actor in actors}
         return {actor.name: actor.setpoint(**setpoint) for actor in actors}
+
+    async def preflight(
+        self,
+        expression: str | int | Sequence[str | int],
+        *,
+        fix: bool = False,
+        confirmed: Mapping[str, Mapping[str, float]] | None = None,
+    ) -> dict[str, Any]:
+        """See `examine_all`: also of vehicles of the fleet file that nobody hears. Raises TargetError."""
+        vehicles = meant(expression, self.vehicles.values(), self._configs.values())
+        return await examine_all(vehicles, fix=fix, confirmed=confirmed)
+
+    def preflight_status(self, expression: str | int | Sequence[str | int]) -> dict[str, Any]:
+        """See `Preflight.status`. Raises TargetError."""
+        return {actor.name: actor.preflight.status() for actor in self.resolve(expression)}
 
     def flown(self) -> list[VehicleActor]:
         """The vehicles that are flown by setpoints, or about to be."""
@@ -378,6 +397,9 @@ class Fleet:
             log_dir=daemon.log_dir,
             uplink_bytes_per_s=lambda: self._uplink_bytes_per_s(frame.sysid, frame.compid),
             param_cache=self._param_cache,
+            configured=config.named if self.config.vehicles else None,
+            preflight_valid_s=60 * daemon.preflight_valid_minutes,
+            heard=lambda: self._heard(key),
         )
         self.vehicles[key] = actor
         self.world.join(actor)

@@ -206,6 +206,14 @@ class VehicleParams:
                 self._loading.cancel()
                 self._loading = None
 
+    async def vouched(self) -> Mapping[str, Param]:
+        """What is known of all parameters, if the vehicle says by its hash that it still holds; else nothing."""
+        book = self._book
+        book.recall()
+        if not book.complete or book.hash is None or self._refusal() is not None:
+            return {}
+        return dict(book.params) if book.vouches(await self._ask_hash()) else {}
+
     def status(self) -> dict[str, Any]:
         """JSON-able: what is known, and what is going on."""
         progress = None if self.progress is None else _progress_data(self.progress)

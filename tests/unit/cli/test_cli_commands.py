@@ -78,8 +78,10 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Fleet]:
 def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert fleet.order("arm", "1,3", "--wait", "2")[1] == {"force": False, "wait_s": 2.0}
     assert fleet.order("disarm", "all", "--force")[1] == {"force": True}
-    assert fleet.order("takeoff", "all", "5") == ("takeoff", {"height_m": 5.0, "arm": True, "wait_s": 0.0})
-    assert fleet.order("takeoff", "alpha", "--no-arm")[1] == {"height_m": None, "arm": False, "wait_s": 0.0}
+    usual = {"height_m": 5.0, "arm": True, "wait_s": 0.0, "force": False}
+    assert fleet.order("takeoff", "all", "5") == ("takeoff", usual)
+    assert fleet.order("takeoff", "alpha", "--no-arm")[1] == {**usual, "height_m": None, "arm": False}
+    assert fleet.order("takeoff", "alpha", "5", "--force")[1] == {**usual, "force": True}
     assert [fleet.order(o, "1-2")[0] for o in ("land", "rtl", "hold")] == ["land", "rtl", "hold"]
     assert fleet.order("mode", "alpha", "AUTO.LOITER") == ("set_mode", {"name": "AUTO.LOITER"})
     place = fleet.order("goto", "alpha", "43.1", "-79.2", "10", "--yaw", "-90")[1]

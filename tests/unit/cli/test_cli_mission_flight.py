@@ -131,8 +131,8 @@ def test_a_failed_download_writes_nothing(site: Site) -> None:
     [
         (("mission", "clear", "alpha"), ("clear_plan", {"kinds": (MissionType.MISSION,), "force": False})),
         (("fence", "clear", "alpha", "--force"), ("clear_plan", {"kinds": (MissionType.FENCE,), "force": True})),
-        (("mission", "start", "alpha", "--first", "3"), ("start_mission", {"first": 3, "arm": True})),
-        (("mission", "start", "alpha", "--no-arm"), ("start_mission", {"first": 1, "arm": False})),
+        (("mission", "start", "alpha", "--first", "3"), ("start_mission", {"first": 3, "arm": True, "force": False})),
+        (("mission", "start", "alpha", "--no-arm"), ("start_mission", {"first": 1, "arm": False, "force": False})),
         (("mission", "pause", "alpha"), ("hold", {})),
         (("mission", "resume", "alpha"), ("resume_mission", {})),
         (("mission", "current", "alpha", "4"), ("set_mission_item", {"item": 4})),

@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.cli.check import check
-from skygcs.config.control import ATTITUDE_HZ, ATTITUDE_MIN_HZ, ControlSettings, FenceSettings, GainSettings
+from skygcs.config.control import (
+    ATTITUDE_HZ,
+    ATTITUDE_MIN_HZ,
+    POSITION_HZ,
+    VELOCITY_HZ,
+    ControlSettings,
+    FenceSettings,
+    GainSettings,
+)
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
 from skygcs.core.control.config import SEED_XY, SEED_Z, ControlConfig
@@ -36,6 +44,7 @@ def test_what_nobody_says_has_the_defaults_of_the_law_the_guard_and_the_fence() 
     assert settings.fence_at(HERE) == Fence(HERE) and settings.problems() == []
     pilot = PilotConfig(settings.law(), settings.guard())
     assert (pilot.attitude_hz, pilot.rate_min_hz) == (ATTITUDE_HZ, ATTITUDE_MIN_HZ)
+    assert (pilot.velocity_hz, pilot.position_hz) == (VELOCITY_HZ, POSITION_HZ)
 
 
 def test_every_key_reaches_what_it_is_for() -> None:

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import control, models
+from skygcs.config import control, models, preflight
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
@@ -31,11 +31,13 @@ LINKS = get_args(models.LinkConfig)
         control.ControlSettings,
         control.GainSettings,
         control.FenceSettings,
+        preflight.PreflightSettings,
+        preflight.RuleSettings,
     ],
     ids=lambda m: m.__name__,
 )
 def test_every_key_of_the_fleet_file_is_described(model: type[BaseModel]) -> None:
-    keys = set(model.model_fields) - {"name"}
+    keys = {field.alias or key for key, field in model.model_fields.items()} - {"name"}
     named = set(re.findall(r"`([a-z_0-9]+)`", PAGE)) | set(re.findall(r"\[([a-z]+)[\].]", PAGE)) | {"type"}
     assert keys <= named, keys - named
 

@@ -113,7 +113,7 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
         ("arm", {"force": True, "wait_s": 2.5}, ("arm", {"force": True, "wait_s": 2.5})),
         ("disarm", {}, ("disarm", {"force": False})),
         ("mode", {"mode": "LAND"}, ("set_mode", {"name": "LAND"})),
-        ("takeoff", {"height_m": 3}, ("takeoff", {"height_m": 3.0, "arm": True, "wait_s": 0.0})),
+        ("takeoff", {"height_m": 3}, ("takeoff", {"height_m": 3.0, "arm": True, "wait_s": 0.0, "force": False})),
         ("land", {}, ("land", {})),
         ("rtl", {}, ("rtl", {})),
         ("hold", {}, ("hold", {})),

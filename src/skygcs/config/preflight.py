@@ -1,0 +1,137 @@
+"""The ``preflight`` table of a vehicle, a type or the defaults: what is expected of it before it flies.
+
+Every key may be left out at every level; what nobody says has the default of `core.preflight.Expectations`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from skygcs.core.mavlink.param import NAME_CHARS, is_name
+from skygcs.core.preflight.expectations import Expectations, Way
+from skygcs.core.preflight.health import version_problem
+from skygcs.core.preflight.rules import Rule
+
+ParamValue = int | float
+Mask = Annotated[int, Field(ge=1, lt=1 << 32)]
+Limit = Annotated[float, Field(ge=0)]
+
+
+def _param_name(text: str) -> str:
+    if not is_name(text):
+        raise ValueError(f"{text!r} is no parameter's name: letters, digits and _, at most {NAME_CHARS}")
+    return text.upper()
+
+
+def _version(text: str) -> str:
+    problem = version_problem(text)
+    if problem is not None:
+        raise ValueError(problem)
+    return text
+
+
+ParamName = Annotated[str, AfterValidator(_param_name)]
+Version = Annotated[str, AfterValidator(_version)]
+
+
+class Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True)
+
+
+class RuleSettings(Model):
+    """Comparisons with one parameter; all that are said must hold."""
+
+    one_of: Annotated[tuple[ParamValue, ...], Field(min_length=1)] | None = Field(None, alias="in")
+    min: ParamValue | None = None
+    max: ParamValue | None = None
+    bits: Mask | None = None
+    """A mask of bits that must be set."""
+    no_bits: Mask | None = None
+    """A mask of bits that must be clear."""
+    set: ParamValue | None = None
+    """What --fix sets it to; unless said, what is nearest to what it is."""
+    why: str = ""
+    optional: bool = False
+    """A vehicle that has no such parameter passes."""
+
+    @model_validator(mode="after")
+    def _possible(self) -> RuleSettings:
+        if self.min is not None and self.max is not None and self.min > self.max:
+            raise ValueError(f"min {self.min:g} is above max {self.max:g}: nothing is both")
+        if self.bits and self.no_bits and self.bits & self.no_bits:
+            raise ValueError(f"bits and no_bits both have {self.bits & self.no_bits}: nothing is both")
+        rule = self.rule()
+        if self.one_of and not any(rule.holds(value) for value in self.one_of):
+            raise ValueError("no value of in satisfies the rest of it")
+        if self.set is not None and not rule.holds(self.set):
+            raise ValueError(f"set {self.set:g} is itself not as expected ({rule})")
+        return self
+
+    def rule(self) -> Rule:
+        """As `core.preflight` has it."""
+        return Rule(
+            one_of=self.one_of or (),
+            least=self.min,
+            most=self.max,
+            bits=self.bits or 0,
+            no_bits=self.no_bits or 0,
+            set_to=self.set,
+            why=self.why,
+            optional=self.optional,
+        )
+
+
+class PreflightSettings(Model):
+    """What may be said of preflight; None: not said here. A limit of 0 turns its check off."""
+
+    params: dict[ParamName, ParamValue | RuleSettings] | None = None
+    """By name: a value, or a table of comparisons; an empty table takes a lower level's expectation away."""
+    battery_min_percent: Annotated[float, Field(ge=0, le=100)] | None = None
+    gps_fix_min: Literal["no_gps", "no_fix", "2d", "3d", "dgps", "rtk_float", "rtk_fixed"] | None = None
+    satellites_min: Annotated[int, Field(ge=0, le=99)] | None = None
+    hdop_max: Limit | None = None
+    estimator: bool | None = None
+    prearm: bool | None = None
+    sensors_required: tuple[str, ...] | None = None
+    sensors_ignored: tuple[str, ...] | None = None
+    home_max_m: Limit | None = None
+    clock_max_s: Limit | None = None
+    firmware_min: Version | None = None
+    firmware: Version | tuple[Version, ...] | None = None
+    loss_max_percent: Annotated[float, Field(ge=0, le=100)] | None = None
+    radio_margin_min_db: Annotated[float, Field(ge=0, le=100)] | None = None
+    rtl_height_m: Annotated[tuple[Limit, Limit], Field(description="[least, most] in metres")] | None = None
+    geofence_required: bool | None = None
+    transmitter: bool | None = None
+    control_way: Way | Literal["none"] | None = None
+    """How skygcs is to fly it; unless said "attitude" where there is a control table, else "none"."""
+
+    @model_validator(mode="after")
+    def _heights(self) -> PreflightSettings:
+        if self.rtl_height_m is not None and self.rtl_height_m[0] > self.rtl_height_m[1]:
+            raise ValueError("rtl_height_m is [least, most], and the first is above the second")
+        return self
+
+    def over(self, lower: PreflightSettings) -> PreflightSettings:
+        """These settings, and where they say nothing those of ``lower``; params by name."""
+        told = {key: value for key in type(self).model_fields if (value := getattr(self, key)) is not None}
+        if self.params is not None and lower.params is not None:
+            told["params"] = {**lower.params, **self.params}
+        return lower.model_copy(update=told)
+
+    def expectations(self, *, control: bool, setpoint_hz: float) -> Expectations:
+        """``control``: whether the vehicle has a control table; ``setpoint_hz``: of the slowest way it may be flown."""
+        keys = {f.name for f in fields(Expectations)} & set(type(self).model_fields)
+        told: dict[str, Any] = {key: value for key in keys if (value := getattr(self, key)) is not None}
+        told["params"] = {name: _rule(value) for name, value in (self.params or {}).items()}
+        if isinstance(self.firmware, str):
+            told["firmware"] = (self.firmware,)
+        way = self.control_way or ("attitude" if control else "none")
+        return Expectations(**told, control=None if way == "none" else way, setpoint_hz=setpoint_hz)
+
+
+def _rule(value: ParamValue | RuleSettings) -> Rule:
+    return value.rule() if isinstance(value, RuleSettings) else Rule(one_of=(value,))

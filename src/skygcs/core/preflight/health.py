@@ -1,0 +1,325 @@
+"""Checks of what a vehicle tells of itself, and of how it is heard."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from skygcs.core.geo import distance_m
+from skygcs.core.preflight.expectations import FIXES, Expectations
+from skygcs.core.preflight.facts import Facts
+from skygcs.core.preflight.report import Finding, failed, passed, skipped, unknown
+from skygcs.core.vehicle.fold import ESTIMATE_NEEDED
+
+FRESH_S = 15.0
+"""Older tells nothing of now: three periods of the slowest message asked for by default (0.2 Hz)."""
+
+TEXT_FRESH_S = 60.0
+"""ArduPilot repeats why it would not arm every 30 s."""
+
+MAX_TEXTS = 3
+
+PREARM_SENSOR = "prearm_check"
+PREARM_TEXTS = ("prearm:", "arm:", "preflight fail:", "arming denied")
+"""How ArduPilot and PX4 begin their texts about it."""
+
+PX4_TELLS_PREARM = (1, 14)
+"""From this version on, where its checks of health and arming are one (SYS_STATUS.hpp)."""
+
+_NEEDED = (
+    (1, "no attitude"),
+    (2, "no horizontal velocity"),
+    (4, "no vertical velocity"),
+    (16, "no position on earth"),
+    (32, "no height"),
+)
+"""Of `ESTIMATE_NEEDED`, what is missing without each bit."""
+
+_VERSION = re.compile(r"(\d+)\.(\d+)(?:\.(\d+))?(?:-(dev|alpha|beta|rc)(\d*))?")
+_STAGES = ("dev", "alpha", "beta", "rc")
+
+ASK_AGAIN = "ask again in a moment"
+
+
+def reachable(facts: Facts, wanted: Expectations) -> Finding:
+    state = facts.state
+    if state["replayed"]:
+        return failed("it is heard in a recording only", "nobody is there to fly: end the replay link")
+    if not state["connected"]:
+        age = state["last_heartbeat_age_s"]
+        heard = "never" if age is None else f"{age:.0f} s ago"
+        return failed(f"no heartbeat: last heard {heard}", "switch it on; check its radio and the link")
+    return passed("heard")
+
+
+def single(facts: Facts, wanted: Expectations) -> Finding:
+    if not facts.state["duplicate_sysid"]:
+        return passed("the only one of its system id")
+    sysid = facts.state["sysid"]
+    return failed(
+        f"two vehicles with system id {sysid} are on the air",
+        "switch one off and give it another (PX4: MAV_SYS_ID; ArduPilot: SYSID_THISMAV, from 4.7 on MAV_SYSID)",
+    )
+
+
+def known(facts: Facts, wanted: Expectations) -> Finding:
+    if facts.configured is None:
+        return skipped("the fleet file names no vehicles")
+    if facts.configured:
+        return passed("in the fleet file")
+    sysid = facts.state["sysid"]
+    return failed(
+        f"system id {sysid} is not in the fleet file",
+        f"add it ([vehicles.NAME] with sysid = {sysid}), or find out whose it is",
+    )
+
+
+def autopilot(facts: Facts, wanted: Expectations) -> Finding:
+    if facts.expected_autopilot is None:
+        return skipped("the fleet file expects no particular autopilot")
+    if facts.expected_autopilot == facts.family:
+        return passed(facts.family)
+    text = f"it runs {facts.family}, the fleet file says {facts.expected_autopilot}"
+    return failed(text, "correct autopilot in the fleet file, or find out which vehicle this is")
+
+
+def failsafe(facts: Facts, wanted: Expectations) -> Finding:
+    if not facts.state["failsafe"]:
+        return passed("no failsafe")
+    text = f"its own failsafe is active, system status {facts.state['system_status']}"
+    return failed(text + _because(_texts(facts, ())), "find the cause in its status texts; a reboot ends what is over")
+
+
+def estimator(facts: Facts, wanted: Expectations) -> Finding:
+    if not wanted.estimator:
+        return skipped("estimator = false")
+    part = facts.fresh("estimator", FRESH_S)
+    if part is None:
+        return unknown("its estimator is not known: it told nothing of it when asked", ASK_AGAIN)
+    if part["ok"]:
+        return passed("estimator good")
+    wrong = [text for bit, text in _NEEDED if bit & ESTIMATE_NEEDED & ~part["flags"]]
+    wrong += [f"{name} innovation {ratio:.2f}" for name, ratio in part["ratios"].items() if ratio and ratio >= 0.8]
+    told = {n.lower().removeprefix("estimator_").removeprefix("ekf_") for n in part["names"]}
+    wrong += sorted(n.replace("_", " ") for n in told & {"gps_glitch", "gps_glitching", "accel_error", "uninitialized"})
+    return failed(
+        "its estimator is not good enough to navigate by" + (f": {', '.join(wrong)}" if wrong else ""),
+        "wait until it has converged with a clear sky; if it does not, reboot it where it stands",
+    )
+
+
+def position(facts: Facts, wanted: Expectations) -> Finding:
+    if wanted.gps_fix_min == "no_gps" or not wanted.estimator:
+        return skipped("no position on earth is expected")
+    part = facts.fresh("position", FRESH_S)
+    if part is None:
+        return unknown("it tells no position, also when asked (GLOBAL_POSITION_INT)", "wait for a GPS fix")
+    if part["lat_deg"] is None:
+        return failed("it does not know its position", "wait for a GPS fix")
+    return passed("knows its position")
+
+
+def gps_fix(facts: Facts, wanted: Expectations) -> Finding:
+    least = FIXES.index(wanted.gps_fix_min)
+    if least == 0:
+        return skipped('gps_fix_min = "no_gps"')
+    part = facts.fresh("gps", FRESH_S)
+    if part is None:
+        return unknown("its GPS is not known: it told nothing of it when asked", ASK_AGAIN)
+    fix = _fix_word(part["fix"])
+    if part["fix_type"] >= least:
+        return passed(f"GPS fix {fix}")
+    return failed(
+        f"GPS fix {fix} (at least {_fix_word(wanted.gps_fix_min)})",
+        "wait with a clear sky; if it stays, check the antenna and its cable",
+    )
+
+
+def satellites(facts: Facts, wanted: Expectations) -> Finding:
+    part = None if wanted.gps_fix_min == "no_gps" else facts.fresh("gps", FRESH_S)
+    if not wanted.satellites_min or part is None:
+        return skipped("not expected" if not wanted.satellites_min else "no GPS to ask")
+    seen = part["satellites"]
+    if seen is None:
+        return unknown("its GPS does not say how many satellites it has", "satellites_min = 0 does without")
+    if seen >= wanted.satellites_min:
+        return passed(f"{seen} satellites")
+    return failed(f"{seen} satellites (at least {wanted.satellites_min})", "wait, or go where the sky is open")
+
+
+def hdop(facts: Facts, wanted: Expectations) -> Finding:
+    part = None if wanted.gps_fix_min == "no_gps" else facts.fresh("gps", FRESH_S)
+    if not wanted.hdop_max or part is None:
+        return skipped("not expected" if not wanted.hdop_max else "no GPS to ask")
+    if part["hdop"] is None:
+        if part["fix_type"] < FIXES.index("3d"):
+            return skipped("no fix yet")
+        return unknown("its GPS does not tell its HDOP", "hdop_max = 0 does without")
+    if part["hdop"] <= wanted.hdop_max:
+        return passed(f"HDOP {part['hdop']:g}")
+    return failed(f"HDOP {part['hdop']:g} (at most {wanted.hdop_max:g})", "wait, or go where the sky is open")
+
+
+def sensors(facts: Facts, wanted: Expectations) -> Finding:
+    part = facts.fresh("sensors", FRESH_S)
+    if part is None:
+        return unknown("its sensors are not known: it sent no SYS_STATUS when asked", ASK_AGAIN)
+    ignored = {*wanted.sensors_ignored, PREARM_SENSOR}
+    bad = [name for name in part["unhealthy"] if name not in ignored]
+    working = set(part["present"]) & set(part["enabled"])
+    gone = [name for name in wanted.sensors_required if name not in working]
+    if not bad and not gone:
+        return passed(f"{len(working)} sensors healthy")
+    told = [f"unhealthy: {', '.join(bad)}"] * bool(bad) + [f"not there or off: {', '.join(gone)}"] * bool(gone)
+    todo = "check or calibrate them; what may be so goes into sensors_ignored" if bad else "connect and enable them"
+    return failed("sensors " + "; ".join(told) + _because(_texts(facts, PREARM_TEXTS)), todo)
+
+
+def prearm(facts: Facts, wanted: Expectations) -> Finding:
+    if not wanted.prearm:
+        return skipped("prearm = false")
+    if facts.state["armed"]:
+        return skipped("it is armed already")
+    part = facts.fresh("sensors", FRESH_S)
+    if part is None or not (PREARM_SENSOR in part["present"] or _px4_tells(facts)):
+        return skipped("it does not tell whether it would arm")
+    if PREARM_SENSOR in part["health"]:
+        return passed("would arm")
+    text = f"its own arming checks fail in {facts.state['mode']}" + _because(_texts(facts, PREARM_TEXTS))
+    return failed(text, "put right what its status texts name; the last ones: skygcs-cli status --json")
+
+
+def _px4_tells(facts: Facts) -> bool:
+    """PX4 sets the bit of the arming checks in ``health`` alone, neither in ``present`` nor in ``enabled``."""
+    return facts.family == "px4" and _version(facts.state["firmware"] or "") >= PX4_TELLS_PREARM
+
+
+def battery(facts: Facts, wanted: Expectations) -> Finding:
+    limit = wanted.battery_min_percent
+    if not limit:
+        return skipped("battery_min_percent = 0")
+    part = facts.fresh("battery", FRESH_S)
+    percent = None if part is None else part["percent"]
+    if percent is None:
+        text = "its battery's charge is not known: it told none when asked"
+        return unknown(
+            text, "set its battery monitor up (BAT1_SOURCE, BATT_MONITOR); battery_min_percent = 0 does without"
+        )
+    if percent >= limit:
+        return passed(f"battery {percent:g} %")
+    volts = "" if part is None or part["volts"] is None else f", {part['volts']:.1f} V"
+    return failed(f"battery {percent:g} %{volts} (at least {limit:g} %)", "change or charge it")
+
+
+def home(facts: Facts, wanted: Expectations) -> Finding:
+    if not wanted.home_max_m or wanted.gps_fix_min == "no_gps":
+        return skipped("no home is expected")
+    name = facts.state["name"]
+    part, here = facts.state["home"], facts.fresh("position", FRESH_S)
+    if part is None:
+        return failed("it has no home: a return would go nowhere", f"wait for a fix, or skygcs-cli home {name}")
+    if here is None or here["lat_deg"] is None:
+        return unknown("how far its home is cannot be told without its position", "wait for a GPS fix")
+    away_m = distance_m(here["lat_deg"], here["lon_deg"], part["lat_deg"], part["lon_deg"])
+    if away_m <= wanted.home_max_m:
+        return passed(f"home {away_m:.0f} m away")
+    return failed(
+        f"home is {away_m:.0f} m from where it stands (at most {wanted.home_max_m:g} m)",
+        f"set it here: skygcs-cli home {name}",
+    )
+
+
+def clock(facts: Facts, wanted: Expectations) -> Finding:
+    if not wanted.clock_max_s:
+        return skipped("clock_max_s = 0")
+    offset_s = facts.state["clock_offset_s"]
+    if offset_s is None:
+        return unknown(
+            "its clock is not known (SYSTEM_TIME)", "it has the date from GPS: wait; clock_max_s = 0 does without"
+        )
+    if abs(offset_s) <= wanted.clock_max_s:
+        return passed(f"clock {offset_s:+.1f} s")
+    way = "ahead of" if offset_s > 0 else "behind"
+    return failed(
+        f"its clock is {abs(offset_s):.1f} s {way} ours (at most {wanted.clock_max_s:g} s)",
+        "see which is wrong (this computer: timedatectl); logs of both would not fit together",
+    )
+
+
+def firmware(facts: Facts, wanted: Expectations) -> Finding:
+    if wanted.firmware_min is None and not wanted.firmware:
+        return skipped("no version is expected")
+    version = facts.state["firmware"]
+    if version is None:
+        return unknown("its firmware's version is not known: it did not tell when asked", ASK_AGAIN)
+    if wanted.firmware and version not in wanted.firmware:
+        return failed(f"firmware {version} (must be {' or '.join(wanted.firmware)})", "flash that version")
+    least = wanted.firmware_min
+    if least is not None and _version(version) < _version(least):
+        return failed(f"firmware {version} (at least {least})", "flash a newer one")
+    return passed(f"firmware {version}")
+
+
+def loss(facts: Facts, wanted: Expectations) -> Finding:
+    limit = wanted.loss_max_percent
+    if not limit:
+        return skipped("loss_max_percent = 0")
+    links = facts.links or {}
+    told = {name: link.loss for name, link in links.items() if link.loss is not None}
+    if not told:
+        most = max((link.frames for link in links.values()), default=0)
+        return unknown(f"how much of it is lost is not known: {most} frames so far", "ask again in half a minute")
+    best = min(told, key=lambda name: told[name])
+    percent = 100 * told[best]
+    if percent <= limit:
+        return passed(f"{percent:.0f} % lost on {best}")
+    return failed(
+        f"{percent:.0f} % of its frames are lost on {best} (at most {limit:g} %)",
+        "check antennas; ask for fewer messages (streams); skygcs-cli link plan says what a radio can carry",
+    )
+
+
+def radio_margin(facts: Facts, wanted: Expectations) -> Finding:
+    limit = wanted.radio_margin_min_db
+    told = {name: link.margin_db for name, link in (facts.links or {}).items() if link.margin_db is not None}
+    if not limit or not told:
+        return skipped("no radio told its signal")
+    best = max(told, key=lambda name: told[name])
+    if told[best] >= limit:
+        return passed(f"{told[best]:.0f} dB above noise on {best}")
+    text = f"the signal is {told[best]:.0f} dB above the noise on {best} (at least {limit:g} dB)"
+    return failed(text, "check antennas, distance and what else sends on this band")
+
+
+def _fix_word(fix: str) -> str:
+    return fix.upper() if fix in ("2d", "3d", "dgps") else fix.replace("_", " ")
+
+
+def _texts(facts: Facts, beginnings: tuple[str, ...]) -> list[str]:
+    """The newest status texts that begin so, or are warnings if it does not matter how."""
+    entries: list[Mapping[str, Any]] = [t for t in facts.state["status_texts"] if t["age_s"] <= TEXT_FRESH_S]
+    entries.sort(key=lambda t: t["age_s"])
+    if beginnings:
+        found = [t["text"] for t in entries if t["text"].lower().startswith(beginnings)]
+    else:
+        found = [t["text"] for t in entries if t["level"] <= 4]
+    return list(dict.fromkeys(found))[:MAX_TEXTS]
+
+
+def _because(texts: list[str]) -> str:
+    return f" ({'; '.join(texts)})" if texts else ""
+
+
+def version_problem(text: str) -> str | None:
+    """Why a version cannot be compared; None if it can."""
+    return None if _VERSION.fullmatch(text) else f"{text!r} is no version such as 1.16.0 or 4.6.2-beta1"
+
+
+def _version(text: str) -> tuple[int, ...]:
+    """To be compared; a development stage comes before its release."""
+    match = _VERSION.match(text)
+    if match is None:
+        return (0,)
+    stage = len(_STAGES) if match[4] is None else _STAGES.index(match[4])
+    return (int(match[1]), int(match[2]), int(match[3] or 0), stage, int(match[5] or 0))

@@ -1,0 +1,125 @@
+"""What the checks found, and what it adds up to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum, StrEnum
+from typing import Any
+
+from skygcs.core.mavlink.param import Value
+
+
+class Verdict(StrEnum):
+    """``UNKNOWN`` is no pass: what a check needs could not be learned. ``SKIPPED``: nothing is expected of it here."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    UNKNOWN = "unknown"
+    SKIPPED = "skipped"
+
+
+class Severity(IntEnum):
+    """Of a failure: what would become of a flight with it."""
+
+    DANGER = 3
+    """It would do what nobody wants: fly away, fall, obey another."""
+    FAULT = 2
+    """It would most likely refuse to fly, or end the flight early."""
+    NOTE = 1
+    """It would fly, and not as the fleet file says it should."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A parameter that would put it right: by the vehicle's own name for it, from what to what."""
+
+    name: str
+    value: Value
+    before: Value
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One check's verdict. ``text`` says what is so, with the figure and the limit; ``todo`` what to do about it."""
+
+    verdict: Verdict
+    text: str
+    todo: str = ""
+    fixes: tuple[Fix, ...] = ()
+    severity: Severity | None = None
+    """None: the check's own."""
+    check: str = ""
+
+    def named(self, check: str, severity: Severity) -> Finding:
+        """As the finding of this check; its own severity, if it has one, stands."""
+        return replace(self, check=check, severity=self.severity or severity)
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "check": self.check,
+            "verdict": self.verdict.value,
+            "severity": (self.severity or Severity.FAULT).name.lower(),
+            "text": self.text,
+            "todo": self.todo,
+            "fixes": [{"name": f.name, "before": f.before, "value": f.value} for f in self.fixes],
+        }
+
+
+def passed(text: str) -> Finding:
+    return Finding(Verdict.PASS, text)
+
+
+def failed(text: str, todo: str, *fixes: Fix, severity: Severity | None = None) -> Finding:
+    return Finding(Verdict.FAIL, text, todo, fixes, severity)
+
+
+def unknown(text: str, todo: str) -> Finding:
+    return Finding(Verdict.UNKNOWN, text, todo)
+
+
+def skipped(text: str) -> Finding:
+    return Finding(Verdict.SKIPPED, text)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """All findings of one vehicle, in the order of the table."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether it is ready: nothing failed, and nothing that matters is unknown."""
+        return not self.complaints
+
+    @property
+    def complaints(self) -> tuple[Finding, ...]:
+        """What failed, worst first, then what is not known."""
+        wrong = [f for f in self.findings if f.verdict in (Verdict.FAIL, Verdict.UNKNOWN)]
+        return tuple(sorted(wrong, key=lambda f: (f.verdict is Verdict.UNKNOWN, -(f.severity or 0))))
+
+    @property
+    def fixes(self) -> tuple[Fix, ...]:
+        """Parameters that would put something right, each once; where two checks disagree the first has it."""
+        by_name: dict[str, Fix] = {}
+        for finding in self.complaints:
+            for fix in finding.fixes:
+                by_name.setdefault(fix.name, fix)
+        return tuple(by_name.values())
+
+    def summary(self, most: int = 2) -> str:
+        """The worst of it in a line."""
+        wrong = self.complaints
+        if not wrong:
+            return f"ready: {sum(f.verdict is Verdict.PASS for f in self.findings)} checks passed"
+        told = "; ".join(f.text for f in wrong[:most])
+        return told + (f"; and {len(wrong) - most} more" if len(wrong) > most else "")
+
+    def as_dict(self) -> Mapping[str, Any]:
+        return {
+            "ok": self.ok,
+            "summary": self.summary(),
+            "findings": [f.as_dict() for f in self.findings],
+            "fixes": [{"name": f.name, "before": f.before, "value": f.value} for f in self.fixes],
+        }

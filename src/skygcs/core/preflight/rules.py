@@ -1,0 +1,81 @@
+"""What a parameter is expected to be: one comparison or several, in words, and the value that would satisfy them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skygcs.core.mavlink.param import Value, value_text
+from skygcs.core.params.compare import equal
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """All that is said must hold. An empty rule holds for any value: it takes a lower level's rule away.
+
+    ``one_of``: any of these values. ``least``, ``most``: bounds that belong to it. ``bits``, ``no_bits``: a mask of
+    bits that must be set, or clear (whole numbers only). ``set_to``: what makes it right where the rule itself does not
+    say enough. ``why`` is told with a failure. ``optional``: a vehicle without such a parameter is none the worse.
+    """
+
+    one_of: tuple[Value, ...] = ()
+    least: Value | None = None
+    most: Value | None = None
+    bits: int = 0
+    no_bits: int = 0
+    set_to: Value | None = None
+    why: str = ""
+    optional: bool = False
+
+    @property
+    def empty(self) -> bool:
+        return not (self.one_of or self.bits or self.no_bits) and self.least is None and self.most is None
+
+    def holds(self, value: Value) -> bool:
+        """Whether a value a vehicle holds is as expected; its 32-bit float may be a digit off what was written."""
+        if self.one_of and not any(equal(value, wanted) for wanted in self.one_of):
+            return False
+        if self.least is not None and value < self.least and not equal(value, self.least):
+            return False
+        if self.most is not None and value > self.most and not equal(value, self.most):
+            return False
+        if not (self.bits or self.no_bits):
+            return True
+        return value == int(value) and int(value) & self.bits == self.bits and not int(value) & self.no_bits
+
+    def fix(self, value: Value) -> Value | None:
+        """What to set it to, as near to what it is as the rule allows; None if nothing single-valued follows."""
+        if self.set_to is not None:
+            wanted: Value | None = self.set_to
+        elif self.one_of:
+            wanted = next((v for v in self.one_of if self.holds(v)), None)
+        else:
+            wanted = value
+            if self.bits or self.no_bits:
+                wanted = (int(value) | self.bits) & ~self.no_bits
+            if self.least is not None:
+                wanted = max(wanted, self.least)
+            if self.most is not None:
+                wanted = min(wanted, self.most)
+        return wanted if wanted is not None and self.holds(wanted) else None
+
+    def __str__(self) -> str:
+        """The expectation in words, after "must be": "0 or 2", "5 to 30", "at most 3000"."""
+        parts = []
+        if self.one_of:
+            parts.append(" or ".join(map(value_text, self.one_of)))
+        if self.least is not None and self.most is not None:
+            parts.append(f"{value_text(self.least)} to {value_text(self.most)}")
+        elif self.least is not None:
+            parts.append(f"at least {value_text(self.least)}")
+        elif self.most is not None:
+            parts.append(f"at most {value_text(self.most)}")
+        if self.bits:
+            parts.append(f"with {_bit_list(self.bits)} set")
+        if self.no_bits:
+            parts.append(f"with {_bit_list(self.no_bits)} clear")
+        return ", ".join(parts) or "anything"
+
+
+def _bit_list(mask: int) -> str:
+    numbers = [str(n) for n in range(mask.bit_length()) if mask >> n & 1]
+    return f"bit{'s' if len(numbers) > 1 else ''} {' and '.join(numbers)}"

@@ -1,0 +1,315 @@
+"""Checks of a vehicle's parameters: those that are the same for every vehicle, and those the fleet file names.
+
+Each of the former knows what its parameters mean in either firmware, and in either generation of ArduPilot's names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from skygcs.core.mavlink.param import value_text
+from skygcs.core.params.names import other_name, sort_of
+from skygcs.core.preflight.expectations import Expectations
+from skygcs.core.preflight.facts import Facts
+from skygcs.core.preflight.report import Finding, Fix, Severity, failed, passed, skipped, unknown
+from skygcs.core.preflight.rules import Rule
+from skygcs.core.vehicle.offboard import BY_STICKS, LONGEST_LEAN_S, PX4_THRUST_TYPES, THRUST_AS_THRUST
+
+LOST_PERIODS = 3
+"""So many setpoints in a row may be lost on the way before the vehicle takes it for the end of them."""
+
+STICKS_OFF = 4
+"""COM_RC_IN_MODE: stick input disabled."""
+
+HOLD = 5
+"""COM_OBL_RC_ACT."""
+
+GF_WARN = 1
+"""GF_ACTION: 0 none, 1 a warning only."""
+
+FENCE_ALT = 1
+"""FENCE_TYPE's bit of FENCE_ALT_MAX."""
+
+CM = 100.0
+
+NEITHER = "neither PX4 nor ArduPilot"
+
+
+def sysid(facts: Facts, wanted: Expectations) -> Finding:
+    name = "MAV_SYS_ID" if facts.family == "px4" else "SYSID_THISMAV"
+    value, heard = facts.value(name), facts.state["sysid"]
+    if value is None:
+        return _not_known(facts, name)
+    if value == heard:
+        return passed(f"system id {heard}")
+    held = _held_name(facts, name)
+    return failed(
+        f"it is heard as system {heard} and will be {value_text(value)} after its next start ({held})",
+        f"reboot it if that is meant, or set {held} to {heard}",
+    )
+
+
+def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
+    if facts.family != "ardupilot":
+        return skipped("PX4 counts every ground station's heartbeats")
+    enabled, watched = facts.value("FS_GCS_ENABLE"), facts.value("SYSID_MYGCS")
+    if enabled is None:
+        return _not_known(facts, "FS_GCS_ENABLE")
+    if enabled == 0:
+        return skipped("FS_GCS_ENABLE is 0: it watches no ground station")
+    if watched is None:
+        return _not_known(facts, "SYSID_MYGCS")
+    name = _held_name(facts, "SYSID_MYGCS")
+    if watched == facts.gcs_sysid:
+        return passed(f"watches for our system id {facts.gcs_sysid}")
+    return failed(
+        f"{name} is {value_text(watched)}, we are {facts.gcs_sysid}: our heartbeats are nobody's to its failsafe "
+        f"(FS_GCS_ENABLE {value_text(enabled)})",
+        f"set {name} to {facts.gcs_sysid}, or daemon.sysid to {value_text(watched)}",
+        Fix(name, facts.gcs_sysid, watched),
+    )
+
+
+def rtl_height(facts: Facts, wanted: Expectations) -> Finding:
+    least, most = wanted.rtl_height_m
+    name, unit = _rtl_name(facts)
+    value = facts.value(name)
+    if facts.family == "generic":
+        return skipped(NEITHER)
+    if value is None:
+        return _not_known(facts, name)
+    height_m = value / unit
+    if height_m == 0 and least == 0:
+        return passed("returns at the height it is at")
+    ceiling_m, fence = _ceiling(facts)
+    if ceiling_m is not None and height_m >= ceiling_m:
+        return failed(
+            f"{name} is {value_text(value)} ({height_m:g} m) and the fence's ceiling {ceiling_m:g} m ({fence}): "
+            "returning would break the fence",
+            f"set {name} lower, or {fence} higher",
+            severity=Severity.DANGER,
+        )
+    if least <= height_m <= most:
+        return passed(f"returns at {height_m:g} m")
+    to_m = min(max(height_m, least), most)
+    to = int(to_m * unit) if unit != 1 else to_m
+    return failed(
+        f"{name} is {value_text(value)}: it would return at {height_m:g} m ({least:g} to {most:g} m)",
+        f"set {name} to {value_text(to)}, or change rtl_height_m",
+        Fix(name, to, value),
+    )
+
+
+def geofence(facts: Facts, wanted: Expectations) -> Finding:
+    if facts.family == "px4":
+        return _px4_fence(facts, wanted)
+    if facts.family != "ardupilot":
+        return skipped(NEITHER)
+    on, action = facts.value("FENCE_ENABLE"), facts.value("FENCE_ACTION")
+    if on is None:
+        return (
+            _no_fence(wanted, "this firmware has none")
+            if facts.answer("FENCE_ENABLE").absent
+            else _not_known(facts, "FENCE_ENABLE")
+        )
+    if on == 0:
+        return _no_fence(wanted, "FENCE_ENABLE is 0", Fix("FENCE_ENABLE", 1, on))
+    if action is None:
+        return _not_known(facts, "FENCE_ACTION")
+    if action == 0:
+        text = "FENCE_ACTION is 0: the fence is on, and leaving it would only be reported"
+        return failed(text, "set FENCE_ACTION to 1 (return or land)", Fix("FENCE_ACTION", 1, action))
+    return passed(f"fence on, action {value_text(action)}")
+
+
+def _px4_fence(facts: Facts, wanted: Expectations) -> Finding:
+    action, far, high = (facts.value(n) for n in ("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"))
+    if action is None:
+        return _not_known(facts, "GF_ACTION")
+    walls = [n for n, v in (("GF_MAX_HOR_DIST", far), ("GF_MAX_VER_DIST", high)) if v]
+    if action <= GF_WARN and (walls or wanted.geofence_required):
+        text = f"GF_ACTION is {value_text(action)}: leaving the fence would {'only warn' if action else 'do nothing'}"
+        return failed(text, "set GF_ACTION to 2 (hold) or 3 (return)", Fix("GF_ACTION", 2, action))
+    if walls:
+        return passed(f"fence by {' and '.join(walls)}, action {value_text(action)}")
+    return _no_fence(wanted, "GF_MAX_HOR_DIST and GF_MAX_VER_DIST are 0")
+
+
+def _no_fence(wanted: Expectations, why: str, *fixes: Fix) -> Finding:
+    if not wanted.geofence_required:
+        return skipped(f"no fence: {why}")
+    return failed(f"it has no geofence by its parameters: {why}", "set radius and height, and switch it on", *fixes)
+
+
+def transmitter(facts: Facts, wanted: Expectations) -> Finding:
+    if wanted.transmitter is None:
+        return skipped("the fleet file does not say whether a pilot's transmitter belongs to it")
+    if facts.family == "px4":
+        return _px4_transmitter(facts, wanted.transmitter)
+    if facts.family != "ardupilot":
+        return skipped(NEITHER)
+    on = facts.value("FS_THR_ENABLE")
+    if on is None:
+        return _not_known(facts, "FS_THR_ENABLE")
+    if wanted.transmitter and on == 0:
+        text = "FS_THR_ENABLE is 0: losing its transmitter would go unnoticed"
+        return failed(text, "set FS_THR_ENABLE to 1 (return)", Fix("FS_THR_ENABLE", 1, on))
+    if not wanted.transmitter and on != 0:
+        text = (
+            f"FS_THR_ENABLE is {value_text(on)}, and no transmitter belongs to it: it would not arm, or return at once"
+        )
+        return failed(text, "set FS_THR_ENABLE to 0", Fix("FS_THR_ENABLE", 0, on))
+    return passed(f"FS_THR_ENABLE {value_text(on)}")
+
+
+def _px4_transmitter(facts: Facts, there: bool) -> Finding:
+    source = facts.value("COM_RC_IN_MODE")
+    if source is None:
+        return _not_known(facts, "COM_RC_IN_MODE")
+    if there and source in (1, STICKS_OFF):
+        text = f"COM_RC_IN_MODE is {value_text(source)}: its transmitter would not be listened to"
+        return failed(text, "set COM_RC_IN_MODE to 0", Fix("COM_RC_IN_MODE", 0, source))
+    if not there and source != STICKS_OFF:
+        return failed(
+            f"COM_RC_IN_MODE is {value_text(source)}, and no transmitter belongs to it: it may refuse to arm, and "
+            "takes the silence for a lost pilot",
+            f"set COM_RC_IN_MODE to {STICKS_OFF} (sticks disabled)",
+            Fix("COM_RC_IN_MODE", STICKS_OFF, source),
+        )
+    return passed(f"COM_RC_IN_MODE {value_text(source)}")
+
+
+def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
+    """Long enough for the rate in use, short enough for attitude."""
+    if wanted.control is None:
+        return skipped("it is not to be flown by setpoints")
+    name = "COM_OF_LOSS_T" if facts.family == "px4" else "GUID_TIMEOUT"
+    value = facts.value(name)
+    if value is None:
+        return _not_known(facts, name)
+    least_s = LOST_PERIODS / wanted.setpoint_hz
+    if value < least_s:
+        return failed(
+            f"{name} is {value_text(value)} s: at {wanted.setpoint_hz:g} setpoints a second {LOST_PERIODS} lost ones "
+            f"take {least_s:.2f} s, and it would take that for the end",
+            f"set {name} to at least {least_s:.2f}, or raise position_hz and velocity_hz",
+            Fix(name, max(least_s, LONGEST_LEAN_S), value),
+        )
+    if wanted.control == "attitude" and value > LONGEST_LEAN_S:
+        return failed(
+            f"{name} is {value_text(value)} s: should the setpoints cease, it would lean on for so long "
+            f"(at most {LONGEST_LEAN_S:g} s)",
+            f"set {name} to {LONGEST_LEAN_S:g}",
+            Fix(name, LONGEST_LEAN_S, value),
+            severity=Severity.DANGER,
+        )
+    return passed(f"{name} {value_text(value)} s")
+
+
+def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
+    if wanted.control is None or facts.family != "px4":
+        return skipped("it is not to be flown by setpoints" if wanted.control is None else "PX4's alone")
+    action = facts.value("COM_OBL_RC_ACT")
+    if action is None:
+        return _not_known(facts, "COM_OBL_RC_ACT")
+    sticks = facts.value("COM_RC_IN_MODE") != STICKS_OFF and wanted.transmitter is not False
+    if action not in BY_STICKS or sticks:
+        return passed(f"COM_OBL_RC_ACT {value_text(action)}")
+    return failed(
+        f"COM_OBL_RC_ACT is {value_text(action)}: should the setpoints cease, it goes to {BY_STICKS[int(action)]} "
+        "mode, and nobody has the sticks",
+        f"set COM_OBL_RC_ACT to {HOLD} (Hold) or 3 (Return)",
+        Fix("COM_OBL_RC_ACT", HOLD, action),
+    )
+
+
+def thrust(facts: Facts, wanted: Expectations) -> Finding:
+    """Whether the thrust of attitude setpoints would be taken for thrust."""
+    if wanted.control != "attitude":
+        return skipped("it is not to be flown by attitude")
+    name = "MAV_TYPE" if facts.family == "px4" else "GUID_OPTIONS"
+    value = facts.value(name)
+    if facts.answer("GUID_OPTIONS").absent:
+        text = "it has no GUID_OPTIONS: the thrust of attitude setpoints would be taken for a climb rate"
+        return failed(text, "fly it by velocity (control_way), or update it: ArduCopter has had the option since 4.1")
+    if value is None:
+        return _not_known(facts, name)
+    if facts.family == "px4":
+        if value in PX4_THRUST_TYPES:
+            return passed(f"MAV_TYPE {value_text(value)}")
+        text = f"MAV_TYPE is {value_text(value)}: PX4 takes the thrust of attitude setpoints for multirotors only"
+        return failed(text, "set MAV_TYPE to what it is (2: quadrotor), and reboot it")
+    if int(value) & THRUST_AS_THRUST:
+        return passed(f"GUID_OPTIONS {value_text(value)}")
+    to = int(value) | THRUST_AS_THRUST
+    return failed(
+        f"GUID_OPTIONS is {value_text(value)}: the thrust of attitude setpoints would be taken for a climb rate",
+        f"set bit 3 (GUID_OPTIONS to {to})",
+        Fix("GUID_OPTIONS", to, value),
+    )
+
+
+def parameter(name: str, rule: Rule) -> Callable[[Facts, Expectations], Finding]:
+    """The check of one parameter that the fleet file names."""
+
+    def check(facts: Facts, wanted: Expectations) -> Finding:
+        answer = facts.answer(name)
+        if answer.param is None:
+            if answer.absent and rule.optional:
+                return skipped(f"it has no {name}")
+            if answer.absent:
+                todo = "correct the name, or say optional = true; ArduPilot hides some while their feature is off"
+                return failed(f"it has no parameter {name}", todo)
+            return _not_known(facts, name)
+        value, held = answer.param.value, answer.param.name
+        if rule.holds(value):
+            return passed(f"{held} {value_text(value)}")
+        to = rule.fix(value)
+        text = f"{held} is {value_text(value)} (must be {rule})" + (f": {rule.why}" if rule.why else "")
+        if to is None:
+            return failed(text, f"set {held}, or change what the fleet file expects")
+        todo = f"set {held} to {value_text(to)}, or change what the fleet file expects"
+        if sort_of(held) == "identity":  # nothing reaches it by its old id after the next start
+            return failed(text, f"{todo}; by hand, and then reboot it: this is who it is")
+        return failed(text, todo, Fix(held, to, value))
+
+    return check
+
+
+def _rtl_name(facts: Facts) -> tuple[str, float]:
+    """The parameter, and how many of its units are a metre: RTL_ALT was in centimetres up to ArduPilot 4.6."""
+    if facts.family == "px4":
+        return "RTL_RETURN_ALT", 1.0
+    return (
+        ("RTL_ALT_M", 1.0)
+        if facts.value("RTL_ALT") is None and facts.value("RTL_ALT_M") is not None
+        else (
+            "RTL_ALT",
+            CM,
+        )
+    )
+
+
+def _ceiling(facts: Facts) -> tuple[float | None, str]:
+    """Of the fence, above home, and the parameter that says so; None without one that acts."""
+    if facts.family == "px4":
+        high = facts.value("GF_MAX_VER_DIST")
+        acts = (facts.value("GF_ACTION") or 0) > GF_WARN
+        return (high if high and acts else None), "GF_MAX_VER_DIST"
+    on, kinds, high = (facts.value(n) for n in ("FENCE_ENABLE", "FENCE_TYPE", "FENCE_ALT_MAX"))
+    acts = bool(on) and bool(facts.value("FENCE_ACTION")) and kinds is not None and bool(int(kinds) & FENCE_ALT)
+    return (high if acts else None), "FENCE_ALT_MAX"
+
+
+def _held_name(facts: Facts, name: str) -> str:
+    param = facts.answer(name).param
+    return name if param is None else param.name
+
+
+def _not_known(facts: Facts, name: str) -> Finding:
+    answer = facts.answer(name)
+    if answer.absent:
+        other = other_name(name)
+        named = name if other is None else f"{name} or {other}"
+        return skipped(f"it has no {named}")
+    return unknown(f"{name} is not known: {answer.why}", "ask again; on a busy radio one vehicle at a time")
