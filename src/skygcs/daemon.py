@@ -89,10 +89,10 @@ class Daemon:
             self._may_broadcast,
             lambda sysid, compid: setpoint_bytes_per_s(self.hub, self.fleet, sysid, compid),
             ParamCache(default_cache_dir()),
+            lambda key: self.link_watch.of(key, self.now()),
         )
         self.hub = Hub(
             config,
-            lambda key: self.link_watch.of(key, self.now()),
             dialect,
             self.loop,
             on_vehicle_frame=self.fleet.on_frame,
@@ -101,14 +101,14 @@ class Daemon:
             on_fault=self._on_fault,
             on_replayed=self.fleet.set_replayed,
         )
+        self.link_watch = LinkWatch(self.hub)
+        self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
         self.watchman = Watchman(
             DeadMan(own.operator_timeout_s, own.operator_lost), self.fleet, self.loop, self.on_event
         )
         if self.watchman.watching:
             self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event)
-        self.link_watch = LinkWatch(self.hub)
-        self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
         self._postman = Postman(self.hub, self.fleet, self.links)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
@@ -137,6 +137,7 @@ class Daemon:
             clocks = [
                 group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
                 group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
+                group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="link watch"),
                 group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
             ]
             if self.config.daemon.heartbeat:
@@ -145,7 +146,6 @@ class Daemon:
             self.links.start(group)
             self.ready.set()
             try:
-                group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="link watch"),
                 await self._stopping.wait()
                 await self._park()
             finally:  # also if a part of the daemon has failed: nothing flies on then

@@ -117,8 +117,8 @@ def _root(
 
 
 reading.add_to(app)
-orders.add_to(app)
 preflight.add_to(app)
+orders.add_to(app)
 emergency.add_to(app)
 app.add_typer(messages, name="message", rich_help_panel="Looking")
 app.add_typer(links, name="links", rich_help_panel="Looking")

@@ -213,9 +213,9 @@ def _translated(errors: Iterable[ErrorDetails], table: dict[str, Any]) -> list[P
     for path, wanted_list in expected.items():
         if any(len(other) > len(path) and other[: len(path)] == path for other in deepest):
             continue  # the other branch of a union says it more exactly
-        wanted = " or ".join(dict.fromkeys(wanted_list))
         if any(p.path == path for p in problems):
             continue
+        wanted = " or ".join(dict.fromkeys(wanted_list))
         hint = _did_you_mean(str(given[path]), wanted.removeprefix("one of ").split(", ")) if "one of" in wanted else ""
         problems.append(Problem(path, f"must be {wanted}, not {_quoted(given[path])}{hint}"))
     return problems
@@ -285,11 +285,11 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return VehicleSettings
         case ("vehicles", _):
             return VehicleEntry
-        case (*_, "control"):
         case (*_, "preflight"):
             return PreflightSettings
         case (*_, "preflight", "params", _):
             return RuleSettings
+        case (*_, "control"):
             return ControlSettings
         case (*_, "control", "xy" | "z"):
             return GainSettings

@@ -61,11 +61,11 @@ class DaemonConfig(Model):
     """When for so long no ground station's heartbeat and no client's request came, vehicles flown by setpoints ..."""
     operator_lost: Literal["hold", "land", "rtl"] = "hold"
     """... are told this. Never unless a time is set."""
-    bad_crc: Literal["drop", "pass"] = "drop"
     require_preflight: bool = False
     """Arm and take off only vehicles that have passed preflight since they started ..."""
     preflight_valid_minutes: Annotated[float, Field(gt=0, le=1440)] = 30.0
     """... and not longer ago than this."""
+    bad_crc: Literal["drop", "pass"] = "drop"
     """What becomes of a known message with a wrong CRC from a source that was verified before."""
 
 
@@ -233,13 +233,13 @@ class VehicleSettings(Model):
     """Hz per message to ask the vehicle for where it does not come by itself; {} asks for nothing."""
     control: ControlSettings | None = None
     """Gains, limits, fence and guard of flight control; laid over the lower levels' key by key."""
-
-
-class VehicleEntry(VehicleSettings):
     preflight: PreflightSettings | None = None
     """What is expected of it before it flies; laid over the lower levels' key by key."""
     require_preflight: bool | None = None
     """As in [daemon], for these vehicles."""
+
+
+class VehicleEntry(VehicleSettings):
     """[vehicles.NAME]"""
 
     sysid: Sysid
@@ -258,15 +258,15 @@ class VehicleConfig(Model):
     goto_limit_m: float = 1000.0
     streams: dict[str, float] = Field(default_factory=lambda: dict(DEFAULT_RATES_HZ))
     control: ControlSettings = ControlSettings()
-
-
-class OriginConfig(Model):
     control_planned: bool = False
     """Whether any level has a control table: it is to be flown by setpoints."""
     preflight: PreflightSettings = PreflightSettings()
     require_preflight: bool = False
     named: bool = False
     """Whether it is in the fleet file."""
+
+
+class OriginConfig(Model):
     """[origin]: the fleet's world frame. ENU positions are shown only when it is set here or at run time.
 
     The keys are the fields of `core.geo.Origin`.
@@ -329,9 +329,9 @@ class FleetConfig(Model):
                     merged[key] = value
             if layer.control is not None:
                 merged["control"] = layer.control.over(merged.get("control", ControlSettings()))
-            if layer.group is not None:
-                groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
-        return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)
                 merged["control_planned"] = True
             if layer.preflight is not None:
                 merged["preflight"] = layer.preflight.over(merged.get("preflight", PreflightSettings()))
+            if layer.group is not None:
+                groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
+        return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)

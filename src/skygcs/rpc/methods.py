@@ -12,6 +12,7 @@ from itertools import islice
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
+from skygcs.rpc import control, dispatch, missions, openrpc, origin, params, preflight
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -363,8 +364,8 @@ METHODS: dict[str, Method[Context]] = {
         *params.METHODS,
         *control.METHODS,
         *missions.METHODS,
-        Method("rpc.discover", m.NoParams, rpc_discover),
         *preflight.METHODS,
+        Method("rpc.discover", m.NoParams, rpc_discover),
     )
 }
 """By name, in the order in which they are documented."""
