@@ -5,24 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from skygcs.config.dialects import load_dialect
-from skygcs.config.models import FleetConfig
 from skygcs.core.mission.formats import read_plan, write_plan
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan, from_wire, to_wire
 from skygcs.core.sim.copter_setup import CopterMode
-from skygcs.core.sim.fleet import make_vehicles
 from skygcs.core.sim.px4_setup import Px4Mode
-from skygcs.daemon import Daemon
-from skygcs.links.memory import MemoryLink
 from support.flown import FIELD, Flown
+from support.grounded import on_the_ground
 
 pytestmark = pytest.mark.looptime
 
@@ -83,43 +78,6 @@ def plan_text(*, hold_s: float = 2.0) -> str:
             "rallyPoints": {"version": 2, "points": [[*place(5, 5), 20]]},
         }
     )
-
-
-@contextlib.asynccontextmanager
-async def on_the_ground(tmp_path: Path, **link: float) -> AsyncIterator[Flown]:
-    """A PX4 and an ArduCopter, ready to arm; ``link``: the faults of the memory link, both ways."""
-    config = FleetConfig.model_validate(
-        {
-            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
-            "links": {"air": {"type": "memory", "role": "radio", "seed": 7, **link}},
-        }
-    )
-    daemon = Daemon(config, load_dialect(config.dialect))
-    sims = make_vehicles(
-        load_dialect("ardupilotmega"),
-        px4=1,
-        ardupilot=1,
-        first_sysid=1,
-        home=FIELD,
-        now=daemon.now(),
-        unix_us=1_700_000_000_000_000,
-    )
-    running = asyncio.create_task(daemon.run())
-    await daemon.ready.wait()
-    air = daemon.links.link("air")
-    assert isinstance(air, MemoryLink)
-    gcs = Flown(daemon, sims, air)
-    living = asyncio.create_task(gcs.live())
-    try:
-        await gcs.until(lambda: len(daemon.fleet.vehicles) == 2)
-        await asyncio.sleep(15)
-        yield gcs
-        assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
-    finally:
-        living.cancel()
-        await asyncio.gather(living, return_exceptions=True)
-        daemon.stop()
-        await running
 
 
 def kept(plan: MissionPlan, name: str) -> MissionPlan:

@@ -36,6 +36,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.worldview import setpoint_from_world, shown
 from skygcs.errors import NotReadyError, RefusedError
 from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
+from skygcs.runtime.fence import FenceOutcome, VehicleFence
 from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.missions import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.missions import Missions
@@ -104,6 +105,11 @@ class VehicleActor:
         )
         self.params = VehicleParams(vehicle, dialect, send, loop, on_event, param_cache or ParamCache(None))
         self.missions = Missions(vehicle, self.commander, dialect, loop, self._report, on_event)
+
+        async def ask(message: str) -> Outcome:
+            return await self._attempt(lambda now: orders.request_message(vehicle, now, dialect, message))
+
+        self.fence = VehicleFence(vehicle, self.params, dialect, loop, on_event, ask, log_dir=log_dir)
         self.preflight = Preflight(
             vehicle,
             config,
@@ -373,6 +379,32 @@ class VehicleActor:
         outcome, plan = await self.missions.fetch(kinds)
         return self._told("plan download", outcome), plan
 
+    async def set_fence(
+        self, *, radius_m: float | None = None, height_m: float | None = None, action: str | None = None
+    ) -> FenceOutcome:
+        """See `VehicleFence.set`."""
+        return await self._told_fence(
+            "fence", lambda: self.fence.set(radius_m=radius_m, height_m=height_m, action=action)
+        )
+
+    async def read_fence(self) -> FenceOutcome:
+        """See `VehicleFence.status`."""
+        return await self.fence.status()
+
+    async def test_fence(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
+        """See `VehicleFence.test`."""
+        return await self._told_fence(
+            "fence test", lambda: self.fence.test(radius_m=radius_m, action=action, timeout_s=timeout_s)
+        )
+
+    async def _told_fence(self, order: str, work: Callable[[], Coroutine[Any, Any, FenceOutcome]]) -> FenceOutcome:
+        """Tell of it like of any order; a cancelled test has told of itself."""
+        if self.duplicate:
+            return FenceOutcome(self._told(order, two_of_one_id(self.vehicle)))
+        outcome = await work()
+        self._told(order, outcome.outcome)
+        return outcome
+
     async def start_mission(self, *, first: int = 1, arm: bool = True, force: bool = False) -> Outcome:
         """See `mission_orders.start`; ``force`` as for `takeoff`."""
 
@@ -556,6 +588,7 @@ class VehicleActor:
             if event.kind == "statustext":
                 self.commander.on_text(event.text)
                 self.missions.on_text(event.text)
+                self.fence.on_text(event.text)
                 self.params.on_text(event.text)
             elif event.kind == "vehicle_lost":
                 self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")

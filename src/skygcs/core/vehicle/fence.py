@@ -1,0 +1,187 @@
+"""The fence that an autopilot's parameters make: a cylinder about home, and what is done beyond it.
+
+    word       PX4, GF_ACTION   ArduCopter, FENCE_ACTION
+    none       0                FENCE_ENABLE 0
+    warn       1                0
+    hold       2                4 (brake)
+    return     3                1 (lands where it cannot)
+    land       5                2
+    terminate  4 (motors off)   -
+
+Radius and height are GF_MAX_HOR_DIST and GF_MAX_VER_DIST, where 0 is no limit, or FENCE_RADIUS and FENCE_ALT_MAX with
+a bit of FENCE_TYPE each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from skygcs.core.geo import distance_m
+from skygcs.core.mavlink import modes
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+FenceAction = Literal["none", "warn", "hold", "return", "land", "terminate"]
+ACTIONS: tuple[FenceAction, ...] = get_args(FenceAction)
+
+PX4_ACTIONS: Mapping[str, int] = {"none": 0, "warn": 1, "hold": 2, "return": 3, "terminate": 4, "land": 5}
+COPTER_ACTIONS: Mapping[str, int] = {"warn": 0, "return": 1, "land": 2, "hold": 4}
+
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "px4": ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION"),
+    "ardupilot": ("FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_ACTION", "FENCE_TYPE", "FENCE_ENABLE"),
+}
+"""In the order in which they are set: what is switched on is complete then."""
+
+TYPE_HEIGHT, TYPE_CIRCLE, TYPE_LIST = 1, 2, 4
+"""Bits of FENCE_TYPE; the last is for the polygons and circles of the fence list."""
+
+GEOFENCE_BIT = 1 << 20
+"""MAV_SYS_STATUS_GEOFENCE."""
+
+REACTIONS: Mapping[str, frozenset[str]] = {
+    "hold": frozenset({"AUTO.LOITER", "BRAKE"}),
+    "return": frozenset({"AUTO.RTL", "RTL", "SMART_RTL", "LAND"}),
+    "land": frozenset({"AUTO.LAND", "LAND"}),
+}
+"""Modes that an action leads to."""
+
+
+@dataclass(frozen=True, slots=True)
+class FenceSettings:
+    """``radius_m``, ``height_m``: None is no limit. ``follows_list``: whether polygons and circles are watched, too."""
+
+    enabled: bool
+    action: str
+    radius_m: float | None
+    height_m: float | None
+    follows_list: bool
+
+    def __str__(self) -> str:
+        if not self.enabled:
+            return "off"
+        sizes = [f"{name} {size:g} m" for name, size in (("radius", self.radius_m), ("height", self.height_m)) if size]
+        return f"{', '.join(sizes) or 'no cylinder'}, action {self.action}"
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "enabled": self.enabled,
+            "action": self.action,
+            "radius_m": self.radius_m,
+            "height_m": self.height_m,
+            "follows_list": self.follows_list,
+        }
+
+
+def names_of(vehicle: Vehicle) -> tuple[str, ...]:
+    """Its fence's parameters. Raises RefusedError for an autopilot or a kind of vehicle that has others."""
+    if vehicle.family == "ardupilot" and not modes.is_copter(vehicle.type):
+        raise RefusedError("skygcs knows the fence parameters of an ArduPilot for copters only; set them yourself")
+    if vehicle.family not in NAMES:
+        raise RefusedError("skygcs knows the fence parameters of PX4 and ArduCopter only; set them yourself")
+    return NAMES[vehicle.family]
+
+
+def settings_of(family: str, held: Mapping[str, float]) -> FenceSettings:
+    """What these parameters, all of NAMES, make."""
+    if family == "px4":
+        number = int(held["GF_ACTION"])
+        return FenceSettings(
+            number != 0,
+            _word(PX4_ACTIONS, number),
+            held["GF_MAX_HOR_DIST"] or None,
+            held["GF_MAX_VER_DIST"] or None,
+            follows_list=number != 0,
+        )
+    kinds = int(held["FENCE_TYPE"])
+    return FenceSettings(
+        bool(held["FENCE_ENABLE"]),
+        _word(COPTER_ACTIONS, int(held["FENCE_ACTION"])),
+        held["FENCE_RADIUS"] if kinds & TYPE_CIRCLE else None,
+        held["FENCE_ALT_MAX"] if kinds & TYPE_HEIGHT else None,
+        follows_list=bool(kinds & TYPE_LIST),
+    )
+
+
+def _word(actions: Mapping[str, int], number: int) -> str:
+    return next((word for word, value in actions.items() if value == number), str(number))
+
+
+def changes(
+    family: str, held: Mapping[str, float], *, radius_m: float | None, height_m: float | None, action: str | None
+) -> dict[str, float]:
+    """Parameters to set, in this order, for what is not None; a size of 0 takes that limit away.
+
+    Raises RefusedError for an action that the autopilot does not have.
+    """
+    if family == "px4":
+        number = None if action is None else PX4_ACTIONS[action]
+        sizes = {"GF_MAX_HOR_DIST": radius_m, "GF_MAX_VER_DIST": height_m, "GF_ACTION": number}
+        return {name: float(value) for name, value in sizes.items() if value is not None}
+    if action == "none":
+        return {"FENCE_ENABLE": 0.0}
+    if action is not None and action not in COPTER_ACTIONS:
+        raise RefusedError(f"an ArduCopter has no fence action {action!r}; it has {', '.join(COPTER_ACTIONS)} and none")
+    kinds = int(held["FENCE_TYPE"])
+    told: dict[str, float] = {}
+    for name, size, bit in (("FENCE_RADIUS", radius_m, TYPE_CIRCLE), ("FENCE_ALT_MAX", height_m, TYPE_HEIGHT)):
+        if size is None:
+            continue
+        kinds = kinds | bit if size > 0 else kinds & ~bit
+        if size > 0:
+            told[name] = size
+    if action is not None:
+        told["FENCE_ACTION"] = float(COPTER_ACTIONS[action])
+    return {**told, "FENCE_TYPE": float(kinds), "FENCE_ENABLE": 1.0}
+
+
+def back_to(family: str, held: Mapping[str, float]) -> dict[str, float]:
+    """Parameters in the order in which they are put back: a fence that was off is switched off first."""
+    if family == "ardupilot" and not held["FENCE_ENABLE"]:
+        return {"FENCE_ENABLE": 0.0, **held}
+    return dict(held)
+
+
+def tells_of_breach(text: str) -> bool:
+    """Whether a status text tells that the vehicle is beyond its fence, in the words of either autopilot."""
+    low = text.lower()
+    if "cleared" in low or "outside geofence" in low:  # an end, or a target that was refused
+        return "approaching or outside" in low
+    told = ("fence breach", "geofence violation", "breaching", "failsafe activated: fence", "fence breached")
+    return any(words in low for words in told)
+
+
+def breach(vehicle: Vehicle, *, fresh_after: float) -> bool | None:
+    """What its telemetry, told after that time, says: FENCE_STATUS, else its part of SYS_STATUS; None: nothing."""
+    slot = vehicle.slot("FENCE_STATUS")
+    if slot is not None and slot.frame is not None and slot.at >= fresh_after:
+        return bool(slot.frame.fields()["breach_status"])
+    slot = vehicle.slot("SYS_STATUS")
+    if slot is None or slot.frame is None or slot.at < fresh_after:
+        return None
+    fields = slot.frame.fields()
+    if not fields["onboard_control_sensors_enabled"] & GEOFENCE_BIT:
+        return None
+    return not fields["onboard_control_sensors_health"] & GEOFENCE_BIT
+
+
+def from_home_m(vehicle: Vehicle) -> float | None:
+    """How far it is from its home, horizontally; None if it does not tell both."""
+    home, here = vehicle.section("home"), vehicle.section("position")
+    if home is None or here is None or here["lat_deg"] is None:
+        return None
+    return distance_m(home["lat_deg"], home["lon_deg"], here["lat_deg"], here["lon_deg"])
+
+
+def require_testable(vehicle: Vehicle, now: float, radius_m: float) -> None:
+    """Raises RefusedError for a vehicle in the air, and for one that stands beyond the fence of the test already."""
+    if vehicle.in_air(now):
+        raise RefusedError("it is in the air: the fence is tested on foot, with the propellers off")
+    away_m = from_home_m(vehicle)
+    if away_m is not None and away_m >= radius_m:
+        raise RefusedError(
+            f"it stands {away_m:.1f} m from its home, beyond a fence of {radius_m:g} m already: set home where it "
+            f"stands (skygcs-cli home {vehicle.name}), and begin again"
+        )

@@ -1,0 +1,52 @@
+"""A whole daemon in virtual time, and simulated vehicles of both firmwares on the ground behind a link with faults."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import FleetConfig
+from skygcs.core.sim.fleet import make_vehicles
+from skygcs.daemon import Daemon
+from skygcs.links.memory import MemoryLink
+from support.flown import FIELD, Flown
+
+
+@contextlib.asynccontextmanager
+async def on_the_ground(tmp_path: Path, **link: float) -> AsyncIterator[Flown]:
+    """A PX4 and an ArduCopter, ready to arm; ``link``: the faults of the memory link, both ways."""
+    config = FleetConfig.model_validate(
+        {
+            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
+            "links": {"air": {"type": "memory", "role": "radio", "seed": 7, **link}},
+        }
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    sims = make_vehicles(
+        load_dialect("ardupilotmega"),
+        px4=1,
+        ardupilot=1,
+        first_sysid=1,
+        home=FIELD,
+        now=daemon.now(),
+        unix_us=1_700_000_000_000_000,
+    )
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    air = daemon.links.link("air")
+    assert isinstance(air, MemoryLink)
+    gcs = Flown(daemon, sims, air)
+    living = asyncio.create_task(gcs.live())
+    try:
+        await gcs.until(lambda: len(daemon.fleet.vehicles) == 2)
+        await asyncio.sleep(15)
+        yield gcs
+        assert not [t for t in gcs.told if t.kind == "fault"], gcs.told
+    finally:
+        living.cancel()
+        await asyncio.gather(living, return_exceptions=True)
+        daemon.stop()
+        await running
