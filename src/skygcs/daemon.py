@@ -37,6 +37,9 @@ from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
+from skygcs.runtime.signing import Signing
+from skygcs.runtime.signing_setup import SigningSetup
+from skygcs.runtime.signing_store import SigningStore, default_state_dir
 from skygcs.runtime.uplink import setpoint_bytes_per_s
 from skygcs.runtime.watchman import Watchman
 
@@ -91,6 +94,7 @@ class Daemon:
             ParamCache(default_cache_dir()),
             lambda key: self.link_watch.of(key, self.now()),
         )
+        self.signing = Signing(dialect, self.on_event, SigningStore(default_state_dir()))
         self.hub = Hub(
             config,
             dialect,
@@ -100,6 +104,8 @@ class Daemon:
             on_note=self._on_note,
             on_fault=self._on_fault,
             on_replayed=self.fleet.set_replayed,
+            signing=self.signing,
+            on_key=self._on_key,
         )
         self.link_watch = LinkWatch(self.hub)
         self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
@@ -108,7 +114,9 @@ class Daemon:
         )
         if self.watchman.watching:
             self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
-        self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event)
+        self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
+        self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
+        self._keys_told: set[str] = set()
         self._postman = Postman(self.hub, self.fleet, self.links)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
@@ -140,6 +148,7 @@ class Daemon:
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="link watch"),
                 group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
             ]
+            signing = group.create_task(self.signing.run(), name="signing")
             if self.config.daemon.heartbeat:
                 beat = self._every(HEARTBEAT_PERIOD_S, self._beat)
                 clocks.append(group.create_task(beat, name="heartbeat"))
@@ -154,6 +163,7 @@ class Daemon:
                 self.watchman.close()
                 self.fleet.close()  # who waits for an outcome is told before the links are gone
             await self.links.close()
+            signing.cancel()  # after the last message that was signed
 
     async def _park(self) -> None:
         """Who is flown by setpoints is told to hold before they cease: an ArduCopter's attitude would only level."""
@@ -272,6 +282,24 @@ class Daemon:
         vehicle = self.fleet.vehicles.get(note.sysid << 8 | note.compid)
         name = vehicle.name if vehicle is not None and kind == "duplicate" else None
         self.on_event(Event(kind, name, note.sysid, text, {"change": note.kind, "compid": note.compid}))
+
+    def _on_key(self, sysid: int, channel: Channel) -> None:
+        """Told once per link: who sends it will repeat it."""
+        link = channel.link.name
+        if link not in self._keys_told:
+            self._keys_told.add(link)
+            text = (
+                f"{link} ({channel.peer}): system {sysid} sent a signing key (SETUP_SIGNING); keys are not forwarded: "
+                "connect directly, or use skygcs-cli signing setup"
+            )
+            self.on_event(Event("signing", None, sysid, text, {"link": link}))
+
+    def signing_status(self) -> dict[str, Any]:
+        """Keys, links with their rules, and counters per channel."""
+        channels: dict[str, list[Channel]] = {}
+        for channel in self.hub.channels.values():
+            channels.setdefault(channel.link.name, []).append(channel)
+        return self.signing.status(channels)
 
     def _on_fault(self, text: str) -> None:
         self.on_event(Event("fault", None, None, f"internal fault, please report it: {text}", {}))

@@ -8,6 +8,7 @@ SkygcsError                  base; str() is one line for a person, never a trace
 ├── LinkError                a device or an address: could not be opened, or broke
 ├── TargetError              a target that names no vehicle ("7", "alpha")
 ├── RefusedError             an order skygcs itself refuses (unsafe, wrong state); says how to insist if one can
+│   ├── KeyFileError         a signing key's file that is not one, or that others can read (file, what to do)
 │   └── NotReadyError        the same, but in a moment it may be taken
 └── RpcError                 an answer of the JSON-RPC server that is an error (code, message, data)
     └── DaemonUnreachable    nobody listens on the socket
@@ -76,6 +77,15 @@ class RefusedError(SkygcsError):
 
 class NotReadyError(RefusedError):
     """An order that is refused now and may be taken in a moment: the vehicle has not told something yet."""
+
+
+class KeyFileError(RefusedError):
+    """A file that cannot be used as a signing key. Never holds anything of what is in it."""
+
+    def __init__(self, path: str, reason: str) -> None:
+        self.path = path
+        self.reason = reason
+        super().__init__(f"key file {path}: {reason}")
 
 
 class RpcError(SkygcsError):

@@ -18,8 +18,9 @@ from skygcs.config.models import (
     TcpServerLink,
     UdpServerLink,
 )
+from skygcs.config.signing import read_key
 from skygcs.core.geo import EAST_DEG
-from skygcs.errors import ConfigError
+from skygcs.errors import ConfigError, KeyFileError
 
 PIPE_COLUMNS = 160
 """Width where there is no terminal: room for a path in a table."""
@@ -99,6 +100,11 @@ def _notes(config: FleetConfig) -> list[str]:
             notes.append(f"links.{name}: there is no {link.device} now; it is opened when it appears")
         if isinstance(link, ReplayLink) and not link.file.is_file():
             notes.append(f"links.{name}: there is no file {link.file} now")
+        if link.signing is not None and link.enabled:
+            try:
+                read_key(link.signing.key_file)
+            except KeyFileError as error:
+                notes.append(f"links.{name}.signing: {error}; skygcs will not start so")
     notes += [f"links.{name}: {text}" for name, text in replay_warnings(config.links).items()]
     token = config.daemon.token_file
     if token is not None and not token.is_file():

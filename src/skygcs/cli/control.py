@@ -23,6 +23,7 @@ from skygcs.cli import (
     preflight,
     reading,
     setpoint,
+    signing,
     table,
     track,
 )
@@ -134,6 +135,7 @@ track.add_to(app)
 setpoint.add_to(app)
 table.add_to(app)
 app.add_typer(loops.app, name="control", rich_help_panel="Orders")
+app.add_typer(signing.app, name="signing", rich_help_panel="Orders")
 plot.add_to(app)
 
 

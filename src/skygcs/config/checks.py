@@ -56,6 +56,7 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     problems += _shared_places(config, active)
     problems += _own_places(active)
     problems += _contradicting_filters(config.links)
+    problems += _signing(active)
     socket = config.daemon.socket
     if socket is not None and len(os.fsencode(socket)) > MAX_SOCKET_PATH_BYTES:
         problems.append(
@@ -102,6 +103,10 @@ def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[
             for message in getattr(link, key).messages:
                 if message != "*" and (text := _message_problem(message, dialect)):
                     problems.append(Problem(("links", name, key, "messages", message), text))
+        if link.signing is not None and "accept_unsigned" in link.signing.model_fields_set:
+            for index, message in enumerate(link.signing.accept_unsigned):
+                if message != "*" and (text := _message_problem(message, dialect)):
+                    problems.append(Problem(("links", name, "signing", "accept_unsigned", index), text))
     return problems
 
 
@@ -304,6 +309,22 @@ def _contradicting_filters(links: Mapping[str, LinkConfig]) -> Iterator[Problem]
                     if _plain(entry) in allowed:
                         text = f"{entry} also stands in {allow}; take it out of one of them"
                         yield Problem(("links", name, block, index), text)
+
+
+def _signing(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
+    """Links whose signatures nobody could tell apart, or check."""
+    used: dict[tuple[str, int], str] = {}
+    for name, link in links.items():
+        if link.signing is None:
+            continue
+        if isinstance(link, ReplayLink):
+            text = "a recording cannot be checked: what it holds is older than anything that may count"
+            yield Problem(("links", name, "signing"), text)
+        place = (str(link.signing.key_file), link.signing.link_id)
+        if other := used.get(place):
+            text = f"{place[1]} is already that of links.{other}, which has the same key; give each link its own"
+            yield Problem(("links", name, "signing", "link_id"), text)
+        used.setdefault(place, name)
 
 
 def _plain(message: str | int) -> str:

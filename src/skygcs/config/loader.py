@@ -33,6 +33,7 @@ from skygcs.config.models import (
     VehicleSettings,
 )
 from skygcs.config.preflight import PreflightSettings, RuleSettings
+from skygcs.config.signing import SigningSettings
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
 
@@ -297,6 +298,8 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return FenceSettings
         case ("links", _, "rate_in" | "rate_out"):
             return RateLimits
+        case ("links", _, "signing"):
+            return SigningSettings
         case ("links", name):
             return _LINK_TYPES.get(str(table["links"][name].get("type")))
     return None
@@ -328,6 +331,9 @@ def _with_paths(config: FleetConfig, folder: Path) -> FleetConfig:
 
 
 def _link_with_paths(link: LinkConfig, absolute: Callable[[Path], Path]) -> LinkConfig:
+    if link.signing is not None:
+        signing = link.signing.model_copy(update={"key_file": absolute(link.signing.key_file)})
+        link = link.model_copy(update={"signing": signing})
     if isinstance(link, ReplayLink):
         return link.model_copy(update={"file": absolute(link.file)})
     if isinstance(link, SimulatedLink) and link.params is not None:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.preflight import PreflightSettings
+from skygcs.config.signing import SigningSettings
 from skygcs.core.geo import EAST_DEG
 from skygcs.core.streams import DEFAULT_RATES_HZ
 
@@ -103,6 +104,8 @@ class LinkCommon(Model):
     block_src_comp_out: tuple[SourceId, ...] = ()
     rate_in: RateLimits = RateLimits()
     rate_out: RateLimits = RateLimits()
+    signing: SigningSettings | None = None
+    """Check the signature of what comes and sign what is ours."""
 
 
 class SerialLink(LinkCommon):

@@ -18,6 +18,7 @@ from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode_payload
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.mavlink.signing import SETUP_SIGNING
 
 MAX_SOURCES_PER_CHANNEL = 512
 """Bound of the per-source table of one channel; what comes from further sources is counted together."""
@@ -34,13 +35,30 @@ class OwnMessage:
         self.payload = payload
         self.sysid = sysid
         self.compid = compid
-        self.recorded = False
+        self.recorded = info.msgid == SETUP_SIGNING
+        """Nobody is to write it down any more: it was done, or it holds a key."""
 
     def encode(self, seq: int, version: int) -> bytes:
         """The frame for one channel. An id above 255 is sent as MAVLink 2 whatever the channel prefers."""
         if self.info.msgid > 255:
             version = 2
         return encode_payload(self.info, self.payload, sysid=self.sysid, compid=self.compid, seq=seq, version=version)
+
+
+class ChannelSigning(Protocol):
+    """How a channel with a signing key treats what comes and what is ours."""
+
+    def admit(self, channel: Channel, frames: list[Frame]) -> list[Frame]:
+        """Those of the frames that may count; the others are counted."""
+        ...
+
+    def sign(self, raw: bytes, info: MessageInfo) -> bytes:
+        """A frame of ours, which is unsigned MAVLink 2, as it is to be sent."""
+        ...
+
+    def counters(self) -> dict[str, int]:
+        """Frames since the channel was opened, by what became of them."""
+        ...
 
 
 Outgoing = bytes | OwnMessage
@@ -86,6 +104,8 @@ class Channel(ABC):
         self.peer = peer
         self.parser: FrameParser = link.host.new_parser(link.config)
         self.version = 2
+        self.signing: ChannelSigning | None = None
+        """Set by the host when it attaches the channel of a link that has a key."""
         self.opened_at = link.loop.time()
         self.last_rx_at = self.opened_at
         self.rx_frames = 0
@@ -105,7 +125,10 @@ class Channel(ABC):
         if type(outgoing) is bytes:
             return outgoing
         assert isinstance(outgoing, OwnMessage)
-        raw = outgoing.encode(self._seq, self.version)
+        if self.signing is None:
+            raw = outgoing.encode(self._seq, self.version)
+        else:
+            raw = self.signing.sign(outgoing.encode(self._seq, 2), outgoing.info)
         self._seq = (self._seq + 1) & 0xFF
         self.link.host.on_sent(self, outgoing, raw)
         return raw
@@ -113,6 +136,7 @@ class Channel(ABC):
     def counters(self) -> dict[str, Any]:
         """JSON-able counters of this channel; subclasses add their own."""
         stats = self.parser.stats
+        signing = {} if self.signing is None else {"signing": self.signing.counters()}
         return {
             "rx_frames": self.rx_frames,
             "rx_bytes": self.rx_bytes,
@@ -123,6 +147,7 @@ class Channel(ABC):
             "bad_crc": stats.bad_crc,
             "unknown": stats.unknown,
             "skipped_bytes": stats.skipped_bytes,
+            **signing,
         }
 
 

@@ -19,8 +19,10 @@ from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.core.routing import Router
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, OwnMessage
+from skygcs.runtime.signing import Signing
 
 FrameTap = Callable[[Frame, Channel, float], None]
 
@@ -88,7 +90,8 @@ class Hub:
     ``on_vehicle_frame(key, frame, channel label, now)`` gets every accepted frame (key is sysid<<8|compid);
     ``record(raw, unix_us)`` gets every accepted frame and every message of ours; ``on_note`` gets route changes;
     ``on_fault`` gets the first of each kind of unexpected exception behind a frame; ``on_replayed(key, replayed)``
-    is told, before its first frame is shown, that a source is heard in a recording only, or on the air after all.
+    is told, before its first frame is shown, that a source is heard in a recording only, or on the air after all;
+    ``on_key(sysid, channel)`` that somebody sent a signing key, which goes nowhere.
     """
 
     def __init__(
@@ -102,6 +105,8 @@ class Hub:
         on_note: Callable[[RouteNote, Channel | None], None],
         on_fault: Callable[[str], None],
         on_replayed: Callable[[int, bool], None] = lambda key, replayed: None,
+        signing: Signing | None = None,
+        on_key: Callable[[int, Channel], None] = lambda sysid, channel: None,
     ) -> None:
         own = config.daemon
         self.router = Router(own.sysid, own.compid, route_timeout_s=own.route_timeout_s)
@@ -118,6 +123,8 @@ class Hub:
         self._on_note = on_note
         self._on_fault = on_fault
         self._on_replayed = on_replayed
+        self._signing = signing
+        self._on_key = on_key
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
         self._next_id = 1
@@ -141,6 +148,8 @@ class Hub:
                 stats.restart()  # what was sent while nobody listened is not a loss of the link
             channel.sources = parted
         self.router.open(channel.id, channel_policy(channel.config, self.dialect))
+        if self._signing is not None:
+            self._signing.attach(channel)
         if self._heartbeat is not None:
             # not from within the link's own opening: it may not be ready to send yet
             self._loop.call_soon(self._greet, channel, self._heartbeat)
@@ -161,6 +170,10 @@ class Hub:
         """The way of every frame. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""
         if channel.id not in self.channels:
             return  # a callback that was under way when the channel closed
+        if channel.signing is not None:
+            frames = channel.signing.admit(channel, frames)
+            if not frames:
+                return  # nothing was heard that counts
         decide = self.router.decide
         channels = self.channels
         channel_id = channel.id
@@ -179,6 +192,9 @@ class Hub:
             if stats is None:
                 stats = self._new_source(channel, key, frame)
             stats.on_frame(frame.seq, size, now)
+            if frame.msgid == SETUP_SIGNING:
+                self._on_key(frame.sysid, channel)  # a key is not forwarded, recorded or shown (the signing guide)
+                continue
             try:
                 decision = decide(channel_id, frame, now)
                 for destination in decision.destinations:

@@ -16,6 +16,7 @@ from skygcs.links.base import Channel, Link
 from skygcs.links.factory import make_link
 from skygcs.links.supervisor import LinkSupervisor
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.signing import Signing
 
 
 class _Entry:
@@ -46,12 +47,17 @@ class LinkTable:
         hub: Hub,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
+        signing: Signing,
     ) -> None:
+        """Raises KeyFileError if the signing key of a link of the fleet file cannot be used."""
         self._fleet_config = config
         self._dialect = dialect
         self._hub = hub
         self._loop = loop
         self._on_event = on_event
+        self._signing = signing
+        for link in config.links.values():
+            signing.prepare(link)
         self._entries: dict[str, _Entry] = {}
         self._group: asyncio.TaskGroup | None = None
         self._lock = asyncio.Lock()
@@ -142,6 +148,7 @@ class LinkTable:
     async def _remove(self, name: str) -> None:
         self.require(name)
         await self._leave(name)
+        self._signing.forget(name)
         del self._entries[name]
 
     def _checked(self, name: str, table: Mapping[str, Any]) -> LinkConfig:
@@ -149,6 +156,7 @@ class LinkTable:
         current = self._fleet_config.model_copy(update={"links": self.configs})
         if problems := added_conflicts(current, name, config):
             raise LinkError(f"link {name}: " + "; ".join(problems))
+        self._signing.prepare(config)
         return config
 
     def _enter(self, name: str, config: LinkConfig) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import ABSENT, MessageInfo
+from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -43,6 +44,8 @@ class Postman:
         (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
         """
         info = self._hub.dialect.find(name)
+        if info.msgid == SETUP_SIGNING:
+            raise RefusedError("a signing key is not sent as a message: use signing.setup (skygcs-cli signing setup)")
         system, _ = target_fields(info)
         if target is not None and link is not None:
             raise RefusedError("give either a target or a link, not both")

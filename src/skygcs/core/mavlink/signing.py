@@ -1,0 +1,192 @@
+"""MAVLink 2 message signing: who has the secret key signs, who has it can tell, and nothing counts twice.
+
+Rules and layout: https://mavlink.io/en/guide/message_signing.html
+    signature block   link id (1)  timestamp (6, little endian)  signature (6)
+    signature         the first 48 bits of SHA-256(key + frame from the magic byte to the CRC + link id + timestamp)
+    timestamp         10 µs units since 2015-01-01 00:00 UTC, of one (sysid, compid, link id) stream strictly rising
+
+It authenticates and does not hide: every payload stays readable. 48 bits keep chance out (one try in 2.8e14); a weak
+passphrase they do not protect, as anyone who hears one signed frame may try words against it at home.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+from enum import StrEnum
+
+from fastcrc.crc16 import mcrf4xx
+
+from skygcs.core.mavlink.frame import (
+    CRC_BYTES,
+    HEADER_V2_BYTES,
+    INCOMPAT_SIGNED,
+    MAGIC_V2,
+    SIGNATURE_BYTES,
+    Frame,
+)
+
+KEY_BYTES = 32
+DIGEST_BYTES = 6
+"""Of the signature block's 13 bytes those that are the signature itself."""
+
+EPOCH_UNIX_S = 1_420_070_400
+"""2015-01-01 00:00 UTC."""
+
+TICKS_PER_S = 100_000
+"""A timestamp's unit is 10 µs."""
+
+MAX_TIMESTAMP = (1 << 48) - 1
+"""In the year 2104."""
+
+NEW_STREAM_TICKS = 60 * TICKS_PER_S
+"""A stream not met before may be this far behind our own clock (the guide's minute), and no further: else whatever was
+recorded of it earlier could be played to us."""
+
+MAX_STREAMS = 512
+"""As many sources as one channel's table of counters holds. Only who has the key can make one."""
+
+SETUP_SIGNING = 256
+"""The message that carries a key. The guide: never broadcast, never forwarded, never logged."""
+
+
+class Verdict(StrEnum):
+    """What becomes of a received frame on a link that checks signatures. All but the first two are dropped."""
+
+    SIGNED = "signed"
+    ALLOWED = "unsigned_allowed"
+    """Not signed, and of an id that need not be."""
+    UNSIGNED = "unsigned"
+    FORGED = "bad_signature"
+    """Signed with another key, or changed on the way."""
+    REPLAYED = "replayed"
+    """Not newer than the last of its stream: a copy, or one that was overtaken."""
+    STALE = "stale"
+    """The first of its stream, and more than a minute older than what we have seen from others."""
+    CROWDED = "too_many_streams"
+
+
+def timestamp_at(unix_s: float) -> int:
+    """The signing timestamp of a moment; 0 before 2015."""
+    return min(max(int((unix_s - EPOCH_UNIX_S) * TICKS_PER_S), 0), MAX_TIMESTAMP)
+
+
+def unix_time_of(timestamp: int) -> float:
+    """The moment of a signing timestamp, in Unix seconds."""
+    return EPOCH_UNIX_S + timestamp / TICKS_PER_S
+
+
+def key_from_passphrase(passphrase: str) -> bytes:
+    """SHA-256 of its UTF-8 bytes, as Mission Planner, QGroundControl and MAVProxy do it."""
+    return hashlib.sha256(passphrase.encode()).digest()
+
+
+def key_id(key: bytes) -> str:
+    """Eight hexadecimal digits that tell keys apart and from which no key can be had."""
+    return hashlib.sha256(b"skygcs signing key id" + key).hexdigest()[:8]
+
+
+def sign(raw: bytes, crc_extra: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
+    """The signed frame of a complete unsigned MAVLink 2 frame. Raises ValueError for any other."""
+    if raw[0] != MAGIC_V2 or raw[2] or len(raw) != HEADER_V2_BYTES + raw[1] + CRC_BYTES:
+        raise ValueError("only a whole unsigned MAVLink 2 frame can be signed")
+    body = raw[1:2] + bytes((INCOMPAT_SIGNED,)) + raw[3:-CRC_BYTES]
+    crc = mcrf4xx(body + crc_extra)
+    stamped = raw[:1] + body + crc.to_bytes(2, "little") + bytes((link_id,)) + timestamp.to_bytes(6, "little")
+    return stamped + hashlib.sha256(key + stamped).digest()[:DIGEST_BYTES]
+
+
+def link_id_of(signed: bytes) -> int:
+    """The link id of a signed frame."""
+    return signed[-SIGNATURE_BYTES]
+
+
+def timestamp_of(signed: bytes) -> int:
+    """The timestamp of a signed frame."""
+    return int.from_bytes(signed[1 - SIGNATURE_BYTES : -DIGEST_BYTES], "little")
+
+
+def is_signed_with(signed: bytes, key: bytes) -> bool:
+    """Whether this signed frame carries the signature of this key."""
+    digest = hashlib.sha256(key + signed[:-DIGEST_BYTES]).digest()
+    return hmac.compare_digest(digest[:DIGEST_BYTES], signed[-DIGEST_BYTES:])
+
+
+class SigningClock:
+    """The time of one key. It never goes back: it is the highest of the wall clock, of what was sent and of what was
+    seen, rightly signed, from others."""
+
+    __slots__ = ("timestamp",)
+
+    def __init__(self, timestamp: int = 0) -> None:
+        self.timestamp = timestamp
+
+    def advance(self, timestamp: int) -> None:
+        """Somebody with the key is at this time, or the wall clock is."""
+        if timestamp > self.timestamp:
+            self.timestamp = min(timestamp, MAX_TIMESTAMP)
+
+    def stamp(self, wall: int) -> int:
+        """A timestamp no frame of ours had before, for one that is sent at ``wall`` (`timestamp_at`)."""
+        self.timestamp = min(max(self.timestamp + 1, wall), MAX_TIMESTAMP)
+        return self.timestamp
+
+
+class Streams:
+    """The last timestamp of each stream, and whether the next one is newer. Bounded."""
+
+    __slots__ = ("_clock", "_last")
+
+    def __init__(self, clock: SigningClock) -> None:
+        self._clock = clock
+        self._last: dict[tuple[int, int, int], int] = {}
+
+    def __len__(self) -> int:
+        return len(self._last)
+
+    def check(self, link_id: int, sysid: int, compid: int, timestamp: int) -> Verdict:
+        """Whether a frame that is rightly signed may count; if so (SIGNED), it is remembered and our clock follows."""
+        stream = (link_id, sysid, compid)
+        last = self._last.get(stream)
+        if last is not None:
+            if timestamp <= last:
+                return Verdict.REPLAYED
+        elif timestamp + NEW_STREAM_TICKS < self._clock.timestamp:
+            return Verdict.STALE
+        elif len(self._last) >= MAX_STREAMS and not self._make_room():
+            return Verdict.CROWDED
+        self._last[stream] = timestamp
+        self._clock.advance(timestamp)
+        return Verdict.SIGNED
+
+    def _make_room(self) -> bool:
+        """Forget what is a minute old: anything that old, or older, is refused to a stream that is not known, too."""
+        limit = self._clock.timestamp - NEW_STREAM_TICKS
+        self._last = {stream: at for stream, at in self._last.items() if at >= limit}
+        return len(self._last) < MAX_STREAMS
+
+
+class Gate:
+    """Checks the frames of one link with one key. ``allowed`` are the ids that may come unsigned; None: all of them.
+
+    A frame that is signed, and wrongly, is never let in, whatever its id.
+    """
+
+    __slots__ = ("_allowed", "_clock", "_key", "_streams")
+
+    def __init__(self, key: bytes, clock: SigningClock, streams: Streams, allowed: frozenset[int] | None) -> None:
+        self._key = key
+        self._clock = clock
+        self._streams = streams
+        self._allowed = allowed
+
+    def check(self, frame: Frame, wall: int) -> Verdict:
+        """What becomes of a frame received at ``wall`` (`timestamp_at`)."""
+        if not frame.signed:
+            allowed = self._allowed
+            return Verdict.ALLOWED if allowed is None or frame.msgid in allowed else Verdict.UNSIGNED
+        raw = frame.raw
+        if not is_signed_with(raw, self._key):
+            return Verdict.FORGED
+        self._clock.advance(wall)
+        return self._streams.check(link_id_of(raw), frame.sysid, frame.compid, timestamp_of(raw))

@@ -1,0 +1,93 @@
+"""The methods of message signing: `METHODS` is their part of the table. No key passes through here, only its file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field
+
+from skygcs.rpc import dispatch
+from skygcs.rpc import models as m
+from skygcs.rpc.context import Context
+from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.ports import JsonObject
+
+
+class SigningSetupParams(m.TargetsParams):
+    key_file: str = Field(
+        min_length=1, max_length=4096, description="Absolute path of the key file, on the daemon's machine."
+    )
+    force: bool = Field(False, description="Although others can hear the link; the key goes out in clear.")
+
+
+class SigningKeyState(m.Result):
+    """A key in use."""
+
+    key_id: str = Field(description="Tells keys apart; the key cannot be had from it.")
+    time_unix_s: float = Field(description="The key's clock: the highest of ours and of all that was heard.")
+    ahead_s: float = Field(description="Of the system clock.")
+    links: list[str]
+
+
+class SigningChannelState(m.Result):
+    """Frames of one channel since it was opened, by what became of them."""
+
+    peer: str
+    signed: int = Field(description="Rightly signed and new.")
+    unsigned_allowed: int = Field(description="Not signed, and named in accept_unsigned.")
+    unsigned: int = Field(description="Dropped: not signed.")
+    bad_signature: int = Field(description="Dropped: signed with another key, or changed.")
+    replayed: int = Field(description="Dropped: not newer than the last of its stream.")
+    stale: int = Field(description="Dropped: a new stream, and more than a minute behind.")
+    too_many_streams: int = Field(description="Dropped: the table of streams is full.")
+    sent_signed: int = Field(description="Our own messages.")
+
+
+class SigningLinkState(m.Result):
+    """A link with a key."""
+
+    link: str
+    key_id: str
+    key_file: str
+    link_id: int
+    sign_outgoing: bool
+    accept_unsigned: list[str | int]
+    channels: list[SigningChannelState]
+
+
+class SigningStatus(m.Result):
+    keys: list[SigningKeyState]
+    links: list[SigningLinkState]
+
+
+async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObject:
+    """Give vehicles a signing key (SETUP_SIGNING), and wait until they sign with it.
+
+    Refused to a vehicle that is armed, and over a link that others can hear. The message is neither recorded nor shown
+    to anybody. To sign with the key ourselves is up to the link's signing table.
+    """
+    path = Path(params.key_file)
+    if not path.is_absolute():
+        raise InvalidParams(("key_file", "must be an absolute path: the daemon's folder is not yours"))
+    told = await context.daemon.signing_setup.setup(params.targets, path, force=params.force)
+    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+
+
+async def signing_off(context: Context, params: m.TargetsParams) -> JsonObject:
+    """Have vehicles forget their signing key, and wait until they no longer sign; not while armed."""
+    told = await context.daemon.signing_setup.off(params.targets)
+    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+
+
+def signing_status(context: Context, _: m.NoParams) -> JsonObject:
+    """Keys in use with their clocks; links that have one, with what they accepted and dropped."""
+    return context.daemon.signing_status()
+
+
+_TOLD = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+
+METHODS: tuple[Method[Context], ...] = (
+    Method("signing.status", m.NoParams, signing_status, SigningStatus),
+    Method("signing.setup", SigningSetupParams, signing_setup, m.Outcomes, _TOLD),
+    Method("signing.off", m.TargetsParams, signing_off, m.Outcomes, _TOLD),
+)

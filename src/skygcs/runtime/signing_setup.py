@@ -1,0 +1,181 @@
+"""Giving vehicles a signing key, or taking it away: SETUP_SIGNING, and the proof in what they send afterwards.
+
+The message has no acknowledgement and holds the key in clear. It goes out over one channel, is never recorded, and is
+refused where somebody else could hear it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+from collections.abc import Callable
+from pathlib import Path
+
+from skygcs.config.models import SerialLink, TcpClientLink, TcpServerLink, UdpClientLink, UdpServerLink
+from skygcs.config.signing import read_key
+from skygcs.core.airtime import Priority
+from skygcs.core.exchange.command import MAX_TEXTS, Outcome
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.signing import KEY_BYTES, SETUP_SIGNING, is_signed_with, key_id
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.orders import require_connected
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from skygcs.links.base import Channel
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.signing import Signing
+
+TRIES = 3
+WAIT_S = 2.5
+"""After each transmission: two heartbeats, and the answer of a slow radio."""
+
+STATUSTEXT = 253
+
+RADIO_SOURCE = 51 << 8 | 68
+"""What a SiK or RFD900 radio reports as."""
+
+
+class SigningSetup:
+    """`setup` and `off` for the RPC; ``on_event`` is told what became of it, without the key."""
+
+    def __init__(
+        self,
+        hub: Hub,
+        fleet: Fleet,
+        signing: Signing,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self._hub = hub
+        self._fleet = fleet
+        self._signing = signing
+        self._loop = loop
+        self._on_event = on_event
+
+    async def setup(self, targets: str | list[str], key_file: Path, *, force: bool = False) -> dict[str, Outcome]:
+        """Give the vehicles the key of a file. Raises TargetError, or KeyFileError before anything is sent."""
+        return await self._tell(targets, read_key(key_file), force=force)
+
+    async def off(self, targets: str | list[str], *, force: bool = False) -> dict[str, Outcome]:
+        """Have the vehicles forget their key. Raises TargetError."""
+        return await self._tell(targets, None, force=force)
+
+    async def _tell(self, targets: str | list[str], key: bytes | None, *, force: bool) -> dict[str, Outcome]:
+        vehicles = [actor.vehicle for actor in self._fleet.resolve(targets)]
+        async with asyncio.TaskGroup() as group:
+            tasks = {v.name: group.create_task(self._tell_one(v, key, force=force)) for v in vehicles}
+        return {name: task.result() for name, task in tasks.items()}
+
+    async def _tell_one(self, vehicle: Vehicle, key: bytes | None, *, force: bool) -> Outcome:
+        try:
+            require_connected(vehicle, self._loop.time())
+            if vehicle.armed:
+                raise RefusedError("it is armed: a key is changed on the ground, disarmed")
+            channel = self._way(vehicle, with_key=key is not None, force=force)
+        except RefusedError as error:
+            outcome = Outcome(False, "refused", f"refused: {error}")
+        else:
+            outcome = await self._exchange(vehicle, key, channel)
+        what = "signing off" if key is None else f"signing setup (key {key_id(key)})"
+        text = f"{vehicle.name}: {what}: {outcome.message}"
+        self._on_event(Event("signing", vehicle.name, vehicle.sysid, text, {"result": outcome.result}))
+        return outcome
+
+    def _way(self, vehicle: Vehicle, *, with_key: bool, force: bool) -> Channel:
+        """The channel on which nobody else hears; with ``force`` the best one. Raises RefusedError with who would.
+
+        Taking a key away tells none, so any way will do.
+        """
+        channels = [self._hub.channels[i] for i in self._hub.ways(vehicle.sysid, vehicle.compid, everywhere=True)]
+        if not channels:
+            raise RefusedError("no link on which it was heard")
+        heard_by = {channel: self._others_on(channel, vehicle) for channel in channels}
+        private = [channel for channel, others in heard_by.items() if others is None]
+        if private:
+            return private[0]
+        if not with_key or force:
+            (best,) = self._hub.ways(vehicle.sysid, vehicle.compid)[:1]
+            return self._hub.channels[best]
+        where = "; ".join(f"{channel.link.name}: {others}" for channel, others in heard_by.items())
+        raise RefusedError(
+            f"the key would go out in clear where others can hear it ({where}); do it over a cable, or insist with "
+            "force (--force)"
+        )
+
+    def _others_on(self, channel: Channel, vehicle: Vehicle) -> str | None:
+        """Who but this vehicle can hear what is sent on a channel; None: nobody."""
+        config = channel.config
+        if config.role == "radio" or RADIO_SOURCE in channel.sources:
+            return "a radio, heard by everyone in range"
+        if isinstance(config, UdpServerLink | UdpClientLink | TcpServerLink | TcpClientLink):
+            if not _is_this_machine(channel.peer):
+                return f"a network, on the way to {channel.peer}"
+        elif config.type == "udp_broadcast":
+            return "a broadcast"
+        elif isinstance(config, SerialLink) and config.role == "gcs":
+            return "another ground station"
+        others = [
+            actor.name
+            for key, actor in sorted(self._fleet.vehicles.items())
+            if key in channel.sources and actor.sysid != vehicle.sysid
+        ]
+        return f"{', '.join(others[:5])} on the same link" if others else None
+
+    async def _exchange(self, vehicle: Vehicle, key: bytes | None, channel: Channel) -> Outcome:
+        """Send it until what the vehicle sends shows that it was taken."""
+        info = self._hub.dialect.messages.get(SETUP_SIGNING)
+        if info is None:
+            return Outcome(False, "unsupported", f"the dialect {self._hub.dialect.name} has no SETUP_SIGNING")
+        began = self._loop.time()
+        shown = asyncio.Event()
+        texts: list[str] = []
+
+        def look(frame: Frame) -> None:
+            if frame.sysid != vehicle.sysid or frame.compid != vehicle.compid:
+                return
+            if frame.msgid == STATUSTEXT and len(texts) < MAX_TEXTS:
+                texts.append(str(frame.fields().get("text", "")))
+            if (key is None and not frame.signed) or (key is not None and _shows(frame, key)):
+                shown.set()
+
+        values = {"target_system": vehicle.sysid, "target_component": vehicle.compid, "secret_key": [0] * KEY_BYTES}
+        for number in range(1, TRIES + 1):
+            if key is not None:
+                values |= {"secret_key": list(key), "initial_timestamp": self._signing.stamp(key)}
+            shown.clear()
+            if not self._hub.send_on((channel.id,), info, values, Priority.COMMAND):
+                return Outcome(False, "failed", f"{channel.link.name} did not take the message", number)
+            remove = self._hub.add_tap(None, {vehicle.key}, lambda frame, _, now: look(frame))
+            try:
+                with self._signing.watching(lambda frame, verdict: look(frame)):
+                    async with asyncio.timeout(WAIT_S):
+                        await shown.wait()
+            except TimeoutError:
+                continue
+            finally:
+                remove()
+            message = "it no longer signs" if key is None else f"it signs with key {key_id(key)}{self._left(key)}"
+            return Outcome(True, "accepted", message, number, self._loop.time() - began, tuple(texts))
+        why = "it still signs" if key is None else "nothing it sent was signed with this key"
+        hint = "; it says: " + " / ".join(texts) if texts else "; not every firmware can sign (PX4 1.16 cannot)"
+        return Outcome(False, "timeout", why + hint, TRIES, self._loop.time() - began, tuple(texts))
+
+    def _left(self, key: bytes) -> str:
+        """What remains to be done on our side."""
+        without = sorted(
+            {c.link.name for c in self._hub.channels.values() if self._signing.link_key(c.link.name) != key}
+        )
+        return f"; without that key so far: {', '.join(without)} (links.NAME.signing.key_file)" if without else ""
+
+
+def _shows(frame: Frame, key: bytes) -> bool:
+    return frame.signed and is_signed_with(frame.raw, key)
+
+
+def _is_this_machine(peer: str) -> bool:
+    host = peer.rpartition(":")[0].strip("[]").partition("%")[0]
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
