@@ -24,7 +24,8 @@ from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import Way
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place
+from skygcs.core.vehicle.goals import Place
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.memory import MemoryLink as Link
 from skygcs.runtime.commander import Commander

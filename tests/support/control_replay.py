@@ -17,7 +17,8 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.control.config import SEED_XY, SEED_Z, ControlConfig
 from skygcs.core.control.guard import Facts, GuardConfig, Way
 from skygcs.core.tlog import iter_records
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place
+from skygcs.core.vehicle.goals import Place
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState
 from skygcs.core.vehicle.vehicle import Vehicle
 
 TICK_S = 0.02

@@ -25,7 +25,8 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import offboard, orders
 from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place, Setpoint, Tick
+from skygcs.core.vehicle.goals import Place, Setpoint
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Tick
 from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError

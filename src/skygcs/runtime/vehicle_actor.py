@@ -29,7 +29,8 @@ from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.pilot import PilotState, Place
+from skygcs.core.vehicle.goals import Place
+from skygcs.core.vehicle.pilot import PilotState
 from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.vehicle import Vehicle

@@ -22,8 +22,9 @@ from skygcs.core.sim.conditions import Conditions
 from skygcs.core.sim.kinematics import LocalFrame
 from skygcs.core.sim.px4 import Px4Vehicle
 from skygcs.core.sim.quad import Quad
+from skygcs.core.vehicle.goals import Place
 from skygcs.core.vehicle.offboard import guided_mode
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Place
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState
 from skygcs.core.vehicle.vehicle import Vehicle
 
 FIELD = LocalFrame(43.7806, -79.4653, 180.0)

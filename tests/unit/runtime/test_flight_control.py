@@ -20,7 +20,8 @@ from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin, geodetic_from_enu
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.pilot import PilotState, Place, Setpoint
+from skygcs.core.vehicle.goals import Place, Setpoint
+from skygcs.core.vehicle.pilot import PilotState
 from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError

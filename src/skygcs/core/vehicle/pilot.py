@@ -21,31 +21,20 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from skygcs.core.control.cascade import ZERO, Estimate, Memory, Output, Reference, Vector, step, velocity_setpoint
+from skygcs.core.control.cascade import ZERO, Estimate, Memory, Output, Reference, step, velocity_setpoint
 from skygcs.core.control.config import ControlConfig
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import Facts, Guard, GuardConfig, Verdict, Way
 from skygcs.core.control.pi import clip
 from skygcs.core.control.trace import TraceRow
-from skygcs.core.geo import EnuFrame, Origin, yaw_enu_from_heading_deg
+from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.goals import Place, Setpoint
 from skygcs.core.vehicle.offboard import attitude_refusal, boosts_thrust, guided_mode
+from skygcs.core.vehicle.outlook import Outlook
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import RefusedError
-
-GPS_FIX_3D = 3
-"""GPS_FIX_TYPE_3D_FIX; without it a position is a guess of the estimator that gets worse by the second."""
-
-TOLD_FRESH_S = 10.0
-"""GPS and battery are told every two seconds; what is older says nothing about now."""
-
-ATTITUDE_FRESH_S = 3.0
-"""An attitude older than this is no longer asked whether it is a number: it may just not be streamed any more."""
-
-JUDGE_S = 0.1
-"""How often what moves slowly is looked at anew: the percentile of a window of seconds, fix and battery."""
 
 LARGEST_DT_S = 1.0
 """Told to the law as the longest pause between two steps; it clamps to 1.5 periods itself."""
@@ -54,17 +43,6 @@ LEAST_DEG = 1e-7
 """Resolution of coordinates on the wire, 1 cm."""
 
 Message = tuple[str, dict[str, Any]]
-
-
-def _delay_meter() -> DelayMeter:
-    """Ages count from when the state came in: the loop has the way down as well as the way up."""
-    return DelayMeter(share=1.0)
-
-
-def _beside_zero(coordinate_deg: float) -> float:
-    """What would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is sent
-    as the next: the equator and the first meridian are places like any other."""
-    return coordinate_deg if abs(coordinate_deg) >= LEAST_DEG else LEAST_DEG
 
 
 class PilotState(StrEnum):
@@ -84,28 +62,6 @@ class PilotConfig:
     velocity_hz: float = 10.0
     position_hz: float = 5.0
     rate_min_hz: float = 20.0
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A point on earth."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_amsl_m: float
-
-
-@dataclass(frozen=True, slots=True)
-class Setpoint:
-    """One setpoint of a stream. The velocity is true ENU; an axis that is ``free`` follows the velocity alone, and
-    what ``place`` says of it does not matter. None: zero, and for the yaw: as it was."""
-
-    place: Place | None = None
-    vel_enu_mps: Vector | None = None
-    acc_enu_mps2: Vector | None = None
-    yaw_enu_rad: float | None = None
-    free_xy: bool = False
-    free_z: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,11 +105,7 @@ class Pilot:
         self.wanted = Way.POSITION
         self.way: Way | None = None
         self.reasons: tuple[str, ...] = ()
-        self.frame: EnuFrame | None = None
-        """The anchor's; None before the first `engage`."""
         self.attitude_hz_allowed = math.inf
-        self.delay = _delay_meter()
-        self.delay_p95_s: float | None = None
         self.memory = Memory()
         self.was_entered = False
         """Whether the autopilot obeyed since the last `engage`."""
@@ -161,18 +113,11 @@ class Pilot:
         """Whether ticks carry a row for the trace."""
         self.refusing: str | None = None
         """Why the autopilot does not take our attitude setpoints, if it does not."""
+        self._outlook = Outlook(vehicle)
         self._guard = Guard(config.guard, Way.POSITION)
         self._reference = Reference()
         self._until: float | None = None
-        self._place: tuple[Reference, Place] | None = None
-        self._fence: Fence | None = None
-        self._breach: tuple[Any, str | None] = (None, None)
-        self._fenced: tuple[Place | None, str | None] = (None, None)
-        self._judged_at = -math.inf
-        self._fix_ok = True
-        self._battery_percent: float | None = None
         self._obeys = -1
-        self._read: tuple[Any, EnuFrame | None, Estimate | None] = (None, None, None)
         self._last = _Last()
 
     # -- what a person asks
@@ -201,6 +146,21 @@ class Pilot:
         return self._until is not None
 
     @property
+    def frame(self) -> EnuFrame | None:
+        """The anchor's; None before the first `engage`."""
+        return self._outlook.frame
+
+    @property
+    def delay(self) -> DelayMeter:
+        """Of the present control; another after each `engage`."""
+        return self._outlook.delay
+
+    @property
+    def delay_p95_s(self) -> float | None:
+        """As of the last tick."""
+        return self._outlook.delay_p95_s
+
+    @property
     def reference(self) -> Reference | None:
         """Where it shall be, in the anchor's frame; None while it is not told."""
         return self._reference if self.state is PilotState.FLYING else None
@@ -210,20 +170,14 @@ class Pilot:
 
         The fence stands on earth until control ends. Raises RefusedError without a position.
         """
-        here = self._here()
-        if here is None:
-            raise RefusedError("its position is not known")
-        anchor = Origin(here.lat_deg, here.lon_deg, here.alt_amsl_m)
-        self.frame = EnuFrame(anchor)
-        self._fence, self._breach, self._fenced = fence, (None, None), (None, None)
+        self._outlook.anchor(fence)
         self.state, self.wanted, self.way, self.reasons = PilotState.ENGAGING, way, None, ()
         self.was_entered = False
         self._guard.reset(way)
         self._last = _Last()
-        self.delay, self.delay_p95_s, self._judged_at = _delay_meter(), None, -math.inf
         self._obeys = guided_mode(self.vehicle)
         self._forget()
-        self._stay(yaw_rad=self._yaw_rad())
+        self._stay(yaw_rad=self._outlook.yaw_rad())
 
     def entered(self) -> None:
         """The autopilot obeys our setpoints: from now on the reference stays where it is."""
@@ -266,14 +220,14 @@ class Pilot:
     def fly_to(self, place: Place, yaw_enu_rad: float | None) -> None:
         """Go to a point on earth and stay there; None keeps the yaw."""
         yaw = self._reference.yaw_rad if yaw_enu_rad is None else yaw_enu_rad
-        self._reference = Reference(self._in_anchor(place), yaw)
+        self._reference = Reference(self._outlook.in_anchor(place), yaw)
         self._until = None
 
     def follow(self, wanted: Setpoint, until: float) -> None:
         """One setpoint of a stream, good ``until`` then."""
         yaw = self._reference.yaw_rad if wanted.yaw_enu_rad is None else wanted.yaw_enu_rad
         self._reference = Reference(
-            ZERO if wanted.place is None else self._in_anchor(wanted.place),
+            ZERO if wanted.place is None else self._outlook.in_anchor(wanted.place),
             yaw,
             wanted.vel_enu_mps or ZERO,
             wanted.acc_enu_mps2 or ZERO,
@@ -296,9 +250,10 @@ class Pilot:
         first = last.at == -math.inf
         dt_s = self.config.law.period_s if first else min(max(now - last.at, 0.0), LARGEST_DT_S)
         last.at = now
-        estimate, age_s = self._estimate(now)
+        estimate = self._outlook.estimate()
+        age_s = None if estimate is None else self._outlook.age_s(now)
         last.estimate, last.state_age_s = estimate, age_s
-        self._measure(age_s, now)
+        self._outlook.measure(age_s, now)
         events: list[Event] = []
         if self.state is PilotState.ENGAGING:
             self._stay(yaw_rad=self._reference.yaw_rad)
@@ -381,7 +336,7 @@ class Pilot:
             message = setpoint.velocity_target(velocity, reference.yaw_rad, self._boot_ms())
             row = None if row is None else row.with_velocity(velocity)
             return Tick(message, row=row, before=before, after=before)
-        place = self._place_of(reference)
+        place = self._outlook.place_of(reference)
         message = setpoint.position_target(
             _beside_zero(place.lat_deg),
             _beside_zero(place.lon_deg),
@@ -399,35 +354,30 @@ class Pilot:
         age_s = self._last.state_age_s
         return TraceRow(self._last.at, dt_s, way.value, following, self._reference, estimate, age_s)
 
-    def _measure(self, age_s: float | None, now: float) -> None:
-        self.delay.on_tick(age_s, now)
-        if not 0.0 <= now - self._judged_at < JUDGE_S:
-            self._judged_at = now
-            self.delay_p95_s = self.delay.delay_p95_s
-            self._fix_ok, self._battery_percent = self._told_fix_ok(now), self._told_battery_percent(now)
-
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
-        vehicle, config = self.vehicle, self.config
-        breach, reference_breach = self._breaches()
+        vehicle, config, outlook = self.vehicle, self.config, self._outlook
+        engaging = self.state is PilotState.ENGAGING
+        breach = outlook.breach()
+        reference_breach = None if engaging else outlook.reference_breach(self._reference)
         return Facts(
             connected=vehicle.connected,
             armed=vehicle.armed,
             following=vehicle.custom_mode == self._obeys,
             state_age_s=age_s,
-            rtt_p95_s=self.delay.rtt_p95_s,
-            delay_p95_s=self.delay_p95_s,
+            rtt_p95_s=outlook.delay.rtt_p95_s,
+            delay_p95_s=outlook.delay_p95_s,
             estimate=estimate,
-            finite=self._attitude_is_finite(now),
-            fix_ok=self._fix_ok,
+            finite=outlook.attitude_is_finite(now),
+            fix_ok=outlook.fix_ok,
             airborne=vehicle.in_air(now),
-            battery_percent=self._battery_percent,
+            battery_percent=outlook.battery_percent,
             inside_fence=breach is None,
             reference_inside_fence=reference_breach is None,
             rate_hz=min(config.attitude_hz, self.attitude_hz_allowed),
             rate_min_hz=config.rate_min_hz,
             refusing=self.refusing,
             attitude_refused=attitude_refusal(vehicle) if self.wanted is Way.ATTITUDE else None,
-            engaging=self.state is PilotState.ENGAGING,
+            engaging=engaging,
             position_breach=breach,
             reference_breach=reference_breach,
         )
@@ -455,95 +405,17 @@ class Pilot:
         return self._reference.velocity_only_xy or self._reference.velocity_only_z
 
     def _stay(self, yaw_rad: float) -> None:
-        estimate = self._read_estimate()
+        estimate = self._outlook.estimate()
         position = self._reference.pos_enu_m if estimate is None else estimate.pos_enu_m
         self._reference = Reference(position, yaw_rad)
         self._until = None
 
-    def _here(self) -> Place | None:
-        position = self.vehicle.section("position")
-        if position is None or position["lat_deg"] is None:
-            return None
-        return Place(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-
-    def _yaw_rad(self) -> float:
-        """Its present yaw (ENU); north unless it tells."""
-        position = self.vehicle.section("position")
-        heading = None if position is None else position["heading_deg"]
-        if heading is None:
-            attitude = self.vehicle.section("attitude")
-            heading = 0.0 if attitude is None else attitude["yaw_deg"]
-        return math.radians(yaw_enu_from_heading_deg(heading))
-
-    def _in_anchor(self, place: Place) -> Vector:
-        assert self.frame is not None  # there is one since `engage`
-        return self.frame.from_geodetic(place.lat_deg, place.lon_deg, place.alt_amsl_m)
-
-    def _place_of(self, reference: Reference) -> Place:
-        """The reference as a point on earth; worked out once for each."""
-        assert self.frame is not None
-        if self._place is None or self._place[0] is not reference:
-            self._place = (reference, Place(*self.frame.to_geodetic(*reference.pos_enu_m)))
-        return self._place[1]
-
-    def _estimate(self, now: float) -> tuple[Estimate | None, float | None]:
-        estimate = self._read_estimate()
-        at = self.vehicle.section_at("position")
-        return estimate, None if estimate is None or at is None else now - at
-
-    def _read_estimate(self) -> Estimate | None:
-        """Position and velocity about the anchor; worked out once for each position that came."""
-        position = self.vehicle.section("position")
-        if self._read[0] is not position or self._read[1] is not self.frame:
-            estimate = None
-            if position is not None and self.frame is not None and position["lat_deg"] is not None:
-                enu = self.frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-                east, north, up = position["vel_enu_mps"]
-                estimate = Estimate(enu, (east, north, up))
-            self._read = (position, self.frame, estimate)
-        return self._read[2]
-
-    def _attitude_is_finite(self, now: float) -> bool:
-        """What it tells of its attitude, if it tells, are numbers."""
-        slot = self.vehicle.slot("ATTITUDE") or self.vehicle.slot("ATTITUDE_QUATERNION")
-        if slot is None or now - slot.at > ATTITUDE_FRESH_S:
-            return True
-        return self.vehicle.section("attitude") is not None
-
-    def _told_fix_ok(self, now: float) -> bool:
-        gps, at = self.vehicle.readings.section("gps")
-        if gps is None or now - at > TOLD_FRESH_S:
-            return True  # its position, which is watched, comes from an estimator that knows
-        return bool(gps["fix_type"] >= GPS_FIX_3D)
-
-    def _told_battery_percent(self, now: float) -> float | None:
-        battery, at = self.vehicle.readings.section("battery")
-        return None if battery is None or now - at > TOLD_FRESH_S else battery["percent"]
-
-    def _breaches(self) -> tuple[str | None, str | None]:
-        """Why the vehicle, and the place it is sent to, are outside the fence; None: they are not.
-
-        References are taken with the fence's margin (`FlightControl`); here the fence itself counts, so that a vehicle
-        taken over near a wall may stay where it is.
-        """
-        fence, position, reference = self._fence, self._read[0], self._reference
-        if fence is None or self._read[2] is None:
-            return None, None
-        if self._breach[0] is not position:
-            self._breach = (position, fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]))
-        if self.state is PilotState.ENGAGING:
-            return self._breach[1], None
-        place = self._place_of(reference)
-        if place is not self._fenced[0]:
-            why = fence.why_not(
-                *(place.lat_deg, place.lon_deg, place.alt_amsl_m),
-                what="the place to go to",
-                free_xy=reference.velocity_only_xy,
-                free_z=reference.velocity_only_z,
-            )
-            self._fenced = (place, why)
-        return self._breach[1], self._fenced[1]
-
     def _boot_ms(self) -> int:
         """Neither autopilot looks at it for attitude or velocity; it orders the setpoints in a log."""
         return int(self._last.at * 1000) & 0xFFFFFFFF
+
+
+def _beside_zero(coordinate_deg: float) -> float:
+    """What would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is sent
+    as the next: the equator and the first meridian are places like any other."""
+    return coordinate_deg if abs(coordinate_deg) >= LEAST_DEG else LEAST_DEG

@@ -23,7 +23,7 @@ from skygcs.core.geo import (
     world_yaw_rad,
     yaw_enu_from_heading_deg,
 )
-from skygcs.core.vehicle.pilot import Place, Setpoint
+from skygcs.core.vehicle.goals import Place, Setpoint
 from skygcs.errors import RefusedError
 
 MAX_OFFSET_M = 100_000.0

@@ -18,7 +18,9 @@ from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import GuardConfig, Way
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.pilot import JUDGE_S, Pilot, PilotConfig, PilotState, Place, Setpoint, Tick
+from skygcs.core.vehicle.goals import Place, Setpoint
+from skygcs.core.vehicle.outlook import JUDGE_S
+from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect

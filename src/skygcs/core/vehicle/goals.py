@@ -1,0 +1,29 @@
+"""Where a vehicle that is flown by setpoints shall be: said on earth, so that a change of any frame moves nobody."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from skygcs.core.control.cascade import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A point on earth."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """One setpoint of a stream. The velocity is true ENU; an axis that is ``free`` follows the velocity alone, and
+    what ``place`` says of it does not matter. None: zero, and for the yaw: as it was."""
+
+    place: Place | None = None
+    vel_enu_mps: Vector | None = None
+    acc_enu_mps2: Vector | None = None
+    yaw_enu_rad: float | None = None
+    free_xy: bool = False
+    free_z: bool = False

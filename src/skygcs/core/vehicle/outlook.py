@@ -1,0 +1,162 @@
+"""What a pilot sees of its vehicle: where it is about an anchor, how old that is, and what else it tells. Pure.
+
+The *anchor* is the place where control began; its frame is true ENU, whatever the fleet's world frame is. All of it is
+read from the vehicle's state when it is asked for, and worked out once for each message that came: it is asked for in
+every tick, 50 times a second.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from skygcs.core.control.cascade import Estimate, Reference, Vector
+from skygcs.core.control.delay import DelayMeter
+from skygcs.core.control.fence import Fence
+from skygcs.core.geo import EnuFrame, Origin, yaw_enu_from_heading_deg
+from skygcs.core.vehicle.goals import Place
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+GPS_FIX_3D = 3
+"""GPS_FIX_TYPE_3D_FIX; without it a position is a guess of the estimator that gets worse by the second."""
+
+TOLD_FRESH_S = 10.0
+"""GPS and battery are told every two seconds; what is older says nothing about now."""
+
+ATTITUDE_FRESH_S = 3.0
+"""An attitude older than this is no longer asked whether it is a number: it may just not be streamed any more."""
+
+JUDGE_S = 0.1
+"""How often what moves slowly is looked at anew: the percentile of a window of seconds, fix and battery."""
+
+
+class Outlook:
+    """On one vehicle. `anchor` it before anything is asked; `measure` once a tick; the loop's times."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.frame: EnuFrame | None = None
+        """The anchor's; None before the first `anchor`."""
+        self.delay = _delay_meter()
+        self.delay_p95_s: float | None = None
+        self.fix_ok = True
+        """Unless its GPS says otherwise."""
+        self.battery_percent: float | None = None
+        self._vehicle = vehicle
+        self._fence: Fence | None = None
+        self._judged_at = -math.inf
+        self._read: tuple[Any, EnuFrame | None, Estimate | None] = (None, None, None)
+        self._place: tuple[Reference | None, Place | None] = (None, None)
+        self._breach: tuple[Any, str | None] = (None, None)
+        self._fenced: tuple[Place | None, str | None] = (None, None)
+
+    def anchor(self, fence: Fence | None) -> None:
+        """Where it is now is the anchor from now on, and what was measured before is no use. The fence stands on earth.
+
+        Raises RefusedError without a position.
+        """
+        position = self._vehicle.section("position")
+        if position is None or position["lat_deg"] is None:
+            raise RefusedError("its position is not known")
+        self.frame = EnuFrame(Origin(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]))
+        self._fence, self._breach, self._fenced = fence, (None, None), (None, None)
+        self.delay, self.delay_p95_s, self._judged_at = _delay_meter(), None, -math.inf
+
+    def measure(self, state_age_s: float | None, now: float) -> None:
+        """One tick's age of the state (`age_s`); every JUDGE_S, what moves slowly."""
+        self.delay.on_tick(state_age_s, now)
+        if not 0.0 <= now - self._judged_at < JUDGE_S:
+            self._judged_at = now
+            self.delay_p95_s = self.delay.delay_p95_s
+            self.fix_ok, self.battery_percent = self._told_fix_ok(now), self._told_battery_percent(now)
+
+    def estimate(self) -> Estimate | None:
+        """Its position and velocity about the anchor, as last told; None without a position."""
+        position = self._vehicle.section("position")
+        if self._read[0] is not position or self._read[1] is not self.frame:
+            estimate = None
+            if position is not None and self.frame is not None and position["lat_deg"] is not None:
+                enu = self.frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+                east, north, up = position["vel_enu_mps"]
+                estimate = Estimate(enu, (east, north, up))
+            self._read = (position, self.frame, estimate)
+        return self._read[2]
+
+    def age_s(self, now: float) -> float | None:
+        """How long ago the position came; None without one."""
+        at = self._vehicle.section_at("position")
+        return None if at is None else now - at
+
+    def yaw_rad(self) -> float:
+        """Its present yaw (ENU); north unless it tells."""
+        position = self._vehicle.section("position")
+        heading = None if position is None else position["heading_deg"]
+        if heading is None:
+            attitude = self._vehicle.section("attitude")
+            heading = 0.0 if attitude is None else attitude["yaw_deg"]
+        return math.radians(yaw_enu_from_heading_deg(heading))
+
+    def attitude_is_finite(self, now: float) -> bool:
+        """What it tells of its attitude, if it tells, are numbers."""
+        slot = self._vehicle.slot("ATTITUDE") or self._vehicle.slot("ATTITUDE_QUATERNION")
+        if slot is None or now - slot.at > ATTITUDE_FRESH_S:
+            return True
+        return self._vehicle.section("attitude") is not None
+
+    def in_anchor(self, place: Place) -> Vector:
+        """A point on earth, in the anchor's frame."""
+        assert self.frame is not None  # there is one since `anchor`
+        return self.frame.from_geodetic(place.lat_deg, place.lon_deg, place.alt_amsl_m)
+
+    def place_of(self, reference: Reference) -> Place:
+        """The reference as a point on earth."""
+        known, place = self._place
+        if place is None or known is not reference:
+            assert self.frame is not None
+            place = Place(*self.frame.to_geodetic(*reference.pos_enu_m))
+            self._place = (reference, place)
+        return place
+
+    def breach(self) -> str | None:
+        """Why the vehicle, where `estimate` found it, is outside the fence; None: it is not."""
+        fence, position = self._fence, self._read[0]
+        if fence is None or self._read[2] is None:
+            return None
+        if self._breach[0] is not position:
+            self._breach = (position, fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]))
+        return self._breach[1]
+
+    def reference_breach(self, reference: Reference) -> str | None:
+        """Why the place it is sent to is outside the fence; None: it is not.
+
+        References are taken with the fence's margin (`FlightControl`); here the fence itself counts, so that a vehicle
+        taken over near a wall may stay where it is.
+        """
+        fence = self._fence
+        if fence is None or self._read[2] is None:
+            return None
+        place = self.place_of(reference)
+        if place is not self._fenced[0]:
+            why = fence.why_not(
+                *(place.lat_deg, place.lon_deg, place.alt_amsl_m),
+                what="the place to go to",
+                free_xy=reference.velocity_only_xy,
+                free_z=reference.velocity_only_z,
+            )
+            self._fenced = (place, why)
+        return self._fenced[1]
+
+    def _told_fix_ok(self, now: float) -> bool:
+        gps, at = self._vehicle.readings.section("gps")
+        if gps is None or now - at > TOLD_FRESH_S:
+            return True  # its position, which is watched, comes from an estimator that knows
+        return bool(gps["fix_type"] >= GPS_FIX_3D)
+
+    def _told_battery_percent(self, now: float) -> float | None:
+        battery, at = self._vehicle.readings.section("battery")
+        return None if battery is None or now - at > TOLD_FRESH_S else battery["percent"]
+
+
+def _delay_meter() -> DelayMeter:
+    """Ages count from when the state came in: the loop has the way down as well as the way up."""
+    return DelayMeter(share=1.0)
