@@ -327,9 +327,9 @@ class TxQueue(Generic[T]):
         size = self._classes[priority].head()[1]
         at = self.budget.ready_at(size, self._reserve(priority, now), now)
         since = self._heartbeat_since
-        if since is not None and priority is not Priority.EMERGENCY and at > since + HEARTBEAT_WAITS_S > now:
-            beat = self._classes[Priority.HEARTBEAT].head()[1]
-            at = min(at, max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(beat, 0.0, now)))
+        if since is not None and priority is not Priority.EMERGENCY and at >= since + HEARTBEAT_WAITS_S > now:
+            beat = self._classes[Priority.HEARTBEAT].head()[1]  # is overdue by then, and next
+            return max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(beat, 0.0, now))
         return at
 
     def clear(self) -> int:
@@ -355,7 +355,7 @@ class TxQueue(Generic[T]):
 
     def _overdue(self, now: float) -> bool:
         since = self._heartbeat_since
-        return since is not None and now - since >= HEARTBEAT_WAITS_S
+        return since is not None and now >= since + HEARTBEAT_WAITS_S
 
     def _reserve(self, priority: Priority, now: float) -> float:
         """Bytes of the budget that an entry of this class has to leave."""

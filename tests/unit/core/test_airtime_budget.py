@@ -14,7 +14,7 @@ Offer = tuple[float, Priority, int, int]
 """Seconds since the one before, class, bytes, vehicle."""
 
 OFFERS = st.lists(
-    st.tuples(st.floats(0, 2), st.sampled_from(list(Priority)), st.integers(12, 280), st.integers(1, 5)), max_size=120
+    st.tuples(st.floats(0, 2), st.sampled_from(list(Priority)), st.integers(12, 280), st.integers(1, 5)), max_size=60
 )
 
 
@@ -45,7 +45,7 @@ def run(queue: TxQueue[int], offers: list[Offer], until: float = 1e9) -> list[tu
 
 
 @given(OFFERS, st.floats(20, 6000), st.floats(60, 1000))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(
     offers: list[Offer], bytes_per_s: float, burst: float
 ) -> None:
@@ -58,7 +58,7 @@ def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(
 
 
 @given(OFFERS, st.floats(20, 6000), st.floats(600, 1000))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_nothing_that_is_less_urgent_goes_while_something_urgent_waits(
     offers: list[Offer], bytes_per_s: float, burst: float
 ) -> None:
@@ -70,7 +70,7 @@ def test_nothing_that_is_less_urgent_goes_while_something_urgent_waits(
 
 
 @given(OFFERS, st.floats(100, 6000))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_everything_that_was_taken_goes_in_the_end(offers: list[Offer], bytes_per_s: float) -> None:
     queue: TxQueue[int] = TxQueue(ByteBudget(bytes_per_s, 300.0))
     sent = run(queue, offers)
