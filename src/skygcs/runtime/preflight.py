@@ -79,7 +79,8 @@ class Preflight:
         self._configured = configured
         self._valid_s = valid_s
         self._links = links
-        self._wall_clock = wall_clock
+        self.wall_clock = wall_clock
+        """The time of day in Unix seconds, against which the vehicle's clock is held."""
         self._lock = asyncio.Lock()
         self._lives = 0
         self._absent: set[str] = set()
@@ -158,7 +159,7 @@ class Preflight:
 
     def _facts(self, answers: Mapping[str, Answer]) -> Facts:
         return Facts(
-            state=dict(self._vehicle.snapshot(self._loop.time(), self._wall_clock())),
+            state=dict(self._vehicle.snapshot(self._loop.time(), self.wall_clock())),
             gcs_sysid=self._gcs_sysid,
             configured=self._configured,
             expected_autopilot=self._config.autopilot,

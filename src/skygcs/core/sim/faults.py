@@ -16,6 +16,13 @@ class Faults:
     ack_loss: float = 0.0
     """Fraction of COMMAND_ACKs that are never sent."""
     gps_lost: bool = False
+    satellites: int = 14
+    hdop: float = 0.75
+    """Of its GPS: so many satellites under open sky."""
+    unhealthy_sensors: int = 0
+    """Bits of MAV_SYS_STATUS_SENSOR that SYS_STATUS tells as there, enabled and not healthy."""
+    clock_error_s: float = 0.0
+    """Its clock (SYSTEM_TIME) minus the true one."""
     nan_attitude: bool = False
     """ATTITUDE and ATTITUDE_QUATERNION tell NaN."""
     mute: bool = False

@@ -21,7 +21,6 @@ Builder = Callable[["SimVehicle", float], Fields | None]
 
 UNKNOWN_U16 = 65535
 UNKNOWN_TEMPERATURE = 32767
-SATELLITES = 14
 HOVER_THROTTLE_PERCENT = 42
 """Of a vehicle without thrust (kinematic)."""
 
@@ -75,7 +74,7 @@ def sys_status(v: SimVehicle, now: float) -> Fields:
     return {
         "onboard_control_sensors_present": _ALL_SENSORS | fenced,
         "onboard_control_sensors_enabled": _ALL_SENSORS | fenced,
-        "onboard_control_sensors_health": health,
+        "onboard_control_sensors_health": health & ~v.faults.unhealthy_sensors,
         "load": 350 if v.armed else 280,
         "voltage_battery": round(v.battery.volts * 1000),
         "current_battery": round(v.battery.amps * 100),
@@ -85,7 +84,8 @@ def sys_status(v: SimVehicle, now: float) -> Fields:
 
 def system_time(v: SimVehicle, now: float) -> Fields:
     # an autopilot knows the date from GPS only
-    return {"time_unix_usec": v.unix_us if v.gps_ok else 0, "time_boot_ms": v.boot_ms}
+    unix_us = max(0, v.unix_us + round(v.faults.clock_error_s * 1e6)) if v.gps_ok else 0
+    return {"time_unix_usec": unix_us, "time_boot_ms": v.boot_ms}
 
 
 def gps_raw_int(v: SimVehicle, now: float) -> Fields:
@@ -102,11 +102,11 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
         "lon": round(lon * 1e7),
         "alt": alt_mm,
         "alt_ellipsoid": alt_mm,
-        "eph": 75,
+        "eph": round(v.faults.hdop * 100),
         "epv": 120,
         "vel": round(motion.groundspeed_mps * 100),
         "cog": round(degrees(atan2(motion.vel_e_mps, motion.vel_n_mps)) % 360 * 100) % 36000,
-        "satellites_visible": SATELLITES,
+        "satellites_visible": v.faults.satellites,
         "h_acc": 800,
         "v_acc": 1300,
         "vel_acc": 200,
