@@ -1,17 +1,18 @@
-"""The trace of one vehicle's control on disk: one CSV file from `open` to `close`, written as it flies.
-
-A disk that is full or gone ends the trace, is told once, and never touches control.
-"""
+"""The trace of one vehicle's control on disk: a CSV file for each time it is flown, written as it flies."""
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TextIO
 
 from skygcs.core.control.cascade import Memory
 from skygcs.core.control.config import ControlConfig
 from skygcs.core.control.trace import TraceHead, TraceRow, TraceWriter
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.pilot import Pilot, Tick
 
 FLUSH_S = 1.0
 """A crash loses at most this much."""
@@ -21,7 +22,7 @@ LARGEST_BYTES = 500_000_000
 
 
 class TraceFile:
-    """Raises OSError from every method; the caller gives it up then."""
+    """One file. Raises OSError from every method; the caller gives it up then."""
 
     def __init__(self, directory: Path, head: TraceHead) -> None:
         directory.mkdir(parents=True, exist_ok=True)
@@ -46,6 +47,76 @@ class TraceFile:
 
     def close(self) -> None:
         self._file.close()
+
+
+class Recording:
+    """Traces what a pilot does, while a person wants it: a file from each `begin` to its `end`.
+
+    A disk that is full or gone ends the trace, is told once, and never touches control.
+    """
+
+    def __init__(self, pilot: Pilot, directory: Path, on_event: Callable[[Event], None]) -> None:
+        self._pilot = pilot
+        self._directory = directory
+        self._on_event = on_event
+        self._wanted = False
+        self._file: TraceFile | None = None
+
+    @property
+    def path(self) -> Path | None:
+        """Of the file that is written now."""
+        return None if self._file is None else self._file.path
+
+    def record(self, on: bool) -> Path | None:
+        """From now on, also of what is flown later. The path of the file that is written, or was until now; None if
+        there is none yet."""
+        self._wanted = on
+        if on and self._pilot.active:
+            self.begin()
+        path = self.path
+        if not on:
+            self.end()
+        return path
+
+    def begin(self) -> None:
+        """The pilot has begun. Without effect while nobody wants a trace, or one is written."""
+        if not self._wanted or self._file is not None or self._pilot.frame is None:
+            return
+        anchor = self._pilot.frame.origin
+        head = TraceHead(self._pilot.vehicle.name, anchor.lat_deg, anchor.lon_deg, anchor.alt_amsl_m)
+        try:
+            self._file = TraceFile(self._directory, head)
+        except OSError as error:
+            self._give_up(error)
+            return
+        self._pilot.tracing = True
+
+    def write(self, tick: Tick) -> None:
+        """What a tick carries for the trace, if it does."""
+        if tick.row is None or self._file is None or tick.before is None or tick.after is None:
+            return
+        try:
+            self._file.write(tick.row, self._pilot.config.law, tick.before, tick.after)
+        except OSError as error:
+            self._give_up(error)
+
+    def end(self) -> None:
+        """The pilot has ended, or nobody wants the trace any more. Idempotent."""
+        file, self._file, self._pilot.tracing = self._file, None, False
+        if file is not None:
+            try:
+                file.close()
+            except OSError as error:
+                self._give_up(error)
+
+    def _give_up(self, error: OSError) -> None:
+        file, self._file, self._pilot.tracing = self._file, None, False
+        if file is not None:
+            with contextlib.suppress(OSError):  # of what could not be written, which is told below
+                file.close()
+        vehicle = self._pilot.vehicle
+        text = f"its control is traced no more: {error.strerror or error}"
+        self._on_event(Event("warning", vehicle.name, vehicle.sysid, text, {}))
 
 
 def _free(directory: Path, name: str) -> Path:

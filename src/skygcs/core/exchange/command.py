@@ -27,7 +27,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Any
+from typing import Any, Self
 
 from skygcs.core.exchange.base import Effect, Exchange, Finish, Report, Transmit
 
@@ -85,6 +85,11 @@ class Outcome:
     attempts: int = 0
     elapsed_s: float = 0.0
     status_texts: tuple[str, ...] = ()
+
+    @classmethod
+    def refused(cls, why: str) -> Self:
+        """By skygcs, before anything was sent."""
+        return cls(False, "refused", f"refused: {why}")
 
     def as_dict(self) -> dict[str, Any]:
         return {
