@@ -1,0 +1,278 @@
+"""Checks against plain facts: what the simulated vehicles do not tell, both generations of names, bad input."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from skygcs.core.mavlink.param import Param, Value
+from skygcs.core.preflight import health, settings
+from skygcs.core.preflight.expectations import Expectations
+from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
+from skygcs.core.preflight.losses import LossWindow
+from skygcs.core.preflight.report import Report, Severity, Verdict, failed, passed, unknown
+from skygcs.core.preflight.rules import Rule
+from skygcs.core.preflight.table import CHECKS, examine, needed_messages, needed_params
+
+STATE: dict[str, Any] = {
+    "name": "alpha",
+    "sysid": 1,
+    "autopilot": "ardupilot",
+    "connected": True,
+    "duplicate_sysid": False,
+    "replayed": False,
+    "last_heartbeat_age_s": 0.5,
+    "failsafe": False,
+    "armed": False,
+    "mode": "STABILIZE",
+    "system_status": "standby",
+    "firmware": "4.6.2",
+    "clock_offset_s": 0.1,
+    "status_texts": [],
+    **dict.fromkeys(("estimator", "position", "gps", "sensors", "battery", "home")),
+}
+
+
+def facts(answers: dict[str, Value | None] | None = None, **state: Any) -> Facts:
+    """``answers``: None is a name the vehicle has not."""
+    told = {n: Answer(absent=True) if v is None else Answer(Param(n, v)) for n, v in (answers or {}).items()}
+    return Facts(state={**STATE, **state}, answers=told)
+
+
+WANTED = Expectations()
+ATTITUDE = Expectations(control="attitude")
+
+
+def test_nothing_told_is_no_pass() -> None:
+    report = examine(facts(), WANTED)
+    assert not report.ok
+    unknowns = {f.check for f in report.findings if f.verdict is Verdict.UNKNOWN}
+    assert unknowns >= {"estimator", "position", "gps fix", "sensors", "battery", "loss"}
+    assert all(f.todo for f in report.complaints)
+
+
+@pytest.mark.parametrize("state", [{"connected": False}, {"replayed": True}, {"duplicate_sysid": True}])
+def test_of_who_cannot_be_asked_only_that_is_said(state: dict[str, bool]) -> None:
+    report = examine(facts(**state), WANTED)
+    assert len(report.findings) == 3 and len(report.complaints) == 1
+
+
+def test_worst_first_and_what_is_not_known_last() -> None:
+    findings = [
+        unknown("d", "").named("d", Severity.DANGER),
+        failed("b", "").named("b", Severity.FAULT),
+        passed("a").named("a", Severity.DANGER),
+        failed("n", "").named("n", Severity.NOTE),
+        failed("c", "", severity=Severity.DANGER).named("c", Severity.NOTE),
+    ]
+    report = Report(tuple(findings))
+    assert [f.check for f in report.complaints] == ["c", "b", "n", "d"]
+    assert report.summary() == "c; b; and 2 more"
+
+
+@pytest.mark.parametrize("name", ["SYSID_THISMAV", "MAV_SYSID"])
+def test_either_generations_name_is_found(name: str) -> None:
+    answers = {"SYSID_THISMAV": Answer(Param(name, 9))}  # as VehicleParams answers: by the vehicle's own name
+    finding = settings.sysid(Facts(state=STATE, answers=answers), WANTED)
+    assert finding.verdict is Verdict.FAIL and f"set {name} to 1" in finding.todo
+
+
+@pytest.mark.parametrize(
+    ("answers", "verdict", "says"),
+    [
+        ({"RTL_ALT": 1500}, Verdict.PASS, "15 m"),
+        ({"RTL_ALT": None, "RTL_ALT_M": 15.0}, Verdict.PASS, "15 m"),
+        ({"RTL_ALT": 20000}, Verdict.FAIL, "at 200 m (0 to 120 m)"),
+        ({"RTL_ALT": None, "RTL_ALT_M": 200.0}, Verdict.FAIL, "RTL_ALT_M is 200"),
+        ({"RTL_ALT": 0}, Verdict.PASS, "at the height it is at"),
+        ({"RTL_ALT": None, "RTL_ALT_M": None}, Verdict.SKIPPED, "has no"),
+    ],
+)
+def test_return_heights_in_either_unit(answers: dict[str, Value | None], verdict: Verdict, says: str) -> None:
+    finding = settings.rtl_height(facts(answers), WANTED)
+    assert finding.verdict is verdict and says in finding.text
+
+
+def test_the_fix_of_a_return_height_is_in_its_own_unit() -> None:
+    low = Expectations(rtl_height_m=(3.0, 12.5))
+    assert settings.rtl_height(facts({"RTL_ALT": 1500}), low).fixes[0].value == 1250
+    (fix,) = settings.rtl_height(facts({"RTL_ALT": None, "RTL_ALT_M": 15.0}), low).fixes
+    assert (fix.name, fix.value) == ("RTL_ALT_M", 12.5)
+
+
+@pytest.mark.parametrize(
+    ("answers", "acts"),
+    [
+        ({"FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_ALT_MAX": 10.0}, True),
+        ({"FENCE_ENABLE": 0, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_ALT_MAX": 10.0}, False),
+        ({"FENCE_ENABLE": 1, "FENCE_ACTION": 0, "FENCE_TYPE": 7, "FENCE_ALT_MAX": 10.0}, False),
+        ({"FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 6, "FENCE_ALT_MAX": 10.0}, False),
+    ],
+)
+def test_a_return_through_the_fences_ceiling(answers: dict[str, Value | None], acts: bool) -> None:
+    finding = settings.rtl_height(facts({"RTL_ALT": 1500, **answers}), WANTED)
+    assert (finding.severity is Severity.DANGER) is acts
+
+
+def test_a_required_fence() -> None:
+    wanted = Expectations(geofence_required=True)
+    assert settings.geofence(facts({"FENCE_ENABLE": 0}), wanted).fixes[0].value == 1
+    px4 = facts({"GF_ACTION": 2, "GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0}, autopilot="px4")
+    assert settings.geofence(px4, wanted).verdict is Verdict.FAIL
+    assert settings.geofence(px4, WANTED).verdict is Verdict.SKIPPED
+
+
+def test_attitude_without_the_option_is_refused_as_control_refuses_it() -> None:
+    finding = settings.thrust(facts({"GUID_OPTIONS": None}), ATTITUDE)
+    assert finding.verdict is Verdict.FAIL and "since 4.1" in finding.todo
+    (fix,) = settings.thrust(facts({"GUID_OPTIONS": 3}), ATTITUDE).fixes
+    assert fix.value == 11
+
+
+def test_a_setpoint_timeout_must_outlast_lost_setpoints_but_not_by_attitude() -> None:
+    slow = Expectations(control="position", setpoint_hz=2.0)
+    px4 = facts({"COM_OF_LOSS_T": 1.0}, autopilot="px4")
+    finding = settings.setpoint_timeout(px4, slow)
+    assert "3 lost ones take 1.50 s" in finding.text and finding.fixes[0].value == 1.5
+    long = facts({"COM_OF_LOSS_T": 5.0}, autopilot="px4")
+    assert settings.setpoint_timeout(long, slow).verdict is Verdict.PASS
+    assert settings.setpoint_timeout(long, ATTITUDE).severity is Severity.DANGER
+
+
+def test_sticks_save_who_has_them() -> None:
+    px4 = facts({"COM_OBL_RC_ACT": 0, "COM_RC_IN_MODE": 0}, autopilot="px4")
+    assert settings.setpoint_loss(px4, ATTITUDE).verdict is Verdict.PASS
+    assert settings.setpoint_loss(px4, Expectations(control="attitude", transmitter=False)).verdict is Verdict.FAIL
+
+
+def test_a_transmitter_that_belongs_to_it_must_be_heard() -> None:
+    wanted = Expectations(transmitter=True)
+    assert settings.transmitter(facts({"FS_THR_ENABLE": 0}), wanted).verdict is Verdict.FAIL
+    off = facts({"COM_RC_IN_MODE": 4}, autopilot="px4")
+    assert settings.transmitter(off, wanted).fixes[0].value == 0
+
+
+def test_an_answer_that_did_not_come_is_not_known() -> None:
+    lost = Facts(state=STATE, answers={"FS_GCS_ENABLE": Answer(why="no answer in 7 s")})
+    finding = settings.gcs_id(lost, WANTED)
+    assert finding.verdict is Verdict.UNKNOWN and "no answer in 7 s" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("firmware", "least", "ok"),
+    [
+        ("4.6.2", "4.6", True),
+        ("4.6.2", "4.7", False),
+        ("1.16.0-rc2", "1.16.0", False),
+        ("1.16.0", "1.16.0-rc2", True),
+        ("1.16.0-beta10", "1.16.0-beta9", True),
+        ("1.9.0", "1.14", False),
+        (None, "1.14", None),
+    ],
+)
+def test_versions_are_compared_as_versions(firmware: str | None, least: str, ok: bool | None) -> None:
+    finding = health.firmware(facts(firmware=firmware), Expectations(firmware_min=least))
+    assert finding.verdict is {True: Verdict.PASS, False: Verdict.FAIL, None: Verdict.UNKNOWN}[ok]
+
+
+def test_an_exact_version() -> None:
+    wanted = Expectations(firmware=("4.6.1", "4.6.3"))
+    assert "must be 4.6.1 or 4.6.3" in health.firmware(facts(), wanted).text
+
+
+def test_sensors_by_name() -> None:
+    part = {
+        "present": ["gps", "3d_mag"],
+        "enabled": ["gps", "3d_mag"],
+        "health": ["gps"],
+        "unhealthy": ["3d_mag"],
+        "age_s": 1.0,
+    }
+    text = [{"text": "PreArm: Compass not healthy", "age_s": 3.0, "level": 2}]
+    finding = health.sensors(facts(sensors=part, status_texts=text), WANTED)
+    assert finding.text == "sensors unhealthy: 3d_mag (PreArm: Compass not healthy)"
+    assert health.sensors(facts(sensors=part), Expectations(sensors_ignored=("3d_mag",))).verdict is Verdict.PASS
+    wanted = Expectations(sensors_ignored=("3d_mag",), sensors_required=("rangefinder",))
+    assert "not there or off: rangefinder" in health.sensors(facts(sensors=part), wanted).text
+    assert health.sensors(facts(sensors={**part, "age_s": 60.0}), WANTED).verdict is Verdict.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "firmware", "present", "healthy", "verdict"),
+    [
+        ("ardupilot", "4.6.2", True, True, Verdict.PASS),
+        ("ardupilot", "4.6.2", True, False, Verdict.FAIL),
+        ("ardupilot", "3.6.0", False, False, Verdict.SKIPPED),
+        ("px4", "1.16.0", False, True, Verdict.PASS),  # PX4 sets the bit of health alone
+        ("px4", "1.16.0", False, False, Verdict.FAIL),
+        ("px4", "1.12.3", False, False, Verdict.SKIPPED),
+        ("px4", None, False, False, Verdict.SKIPPED),
+    ],
+)
+def test_arming_checks(autopilot: str, firmware: str | None, present: bool, healthy: bool, verdict: Verdict) -> None:
+    bit = ["prearm_check"]
+    part = {
+        "present": bit * present,
+        "enabled": bit * present,
+        "health": bit * healthy,
+        "unhealthy": bit * (present and not healthy),
+        "age_s": 1.0,
+    }
+    told = facts(autopilot=autopilot, firmware=firmware, sensors=part)
+    assert health.prearm(told, WANTED).verdict is verdict
+
+
+def test_a_fleet_indoors() -> None:
+    inside = Expectations(gps_fix_min="no_gps", estimator=False, home_max_m=0, clock_max_s=0)
+    gone = {"estimator", "position", "gps fix", "satellites", "hdop", "home", "clock"}
+    told = {f.check: f.verdict for f in examine(facts(), inside).findings}
+    assert {told[name] for name in gone} == {Verdict.SKIPPED}
+
+
+def test_the_best_of_parallel_links_counts() -> None:
+    links = {"radio": LinkFacts(0.4, 200, 5.0), "wifi": LinkFacts(0.01, 200)}
+    assert health.loss(Facts(state=STATE, links=links), WANTED).verdict is Verdict.PASS
+    assert health.radio_margin(Facts(state=STATE, links=links), WANTED).verdict is Verdict.FAIL
+
+
+def test_each_parameter_is_read_once_and_an_empty_rule_is_none() -> None:
+    wanted = Expectations(params={"MAV_SYS_ID": Rule(one_of=(1,)), "A": Rule(), "B": Rule(least=1)}, control="attitude")
+    names = needed_params("px4", wanted)
+    assert len(names) == len(set(names))
+    flat = [n for group in names for n in group]
+    assert flat.count("MAV_SYS_ID") == 1 and "A" not in flat and "B" in flat and "COM_OBL_RC_ACT" in flat
+    assert needed_params("generic", Expectations()) == ()
+
+
+def test_each_autopilot_is_asked_for_its_own_estimator() -> None:
+    assert "ESTIMATOR_STATUS" in needed_messages("px4") and "EKF_STATUS_REPORT" not in needed_messages("px4")
+    assert "EKF_STATUS_REPORT" in needed_messages("ardupilot")
+
+
+@pytest.mark.parametrize("family", ["px4", "ardupilot"])
+def test_every_parameter_a_check_looks_at_is_asked_for(family: str) -> None:
+    """A check that looks at more than its line of the table says would call it not known."""
+    wanted = Expectations(control="attitude", transmitter=False, geofence_required=True)
+    asked = {n: Answer(Param(n, 1)) for group in needed_params(family, wanted) for n in group}
+    told = examine(Facts(state={**STATE, "autopilot": family}, answers=asked), wanted)
+    assert not [f.text for f in told.findings if "it was not asked for" in f.text]
+
+
+def test_names_of_checks_are_different() -> None:
+    assert len({check.name for check in CHECKS}) == len(CHECKS)
+
+
+def test_losses_of_the_last_while() -> None:
+    window = LossWindow()
+    assert window.loss() is None
+    window.sample(1000, 900, 0.0)  # what was lost long ago
+    window.sample(1010, 900, 1.0)
+    assert window.loss() is None and window.frames() == 10
+    window.sample(1030, 910, 2.0)
+    assert window.loss() == pytest.approx(10 / 40)
+    for second in range(3, 60):
+        window.sample(1030 + 10 * second, 910, float(second))
+    assert window.loss() == 0.0
+    window.sample(5, 0, 60.0)  # the counters began anew
+    assert window.loss() is None
