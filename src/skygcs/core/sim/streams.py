@@ -23,6 +23,10 @@ class Streams:
         self._next: dict[str, float] = {}
         self._soonest = NEVER
         self._chance = chance
+        self.slowdown_s = 0.0
+        """Added to every interval but the heartbeat's: what a full radio does to ArduPilot's streams."""
+        self.rate_factor = 1.0
+        """Of every rate but the heartbeat's: what it does to PX4's."""
         for name, rate_hz in defaults.items():
             self.set_default(name, rate_hz, now)
 
@@ -58,8 +62,11 @@ class Streams:
             return []
         names = [name for name, at in self._next.items() if at <= now]
         for name in names:
-            following = self._next[name] + self._interval[name]
+            interval = self._interval[name]
+            if name != "HEARTBEAT":
+                interval = interval / self.rate_factor + self.slowdown_s
+            following = self._next[name] + interval
             # a deadline missed by more than a whole interval (a rate above the tick's) is not made up for
-            self._next[name] = following if following > now else now + self._interval[name]
+            self._next[name] = following if following > now else now + interval
         self._soonest = min(self._next.values(), default=NEVER)
         return names
