@@ -33,6 +33,13 @@ def _version(text: str) -> str:
     return text
 
 
+def _span(span: tuple[float, float]) -> tuple[float, float]:
+    if span[0] > span[1]:
+        raise ValueError("is [least, most], and the first is above the second")
+    return span
+
+
+Span = Annotated[tuple[Limit, Limit], AfterValidator(_span)]
 ParamName = Annotated[str, AfterValidator(_param_name)]
 Version = Annotated[str, AfterValidator(_version)]
 
@@ -103,17 +110,11 @@ class PreflightSettings(Model):
     firmware: Version | tuple[Version, ...] | None = None
     loss_max_percent: Annotated[float, Field(ge=0, le=100)] | None = None
     radio_margin_min_db: Annotated[float, Field(ge=0, le=100)] | None = None
-    rtl_height_m: Annotated[tuple[Limit, Limit], Field(description="[least, most] in metres")] | None = None
+    rtl_height_m: Span | None = None
     geofence_required: bool | None = None
     transmitter: bool | None = None
     control_way: Way | Literal["none"] | None = None
     """How skygcs is to fly it; unless said "attitude" where there is a control table, else "none"."""
-
-    @model_validator(mode="after")
-    def _heights(self) -> PreflightSettings:
-        if self.rtl_height_m is not None and self.rtl_height_m[0] > self.rtl_height_m[1]:
-            raise ValueError("rtl_height_m is [least, most], and the first is above the second")
-        return self
 
     def over(self, lower: PreflightSettings) -> PreflightSettings:
         """These settings, and where they say nothing those of ``lower``; params by name."""
