@@ -12,7 +12,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,9 +42,12 @@ class FakeOutcome:
     attempts: int = 1
     elapsed_s: float = 0.1
     status_texts: tuple[str, ...] = ()
+    more: Mapping[str, Any] = field(default_factory=dict)
+    """Further keys of `as_dict`."""
 
     def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        told = asdict(self)
+        return {**told, **told.pop("more")}
 
 
 class FakeMissions:
@@ -70,6 +73,17 @@ class FakeVehicle:
         self.params: Any = None
         self.missions = FakeMissions()
         self.stored_plan = MissionPlan()
+        self.fence: dict[str, Any] = {
+            "enabled": True,
+            "action": "return",
+            "radius_m": 50.0,
+            "height_m": None,
+            "follows_list": True,
+            "breached": None,
+            "breaches": None,
+            "from_home_m": 1.25,
+            "last_text": None,
+        }
         self.orders: list[tuple[str, dict[str, Any]]] = []
         self.cancelled = 0
         self.finished: list[str] = []
@@ -153,6 +167,19 @@ class FakeVehicle:
 
     async def clear_plan(self, **arguments: Any) -> FakeOutcome:
         return await self._order("clear_plan", **arguments)
+
+    async def set_fence(self, **arguments: Any) -> FakeOutcome:
+        return self._fenced(await self._order("set_fence", **arguments))
+
+    async def read_fence(self) -> FakeOutcome:
+        return self._fenced(await self._order("read_fence"))
+
+    async def test_fence(self, **arguments: Any) -> FakeOutcome:
+        outcome = self._fenced(await self._order("test_fence", **arguments))
+        return replace(outcome, more={**outcome.more, "record": {"file": "logs/fence-test-alpha.json"}})
+
+    def _fenced(self, outcome: FakeOutcome) -> FakeOutcome:
+        return replace(outcome, more={"fence": self.fence if outcome.ok else None, "record": None})
 
     async def start_mission(self, **arguments: Any) -> FakeOutcome:
         return await self._order("start_mission", **arguments)
@@ -427,6 +454,11 @@ class FakeDaemon:
         self.sent.append((name, fields, target, link))
         note = {"note": f"{name} has no target field: bravo got it as well"} if target == "alpha,carol" else {}
         return {"sent": 0 if link == "dead" else 1, "message": name, **note}
+
+    @property
+    def followed(self) -> bool:
+        """Whether anybody has subscribed to events."""
+        return bool(self._on_event)
 
     def subscribe_events(self, callback: Callable[[Mapping[str, Any]], None]) -> Callable[[], None]:
         self._on_event.append(callback)

@@ -14,9 +14,9 @@ from typer.core import TyperGroup
 from skygcs import __version__
 from skygcs.cli import (
     emergency,
+    fences,
     gains,
     loops,
-    mission_flight,
     orders,
     origin,
     plot,
@@ -126,7 +126,7 @@ app.add_typer(links, name="links", rich_help_panel="Looking")
 app.add_typer(origin.app, name="origin", rich_help_panel="Orders")
 app.add_typer(tlog, name="tlog", rich_help_panel="Looking")
 app.add_typer(missions, name="mission")
-mission_flight.add_to(app)
+fences.add_to(app)
 app.add_typer(radios, name="radio")
 app.add_typer(link, name="link")
 app.add_typer(params, name="param")

@@ -18,7 +18,9 @@ from skygcs.cli.orders import tell_outcomes
 from skygcs.errors import PlanFileError
 from skygcs.rpc.client import Client
 
-fences = typer.Typer(help="Geofences, as polygons and circles of a plan.", no_args_is_help=True)
+fences = typer.Typer(
+    help="Geofences: of parameters, about home, and polygons and circles of a plan.", no_args_is_help=True
+)
 
 Lists = Annotated[
     list[ListName] | None,
@@ -110,7 +112,15 @@ def _current(
 @missions.command("status")
 def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
     """Show where vehicles are in their missions."""
-    _tell_status(targets, json_output, _mission_line)
+
+    async def command(gcs: Client) -> None:
+        told = await gcs.call("missions.status", targets=targets)
+        if json_output:
+            typer.echo(json.dumps(told, indent=2))
+        for status in () if json_output else told:
+            typer.echo(_mission_line(status))
+
+    run(command)
 
 
 @missions.command("watch")
@@ -166,16 +176,6 @@ def _fence_clear(
 ) -> None:
     """Remove the vehicles' fences."""
     _order("missions.clear", targets, json_output, lists=["fence"], force=force)
-
-
-@fences.command("status")
-def _fence_status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Show what fences vehicles hold, and breaches where they tell of them (ArduPilot)."""
-    _tell_status(targets, json_output, _fence_line)
-
-
-def add_to(app: typer.Typer) -> None:
-    app.add_typer(fences, name="fence")
 
 
 def _order(method: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
@@ -251,17 +251,6 @@ def _write(file: Path, plan: str | None, lists: list[str]) -> None:
     typer.echo(f"written to {file}", err=True)
 
 
-def _tell_status(targets: str, json_output: bool, line: Any) -> None:
-    async def command(gcs: Client) -> None:
-        told = await gcs.call("missions.status", targets=targets)
-        if json_output:
-            typer.echo(json.dumps(told, indent=2))
-        for status in () if json_output else told:
-            typer.echo(line(status))
-
-    run(command)
-
-
 def _mission_line(status: dict[str, Any]) -> str:
     count = status["counts"]["mission"]
     parts = [f"{status['vehicle']:<10}"]
@@ -278,18 +267,6 @@ def _mission_line(status: dict[str, Any]) -> str:
     if status["transfer"] is not None:
         percent = status["transfer"]["percent"]
         parts.append(status["transfer"]["what"] + ("" if percent is None else f" {percent} %"))
-    return "  ".join(parts)
-
-
-def _fence_line(status: dict[str, Any]) -> str:
-    count = status["counts"]["fence"]
-    parts = [f"{status['vehicle']:<10}"]
-    parts.append("fence not read yet" if count is None else f"{count} fence items" if count else "no fence")
-    fence = status["fence"]
-    if fence is not None:
-        breaches = fence["breach_count"]
-        parts.append(f"OUTSIDE, type {fence['breach_type']}" if fence["breach_status"] else "inside")
-        parts.append(f"{breaches} breach{'' if breaches == 1 else 'es'} since boot")
     return "  ".join(parts)
 
 

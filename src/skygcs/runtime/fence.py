@@ -27,8 +27,8 @@ LOOK_S = 0.25
 ASK_S = 1.0
 """FENCE_STATUS is asked for once a second: on foot nobody gets far in that time."""
 
-AFTER_S = 4.0
-"""From the first sign of a breach: what the vehicle does about it shows with its next heartbeats."""
+AFTER_S = 12.0
+"""From the first sign of a breach: a PX4 holds for COM_FAIL_ACT_T (5 s) before it acts, for a pilot to take over."""
 
 STATUS_S = 3.0
 

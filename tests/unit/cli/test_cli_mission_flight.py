@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,17 @@ class Site:
         assert result.exit_code == code, result.output + repr(result.exception)
         assert "Traceback" not in result.output
         return result.output
+
+    def when_followed(self, happen: Callable[[], None]) -> None:
+        """Do it as soon as somebody follows the events."""
+
+        def look() -> None:
+            if self.daemon.followed:
+                happen()
+            else:
+                self.loop.call_later(0.05, look)
+
+        self.loop.call_soon_threadsafe(look)
 
     def asked(self, name: str = "alpha") -> tuple[str, dict[str, Any]]:
         return self.daemon.vehicle(name).orders[-1]
@@ -167,7 +178,7 @@ def test_watch_shows_the_status_and_then_what_concerns_missions(site: Site) -> N
         emit("command", "alpha", "mission upload: in progress 10 %", order="mission upload")
         emit("mission", "alpha", "reached item 2 of 4", reached=2)
 
-    site.loop.call_soon_threadsafe(site.loop.call_later, 0.5, happen)
+    site.when_followed(happen)
     lines = site.run("mission", "watch", "alpha", "--count", "2").splitlines()
     assert [line.rpartition("alpha")[2] for line in lines] == [
         "       no item told yet",
@@ -177,9 +188,36 @@ def test_watch_shows_the_status_and_then_what_concerns_missions(site: Site) -> N
 
 
 def test_fence_status_tells_what_is_held_and_breaches(site: Site) -> None:
-    site.daemon.vehicle("alpha").missions.told["counts"]["fence"] = 5
-    assert "alpha       5 fence items" in site.run("fence", "status", "alpha")
-    assert "bravo       fence not read yet" in site.run("fence", "status", "bravo")
+    alpha = site.daemon.vehicle("alpha")
+    alpha.missions.told["counts"]["fence"] = 5
+    said = site.run("fence", "status", "alpha")
+    assert "5 fence items" in said and "1.2 m from home" in said and "breach" not in said
+    assert "polygons and circles not read yet" in site.run("fence", "status", "bravo")
+    alpha.fence |= {"breached": True, "breaches": 2, "follows_list": False, "last_text": "Circle fence breached"}
+    said = site.run("fence", "status", "alpha", code=FAILED)
+    assert "not watched" in said and "2 breaches since boot" in said and 'last said "Circle fence breached"' in said
+    told = json.loads(site.run("fence", "status", "alpha", "--json", code=FAILED))
+    assert told["outcomes"]["alpha"]["fence_items"] == 5
+
+
+def test_a_fence_is_set_by_what_is_given(site: Site) -> None:
+    site.run("fence", "set", "alpha", "--radius", "40", "--action", "return")
+    assert site.asked() == ("set_fence", {"radius_m": 40.0, "height_m": None, "action": "return"})
+    assert "give --radius" in site.run("fence", "set", "alpha", code=USAGE)
+    site.run("fence", "set", "alpha", "--action", "explode", code=USAGE)
+    site.run("fence", "set", "alpha", "--radius", "-1", code=USAGE)
+    site.run("fence", "set", "alpha", "--height", "nan", code=USAGE)
+
+
+def test_a_fence_is_tested_only_by_who_says_that_the_propellers_are_off(site: Site) -> None:
+    said = site.run("fence", "test", "alpha", code=FAILED)
+    assert "Take the propellers off" in said and "--yes" in said
+    assert site.daemon.vehicle("alpha").orders == []
+    said = site.run("fence", "test", "alpha", "--yes", "--radius", "3")
+    assert site.asked() == ("test_fence", {"radius_m": 3.0, "action": "return", "timeout_s": 120.0})
+    assert "recorded in logs/fence-test-alpha.json" in said
+    told = json.loads(site.run("fence", "test", "alpha", "--yes", "--json"))
+    assert told["outcomes"]["alpha"]["record"]["file"]
 
 
 def test_a_plan_with_a_wrong_version_is_a_wrong_parameter_of_the_rpc(site: Site) -> None:

@@ -164,6 +164,7 @@ class Px4Vehicle(SimVehicle):
 
     def on_boot(self, now: float) -> None:
         self.mode: int = Px4Mode.LOITER
+        self._mode_after_disarming: int = Px4Mode.LOITER
         self.failsafe = False
         self.cruise_mps = 0.0
         self.setpoint_at = -1e9
@@ -177,6 +178,7 @@ class Px4Vehicle(SimVehicle):
     def on_tick(self, now: float) -> None:
         if self.mode == Px4Mode.TAKEOFF and self.plan.arrived and not self.landed:
             self.mode = Px4Mode.LOITER
+            self.intend(self.mode)
             self.taking_off = False
         if self.mode == Px4Mode.MISSION and self.armed:
             self.run.step(self, now)
@@ -198,9 +200,8 @@ class Px4Vehicle(SimVehicle):
         self.disarm()
         self.failsafe = False
         self.say_event(m.MAV_SEVERITY_INFO, text)
-        if self.mode in (Px4Mode.LAND, Px4Mode.RTL, Px4Mode.TAKEOFF, Px4Mode.PRECLAND, Px4Mode.MISSION):
-            self.run.leave()
-            self.mode = Px4Mode.LOITER
+        self.run.leave()
+        self.mode = self._mode_after_disarming
 
     def on_takeoff(self, now: float) -> None:
         self.say_event(m.MAV_SEVERITY_INFO, "Takeoff detected")
@@ -220,8 +221,14 @@ class Px4Vehicle(SimVehicle):
             reason = f": {self.faults.refuse_mode}" if self.faults.refuse_mode else ""
             self.say_event(m.MAV_SEVERITY_CRITICAL, f"Switching to {name} is currently not possible{reason}")
             return False
+        self.intend(mode)
         self.enter(mode, now)
         return True
+
+    def intend(self, mode: int) -> None:
+        """Somebody wants this mode: the last one in which it may be armed is what it disarms into."""
+        if mode not in NO_ARMING_MODES:
+            self._mode_after_disarming = mode
 
     def _may_enter(self, mode: int, now: float) -> bool:
         if mode not in Px4Mode._value2member_map_ or mode == Px4Mode.READY:

@@ -36,6 +36,7 @@ class Px4Run(MissionRun):
 
     def finish(self, v: SimVehicle, now: float) -> None:
         _px4(v).say_event(m.MAV_SEVERITY_INFO, "Mission finished, loitering")
+        _px4(v).intend(Px4Mode.LOITER)
         _px4(v).enter(Px4Mode.LOITER, now)
 
     def land_mps(self, v: SimVehicle) -> float:

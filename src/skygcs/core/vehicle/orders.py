@@ -46,8 +46,19 @@ INT32 = 1 << 31
 FORCE_HINT = "insist with force (--force)"
 
 
+FLIES_OFF = frozenset({"AUTO.MISSION", "AUTO.TAKEOFF"})
+"""Modes of a PX4 in which arming is taking off."""
+
+
 def arm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
+    """Raises RefusedError where the motors would not just turn: a PX4 goes back to AUTO.MISSION when it disarms after a
+    mission, and flies it again as soon as it is armed."""
     require_connected(vehicle, now)
+    if not force and vehicle.family == "px4" and vehicle.mode in FLIES_OFF and not vehicle.armed:
+        raise RefusedError(
+            f"it is in {vehicle.mode} and would take off at once; set another mode first (AUTO.LOITER), or start what "
+            f"it is to do (mission start, takeoff); {FORCE_HINT}"
+        )
     return autopilot.arm(force=force)
 
 

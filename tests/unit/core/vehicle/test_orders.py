@@ -219,3 +219,14 @@ def test_streams_frames_commands_and_messages_are_found_by_name_or_number() -> N
             bad()
     with pytest.raises(RefusedError, match="no frame 'NOWHERE'"):
         orders.raw_command(vehicle, NOW, dialect, 192, [], int_frame="NOWHERE")
+
+
+@pytest.mark.parametrize("mode", [4 << 16 | 4 << 24, 4 << 16 | 2 << 24])
+def test_a_px4_that_would_take_off_when_armed_is_not_armed_by_itself(mode: int) -> None:
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    vehicle.on_frame(voice.beat(PX4, mode), NOW)
+    with pytest.raises(RefusedError, match="would take off at once"):
+        orders.arm(vehicle, NOW)
+    assert orders.arm(vehicle, NOW, force=True).steps
+    vehicle.on_frame(voice.beat(PX4, PX4_LOITER), NOW)
+    assert orders.arm(vehicle, NOW).steps
