@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.preflight import PreflightSettings
+from skygcs.config.radio import EmulatedRadio, RadioKeys
 from skygcs.config.signing import SigningSettings
 from skygcs.core.geo import EAST_DEG
 from skygcs.core.streams import DEFAULT_RATES_HZ
@@ -108,7 +109,7 @@ class LinkCommon(Model):
     """Check the signature of what comes and sign what is ours."""
 
 
-class SerialLink(LinkCommon):
+class SerialLink(RadioKeys, LinkCommon):
     """A serial port: a radio, a telemetry cable, a pty."""
 
     type: Literal["serial"] = "serial"
@@ -185,7 +186,7 @@ class MemoryLink(LinkCommon):
     seed: int = 1
 
 
-class SimulatedLink(LinkCommon):
+class SimulatedLink(RadioKeys, LinkCommon):
     """Simulated vehicles inside the daemon: no sockets, the same bytes."""
 
     type: Literal["simulated"] = "simulated"
@@ -209,6 +210,8 @@ class SimulatedLink(LinkCommon):
     sensor_latency_s: Annotated[float, Field(ge=0, le=2)] = 0.0
     params: Path | None = None
     """A parameter file, taken in by the vehicles of its firmware when they are powered up."""
+    radio: EmulatedRadio | None = None
+    """Radios between the daemon and the vehicles; None: a wire without end. Paced while the role is "radio"."""
 
 
 LinkConfig = (

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Hashable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from skygcs.config.models import LinkConfig
 from skygcs.core.airtime import Priority
@@ -19,6 +19,9 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
+
+if TYPE_CHECKING:
+    from skygcs.links.paced import AirBudget
 
 MAX_SOURCES_PER_CHANNEL = 512
 """Bound of the per-source table of one channel; what comes from further sources is counted together."""
@@ -106,6 +109,8 @@ class Channel(ABC):
         self.version = 2
         self.signing: ChannelSigning | None = None
         """Set by the host when it attaches the channel of a link that has a key."""
+        self.air: AirBudget | None = None
+        """Of a channel into a radio: what it may send."""
         self.opened_at = link.loop.time()
         self.last_rx_at = self.opened_at
         self.rx_frames = 0

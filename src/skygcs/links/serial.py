@@ -16,6 +16,7 @@ from itertools import cycle
 import serial
 
 from skygcs.config import models
+from skygcs.config.radio import radio_rates
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
 from skygcs.links.stream import StreamChannel
@@ -57,6 +58,7 @@ class SerialLink(Link):
                 self._on_broken,
                 outstanding=partial(_bytes_outstanding, fd),
                 bytes_per_s=self.baud / BITS_PER_BYTE,
+                radio=radio_rates(self.config, self.baud) if self.config.role == "radio" else None,
             )
             self.host.attach(self._channel)
         except BaseException:
@@ -117,6 +119,8 @@ class SerialLink(Link):
             return
         self.baud = baud
         channel.bytes_per_s = baud / BITS_PER_BYTE
+        if channel.air is not None:
+            channel.air.set_baud(baud, self.loop.time())
         self._scan = self.loop.call_later(TRY_BAUD_S, self._try_next_baud, following)
 
 

@@ -17,9 +17,11 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.sim.conditions import conditions_of
 from skygcs.core.sim.fleet import SimFleet, make_vehicles
 from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.sim.radio_fleet import RadioFleet
 from skygcs.core.sim.vehicle import TICK_S, SimVehicle
 from skygcs.errors import ConfigError, LinkError
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing
+from skygcs.links.simulated_radio import SimulatedRadioChannel, emulated, rates_of
 
 SIM_DIALECT = "ardupilotmega"
 """What the vehicles speak, whatever the daemon's dialect is: it has all of PX4's telemetry sent here as well."""
@@ -56,7 +58,8 @@ class SimulatedVehiclesLink(Link):
         super().__init__(config, host, loop)
         self._fleet = SimFleet([])
         self._uplink: FrameParser | None = None
-        self._channel: SimulatedChannel | None = None
+        self._air: RadioFleet | None = None
+        self._channel: SimulatedChannel | SimulatedRadioChannel | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._next_tick = 0.0
         self._answering = False
@@ -75,7 +78,7 @@ class SimulatedVehiclesLink(Link):
             return
         if self._uplink is None:
             self._power_up()
-        self._channel = SimulatedChannel(self)
+        self._channel = self._new_channel()
         self.host.attach(self._channel)
         self._next_tick = self.loop.time()
         self._tick()
@@ -88,6 +91,19 @@ class SimulatedVehiclesLink(Link):
             channel, self._channel = self._channel, None
             channel.close()
             self.host.detach(channel, "closed")
+
+    @property
+    def radio(self) -> RadioFleet | None:
+        """The emulated radios; None without, or before the link was first opened."""
+        return self._air
+
+    def _new_channel(self) -> SimulatedChannel | SimulatedRadioChannel:
+        config = self.config
+        if self._air is None or config.radio is None:
+            return SimulatedChannel(self)
+        peer = f"{len(self.vehicles)} simulated vehicles behind {config.radio.air_kbps:g} kbit/s"
+        rates = rates_of(config) if config.role == "radio" else None
+        return SimulatedRadioChannel(self, peer, self._air, config.radio.baud, rates)
 
     def uplink(self, raw: bytes) -> None:
         """Bytes from the channel to the vehicles."""
@@ -127,6 +143,8 @@ class SimulatedVehiclesLink(Link):
                 ),
                 params=params,
             )
+            if config.radio is not None:
+                self._air = emulated(config.radio, vehicles, dialect, seed=config.seed, now=self.loop.time())
         except ConfigError as error:
             raise LinkError(f"simulated {self.name}: {error.source}: {'; '.join(error.problems)}") from None
         except ValueError as error:
@@ -150,7 +168,7 @@ class SimulatedVehiclesLink(Link):
         if channel is None:
             return
         now = self.loop.time()
-        sent = self._fleet.step(now)
+        sent = self._fleet.step(now) if self._air is None else self._air.step(now)
         frames = channel.parser.feed(b"".join(sent)) if sent else []
         if frames:
             self.host.on_frames(channel, frames, now)

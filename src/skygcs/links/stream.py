@@ -12,7 +12,9 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 from skygcs.core.airtime import Priority, TxQueue
+from skygcs.core.pacing import RadioRates
 from skygcs.links.base import Channel, Link, Outgoing
+from skygcs.links.paced import AirBudget, flow_of, wire_bytes
 from skygcs.links.readiness import Readiness
 
 RESCUE_AFTER_S = 0.1
@@ -85,7 +87,8 @@ class StreamChannel(Channel):
     ``on_broken(channel, reason)`` is called once, from the loop, after the descriptor reported its end or an error or,
     with ``stuck_after_s``, after the other end took nothing for that long. ``outstanding`` tells how many written bytes
     the kernel still holds and ``bytes_per_s`` how fast they go: with them the kernel's buffer is kept shallow, so that
-    priorities mean something; without, it is filled until it takes no more.
+    priorities mean something; without, it is filled until it takes no more. ``radio``: there is one at the other end,
+    and no more is sent than it bears.
     """
 
     def __init__(
@@ -98,9 +101,12 @@ class StreamChannel(Channel):
         outstanding: Callable[[], int] | None = None,
         bytes_per_s: float = 5760.0,
         stuck_after_s: float | None = None,
+        radio: RadioRates | None = None,
     ) -> None:
         super().__init__(link, peer)
         self.queue: TxQueue[Outgoing] = TxQueue()
+        if radio is not None:
+            self.air = AirBudget(self.queue, radio, link.loop.time())
         self.bytes_per_s = bytes_per_s
         self.intake = StreamIntake(self)
         self._fd = fd
@@ -112,6 +118,7 @@ class StreamChannel(Channel):
         self._blocked = False
         self._progress_at = 0.0
         self._look: asyncio.TimerHandle | None = None
+        self._due: asyncio.TimerHandle | None = None
         self._stuck: asyncio.TimerHandle | None = None
         self._closed = False
         self._readiness = Readiness(link.loop, fd, self._on_ready)
@@ -122,7 +129,13 @@ class StreamChannel(Channel):
             return False
         counters = self.queue.counters[priority]
         lost = counters.dropped + counters.refused
-        taken = self.queue.offer(outgoing, priority, self._loop.time(), key)
+        now = self._loop.time()
+        if self.air is None:
+            taken = self.queue.offer(outgoing, priority, now, key)
+        else:
+            size = wire_bytes(outgoing, signed=self.signing is not None)
+            flow = flow_of(outgoing, self.link.host.dialect)
+            taken = self.queue.offer(outgoing, priority, now, key, size=size, flow=flow)
         self.tx_dropped += counters.dropped + counters.refused - lost
         if not self._blocked and self._look is None:
             self._pump()
@@ -135,10 +148,10 @@ class StreamChannel(Channel):
         self._closed = True
         self._readiness.close()
         self.intake.close()
-        for timer in (self._look, self._stuck):
+        for timer in (self._look, self._due, self._stuck):
             if timer is not None:
                 timer.cancel()
-        self._look = self._stuck = None
+        self._look = self._due = self._stuck = None
         self.tx_dropped += self.queue.clear() + bool(self._rest)
         self._rest = b""
 
@@ -170,6 +183,7 @@ class StreamChannel(Channel):
                     break
                 popped = self.queue.pop(self._loop.time())
                 if popped is None:
+                    self._wait_for_budget()
                     break
                 rest = self.encode(popped[0])
             try:
@@ -201,6 +215,20 @@ class StreamChannel(Channel):
             return True
         self._look = self._loop.call_later(max((held - limit / 2) / self.bytes_per_s, MIN_LOOK_S), self._on_look)
         return False
+
+    def _wait_for_budget(self) -> None:
+        """Go on when the budget bears what is next. What is more urgent and offered meanwhile is tried at once."""
+        if self._due is not None:
+            self._due.cancel()
+            self._due = None
+        at = self.queue.next_send_time(self._loop.time())
+        if at is not None:
+            self._due = self._loop.call_at(at, self._on_due)
+
+    def _on_due(self) -> None:
+        self._due = None
+        if not self._blocked and self._look is None:
+            self._pump()
 
     def _on_look(self) -> None:
         self._look = None

@@ -52,6 +52,8 @@ class LinkWatch:
         """A radio at our end tells of both; a recorded one tells of another day."""
         if channel.config.type == "replay":
             return
+        if channel.air is not None:
+            channel.air.on_radio(frame, channel.tx_bytes, now)
         fields = frame.fields()
         ends = [(fields["rssi"], fields["noise"]), (fields["remrssi"], fields["remnoise"])]
         margins = [(rssi - noise) * DB_PER_COUNT for rssi, noise in ends if 0 < rssi < UNTOLD and noise < UNTOLD]

@@ -1,0 +1,52 @@
+"""What the fleet file says of a radio: how fast it is, how it is shared, and how an emulated one behaves."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from skygcs.core.pacing import RadioRates
+
+Profile = Literal["monitor", "nav", "control", "full", "custom"]
+Nodes = Annotated[int, Field(ge=2, le=64)]
+Kbps = Annotated[float, Field(gt=0, le=10_000)]
+Share = Annotated[float, Field(gt=0, le=1)]
+
+
+class RadioKeys(BaseModel):
+    """Keys of a serial link that count while its role is "radio"."""
+
+    air_speed_kbps: Kbps | None = None
+    """Of a multipoint radio (its AIR_SPEED): its timeslots are counted then."""
+    nodes: Nodes | None = None
+    """Of the multipoint network, the ground's included; None: as many as vehicles are heard, and one."""
+    duty_cycle: Share = 1.0
+    """Of its time in which the radio may send (its DUTY_CYCLE, as a share)."""
+    uplink_share: Share | None = None
+    """Of the serial rate (0.5 unless said) or, with an air speed, of the ground's timeslot (0.9), for the way up."""
+    downlink_share: Share = 0.5
+    """Of the serial rate and of a vehicle's timeslot that the planned streams may fill."""
+    stream_profile: Profile = "custom"
+    """What every vehicle behind it streams if there is room; custom: what its own ``streams`` say."""
+
+
+class EmulatedRadio(BaseModel):
+    """The radios between the daemon and simulated vehicles (`core.sim.tdm`)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    air_kbps: Kbps = 64.0
+    baud: Annotated[int, Field(ge=1200, le=1_000_000)] = 57600
+    nodes: Nodes | None = None
+    """None: one for each vehicle and one."""
+    loss: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    burst_loss: Annotated[float, Field(ge=0, le=0.9)] = 0.0
+    burst_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    rtscts: bool = False
+    distances_m: tuple[Annotated[float, Field(gt=0)], ...] = ()
+
+
+def radio_rates(keys: RadioKeys, baud: int) -> RadioRates:
+    """What a serial link's keys say of the radio at its port."""
+    return RadioRates(baud, keys.air_speed_kbps, keys.nodes, keys.duty_cycle, keys.uplink_share)
