@@ -54,6 +54,7 @@ EVENT_KINDS = (
     "link_up",
     "link_down",
     "route",
+    "signing",
     "recorder",
     "params",
     "warning",

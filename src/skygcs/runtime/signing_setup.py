@@ -155,18 +155,25 @@ class SigningSetup:
                 continue
             finally:
                 remove()
-            message = "it no longer signs" if key is None else f"it signs with key {key_id(key)}{self._left(key)}"
+            message = (
+                "it no longer signs" if key is None else f"it signs with key {key_id(key)}{self._left(vehicle, key)}"
+            )
             return Outcome(True, "accepted", message, number, self._loop.time() - began, tuple(texts))
-        why = "it still signs" if key is None else "nothing it sent was signed with this key"
-        hint = "; it says: " + " / ".join(texts) if texts else "; not every firmware can sign (PX4 1.16 cannot)"
-        return Outcome(False, "timeout", why + hint, TRIES, self._loop.time() - began, tuple(texts))
+        if key is None:
+            why = "it still signs; it takes this from a link only that signs with its key (or, ArduPilot, over USB)"
+        else:
+            why = "nothing it sent was signed with this key; not every firmware can sign (PX4 1.16 cannot)"
+            why += ", and one that has another key takes a new one only from a link that signs with the old"
+        return Outcome(False, "timeout", why, TRIES, self._loop.time() - began, tuple(texts))
 
-    def _left(self, key: bytes) -> str:
-        """What remains to be done on our side."""
-        without = sorted(
-            {c.link.name for c in self._hub.channels.values() if self._signing.link_key(c.link.name) != key}
-        )
-        return f"; without that key so far: {', '.join(without)} (links.NAME.signing.key_file)" if without else ""
+    def _left(self, vehicle: Vehicle, key: bytes) -> str:
+        """What remains to be done on our side, on the links where the vehicle was heard."""
+        heard = {c.link.name: c for c in self._hub.channels.values() if vehicle.key in c.sources}
+        silent = [name for name in heard if self._signing.link_key(name) is None]
+        other = [name for name in heard if self._signing.link_key(name) not in (None, key)]
+        todo = [f"{', '.join(silent)}: give the link the key, or it takes no orders over it"] if silent else []
+        todo += [f"{', '.join(other)}: the link has another key and drops what it sends"] if other else []
+        return "".join(f"; {text} (links.NAME.signing.key_file)" for text in todo)
 
 
 def _shows(frame: Frame, key: bytes) -> bool:

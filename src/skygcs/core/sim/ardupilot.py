@@ -56,6 +56,7 @@ class CopterVehicle(SimVehicle):
     sysid_param = "SYSID_THISMAV"
     unknown_message_result = m.MAV_RESULT_FAILED
     armed_reboot_result = m.MAV_RESULT_FAILED
+    can_sign = True
     named_param_index = 65535
     attitude_timeout_s: float | None = 1.0
     """GUIDED_ATTITUDE_TIMEOUT_MS of ArduCopter up to 4.0. None: GUID_TIMEOUT (3 s), as from 4.1 on."""

@@ -295,6 +295,15 @@ def _set_mode(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None
         v.on_set_mode_message(int(fields["custom_mode"]), sender, now)
 
 
+def _setup_signing(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    if not v.can_sign:
+        return
+    if v.armed:
+        v.tx.say(m.MAV_SEVERITY_WARNING, "ERROR: Won't setup signing when armed")
+        return
+    v.signing.set_up(fields)
+
+
 def _heartbeat(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
     if fields["type"] == m.MAV_TYPE_GCS:
         v.on_gcs_heartbeat(sender, now)
@@ -311,4 +320,5 @@ _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
     "SET_GPS_GLOBAL_ORIGIN": _set_origin,
     "REQUEST_DATA_STREAM": _data_stream,
     "SET_MODE": _set_mode,
+    "SETUP_SIGNING": _setup_signing,
 }

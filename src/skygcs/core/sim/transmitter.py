@@ -10,6 +10,7 @@ from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.faults import Faults
+from skygcs.core.sim.signing import BoardSigning
 
 TEXT_BYTES = 50
 """STATUSTEXT.text; longer ones are sent in chunks."""
@@ -18,11 +19,12 @@ TEXT_BYTES = 50
 class Transmitter:
     """Collects the frames of one vehicle until `take`."""
 
-    def __init__(self, dialect: Dialect, chance: Chance, faults: Faults) -> None:
+    def __init__(self, dialect: Dialect, chance: Chance, faults: Faults, signing: BoardSigning) -> None:
         self.sysid = 0
         self._dialect = dialect
         self._chance = chance
         self._faults = faults
+        self._signing = signing
         self._out: list[bytes] = []
         self._texts: list[tuple[int, str]] = []
         self._seq = 0
@@ -44,7 +46,7 @@ class Transmitter:
         raw = encode_payload(info, payload, sysid=self.sysid, compid=m.MAV_COMP_ID_AUTOPILOT1, seq=self._seq)
         self._seq = (self._seq + 1) & 0xFF
         if not self._faults.mute:
-            self._out.append(raw)
+            self._out.append(self._signing.signed(raw, info))
 
     def acknowledge(self, command: int, result: int, target: tuple[int, int], progress: int = 0) -> None:
         if self._chance.happens(self._faults.ack_loss):

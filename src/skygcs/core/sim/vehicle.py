@@ -29,6 +29,7 @@ from skygcs.core.sim.mission_run import MissionRun
 from skygcs.core.sim.params import Param, Params
 from skygcs.core.sim.plan import GoTo, Plan
 from skygcs.core.sim.sensors import Sensors
+from skygcs.core.sim.signing import BoardSigning
 from skygcs.core.sim.streams import Streams
 from skygcs.core.sim.transmitter import Transmitter
 
@@ -77,6 +78,8 @@ class SimVehicle(ABC):
     armed_reboot_result: int
     named_param_index: int | None
     """param_index of an answer to a request by name; None: the parameter's own."""
+    can_sign: bool = False
+    """Whether SETUP_SIGNING does anything; PX4 1.16 takes no notice."""
     hears_broadcast_commands: bool = True
     """Whether a command for system 0 is taken; PX4 takes those for its own id only (and asks for capabilities)."""
     mode: int
@@ -108,7 +111,8 @@ class SimVehicle(ABC):
         self.params = params
         self.chance = chance
         self.faults = Faults()
-        self.tx = Transmitter(dialect, chance, self.faults)
+        self.signing = BoardSigning()
+        self.tx = Transmitter(dialect, chance, self.faults, self.signing)
         self.motion = body_of(conditions, radians(heading_deg), chance.seed())
         self.sensors = Sensors(self.motion, conditions, TICK_S, chance.seed())
         self.battery = Battery()
@@ -206,6 +210,7 @@ class SimVehicle(ABC):
             or self.faults.deaf
             or frame.info is None
             or (frame.sysid, frame.compid) == (self.sysid, self.compid)
+            or not self.signing.hears(frame)
         ):
             return
         system, component = frame.target()

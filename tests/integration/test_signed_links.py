@@ -1,0 +1,334 @@
+"""Links with a signing key in the whole daemon: who is heard, who can command, where a key goes and where not."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import stat
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink, SimulatedLink
+from skygcs.config.signing import SigningSettings
+from skygcs.core.mavlink.signing import is_signed_with, key_id, timestamp_at, timestamp_of
+from skygcs.daemon import Daemon
+from skygcs.errors import KeyFileError, LinkError, RefusedError
+from skygcs.links.memory import MemoryLink as Memory
+from skygcs.rpc.client import connect
+from support.hosts import until
+from support.pymav import PymavPeer
+
+pytestmark = pytest.mark.looptime
+
+KEY = bytes(range(32))
+OTHER = bytes(range(1, 33))
+VEHICLE = 7 << 8 | 1
+
+
+@pytest.fixture(autouse=True)
+def state_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path / "state" / "skygcs" / "signing"
+
+
+def key_file(folder: Path, key: bytes = KEY, name: str = "key", mode: int = 0o600) -> Path:
+    path = folder / name
+    path.write_text(key.hex())
+    path.chmod(mode)
+    return path
+
+
+def signing(folder: Path, **settings: Any) -> SigningSettings:
+    return SigningSettings(key_file=key_file(folder), **settings)
+
+
+@contextlib.asynccontextmanager
+async def running(tmp_path: Path, *, record: bool = False, **links: Any) -> AsyncIterator[Daemon]:
+    config = FleetConfig(
+        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=record),
+        links={name: MemoryLink(name=name, **link) if isinstance(link, dict) else link for name, link in links.items()},
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    task = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
+    try:
+        yield daemon
+    finally:
+        daemon.stop()
+        await task
+
+
+def wire(daemon: Daemon, name: str = "radio") -> Any:
+    link = daemon.links.link(name)
+    assert isinstance(link, Memory)
+    return link.peer
+
+
+class SignedPeer(PymavPeer):
+    """A vehicle made of pymavlink that signs, and takes nothing that is not signed with its key."""
+
+    def __init__(self, wire: Any, key: bytes = KEY, sysid: int = 7, behind_s: float = 0) -> None:
+        super().__init__(sysid, 1)
+        self.wire = wire
+        self.mav.signing.secret_key = key
+        self.mav.signing.timestamp = timestamp_at(time.time() - behind_s)
+        self.mav.signing.link_id = 2
+        self.mav.signing.sign_outgoing = True
+        wire.on_bytes = self.parse
+
+    def beat(self) -> None:
+        self.wire.send(self.heartbeat())
+
+    def good(self) -> list[Any]:
+        return [m for m in self.seen if m.get_type() != "BAD_DATA"]
+
+
+def counts(daemon: Daemon, name: str = "radio") -> dict[str, Any]:
+    row = next(row for row in daemon.signing_status()["links"] if row["link"] == name)
+    return dict(row["channels"][0])
+
+
+async def test_a_vehicle_that_signs_is_heard_and_takes_our_signed_orders(tmp_path: Path) -> None:
+    async with running(tmp_path, radio={"signing": signing(tmp_path, link_id=4)}) as daemon:
+        peer = SignedPeer(wire(daemon))
+        peer.beat()
+        await until(lambda: VEHICLE in daemon.fleet.vehicles)
+        daemon.send_message("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        await until(lambda: any(m.get_type() == "PARAM_REQUEST_READ" for m in peer.good()))
+        assert all(m.get_signed() and m.get_link_id() == 4 for m in peer.good())
+        assert peer.mav.signing.badsig_count == 0
+        assert counts(daemon)["signed"] == 1
+        assert counts(daemon)["sent_signed"] == len(peer.good())
+
+
+async def test_a_vehicle_without_a_clock_is_heard_once_it_has_heard_us(tmp_path: Path) -> None:
+    """Indoors, without GPS: its time is of last month, and it takes ours from our heartbeat."""
+    async with running(tmp_path, radio={"signing": signing(tmp_path)}) as daemon:
+        peer = SignedPeer(wire(daemon), behind_s=30 * 86400.0)
+        peer.beat()
+        await until(lambda: counts(daemon)["stale"] == 1)
+        await until(lambda: peer.good())
+        peer.beat()
+        await until(lambda: VEHICLE in daemon.fleet.vehicles)
+
+
+async def test_unsigned_and_badly_signed_frames_are_dropped_counted_and_told_once(tmp_path: Path) -> None:
+    async with running(tmp_path, radio={"signing": signing(tmp_path)}, gcs={"role": "gcs"}) as daemon:
+        stranger, forger = PymavPeer(8, 1), SignedPeer(wire(daemon), OTHER, 9)
+        for _ in range(3):
+            wire(daemon).send(stranger.heartbeat())
+            forger.beat()
+        wire(daemon).send(PymavPeer(8, 1).heartbeat(version=1))
+        await until(lambda: counts(daemon)["unsigned"] == 4 and counts(daemon)["bad_signature"] == 3)
+        assert daemon.fleet.vehicles == {}
+        assert not any(raw[5] in (8, 9) for raw in wire(daemon, "gcs").received)
+        told = [e for e in daemon.events if e["kind"] == "signing"]
+        assert [e["sysid"] for e in told] == [8, 9]
+        assert "not signed" in told[0]["text"] and "another key" in told[1]["text"]
+        assert daemon.links_status()[0]["channels"][0]["signing"]["unsigned"] == 4
+        assert daemon.links_status()[0]["channels"][0]["sources"] == {}
+
+
+async def test_a_recorded_frame_is_not_taken_twice_nor_on_another_link_of_the_key(tmp_path: Path) -> None:
+    links = {"radio": {"signing": signing(tmp_path)}, "spare": {"signing": signing(tmp_path, link_id=1)}}
+    async with running(tmp_path, **links) as daemon:
+        peer = SignedPeer(wire(daemon))
+        first = peer.heartbeat()
+        wire(daemon).send(first)
+        await until(lambda: counts(daemon)["signed"] == 1)
+        wire(daemon).send(first)
+        wire(daemon, "spare").send(first)
+        await until(lambda: counts(daemon)["replayed"] == 1 and counts(daemon, "spare")["replayed"] == 1)
+
+
+async def test_links_of_one_group_may_carry_copies(tmp_path: Path) -> None:
+    links = {
+        name: {"signing": signing(tmp_path, link_id=n), "group": "pair"} for n, name in enumerate(("radio", "spare"))
+    }
+    async with running(tmp_path, **links) as daemon:
+        first = SignedPeer(wire(daemon)).heartbeat()
+        wire(daemon).send(first)
+        wire(daemon, "spare").send(first)
+        await until(lambda: counts(daemon)["signed"] == 1 and counts(daemon, "spare")["signed"] == 1)
+        wire(daemon, "spare").send(first)
+        await until(lambda: counts(daemon, "spare")["replayed"] == 1)
+
+
+async def test_what_others_signed_is_forwarded_as_it_came(tmp_path: Path) -> None:
+    """Signed with a key of theirs, between links without one, and from a link with a key to one without."""
+    async with running(tmp_path, radio={}, keyed={"signing": signing(tmp_path)}, gcs={"role": "gcs"}) as daemon:
+        theirs, ours = SignedPeer(wire(daemon), OTHER), SignedPeer(wire(daemon, "keyed"), KEY, 8)
+        sent = [theirs.heartbeat(), ours.heartbeat()]
+        wire(daemon).send(sent[0])
+        wire(daemon, "keyed").send(sent[1])
+        received = wire(daemon, "gcs").received
+        await until(lambda: all(raw in received for raw in sent))
+
+
+async def test_a_radio_needs_no_key_and_all_may_come_unsigned_where_it_is_said(tmp_path: Path) -> None:
+    status = mav.MAVLink_radio_status_message(190, 180, 100, 40, 40, 0, 0)
+    links = {"radio": {"signing": signing(tmp_path)}, "all": {"signing": signing(tmp_path, link_id=1)}}
+    links["all"]["signing"] = signing(tmp_path, link_id=1, accept_unsigned=("*",))
+    links["none"] = {"signing": signing(tmp_path, link_id=2, accept_unsigned=())}
+    async with running(tmp_path, **links) as daemon:
+        for name in links:
+            wire(daemon, name).send(PymavPeer(51, 68).pack(status))
+            wire(daemon, name).send(PymavPeer(7, 1).heartbeat())
+        await until(lambda: all(sum(v for v in counts(daemon, n).values() if type(v) is int) >= 2 for n in links))
+        assert [counts(daemon, name)["unsigned_allowed"] for name in links] == [1, 2, 0]
+
+
+async def test_our_time_is_kept_and_never_goes_back(
+    tmp_path: Path, state_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The wall clock is a year behind at the second start, as on a board without a battery."""
+    radio = {"signing": signing(tmp_path)}
+    async with running(tmp_path, radio=radio) as daemon:
+        await until(lambda: counts(daemon)["sent_signed"] > 0)
+        last = max(timestamp_of(raw) for raw in wire(daemon).received)
+    kept = json.loads((state_home / f"{key_id(KEY)}.json").read_text())
+    assert kept["exact"] and kept["timestamp"] >= last
+    assert KEY.hex() not in (state_home / f"{key_id(KEY)}.json").read_text()
+    monkeypatch.setattr("skygcs.runtime.signing.timestamp_at", lambda unix_s: last - 365 * 86400 * 100_000)
+    async with running(tmp_path, radio=radio) as daemon:
+        await until(lambda: counts(daemon)["sent_signed"] > 0)
+        assert min(timestamp_of(raw) for raw in wire(daemon).received) > last
+
+
+# -- giving vehicles their key
+
+
+def simulated(**settings: Any) -> SimulatedLink:
+    return SimulatedLink(name="sim", dynamics="kinematic", **settings)
+
+
+async def discovered(daemon: Daemon, count: int) -> None:
+    await until(lambda: len(daemon.fleet.vehicles) == count)
+
+
+async def test_a_vehicle_gets_a_key_and_signs(tmp_path: Path) -> None:
+    path = key_file(tmp_path)
+    async with (
+        running(tmp_path, record=True, sim=simulated(ardupilot=1), gcs={"role": "gcs"}) as daemon,
+        connect(tmp_path / "s") as gcs,
+    ):
+        await discovered(daemon, 1)
+        seen: list[str] = []
+        daemon.subscribe_messages(None, None, lambda frame, channel, now: seen.append(frame.name))
+        answer = await gcs.call("signing.setup", targets="1", key_file=str(path))
+        assert answer["outcomes"]["v1"]["ok"], answer
+        assert key_id(KEY) in answer["outcomes"]["v1"]["message"]
+        assert "give the link the key" in answer["outcomes"]["v1"]["message"]
+        frames = wire(daemon, "gcs").received
+        at = len(frames)
+        await until(lambda: len(frames) > at + 5)
+        signed = [raw for raw in frames[at:] if raw[5] == 1]
+        assert signed and all(is_signed_with(raw, KEY) for raw in signed)
+        # unsigned orders do nothing any more, nor does an unsigned off: the link has no key
+        off = await gcs.call("signing.off", targets="1")
+        assert off["outcomes"]["v1"]["result"] == "timeout"
+        assert "a link only that signs" in off["outcomes"]["v1"]["message"]
+        events = json.dumps(list(daemon.events))
+        assert "SETUP_SIGNING" not in seen
+    logs = b"".join(p.read_bytes() for p in (tmp_path / "logs").iterdir())
+    assert len(logs) > 1000 and KEY not in logs and KEY.hex() not in events
+    assert not any(KEY in raw for raw in frames)
+
+
+async def test_a_key_in_use_is_changed_and_forgotten_over_the_link_that_has_it(tmp_path: Path) -> None:
+    path, other = key_file(tmp_path), key_file(tmp_path, OTHER, "other")
+    both = SigningSettings(key_file=path, accept_unsigned=("*",))
+    async with running(tmp_path, sim=simulated(ardupilot=1, signing=both)) as daemon:
+        await discovered(daemon, 1)
+        for _ in range(2):
+            assert (await daemon.signing_setup.setup("1", path))["v1"].ok
+            off = await daemon.signing_setup.off("1")
+            assert off["v1"].ok and off["v1"].message == "it no longer signs"
+        assert (await daemon.signing_setup.setup("1", path))["v1"].ok
+        told = await daemon.signing_setup.setup("1", other)
+        assert told["v1"].ok and "drops what it sends" in told["v1"].message
+        assert counts(daemon, "sim")["bad_signature"] > 0
+
+
+async def test_a_firmware_that_cannot_sign_is_told(tmp_path: Path) -> None:
+    async with running(tmp_path, sim=simulated(px4=1)) as daemon:
+        await discovered(daemon, 1)
+        told = await daemon.signing_setup.setup("1", key_file(tmp_path))
+        assert (told["v1"].ok, told["v1"].result, told["v1"].attempts) == (False, "timeout", 3)
+        assert "not every firmware" in told["v1"].message
+
+
+async def test_no_key_while_armed_or_where_others_hear(tmp_path: Path) -> None:
+    path = key_file(tmp_path)
+    async with running(tmp_path, sim=simulated(ardupilot=2), radio={"role": "radio"}, bench={}) as daemon:
+        vehicle, on_radio = PymavPeer(7, 1), PymavPeer(8, 1)
+        wire(daemon, "bench").send(vehicle.heartbeat(armed=True))
+        wire(daemon).send(on_radio.heartbeat())
+        await discovered(daemon, 4)
+        told = await daemon.signing_setup.setup("all", path)
+        assert {name: outcome.result for name, outcome in told.items()} == dict.fromkeys(
+            ("v1", "v2", "v7", "v8"), "refused"
+        )
+        assert "v2 on the same link" in told["v1"].message
+        assert "armed" in told["v7"].message
+        assert "radio: a radio, heard by everyone in range" in told["v8"].message
+        assert (await daemon.signing_setup.setup("1,2", path, force=True))["v2"].ok
+        assert not any(raw[7] | raw[8] << 8 == 256 for raw in wire(daemon).received + wire(daemon, "bench").received)
+
+
+async def test_a_key_from_elsewhere_is_not_forwarded_recorded_or_shown(tmp_path: Path) -> None:
+    async with running(tmp_path, record=True, radio={}, gcs={"role": "gcs"}) as daemon:
+        wire(daemon).send(PymavPeer(7, 1).heartbeat())
+        await discovered(daemon, 1)
+        seen: list[str] = []
+        daemon.subscribe_messages(None, None, lambda frame, channel, now: seen.append(frame.name))
+        other = PymavPeer(254, 190)
+        for target in (7, 0):
+            message = mav.MAVLink_setup_signing_message(target, target and 1, list(OTHER), 1)
+            wire(daemon, "gcs").send(other.pack(message))
+        wire(daemon, "gcs").send(other.heartbeat(vehicle=False))
+        await until(lambda: any(raw[5] == 254 for raw in wire(daemon).received))
+        assert seen == ["HEARTBEAT"]
+        assert not any(OTHER in raw for raw in wire(daemon).received)
+        assert [e["text"] for e in daemon.events if e["kind"] == "signing"] == [
+            "gcs (memory): system 254 sent a signing key (SETUP_SIGNING); keys are not forwarded: connect directly, "
+            "or use skygcs-cli signing setup"
+        ]
+        with pytest.raises(RefusedError, match="signing setup"):
+            daemon.send_message("SETUP_SIGNING", {"secret_key": list(OTHER)}, "7")
+    assert OTHER not in b"".join(p.read_bytes() for p in (tmp_path / "logs").iterdir())
+
+
+# -- key files that may not be used
+
+
+async def test_a_daemon_with_a_key_others_can_read_does_not_start(tmp_path: Path) -> None:
+    settings = SigningSettings(key_file=key_file(tmp_path, mode=0o640))
+    with pytest.raises(KeyFileError, match=r"mode 0640\); run: chmod 600 .*links\.radio\.signing"):
+        async with running(tmp_path, radio={"signing": settings}):
+            pass
+
+
+async def test_a_bad_key_at_run_time_changes_nothing(tmp_path: Path) -> None:
+    good = signing(tmp_path)
+    async with running(tmp_path, radio={"signing": good}) as daemon:
+        bad = key_file(tmp_path, OTHER, "bad", mode=0o604)
+        with pytest.raises(KeyFileError, match="0604"):
+            await daemon.change_link("radio", {"signing": {"key_file": str(bad)}})
+        with pytest.raises(LinkError, match="link_id"):
+            await daemon.add_link("two", {"type": "memory", "signing": {"key_file": str(good.key_file)}})
+        copy = key_file(tmp_path, KEY, "copy")
+        with pytest.raises(KeyFileError, match=r"is the key of links\.radio as well"):
+            await daemon.add_link("two", {"type": "memory", "signing": {"key_file": str(copy)}})
+        assert stat.S_IMODE(copy.stat().st_mode) == 0o600
+        peer = SignedPeer(wire(daemon))
+        peer.beat()
+        await until(lambda: counts(daemon)["signed"] == 1)
