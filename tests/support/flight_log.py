@@ -37,6 +37,7 @@ class FlightLog:
 
     def records(self, duration_s: float, *, lose: float = 0.0) -> Iterator[bytes]:
         """Records in order of time. Of vehicle n, ``lose`` · n of the frames are missing, every so many-th."""
+        self._seq.clear()
         for _, t_s, sysid, name, values in self._messages(duration_s):
             seq = self._seq[sysid] = self._seq.get(sysid, 255) + 1 & 0xFF
             if sysid != 255 and lose and seq % max(round(1 / (lose * sysid)), 2) == 1:

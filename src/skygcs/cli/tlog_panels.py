@@ -78,10 +78,12 @@ def _draw_track(panel: Axes, vehicle: VehicleFlight, style: Style) -> None:
     panel.plot(xs, ys, label=f"vehicle {vehicle.name}", gid=gid(vehicle, "track"), **line)
     ends = vehicle.track.ends
     assert ends is not None
-    for (x_m, y_m), marker, size in zip(ends, ("o", "s"), (7, 6), strict=True):
+    for (x_m, y_m), marker, size in zip(ends, ("o", "s"), (9, 6), strict=True):
         face = "white" if marker == "o" else style.colour
         edge = style.colour if marker == "o" else "white"
-        dot: dict[str, Any] = dict(markerfacecolor=face, markeredgecolor=edge, markersize=size, zorder=3)
+        dot: dict[str, Any] = dict(
+            markerfacecolor=face, markeredgecolor=edge, markersize=size, markeredgewidth=1.4, zorder=3
+        )
         panel.plot(x_m, y_m, marker, gid=gid(vehicle, f"end-{marker}"), **dot)
 
 
@@ -157,10 +159,7 @@ def draw_summary(panel: Axes, height_in: float, vehicles: Sequence[VehicleFlight
 def _draw_warnings(
     panel: Axes, height_in: float, used: float, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]
 ) -> None:
-    warned = sorted(
-        ((t.at_s, v.name, t.text) for v in vehicles for t in v.texts if t.severity <= MAV_SEVERITY_WARNING),
-        key=lambda text: text[0],
-    )
+    warned = _warnings(vehicles)
     line = TEXT_LINE_IN / height_in
     room = int((1 - used) / line) - 3
     if not warned or room < 1:
@@ -168,14 +167,25 @@ def _draw_warnings(
     shown = warned if len(warned) <= room else warned[: room - 1]
     y = 1 - used - 2 * line
     small: dict[str, Any] = dict(fontsize=7, va="top", clip_on=True)
-    panel.text(0, y, "warnings: time in s, vehicle", color="0.35", **small)
-    for at_s, name, text in shown:
+    panel.text(0, y, "warnings: first time in s, vehicle, text", color="0.35", **small)
+    for at_s, name, text, count in shown:
         y -= line
         panel.text(0.075, y, f"{at_s:.1f}", ha="right", color="0.35", **small)
         panel.text(0.1, y, name, color=styles[name].colour, weight="bold", **small)
-        panel.text(0.16, y, _plain(text), **small)
+        panel.text(0.16, y, _plain(text) + (f"  ×{count}" if count > 1 else ""), **small)
     if len(shown) < len(warned):
         panel.text(0.16, y - line, f"… and {len(warned) - len(shown)} more", color="0.35", **small)
+
+
+def _warnings(vehicles: Sequence[VehicleFlight]) -> list[tuple[float, str, str, int]]:
+    """When a vehicle first warned of something, its name, the text, and how often."""
+    found: dict[tuple[str, str], tuple[float, int]] = {}
+    for vehicle in vehicles:
+        for text in vehicle.texts:
+            if text.severity <= MAV_SEVERITY_WARNING:
+                first_s, count = found.get((vehicle.name, text.text), (text.at_s, 0))
+                found[vehicle.name, text.text] = first_s, count + 1
+    return sorted((first_s, name, text, count) for (name, text), (first_s, count) in found.items())
 
 
 def _plain(text: str) -> str:
@@ -236,34 +246,37 @@ def _draw_modes(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) 
     colours = {mode: MODE_COLOURS[n % len(MODE_COLOURS)] for n, mode in enumerate(modes)}
     letter_s = LETTER_SHARE * max(flight.end_s - (flight.begin_s or 0.0), 1.0)
     for row, vehicle in enumerate(vehicles):
-        ends = [span.begin_s for span in vehicle.modes[1:]] + [vehicle.last_s]
-        for span, end_s in zip(vehicle.modes, ends, strict=True):
-            bar: dict[str, Any] = dict(height=0.8, align="center", gid=gid(vehicle, "mode"))
-            panel.barh(row, end_s - span.begin_s, left=span.begin_s, color=colours[span.mode], linewidth=0, **bar)
-        for mode, begin_s, end_s in _runs(vehicle, ends):
-            begin_s, end_s = _longest_heard(begin_s, end_s, vehicle.silences)
-            if end_s - begin_s > letter_s * (len(mode) + 1):
-                words: dict[str, Any] = dict(
-                    fontsize=7, va="center", ha="center", clip_on=True, gid=gid(vehicle, "mode-name")
-                )
-                panel.text((begin_s + end_s) / 2, row, mode, **words)
-        for begin_s, end_s in _armed(vehicle, ends):
-            line: dict[str, Any] = dict(
-                color="#B00000", linewidth=2.2, solid_capstyle="butt", gid=gid(vehicle, "armed")
-            )
-            panel.plot((begin_s, end_s), (row + 0.36, row + 0.36), **line)
-        for begin_s, end_s in vehicle.silences:  # what it did meanwhile nobody knows
-            veil: dict[str, Any] = dict(height=0.84, linewidth=0, alpha=0.8, zorder=3, gid=gid(vehicle, "veil"))
-            panel.barh(row, end_s - begin_s, left=begin_s, color="white", **veil)
+        spans = vehicle.spans()
+        bars = [(span.begin_s, end_s - span.begin_s) for span, end_s in spans]
+        _draw_bars(panel, row, bars, [colours[span.mode] for span, _ in spans], gid(vehicle, "mode"))
+        for mode, begin_s, end_s in _runs(vehicle):
+            left_s, right_s = _longest_heard(begin_s, end_s, vehicle.silences)
+            if right_s - left_s > letter_s * (len(mode) + 1):
+                words: dict[str, Any] = dict(fontsize=7, va="center", ha="center", clip_on=True)
+                panel.text((left_s + right_s) / 2, row, mode, gid=gid(vehicle, "mode-name"), **words)
+        for begin_s, end_s in _armed(vehicle):
+            line: dict[str, Any] = dict(color="#B00000", linewidth=2.2, solid_capstyle="butt")
+            panel.plot((begin_s, end_s), (row + 0.36, row + 0.36), gid=gid(vehicle, "armed"), **line)
+        # what it did while it was silent nobody knows
+        veils = [(begin_s, end_s - begin_s) for begin_s, end_s in vehicle.silences]
+        _draw_bars(panel, row, veils, ["white"] * len(veils), gid(vehicle, "veil"), alpha=0.8, zorder=3)
     handles: list[Any] = [Patch(facecolor=colours[mode], label=mode) for mode in modes[:12]]
     handles.append(Line2D([], [], color="#B00000", linewidth=2.2, label="armed"))
     _legend_above(panel, handles)
 
 
-def _runs(vehicle: VehicleFlight, ends: Sequence[float]) -> list[tuple[str, float, float]]:
+def _draw_bars(
+    panel: Axes, row: int, bars: Sequence[tuple[float, float]], colours: Sequence[Any], name: str, **more: Any
+) -> None:
+    """Bars (begin, length) in one row, as one artist: one each takes a second for nine vehicles."""
+    if bars:
+        panel.broken_barh(bars, (row - 0.4, 0.8), facecolors=list(colours), linewidth=0, gid=name, **more)
+
+
+def _runs(vehicle: VehicleFlight) -> list[tuple[str, float, float]]:
     """Modes with their times; arming alone begins no new one."""
     runs: list[tuple[str, float, float]] = []
-    for span, end_s in zip(vehicle.modes, ends, strict=True):
+    for span, end_s in vehicle.spans():
         if runs and runs[-1][0] == span.mode:
             runs[-1] = (span.mode, runs[-1][1], end_s)
         else:
@@ -281,9 +294,9 @@ def _longest_heard(begin_s: float, end_s: float, silences: Sequence[tuple[float,
     return best
 
 
-def _armed(vehicle: VehicleFlight, ends: Sequence[float]) -> list[tuple[float, float]]:
+def _armed(vehicle: VehicleFlight) -> list[tuple[float, float]]:
     times: list[tuple[float, float]] = []
-    for span, end_s in zip(vehicle.modes, ends, strict=True):
+    for span, end_s in vehicle.spans():
         if not span.armed:
             continue
         if times and times[-1][1] == span.begin_s:
@@ -302,15 +315,12 @@ def _draw_links(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) 
     for row, vehicle in enumerate(vehicles):
         curve = vehicle.loss
         width_s = curve.pieces(span_s / 150) * curve.width_s
-        for n, ratio in enumerate(curve.ratios(span_s / 150)):
-            if ratio is not None:
-                left_s = max(n * width_s, vehicle.first_s)
-                width = min((n + 1) * width_s, flight.end_s) - left_s
-                bar: dict[str, Any] = dict(height=0.8, linewidth=0, gid=gid(vehicle, "loss"))
-                panel.barh(row, max(width, 0.0), left=left_s, color=shades(_shade(ratio)), **bar)
-        for begin_s, end_s in vehicle.silences:
-            black: dict[str, Any] = dict(height=0.8, linewidth=0, gid=gid(vehicle, "silent"))
-            panel.barh(row, end_s - begin_s, left=begin_s, color=SILENT_COLOUR, **black)
+        ratios = [(n * width_s, ratio) for n, ratio in enumerate(curve.ratios(span_s / 150)) if ratio is not None]
+        lefts = [(max(left_s, vehicle.first_s), min(left_s + width_s, flight.end_s)) for left_s, _ in ratios]
+        bars = [(left_s, max(right_s - left_s, 0.0)) for left_s, right_s in lefts]
+        _draw_bars(panel, row, bars, [shades(_shade(ratio)) for _, ratio in ratios], gid(vehicle, "loss"))
+        silences = [(begin_s, end_s - begin_s) for begin_s, end_s in vehicle.silences]
+        _draw_bars(panel, row, silences, [SILENT_COLOUR] * len(silences), gid(vehicle, "silent"))
     words = {0.0: "no loss", 0.02: "2 %", 0.1: "10 %", LOSS_FULL: f"{100 * LOSS_FULL:.0f} % and more lost"}
     handles = [Patch(facecolor=shades(_shade(ratio)), label=text) for ratio, text in words.items()]
     _legend_above(panel, [*handles, Patch(facecolor=SILENT_COLOUR, label="silent for 3 s and more")])

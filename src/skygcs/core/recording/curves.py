@@ -107,7 +107,7 @@ class Curve:
 
 
 class Track:
-    """Where something went, in metres. What is left out is nearer to a kept point than ``tolerance_m``, which grows."""
+    """Where something went, in metres. What is left out is nearer to a kept point than twice ``tolerance_m``."""
 
     __slots__ = ("_last_s", "_most", "_newest", "points", "tolerance_m")
 

@@ -85,6 +85,11 @@ class VehicleFlight:
     def name(self) -> str:
         return f"{self.sysid}" if self.compid == 1 else f"{self.sysid}/{self.compid}"
 
+    def spans(self) -> list[tuple[ModeSpan, float]]:
+        """The modes, each with its end; the last ends when the vehicle was last heard."""
+        ends = [*(span.begin_s for span in self.modes[1:]), self.last_s]
+        return list(zip(self.modes, ends, strict=False))
+
     @property
     def loss_ratio(self) -> float:
         return self.stats.loss_ratio
@@ -111,10 +116,14 @@ class Flight:
         self._folding: dict[VehicleKey, _Folding] = {}
 
     def discover(self, entry: Entry) -> None:
-        """See who is a vehicle without drawing anything of it: for what lies before the time that is asked for."""
+        """See who is a vehicle and in which mode: for what lies before the time that is asked for."""
         frame = entry.frame
         if frame is not None and frame.msgid == HEARTBEAT and discovers(frame):
-            self._known(frame, entry.at_s)
+            vehicle = self._known(frame, entry.at_s)
+            if vehicle is not None:
+                vehicle.first_s = vehicle.last_s = entry.at_s
+                vehicle.modes.clear()
+                self._on_heartbeat(vehicle, frame, entry.at_s)
 
     def add(self, entry: Entry) -> None:
         frame, now = entry.frame, entry.at_s
@@ -144,8 +153,9 @@ class Flight:
         for vehicle in self.vehicles.values():
             if vehicle.frames:
                 self._note_silence(vehicle, self.end_s)
-            ends = [span.begin_s for span in vehicle.modes[1:]] + [vehicle.last_s]
-            vehicle.armed_s = sum(e - s.begin_s for s, e in zip(vehicle.modes, ends, strict=True) if s.armed)
+            for span in vehicle.modes:
+                span.begin_s = max(span.begin_s, self.begin_s or 0.0)
+            vehicle.armed_s = sum(end_s - span.begin_s for span, end_s in vehicle.spans() if span.armed)
 
     def _settle_origin(self) -> None:
         """The first place heard need not be on a track: a better message may have come."""
