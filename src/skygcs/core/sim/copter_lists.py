@@ -30,6 +30,8 @@ from skygcs.core.mission.item import (
     FENCE_COMMANDS,
     GLOBAL,
     NAV_WAYPOINT,
+    POLYGON_EXCLUSION,
+    POLYGON_INCLUSION,
     RALLY_POINT,
     TERRAIN_ALT,
     MissionItem,
@@ -57,6 +59,8 @@ WITHOUT_PLACE = frozenset(
     | {211, 212, 213, 215, 216, 217, 218, 222, 223, 530, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501, 3000}
     | {42600, 42702, 42703}
 )
+MAX_CORNERS = 255
+
 NO_YAW_NEEDED = frozenset({16, 17, 18, 21, 22, 85})
 """Commands whose param4 may be NaN (AP_Mission::sanity_check_params)."""
 
@@ -231,6 +235,8 @@ def refusal_of(kind: MissionType, item: MissionItem, count: int) -> int:
             return m.MAV_MISSION_INVALID_PARAM1 + number - 1
     if item.z is None:
         return m.MAV_MISSION_INVALID_PARAM7
+    if item.command in (POLYGON_INCLUSION, POLYGON_EXCLUSION) and not 3 <= (item.params[0] or 0) <= MAX_CORNERS:
+        return m.MAV_MISSION_INVALID_PARAM1
     if item.command == DO_JUMP and not 0 < (item.params[0] or 0) < count:
         return m.MAV_MISSION_ERROR
     return m.MAV_MISSION_ACCEPTED

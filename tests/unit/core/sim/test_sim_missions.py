@@ -193,6 +193,7 @@ def test_an_ardupilot_keeps_its_own_home_and_what_it_has_a_use_for() -> None:
         (px4, [at(5001, 0, 0, 0, 2)] * 2, 1, mav.MAV_MISSION_ERROR),
         (px4, [at(5001, 0, 0, 0, 4)] * 3, 1, mav.MAV_MISSION_ERROR),
         (copter, [at(5001, 0, 0, 0, 4)] * 3, 1, mav.MAV_MISSION_ERROR),
+        (copter, [at(5002, 0, 0, 0, 2)] * 2, 1, mav.MAV_MISSION_INVALID_PARAM1),
         (copter, [at(16, 0, 0, 0)], 2, mav.MAV_MISSION_UNSUPPORTED),
         (px4, [at(5100, 0, 0, 0)], 0, mav.MAV_MISSION_ERROR),
     ],
