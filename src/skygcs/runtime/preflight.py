@@ -30,6 +30,10 @@ from skygcs.runtime.params import VehicleParams
 AT_ONCE = 8
 """Parameters of one vehicle asked for at the same time: 8 x 45 B are 65 ms of 57600 baud; one it has not takes 7 s."""
 
+SETTLE_S = 3.0
+"""From a parameter that was set until what the vehicle tells of itself knows of it: it looks at its arming checks once
+a second, and SYS_STATUS comes every two."""
+
 Links = Callable[[], Mapping[str, LinkFacts]]
 Request = Callable[[str], Awaitable[Outcome]]
 Confirmed = Mapping[str, float] | None
@@ -99,7 +103,9 @@ class Preflight:
                 return examined
             if self._vehicle.armed:
                 return await self._examine({}, "it is armed: parameters are not changed then")
-            return await self._examine(await self._params.set({f.name: f.value for f in fixes}), "")
+            fixed = await self._params.set({f.name: f.value for f in fixes})
+            await asyncio.sleep(SETTLE_S)
+            return await self._examine(fixed, "")
 
     def forget(self) -> None:
         """The vehicle has rebooted: what was found is of another life."""
