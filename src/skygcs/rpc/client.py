@@ -48,6 +48,7 @@ EVENT_KINDS = (
     "failsafe",
     "command",
     "mission",
+    "fence",
     "origin",
     "conflict",
     "duplicate",
