@@ -3,9 +3,48 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import tempfile
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile("suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("long", settings.get_profile("suite"), max_examples=2000)
+settings.load_profile("suite")
+"""No time limits: a busy machine is no mistake of ours. `--hypothesis-profile long` looks longer where a test does not
+say itself how many examples it needs."""
+
+NOOP_CYCLES = 2
+"""Turns of the event loop with nothing to do before virtual time moves on. looptime's own 42 were half of what the
+suite costs. Whatever is ready to run, is read from a socket or waits for a thread runs first all the same: these turns
+only serve what needs an idle loop to get going."""
+
+
+_cache = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """One cache for all of this run, its workers and the daemons they start, and not that of whoever runs it: dialects
+    are read once, and parameters of simulated vehicles do not stay behind."""
+    if not hasattr(config, "workerinput"):
+        config.stash[_cache] = tempfile.TemporaryDirectory(prefix="skygcs-tests-")
+        os.environ["XDG_CACHE_HOME"] = config.stash[_cache].name
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if _cache in config.stash:
+        config.stash[_cache].cleanup()
 
 
 def pytest_sessionstart() -> None:
     """No implicit event loop: looptime's plugin asks for the current loop before every test, which on Python 3.11
     makes one that nobody closes, and its warning then fails whatever test happens to run next."""
     asyncio.set_event_loop(None)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """A marker of its own wins over this one."""
+    for item in items:
+        if item.get_closest_marker("looptime") is not None:
+            item.add_marker(pytest.mark.looptime(noop_cycles=NOOP_CYCLES), append=False)

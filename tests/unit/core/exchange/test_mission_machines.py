@@ -155,5 +155,5 @@ class ClearAny(AnyPeer):
 @pytest.mark.parametrize("machine", [UploadToAny, DownloadFromAny, ClearAny])
 def test_it_keeps_its_promises_whatever_comes(machine: Any) -> None:
     case = machine.TestCase()
-    case.settings = settings(max_examples=150, stateful_step_count=50, deadline=None)
+    case.settings = settings(max_examples=60, stateful_step_count=50)
     case.runTest()
