@@ -40,11 +40,13 @@ class Obeyed(Pilot):
 
 
 class Replay:
-    """``packed`` are the messages of all ticks, in order; ``names`` how many of each."""
+    """``packed`` are the messages of all ticks, in order; ``names`` how many of each; ``leanings`` the attitude and
+    thrust in each SET_ATTITUDE_TARGET: w, x, y, z, thrust."""
 
     def __init__(self, capture: bytes, sysid: int, seconds: float) -> None:
         self.packed: list[bytes] = []
         self.names: Counter[str] = Counter()
+        self.leanings: list[tuple[float, ...]] = []
         self._dialect = load_dialect("ardupilotmega")
         self._vehicle = Vehicle(sysid, 1, self._dialect)
         law = ControlConfig(xy=SEED_XY, z=SEED_Z, hover_thrust=0.45)
@@ -88,6 +90,8 @@ class Replay:
             name, values = message
             self.names[name] += 1
             self.packed.append(self._dialect.by_name[name].pack(values))
+            if name == "SET_ATTITUDE_TARGET":
+                self.leanings.append((*values["q"], values["thrust"]))
 
 
 if __name__ == "__main__":
