@@ -9,7 +9,7 @@ demo: $(STAMP)
 	$(BIN)/skygcs demo
 
 test: $(STAMP)
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist worksteal
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .
