@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -62,9 +63,12 @@ class Facts:
         return bool(state["connected"]) and not state["duplicate_sysid"] and not state["replayed"]
 
     def answer(self, name: str) -> Answer:
-        """Of a parameter that was asked for, by its name of either generation."""
+        """Of a parameter that was asked for, by its name of either generation; what is no finite number is none."""
         answers = self.answers or {}
-        return answers.get(name) or answers.get(other_name(name) or "") or Answer(why="it was not asked for")
+        answer = answers.get(name) or answers.get(other_name(name) or "") or Answer(why="it was not asked for")
+        if answer.param is not None and not math.isfinite(answer.param.value):
+            return Answer(why=f"it says {answer.param.value}")
+        return answer
 
     def value(self, name: str) -> Value | None:
         """None if it is not known, or there is none."""

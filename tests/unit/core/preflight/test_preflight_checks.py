@@ -159,6 +159,16 @@ def test_an_answer_that_did_not_come_is_not_known() -> None:
     assert finding.verdict is Verdict.UNKNOWN and "no answer in 7 s" in finding.text
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_what_is_no_number_is_not_known(value: float) -> None:
+    wanted = Expectations(control="attitude", params={"FENCE_TYPE": Rule(bits=1)})
+    names = [n for group in needed_params("ardupilot", wanted) for n in group]
+    told = examine(facts(dict.fromkeys(names, value)), wanted)
+    verdicts = {f.check: f.verdict for f in told.findings}
+    of_params = ("system id", "gcs id", "rtl height", "geofence", "setpoint timeout", "thrust", "FENCE_TYPE")
+    assert {verdicts[check] for check in of_params} == {Verdict.UNKNOWN}
+
+
 @pytest.mark.parametrize(
     ("firmware", "least", "ok"),
     [
