@@ -25,6 +25,7 @@ class FakeHub:
             sources={KEY: self.stats},
             link=SimpleNamespace(name="radio"),
             config=SimpleNamespace(type=kind),
+            air=None,
         )
         self.channels = {7: self.channel}
         self.router = SimpleNamespace(channels_of=lambda key: [n for n in self.channels if key == KEY])
