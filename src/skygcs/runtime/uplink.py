@@ -17,6 +17,9 @@ BUDGET_SHARE = 0.5
 """Of what goes up into a radio at all, where that is known better than from the serial rate: its timeslots, its own
 reports. Without them it is the same number, for half of the serial rate is the way up."""
 
+SIGNED_SHARE = 51 / 64
+"""What is left where each frame ends in a signature of 13 bytes."""
+
 BITS_PER_BYTE = 10
 """8N1: start bit, eight, stop bit."""
 
@@ -33,6 +36,8 @@ def setpoint_bytes_per_s(hub: Hub, fleet: Fleet, sysid: int, compid: int) -> flo
             setpoints = SETPOINT_SHARE * link.baud / BITS_PER_BYTE
         else:
             continue
+        if channel.signing is not None:
+            setpoints *= SIGNED_SHARE
         others = sum(
             channel_id in hub.ways(actor.sysid, actor.compid)
             for actor in fleet.flown()

@@ -12,7 +12,7 @@ import pytest
 
 from skygcs.config.models import FleetConfig, MemoryLink, SerialLink
 from skygcs.core.airtime import Priority
-from skygcs.links.base import Channel, Outgoing
+from skygcs.links.base import Channel, ChannelSigning, Outgoing
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.links.serial import SerialLink as Serial
 from skygcs.runtime.fleet import Fleet
@@ -99,6 +99,15 @@ async def test_the_rate_follows_the_baud_and_radios_do_not_share() -> None:
     air.hear(air.radio("fast", 115200), 2)
     air.vehicles = [Flown(1), Flown(2)]
     assert air.rate_hz(1) == pytest.approx(1440 / 51) and air.rate_hz(2) == pytest.approx(2880 / 51)
+
+
+async def test_a_signature_on_each_setpoint_is_counted() -> None:
+    air = Air()
+    radio = air.radio("radio")
+    air.hear(radio, 1)
+    air.vehicles = [Flown(1)]
+    radio.signing = cast(ChannelSigning, object())
+    assert air.rate_hz(1) == pytest.approx(1440 / (51 + 13))
 
 
 async def test_what_is_no_serial_port_bounds_nothing_nor_does_a_vehicle_nobody_hears() -> None:
