@@ -25,6 +25,7 @@ from skygcs.core.exchange.command import (
     Outcome,
 )
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.runtime.alarm import Alarm
 
 
 class SendFn(Protocol):
@@ -127,7 +128,7 @@ class Commander:
         self._lines: dict[int, _Line] = {}
         self._running: dict[int, _Running] = {}
         self._watches: list[tuple[Check, asyncio.Future[bool], float]] = []
-        self._timer: asyncio.TimerHandle | None = None
+        self._alarm = Alarm(loop, self._on_timer)
 
     @property
     def busy(self) -> bool:
@@ -215,7 +216,7 @@ class Commander:
         future: asyncio.Future[bool] = self._loop.create_future()
         watch = (met, future, self._loop.time() + timeout_s)
         self._watches.append(watch)
-        self._arm_timer()
+        self._set_alarm()
         try:
             return await future
         finally:
@@ -237,6 +238,12 @@ class Commander:
             return self._send(info, addressed, sysid, compid, priority)
         return self._send(info, addressed, sysid, compid, priority, key=key)
 
+    def expect_stray_ack(self, command: int, now: float) -> None:
+        """A command of this id is sent beside us, and nobody waits for its ack: it must not pass for one of ours."""
+        line = self._lines.setdefault(command, _Line())
+        line.late += 1
+        line.quiet_until = now + LATE_ACK_S
+
     def on_ack(self, ack: Ack, now: float) -> None:
         """A COMMAND_ACK of this vehicle, whomever it answers."""
         if not ack.is_for(*self.own):
@@ -244,7 +251,7 @@ class Commander:
         running = self._running.get(ack.command)
         if running is not None:
             self._apply(running, running.exchange.on_ack(ack, now))
-            self._arm_timer()
+            self._set_alarm()
             return
         line = self._lines.get(ack.command)
         if line is not None and line.late:
@@ -281,9 +288,7 @@ class Commander:
         for _, future, _ in self._watches:
             if not future.done():
                 future.set_result(False)  # the timer that would end it is none of ours any more
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._alarm.set(None)
 
     async def _quiet(self, line: _Line) -> None:
         wait_s = line.quiet_until - self._loop.time()
@@ -317,7 +322,7 @@ class Commander:
         now = self._loop.time()
         carried = self.carrier is not None and not self.carrier.sent and self.carrier.spec == spec
         self._apply(running, exchange.start(now, transmitted=carried))
-        self._arm_timer()
+        self._set_alarm()
         try:
             outcome = await running.done
         finally:
@@ -352,20 +357,12 @@ class Commander:
         if running is not None:
             self._apply(running, running.exchange.stop(self._loop.time(), result, message))
 
-    def _arm_timer(self) -> None:
+    def _set_alarm(self) -> None:
         deadlines = [r.exchange.deadline for r in self._running.values() if r.exchange.deadline is not None]
         deadlines += [deadline for _, future, deadline in self._watches if not future.done()]
-        due = min(deadlines, default=None)
-        if self._timer is not None:
-            if due is not None and self._timer.when() == due:
-                return
-            self._timer.cancel()
-            self._timer = None
-        if due is not None:
-            self._timer = self._loop.call_at(due, self._on_timer)
+        self._alarm.set(min(deadlines, default=None))
 
     def _on_timer(self) -> None:
-        self._timer = None
         now = self._loop.time()
         for _, future, deadline in self._watches:
             if now >= deadline and not future.done():
@@ -379,4 +376,4 @@ class Commander:
                 self._apply(running, exchange.stop(now, "accepted", "done, though no acknowledgement came"))
             else:
                 self._apply(running, exchange.on_timer(now))
-        self._arm_timer()
+        self._set_alarm()

@@ -22,6 +22,7 @@ from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.runtime.commander import Carrier, SendFn
+from skygcs.runtime.errands import Errands
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_all import examine_all, meant
 from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
@@ -108,7 +109,7 @@ class Fleet:
         self._uplink_bytes_per_s = uplink_bytes_per_s
         self._param_cache = param_cache
         self._heard = heard
-        self._kept: set[asyncio.Task[dict[str, Outcome]]] = set()
+        self._kept = Errands(loop, on_event)
         self._duplicates: set[int] = set()
         self._replayed: set[int] = set()
         self._decoder = Decoder(dialect)
@@ -137,8 +138,7 @@ class Fleet:
         """End all orders in flight as cancelled."""
         for actor in self.vehicles.values():
             actor.close()
-        for task in self._kept:
-            task.cancel()
+        self._kept.close()
 
     def set_duplicate(self, key: int, duplicate: bool) -> None:
         """Whether two autopilots speak as ``key`` (sysid << 8 | compid), met or not yet: orders to it are refused."""
@@ -225,10 +225,7 @@ class Fleet:
         work = self._command(actors, order, args, arguments)
         if order not in KEPT or len(self._kept) >= MAX_KEPT:
             return await work
-        task = self._loop.create_task(work, name=f"{order} {', '.join(a.name for a in actors)}"[:100])
-        self._kept.add(task)
-        task.add_done_callback(self._kept_ended)
-        return await asyncio.shield(task)
+        return await asyncio.shield(self._kept.start(work, f"{order} {', '.join(a.name for a in actors)}"[:100]))
 
     def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
         """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError.
@@ -259,11 +256,6 @@ class Fleet:
     def flown(self) -> list[VehicleActor]:
         """The vehicles that are flown by setpoints, or about to be."""
         return [actor for actor in self.vehicles.values() if actor.flight.pilot.active]
-
-    def _kept_ended(self, task: asyncio.Task[dict[str, Outcome]]) -> None:
-        self._kept.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self._on_event(Event("fault", None, None, f"{task.get_name()} failed inside skygcs: {error!r}", {}))
 
     async def _command(
         self, actors: list[VehicleActor], order: str, args: tuple[Any, ...], arguments: dict[str, Any]

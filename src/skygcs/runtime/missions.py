@@ -33,6 +33,7 @@ from skygcs.core.vehicle.mission_orders import (
 from skygcs.core.vehicle.orders import require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.runtime.alarm import Alarm
 from skygcs.runtime.commander import Commander
 from skygcs.runtime.plan_runner import two_of_one_id
 
@@ -81,7 +82,7 @@ class Missions:
         self._told_percent = 0
         self._percent: int | None = None
         self._done_upload: tuple[MissionUpload, float] | None = None
-        self._timer: asyncio.TimerHandle | None = None
+        self._alarm = Alarm(loop, self._on_timer)
         self._current = b""
         self._seq: int | None = None
         self._state = 0
@@ -219,9 +220,7 @@ class Missions:
     def close(self) -> None:
         """The daemon ends."""
         self.stop("cancelled", "skygcs is shutting down")
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._alarm.set(None)
 
     async def _run(self, exchange: MissionExchange, what: str) -> MissionOutcome:
         missing = [name for name in NEEDED if name not in self._dialect.by_name]
@@ -256,7 +255,7 @@ class Missions:
             raise
         finally:
             self._running = None
-            self._arm_timer(None)
+            self._alarm.set(None)
         assert exchange.outcome is not None
         return exchange.outcome
 
@@ -271,7 +270,7 @@ class Missions:
         exchange, over, _ = self._running
         if exchange.done and not over.done():
             over.set_result(None)
-        self._arm_timer(exchange.deadline)
+        self._alarm.set(exchange.deadline)
 
     def _report(self, percent: int | None) -> None:
         self._percent = percent
@@ -280,15 +279,7 @@ class Missions:
         self._told_percent = percent - percent % REPORT_STEP
         self._on_progress(self._running[2], self._told_percent)
 
-    def _arm_timer(self, due: float | None) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        if due is not None:
-            self._timer = self._loop.call_at(due, self._on_timer)
-
     def _on_timer(self) -> None:
-        self._timer = None
         if self._running is not None:
             self._apply(self._running[0].on_timer(self._loop.time()))
 

@@ -26,7 +26,9 @@ from skygcs.core.mavlink.param import HASH_NAME, Param, Value, bits_message, val
 from skygcs.core.params.names import other_name
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime.alarm import Alarm
 from skygcs.runtime.commander import SendFn
+from skygcs.runtime.errands import fault
 from skygcs.runtime.param_book import ParamBook
 from skygcs.runtime.param_cache import ParamCache
 
@@ -102,7 +104,7 @@ class VehicleParams:
         self._waiting = 0
         self._cancelled = 0
         self._told_at = -math.inf
-        self._timer: asyncio.TimerHandle | None = None
+        self._alarm = Alarm(loop, self._on_timer)
 
     # -- what the vehicle says
 
@@ -125,13 +127,13 @@ class VehicleParams:
                     self._apply(exchange, exchange.on_error(name, code, now))
         else:
             return
-        self._arm_timer()
+        self._set_alarm()
 
     def on_text(self, text: str) -> None:
         for exchange in list(self._running):
             if isinstance(exchange, ParamExchange):
                 self._apply(exchange, exchange.on_text(text, self._loop.time()))
-        self._arm_timer()
+        self._set_alarm()
 
     def stop_all(self, result: str, message: str) -> int:
         """End all that is under way; how many that were. After a reboot nothing that was known is vouched for."""
@@ -143,7 +145,7 @@ class VehicleParams:
         for exchange in running:
             if isinstance(exchange, ParamExchange | ParamList):
                 self._apply(exchange, exchange.stop(self._loop.time(), result, message))
-        self._arm_timer()
+        self._set_alarm()
         return len(running)
 
     def cancel(self) -> int:
@@ -156,9 +158,7 @@ class VehicleParams:
         self.stop_all("cancelled", "skygcs is shutting down")
         if self._loading is not None:
             self._loading.cancel()
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
+        self._alarm.set(None)
 
     # -- what people want
 
@@ -341,7 +341,7 @@ class VehicleParams:
         self._running[exchange] = done
         self._taken[exchange] = 0
         self._apply(exchange, exchange.start(self._loop.time()))
-        self._arm_timer()
+        self._set_alarm()
         try:
             await done
             return self._taken[exchange] == 0
@@ -351,7 +351,7 @@ class VehicleParams:
         finally:
             self._running.pop(exchange, None)
             del self._taken[exchange]
-            self._arm_timer()
+            self._set_alarm()
 
     def _apply(self, exchange: Exchange, effects: Sequence[Effect]) -> None:
         for effect in effects:
@@ -371,28 +371,19 @@ class VehicleParams:
         values = {**effect.values, "target_system": sysid, "target_component": compid}
         self._taken[exchange] += self._send(info, values, sysid, compid, Priority.EXCHANGE)
 
-    def _arm_timer(self) -> None:
-        due = min((e.deadline for e in self._running if e.deadline is not None), default=None)
-        if self._timer is not None:
-            if due is not None and self._timer.when() == due:
-                return
-            self._timer.cancel()
-            self._timer = None
-        if due is not None:
-            self._timer = self._loop.call_at(due, self._on_timer)
+    def _set_alarm(self) -> None:
+        self._alarm.set(min((e.deadline for e in self._running if e.deadline is not None), default=None))
 
     def _on_timer(self) -> None:
-        self._timer = None
         now = self._loop.time()
         for exchange in list(self._running):
             self._apply(exchange, exchange.on_timer(now))
-        self._arm_timer()
+        self._set_alarm()
 
     def _loaded(self, task: asyncio.Task[Loaded]) -> None:
         if self._loading is task:
             self._loading = None
-        if not task.cancelled() and (error := task.exception()) is not None:
-            text = f"reading parameters failed inside skygcs: {error!r}"
+        if (text := fault(task)) is not None:
             self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, text, {}))
 
     def _progress(self, action: str, progress: ListProgress, text: str) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from skygcs.core.control.deadman import DeadMan, Fired
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.events import Event
+from skygcs.runtime.errands import Errands
 from skygcs.runtime.fleet import Fleet
 
 GCS_TYPE = 6
@@ -26,7 +27,7 @@ class Watchman:
         self._loop = loop
         self._on_event = on_event
         self._flown: frozenset[str] = frozenset()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._errands = Errands(loop, on_event)
 
     @property
     def watching(self) -> bool:
@@ -52,20 +53,12 @@ class Watchman:
             self._act(fired, sorted(flown))
 
     def close(self) -> None:
-        for task in self._tasks:
-            task.cancel()
+        self._errands.close()
 
     def _act(self, fired: Fired, names: list[str]) -> None:
         data = {"action": fired.action, "vehicles": names}
         self._on_event(Event("warning", None, None, f"{fired.reason}: {fired.action} for {', '.join(names)}", data))
-        task = self._loop.create_task(self._order(fired, names), name=f"dead-man {fired.action}")
-        self._tasks.add(task)
-        task.add_done_callback(self._ended)
+        self._errands.start(self._order(fired, names), f"dead-man {fired.action}")
 
     async def _order(self, fired: Fired, names: list[str]) -> None:
         await self._fleet.command_all(names, fired.action)  # what became of it is told per vehicle, as of any order
-
-    def _ended(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self._on_event(Event("fault", None, None, f"{task.get_name()} failed inside skygcs: {error!r}", {}))

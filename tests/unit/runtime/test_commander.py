@@ -93,7 +93,7 @@ async def test_commands_of_many_ids_go_on_side_by_side_and_leave_nothing_behind(
     await asyncio.sleep(LATE_ACK_S)
     assert not radio.commander.commanding
     assert not radio.commander.busy
-    assert radio.commander._timer is None
+    assert radio.commander._alarm.due is None
 
 
 async def test_a_quiet_time_ends_as_soon_as_the_late_acks_have_come() -> None:
