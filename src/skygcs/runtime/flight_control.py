@@ -30,7 +30,8 @@ from skygcs.errors import ConfigError, RefusedError
 from skygcs.runtime.commander import Commander
 from skygcs.runtime.control_clock import ControlClock
 from skygcs.runtime.errands import Errands
-from skygcs.runtime.takeover import Attempt, Execute, Takeover
+from skygcs.runtime.plan_runner import Attempt, Execute
+from skygcs.runtime.takeover import Takeover
 from skygcs.runtime.trace_file import Recording
 
 ATTITUDE_FRAME_BYTES = 51
@@ -66,6 +67,7 @@ class FlightControl:
         execute: Execute,
         attempt: Attempt,
         position_hz: float | None,
+        plan_position: Callable[[float | None], bool] = lambda rate_hz: False,
         on_event: Callable[[Event], None],
         log_dir: Path,
         uplink_bytes_per_s: Callable[[], float],
@@ -100,6 +102,7 @@ class FlightControl:
             begin=self._begin,
             release=self.release,
             position_hz=position_hz,
+            plan_position=plan_position,
             on_event=on_event,
         )
         self._law_changed = False

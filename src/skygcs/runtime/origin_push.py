@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
 from skygcs.core.exchange.command import Outcome
@@ -11,7 +10,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.origin import ORIGIN_MESSAGE, SAME_M, kept, off_m, tell
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.upkeep import Planner
+from skygcs.runtime.plan_runner import Attempt, Planner
 
 TRIES = 3
 """SET_GPS_GLOBAL_ORIGIN has no acknowledgement: it may be lost while the question after it is not."""
@@ -21,7 +20,7 @@ NO_USE = frozenset({"refused", "unsupported", "lost", "cancelled"})
 
 
 async def push_origin(
-    attempt: Callable[[Planner], Awaitable[Outcome]],
+    attempt: Attempt,
     vehicle: Vehicle,
     dialect: Dialect,
     origin: Origin,

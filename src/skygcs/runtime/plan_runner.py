@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
 from skygcs.core.exchange.command import CommandSpec, Outcome
@@ -28,9 +28,16 @@ all its capacity for repeats, and the answer is waited for a few seconds only.""
 REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
 """What a vehicle answers that does not do it."""
 
-
 UNHEARD = frozenset({"timeout", "lost"})
 """Outcomes of an order that did not reach the vehicle, or that it took and does not show."""
+
+Planner = Callable[[float], Plan]
+"""What an order means now (the loop's time). Raises RefusedError, and NotReadyError if it may be possible soon."""
+
+Attempt = Callable[[Planner], Awaitable[Outcome]]
+"""Plans and carries out."""
+
+Execute = Callable[[Plan], Awaitable[Outcome]]
 
 
 class PlanRunner:

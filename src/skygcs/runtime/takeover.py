@@ -7,7 +7,7 @@ its *turn* is still the present one, and goes no further if it is not.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import replace
 
 from skygcs.config.control import ControlSettings
@@ -17,12 +17,12 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle import offboard, orders
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.pilot import Pilot, PilotState
-from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.commander import Commander
 from skygcs.runtime.control_clock import ControlClock
 from skygcs.runtime.errands import Errands
+from skygcs.runtime.plan_runner import Attempt, Execute
 
 STREAM_BEFORE_S = 1.3
 """Setpoints flow this long before the mode is changed: PX4 wants more than 1 s of them (field-notes 10.5)."""
@@ -48,13 +48,11 @@ and a heartbeat, which tells, come within so long."""
 FIRST_WORD_S = 1.0
 """Some periods of the slowest way."""
 
-Attempt = Callable[[Callable[[float], Plan]], Awaitable[Outcome]]
-Execute = Callable[[Plan], Awaitable[Outcome]]
-
 
 class Takeover:
     """Of one vehicle. ``execute`` carries out a plan, ``attempt`` plans and carries out; ``position_hz``: of its
-    position while nobody flies it by setpoints, None: its own.
+    position while nobody flies it by setpoints, None: its own. ``plan_position(rate)`` is told how often it is wanted
+    (None: not any more); if it is True, a radio's plan sees to it, as far as there is room.
 
     ``begin`` has the setpoints stream, and raises RefusedError if they cannot; ``release`` ends them, which begins a
     turn (`next_turn`) like everything that begins or ends control.
@@ -76,6 +74,7 @@ class Takeover:
         begin: Callable[[Way], None],
         release: Callable[[str], None],
         position_hz: float | None,
+        plan_position: Callable[[float | None], bool] = lambda rate_hz: False,
         on_event: Callable[[Event], None],
     ) -> None:
         self.turn = 0
@@ -93,6 +92,7 @@ class Takeover:
         self._begin = begin
         self._release = release
         self._position_hz = position_hz
+        self._plan_position = plan_position
         self._on_event = on_event
 
     def next_turn(self) -> int:
@@ -132,7 +132,7 @@ class Takeover:
 
     def restore_position(self) -> None:
         """Back to the rate of the picture; nobody waits for it."""
-        if self._vehicle.connected:
+        if not self._plan_position(None) and self._vehicle.connected:
             self._errands.start(self._ask_interval(self._position_hz), "position rate")
 
     # -- may it be taken over
@@ -250,7 +250,7 @@ class Takeover:
     # -- how often it tells where it is
 
     async def _ask_position(self, rate_hz: float | None) -> None:
-        if rate_hz is not None:
+        if not self._plan_position(rate_hz) and rate_hz is not None:
             await self._ask_interval(max(rate_hz, self._position_hz or 0.0))
 
     async def _ask_interval(self, rate_hz: float | None) -> None:

@@ -6,25 +6,22 @@ Nothing of it is urgent: it goes out behind orders, a few times, and again after
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 
 from skygcs.core.airtime import Priority
-from skygcs.core.exchange.command import Outcome
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.streams import STREAM_GROUPS, StreamKeeper
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
-from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.commander import Commander
+from skygcs.runtime.errands import fault
+from skygcs.runtime.plan_runner import Attempt
 
 IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
 """When, after it was met or rebooted, a vehicle is asked for what nobody streams: its version and its home."""
 
 IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
-
-Planner = Callable[[float], Plan]
-Attempt = Callable[[Planner], Awaitable[Outcome]]
 
 
 class Upkeep:
@@ -50,13 +47,17 @@ class Upkeep:
         self._asking: asyncio.Task[None] | None = None
         self._identified = 0
         self._identify_from: float | None = None
+        self.planned = False
+        """Whether a radio's plan sees to its streams."""
+        self.busy = False
+        """Whether that plan still has something to ask for, before which the rest can wait."""
 
     def tick(self, now: float) -> None:
         if not self._vehicle.connected or self._vehicle.replayed:
             return
-        if self._identified < len(IDENTIFY_AT_S):
+        if self._identified < len(IDENTIFY_AT_S) and not self.busy:
             self._identify(now)
-        if self._asking is None:
+        if self._asking is None and not self.planned:
             self._keep_streams(now)
 
     def restart(self, now: float) -> None:
@@ -92,14 +93,14 @@ class Upkeep:
         """Ask for the next wanted message that does not come, in a task of its own: the answer takes a while."""
         due = self._keeper.due(now, self._last_at, ardupilot=self._vehicle.family == "ardupilot")
         if due is not None:
-            name = f"{self._vehicle.name} asks for {due[0]}"
+            name = f"asking {self._vehicle.name} for {due[0]}"
             self._asking = self._loop.create_task(self._ask_for(*due), name=name)
             self._asking.add_done_callback(self._asked)
 
     def _asked(self, task: asyncio.Task[None]) -> None:
         self._asking = None
-        if not task.cancelled() and (error := task.exception()) is not None:
-            self._on_fault(f"asking for a message failed: {error!r}")
+        if (text := fault(task)) is not None:
+            self._on_fault(text)
 
     async def _ask_for(self, message: str, rate_hz: float) -> None:
         outcome = await self._attempt(

@@ -32,27 +32,27 @@ from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.goals import Place
 from skygcs.core.vehicle.pilot import PilotState
 from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.snapshot import latest_message
 from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.worldview import setpoint_from_world, shown
-from skygcs.errors import NotReadyError, RefusedError
-from skygcs.runtime.commander import SUPERSEDED, Commander, SendFn
+from skygcs.errors import RefusedError
+from skygcs.runtime.commander import Commander, SendFn
 from skygcs.runtime.fence import FenceOutcome, VehicleFence
 from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.missions import MESSAGES as MISSION_MESSAGES
 from skygcs.runtime.missions import Missions
+from skygcs.runtime.order_runner import OrderRunner
 from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.params import VehicleParams
-from skygcs.runtime.plan_runner import MOVING, PlanRunner, two_of_one_id
+from skygcs.runtime.plan_runner import two_of_one_id
+from skygcs.runtime.planned_streams import PlannedStreams
 from skygcs.runtime.preflight import Preflight
-from skygcs.runtime.upkeep import Planner, Upkeep
+from skygcs.runtime.upkeep import Upkeep
 
 COMMAND_ACK = 77
 TIMESYNC = 111
-
-ARM_RETRY_S = 1.0
-"""ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
 
 OnEvent = Callable[[Event], None]
 
@@ -90,25 +90,29 @@ class VehicleActor:
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
-        self._plans = PlanRunner(vehicle, self.commander, dialect, loop, self._report)
+        self.planned = PlannedStreams(vehicle, self.commander, dialect, own)
+        self._orders = OrderRunner(
+            vehicle, self.commander, dialect, loop, on_event, release=lambda reason: self.flight.release(reason)
+        )
         self.flight = FlightControl(
             vehicle,
             config.control,
             self.commander,
             dialect,
             loop,
-            execute=self._plans.execute,
-            attempt=self._attempt_kept,
+            execute=self._orders.plans.execute,
+            attempt=self._orders.attempt_kept,
             position_hz=config.streams.get("GLOBAL_POSITION_INT"),
+            plan_position=self.planned.want_position,
             on_event=on_event,
             log_dir=log_dir,
             uplink_bytes_per_s=uplink_bytes_per_s,
         )
         self.params = VehicleParams(vehicle, dialect, send, loop, on_event, param_cache or ParamCache(None))
-        self.missions = Missions(vehicle, self.commander, dialect, loop, self._report, on_event)
+        self.missions = Missions(vehicle, self.commander, dialect, loop, self._orders.report, on_event)
 
         async def ask(message: str) -> Outcome:
-            return await self._attempt(lambda now: orders.request_message(vehicle, now, dialect, message))
+            return await self._orders.attempt(lambda now: orders.request_message(vehicle, now, dialect, message))
 
         self.fence = VehicleFence(vehicle, self.params, dialect, loop, on_event, ask, log_dir=log_dir)
         self.preflight = Preflight(
@@ -116,14 +120,16 @@ class VehicleActor:
             config,
             self.params,
             dialect,
-            lambda message: self._attempt(lambda now: orders.request_message(vehicle, now, dialect, message)),
+            lambda message: self._orders.attempt(lambda now: orders.request_message(vehicle, now, dialect, message)),
             loop,
             gcs_sysid=own[0],
             configured=configured,
             valid_s=preflight_valid_s,
             links=heard,
         )
-        self._upkeep = Upkeep(vehicle, self.commander, dialect, config.streams, self._attempt, self._on_fault, loop)
+        self._upkeep = Upkeep(
+            vehicle, self.commander, dialect, config.streams, self._orders.attempt, self._on_fault, loop
+        )
 
     @property
     def name(self) -> str:
@@ -146,6 +152,8 @@ class VehicleActor:
         state = dict(self.vehicle.snapshot(now, time.time()))
         if self.flight.pilot.state is not PilotState.OFF:
             state["control"] = self.control_state(now)
+        if self.planned.active:
+            self.planned.add_to(state)
         return state
 
     def latest(self, message: str | int) -> dict[str, Any] | None:
@@ -154,16 +162,7 @@ class VehicleActor:
         Raises RefusedError for a name the dialect lacks.
         """
         msgid, _ = orders.find_message(self._dialect, message)
-        slot = self.vehicle.slots.get(msgid)
-        if slot is None or slot.frame is None:
-            return None
-        return {
-            "name": slot.name,
-            "fields": {name: _json_able(value) for name, value in slot.frame.fields().items()},
-            "age_s": round(self._loop.time() - slot.at, 3),
-            "rate_hz": round(slot.rate_hz, 2),
-            "count": slot.count,
-        }
+        return latest_message(self.vehicle, msgid, self._loop.time())
 
     @property
     def duplicate(self) -> bool:
@@ -191,6 +190,7 @@ class VehicleActor:
             self._publish(events, now)
         if frame.msgid == COMMAND_ACK and self.vehicle.last_ack is not None:
             commander.on_ack(self.vehicle.last_ack, now)
+            self.planned.on_ack(self.vehicle.last_ack, now)
         elif frame.msgid == TIMESYNC:
             self.flight.on_timesync(frame, now)
         elif frame.msgid in MISSION_MESSAGES:
@@ -207,6 +207,7 @@ class VehicleActor:
         events = self.vehicle.tick(now)
         if events:
             self._publish(events, now)
+        self._upkeep.planned, self._upkeep.busy = self.planned.active, not self.planned.settled
         self._upkeep.tick(now)
         if self.flight.pilot.active:
             self.flight.refresh_budget()
@@ -228,14 +229,14 @@ class VehicleActor:
             self._require_preflight(force=force)
             return orders.arm(self.vehicle, now, force=force)
 
-        return await self._retried("arm", planner, wait_s)
+        return await self._orders.retry("arm", planner, wait_s)
 
     async def disarm(self, *, force: bool = False) -> Outcome:
         """``force`` stops the motors even in the air, and even if the vehicle is lost: emergency priority."""
-        return await self._run("disarm", lambda now: orders.disarm(self.vehicle, now, force=force))
+        return await self._orders.run("disarm", lambda now: orders.disarm(self.vehicle, now, force=force))
 
     async def set_mode(self, name: str) -> Outcome:
-        return await self._run("mode", lambda now: orders.set_mode(self.vehicle, now, name))
+        return await self._orders.run("mode", lambda now: orders.set_mode(self.vehicle, now, name))
 
     async def takeoff(
         self, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
@@ -251,20 +252,20 @@ class VehicleActor:
             self._require_preflight(force=force)
             return orders.takeoff(self.vehicle, now, height, arm=arm)
 
-        return await self._retried("takeoff", planner, wait_s)
+        return await self._orders.retry("takeoff", planner, wait_s)
 
     async def land(self) -> Outcome:
-        return await self._run("land", lambda now: orders.land(self.vehicle, now))
+        return await self._orders.run("land", lambda now: orders.land(self.vehicle, now))
 
     async def rtl(self) -> Outcome:
-        return await self._run("rtl", lambda now: orders.rtl(self.vehicle, now))
+        return await self._orders.run("rtl", lambda now: orders.rtl(self.vehicle, now))
 
     async def hold(self) -> Outcome:
-        return await self._run("hold", lambda now: orders.hold(self.vehicle, now))
+        return await self._orders.run("hold", lambda now: orders.hold(self.vehicle, now))
 
     async def stop(self, action: Action) -> Outcome:
         """Emergency stop; see `core.vehicle.stop`. A kill is to be confirmed by whoever calls (`Fleet.command_all`)."""
-        return await self._run("stop", lambda now: stopping.stop(self.vehicle, now, action))
+        return await self._orders.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
 
     async def goto(
         self,
@@ -277,25 +278,21 @@ class VehicleActor:
         force: bool = False,
     ) -> Outcome:
         """See `orders.goto`. While it is flown by setpoints it is their reference that goes there."""
+        where: dict[str, Any] = {
+            "lat_deg": lat_deg,
+            "lon_deg": lon_deg,
+            "height_m": height_m,
+            "enu_m": enu_m,
+            "yaw_deg": yaw_deg,
+            "limit_m": self.config.goto_limit_m,
+            "force": force,
+        }
         if self.flight.flying:
-            return self._told("goto", self._lead(lat_deg, lon_deg, height_m, enu_m, yaw_deg, force=force))
-        return await self._run(
-            "goto",
-            lambda now: orders.goto(
-                self.vehicle,
-                now,
-                lat_deg=lat_deg,
-                lon_deg=lon_deg,
-                height_m=height_m,
-                enu_m=enu_m,
-                yaw_deg=yaw_deg,
-                limit_m=self.config.goto_limit_m,
-                force=force,
-            ),
-        )
+            return self._orders.told("goto", self._lead(where))
+        return await self._orders.run("goto", lambda now: orders.goto(self.vehicle, now, **where))
 
     async def reboot(self, *, force: bool = False) -> Outcome:
-        return await self._run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
+        return await self._orders.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
 
     async def set_home(
         self,
@@ -306,7 +303,7 @@ class VehicleActor:
         force: bool = False,
     ) -> Outcome:
         """Without arguments: where it is now. In the air, or farther than goto_limit_m, only with ``force``."""
-        return await self._run(
+        return await self._orders.run(
             "home",
             lambda now: orders.set_home(
                 self.vehicle,
@@ -321,30 +318,34 @@ class VehicleActor:
 
     async def push_origin(self, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
         """Tell the vehicle the origin, and with ``home`` make it its home. Armed only with ``force``."""
-        return self._told("origin", await self._cancellable("origin", self._push_origin(origin, home, force)))
+        return await self._orders.carry("origin", self._push_origin(origin, home, force))
 
     async def _push_origin(self, origin: Origin, home: bool, force: bool) -> Outcome:
-        told = await push_origin(self._attempt, self.vehicle, self._dialect, origin, force=force)
+        told = await push_origin(self._orders.attempt, self.vehicle, self._dialect, origin, force=force)
         if not home or told.result == "refused":
             return told
         limit_m = self.config.goto_limit_m
-        return both(told, await self._attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
+        return both(told, await self._orders.attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
         """0 turns it off, None goes back to the vehicle's own rate. From then on the rate is the caller's to keep."""
         with contextlib.suppress(RefusedError):
-            self._upkeep.leave(orders.find_message(self._dialect, message)[1])
-        return await self._run(
+            name = orders.find_message(self._dialect, message)[1]
+            self._upkeep.leave(name)
+            self.planned.leave(name)
+        return await self._orders.run(
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
         )
 
     async def request_message(self, message: str | int) -> Outcome:
         """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
-        return await self._run("request", lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
+        return await self._orders.run(
+            "request", lambda now: orders.request_message(self.vehicle, now, self._dialect, message)
+        )
 
     async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
         """REQUEST_DATA_STREAM, the old way; nothing acknowledges it."""
-        return await self._run(
+        return await self._orders.run(
             "stream", lambda now: orders.request_stream(self.vehicle, now, self._dialect, stream, rate_hz)
         )
 
@@ -359,7 +360,7 @@ class VehicleActor:
         z: float | None = None,
     ) -> Outcome:
         """Any command; see `orders.raw_command`."""
-        return await self._run(
+        return await self._orders.run(
             "command",
             lambda now: orders.raw_command(
                 self.vehicle, now, self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z
@@ -369,16 +370,16 @@ class VehicleActor:
     async def upload_plan(self, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False) -> Outcome:
         """See `Missions.bring`."""
         work = self.missions.bring(plan, kinds, limit_m=self.config.goto_limit_m, force=force)
-        return self._told("plan upload", await self._cancellable("plan upload", work))
+        return await self._orders.carry("plan upload", work)
 
     async def clear_plan(self, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
         """See `Missions.drop`."""
-        return self._told("plan clear", await self._cancellable("plan clear", self.missions.drop(kinds, force=force)))
+        return await self._orders.carry("plan clear", self.missions.drop(kinds, force=force))
 
     async def download_plan(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
         """See `Missions.fetch`."""
         outcome, plan = await self.missions.fetch(kinds)
-        return self._told("plan download", outcome), plan
+        return self._orders.told("plan download", outcome), plan
 
     async def set_fence(
         self, *, radius_m: float | None = None, height_m: float | None = None, action: str | None = None
@@ -401,9 +402,9 @@ class VehicleActor:
     async def _told_fence(self, order: str, work: Callable[[], Coroutine[Any, Any, FenceOutcome]]) -> FenceOutcome:
         """Tell of it like of any order; a cancelled test has told of itself."""
         if self.duplicate:
-            return FenceOutcome(self._told(order, two_of_one_id(self.vehicle)))
+            return FenceOutcome(self._orders.told(order, two_of_one_id(self.vehicle)))
         outcome = await work()
-        self._told(order, outcome.outcome)
+        self._orders.told(order, outcome.outcome)
         return outcome
 
     async def start_mission(self, *, first: int = 1, arm: bool = True, force: bool = False) -> Outcome:
@@ -413,31 +414,30 @@ class VehicleActor:
             self._require_preflight(force=force)
             return mission_orders.start(self.vehicle, now, first=first, arm=arm)
 
-        return await self._run("mission", planner)
+        return await self._orders.run("mission", planner)
 
     async def resume_mission(self) -> Outcome:
         """Go on with the current item; pausing is `hold`."""
-        return await self._run("mission", lambda now: mission_orders.resume(self.vehicle, now))
+        return await self._orders.run("mission", lambda now: mission_orders.resume(self.vehicle, now))
 
     async def set_mission_item(self, *, item: int) -> Outcome:
         """Make it the current item, from 1."""
-        return await self._run("mission item", lambda now: mission_orders.set_current(self.vehicle, now, item))
+        return await self._orders.run("mission item", lambda now: mission_orders.set_current(self.vehicle, now, item))
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Fly it by setpoints: "position", "velocity" or "attitude"; "off": no more, and hold."""
         if mode != "off":
             work = self.flight.engage(Way(mode), force=force)
-            return self._told("control", await self._cancellable("control", work))
+            return await self._orders.carry("control", work)
         if not self.flight.pilot.active:
             self.flight.release("switched off")
-            return self._told("control", Outcome(True, "accepted", "control is off"))
+            return self._orders.told("control", Outcome(True, "accepted", "control is off"))
         self.flight.release("switched off")
-        outcome = await self._cancellable("control", self._attempt(lambda now: orders.hold(self.vehicle, now)))
-        return self._told("control", replace(outcome, message=f"control is off; {outcome.message}"))
+        return await self._orders.carry("control", self._switched_off())
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `FlightControl.change_gains`."""
-        return self._told("gains", self.flight.change_gains(changes, force=force))
+        return self._orders.told("gains", self.flight.change_gains(changes, force=force))
 
     def setpoint(
         self,
@@ -451,11 +451,11 @@ class VehicleActor:
         """One setpoint of a stream in the fleet's world frame; made to be called 50 times a second."""
         origin = self.vehicle.origin
         if origin is None:
-            return Outcome(False, "refused", "refused: the fleet has no origin yet, so ENU means nothing")
+            return Outcome.refused("the fleet has no origin yet, so ENU means nothing")
         try:
             wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg)
         except RefusedError as error:
-            return Outcome(False, "refused", f"refused: {error}")
+            return Outcome.refused(str(error))
         return self.flight.follow(wanted, valid_s)
 
     def record_control(self, on: bool) -> str | None:
@@ -483,7 +483,7 @@ class VehicleActor:
 
     def refuse(self, order: str, reason: str) -> Outcome:
         """Refuse an order for a reason the fleet knows."""
-        return self._told(order, Outcome(False, "refused", f"refused: {reason}"))
+        return self._orders.told(order, Outcome.refused(reason))
 
     def _require_preflight(self, *, force: bool) -> None:
         """Raises RefusedError if it must not be armed now."""
@@ -491,98 +491,18 @@ class VehicleActor:
         if reason is not None:
             raise RefusedError(reason)
 
-    def _lead(
-        self,
-        lat_deg: float | None,
-        lon_deg: float | None,
-        height_m: float | None,
-        enu_m: Sequence[float] | None,
-        yaw_deg: float | None,
-        *,
-        force: bool,
-    ) -> Outcome:
+    async def _switched_off(self) -> Outcome:
+        outcome = await self._orders.attempt(lambda now: orders.hold(self.vehicle, now))
+        return replace(outcome, message=f"control is off; {outcome.message}")
+
+    def _lead(self, where: Mapping[str, Any]) -> Outcome:
         """A goto of a vehicle that is flown by setpoints; its yaw is a compass heading."""
         try:
-            to = orders.destination(
-                self.vehicle,
-                self._loop.time(),
-                lat_deg=lat_deg,
-                lon_deg=lon_deg,
-                height_m=height_m,
-                enu_m=enu_m,
-                yaw_deg=yaw_deg,
-                limit_m=self.config.goto_limit_m,
-                force=force,
-            )
+            to = orders.destination(self.vehicle, self._loop.time(), **where)
         except RefusedError as error:
-            return Outcome(False, "refused", f"refused: {error}")
+            return Outcome.refused(str(error))
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
         return self.flight.fly_to(Place(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
-
-    async def _retried(self, order: str, planner: Planner, wait_s: float) -> Outcome:
-        return self._told(order, await self._cancellable(order, self._tries(order, planner, wait_s)))
-
-    async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
-        """Try until the vehicle accepts, the time is over, a newer order came, or there is no use in trying again."""
-        started = self._loop.time()
-        attempts = 0
-        while True:
-            tried_at, before = self._loop.time(), self._plans.order
-            outcome = await self._attempt(planner)
-            attempts += outcome.attempts
-            outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
-            superseded = self._plans.order > before + (order in MOVING)
-            over = superseded or tried_at + ARM_RETRY_S > started + wait_s
-            if over or outcome.ok or outcome.result in ("refused", "unsupported", "lost", "cancelled"):
-                return outcome
-            before = self._plans.order
-            await asyncio.sleep(max(0.0, tried_at + ARM_RETRY_S - self._loop.time()))
-            if self._plans.order != before:
-                return replace(outcome, result="cancelled", message=SUPERSEDED)
-
-    async def _run(self, order: str, planner: Planner) -> Outcome:
-        return self._told(order, await self._cancellable(order, self._attempt(planner)))
-
-    async def _cancellable(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
-        """The work of an order; one that is cancelled has an outcome to tell, too."""
-        started = self._loop.time()
-        try:
-            return await work
-        except asyncio.CancelledError:
-            text = "cancelled: whoever gave it is gone; what was sent already cannot be unsent"
-            self._told(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
-            raise
-
-    async def _attempt(self, planner: Planner) -> Outcome:
-        try:
-            plan = planner(self._loop.time())
-        except NotReadyError as error:
-            return Outcome(False, "temporarily_rejected", f"not ready: {error}")
-        except RefusedError as error:
-            return Outcome(False, "refused", f"refused: {error}")
-        if self.duplicate and not plan.emergency:
-            return two_of_one_id(self.vehicle)
-        if plan.order in MOVING:
-            self.flight.release(f"{plan.order} was ordered")
-        return await self._plans.execute(plan)
-
-    async def _attempt_kept(self, planner: Planner) -> Outcome:
-        """An attempt of flight control's own: it ends no control."""
-        try:
-            plan = planner(self._loop.time())
-        except RefusedError as error:
-            return Outcome(False, "refused", f"refused: {error}")
-        return await self._plans.execute(plan)
-
-    def _told(self, order: str, outcome: Outcome) -> Outcome:
-        data = {"order": order, **outcome.as_dict()}
-        self._on_event(Event("command", self.name, self.sysid, f"{order}: {outcome.message}", data))
-        return outcome
-
-    def _report(self, order: str, percent: int | None) -> None:
-        how_far = "" if percent is None else f" {percent} %"
-        data = {"order": order, "result": "in_progress", "percent": percent}
-        self._on_event(Event("command", self.name, self.sysid, f"{order}: in progress{how_far}", data))
 
     def _publish(self, events: tuple[Event, ...], now: float) -> None:
         for event in events:
@@ -603,16 +523,8 @@ class VehicleActor:
                 self.flight.release("the vehicle rebooted")
                 self.preflight.forget()
                 self._upkeep.restart(now)
+                self.planned.restart()
             self._on_event(event)
 
     def _on_fault(self, text: str) -> None:
         self._on_event(Event("fault", self.name, self.sysid, text, {}))
-
-
-def _json_able(value: Any) -> Any:
-    """NaN and infinity have no JSON; they mean "not known"."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, list):
-        return [_json_able(v) for v in value]
-    return value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from skygcs.core.exchange.command import RESULT_NAMES
@@ -56,6 +57,20 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
     return state  # type: ignore[return-value]  # the keys of `VehicleState`; a test compares them
 
 
+def latest_message(vehicle: Vehicle, msgid: int, now: float) -> dict[str, Any] | None:
+    """The last one of a message, whole: its fields, age, rate and count; None if none has come."""
+    slot = vehicle.slots.get(msgid)
+    if slot is None or slot.frame is None:
+        return None
+    return {
+        "name": slot.name,
+        "fields": {name: _json_able(value) for name, value in slot.frame.fields().items()},
+        "age_s": round(now - slot.at, 3),
+        "rate_hz": round(slot.rate_hz, 2),
+        "count": slot.count,
+    }
+
+
 def _in_the_world(vehicle: Vehicle, position: Part) -> Part:
     """What is known of a position only with the fleet's origin, and with the ground the vehicle took off from."""
     origin, launch_amsl_m = vehicle.origin, vehicle.launch.alt_amsl_m
@@ -89,3 +104,12 @@ def _last_ack(vehicle: Vehicle, now: float) -> Part | None:
 
 def _rounded(value: float | None, digits: int) -> float | None:
     return None if value is None else round(value, digits)
+
+
+def _json_able(value: Any) -> Any:
+    """NaN and infinity have no JSON; they mean "not known"."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, list):
+        return [_json_able(v) for v in value]
+    return value
