@@ -30,6 +30,7 @@ from skygcs.errors import LinkError
 from skygcs.links.base import Channel
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
+from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
@@ -114,6 +115,7 @@ class Daemon:
         )
         if self.watchman.watching:
             self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
+        self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, self.on_event)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()
@@ -146,6 +148,8 @@ class Daemon:
                 group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
                 group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="link watch"),
+                group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
+                group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
                 group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
             ]
             signing = group.create_task(self.signing.run(), name="signing")

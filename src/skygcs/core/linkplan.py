@@ -50,11 +50,11 @@ FRAME_BYTES: Mapping[str, int] = {
 PROFILES: Mapping[str, Mapping[str, float]] = {
     "monitor": {"HEARTBEAT": 1, "SYS_STATUS": 0.5, "GPS_RAW_INT": 0.5, "GLOBAL_POSITION_INT": 1},
     "nav": {"HEARTBEAT": 1, "SYS_STATUS": 0.5, "GPS_RAW_INT": 0.5, "GLOBAL_POSITION_INT": 2, "ATTITUDE": 1},
-    "control": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "LOCAL_POSITION_NED": 5},
-    "control-10": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "LOCAL_POSITION_NED": 10},
-    "full": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "LOCAL_POSITION_NED": 10, "ATTITUDE": 10},
+    "control": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "GLOBAL_POSITION_INT": 5},
+    "control-10": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "GLOBAL_POSITION_INT": 10},
+    "full": {"HEARTBEAT": 1, "SYS_STATUS": 0.2, "GPS_RAW_INT": 0.2, "GLOBAL_POSITION_INT": 10, "ATTITUDE": 10},
 }
-"""Hz of each message from one vehicle (field-notes 10.2)."""
+"""Hz of each message from one vehicle (field-notes 10.2; the position there, LOCAL_POSITION_NED, is as long)."""
 
 SETPOINTS: Mapping[str, str | None] = {
     "none": None,

@@ -1,0 +1,264 @@
+"""What the vehicles behind each radio stream, and how the radio fares: planned, asked for, watched and told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from skygcs.config.models import SerialLink, SimulatedLink
+from skygcs.config.radio import RadioKeys
+from skygcs.core.airtime import Priority
+from skygcs.core.linkplan import BITS_PER_BYTE, SLOT_BYTES
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.stream_plan import (
+    CONTROLLED,
+    NORMAL,
+    POSITION,
+    SELECTED,
+    Downlink,
+    Wish,
+    fit,
+    plan_bytes_per_s,
+    profile_rates,
+)
+from skygcs.core.vehicle.events import Event
+from skygcs.links.base import Channel
+from skygcs.links.paced import FRAME_OVERHEAD_BYTES, AirBudget
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.link_watch import LinkWatch
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+WAITING_AT_ONCE = 3
+"""Requests that wait in a radio's queue at most: what is asked next is decided late, by what has come until then."""
+
+GONE_AFTER_S = 20.0
+"""A vehicle silent for so long leaves the plan, and the others get its part; a shorter silence changes nothing."""
+
+LOSS_POOR, LOSS_FAIR = 0.25, 0.10
+"""Of one vehicle's frames over half a minute: told when above the former, and again when below the latter."""
+
+TXBUF_POOR, TXBUF_FAIR = 0.15, 0.4
+MARGIN_POOR_DB, MARGIN_FAIR_DB = 8.0, 14.0
+
+OnEvent = Callable[[Event], None]
+
+
+class _Radio:
+    """One channel into a radio."""
+
+    def __init__(self, channel: Channel, air: AirBudget) -> None:
+        self.channel = channel
+        self.air = air
+        self.downlink = Downlink()
+        self.wishes: dict[int, Wish] = {}
+        self.budget: tuple[float, float] = (0.0, 0.0)
+        """Bytes/s down: of all vehicles, and of one (its timeslot)."""
+        self.planned: dict[int, dict[str, float]] = {}
+        self.turn = 0
+        self.poor: set[str] = set()
+        """What is told to be poor: "txbuf", "signal", or a vehicle's name."""
+        self.hinted: set[int] = set()
+
+
+class AirPlanner:
+    """`tick` once a second, `step` some ten times: requests of all vehicles in turn. Vehicles are keyed
+    sysid << 8 | compid."""
+
+    def __init__(self, hub: Hub, fleet: Fleet, watch: LinkWatch, dialect: Dialect, on_event: OnEvent) -> None:
+        self.selected: set[int] = set()
+        """Vehicles that an operator looks at."""
+        self._hub = hub
+        self._fleet = fleet
+        self._watch = watch
+        self._on_event = on_event
+        self._bytes = {info.name: info.length + FRAME_OVERHEAD_BYTES for info in dialect.messages.values()}
+        self._radios: dict[int, _Radio] = {}
+
+    def tick(self, now: float) -> None:
+        """Refit where something changed, and look at how each radio fares."""
+        channels = {n: c for n, c in self._hub.channels.items() if c.air is not None}
+        self._radios = {n: r for n, r in self._radios.items() if n in channels}
+        planned: set[int] = set()
+        for number, channel in channels.items():
+            if number not in self._radios and channel.air is not None:
+                self._radios[number] = _Radio(channel, channel.air)
+            radio = self._radios[number]
+            members = self._members(number, now)
+            planned |= members.keys()
+            self._plan(radio, members, now)
+            self._judge(radio, members, now)
+        for key, actor in self._fleet.vehicles.items():
+            if key not in planned and actor.planned.active and not self._is_silent(actor, now):
+                actor.planned.plan(None, self._bytes)  # it is reached another way now
+
+    def step(self, now: float) -> None:
+        """Have vehicles asked for what they do not send yet, as long as few requests wait."""
+        for number, radio in self._radios.items():
+            keys = list(radio.planned)
+            for offset in range(len(keys)):
+                if radio.air.queue.waiting(Priority.EXCHANGE) >= WAITING_AT_ONCE:
+                    break
+                actor = self._fleet.vehicles.get(keys[(radio.turn + offset) % len(keys)])
+                if actor is not None and actor.planned.ask(now, self._sender(number)):
+                    radio.turn = (radio.turn + offset + 1) % len(keys)
+                    break
+
+    def select(self, keys: set[int]) -> None:
+        """These vehicles get more from now on, and no others."""
+        self.selected = keys
+
+    def status(self, now: float) -> list[dict[str, Any]]:
+        """Of every radio: what goes up and down, its vehicles, its history."""
+        return [self._status_of(radio, now) for radio in self._radios.values()]
+
+    # -- the inside
+
+    def _sender(self, channel_id: int) -> Callable[[MessageInfo, Mapping[str, Any]], bool]:
+        return lambda info, values: self._hub.send_on((channel_id,), info, values, Priority.EXCHANGE)
+
+    def _is_silent(self, actor: VehicleActor, now: float) -> bool:
+        silence_s = actor.vehicle.silence_s(now)
+        return silence_s is not None and silence_s > GONE_AFTER_S
+
+    def _members(self, channel_id: int, now: float) -> dict[int, VehicleActor]:
+        """Vehicles that are reached over this channel."""
+        return {
+            key: actor
+            for key, actor in self._fleet.vehicles.items()
+            if not actor.vehicle.replayed
+            and not self._is_silent(actor, now)
+            and channel_id in self._hub.ways(actor.sysid, actor.compid)
+        }
+
+    def _plan(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
+        radio.air.set_vehicles(len(members), now)
+        report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
+        free = None if report is None else report.txbuf_free
+        radio.downlink.look(self._loss_of_all(radio, members, now), free, now)
+        wishes = {key: self._wish(radio, key, actor) for key, actor in members.items()}
+        budget = self._budget(radio)
+        if (wishes, budget) == (radio.wishes, radio.budget):
+            return
+        radio.wishes, radio.budget = wishes, budget
+        radio.planned = fit(wishes, *budget, self._bytes)
+        for key, rates in radio.planned.items():
+            members[key].planned.plan(rates, self._bytes)
+
+    def _budget(self, radio: _Radio) -> tuple[float, float]:
+        keys, pacer = radio.channel.config, radio.air.pacer
+        share = keys.downlink_share if isinstance(keys, RadioKeys) else 0.5
+        serial = pacer.rates.baud / BITS_PER_BYTE * share * radio.downlink.factor
+        round_s = pacer.rates.round_s(pacer.vehicles)
+        slot = serial if round_s is None else SLOT_BYTES / round_s * share * pacer.rates.duty_cycle
+        return serial * (pacer.rates.duty_cycle if round_s is None else 1.0), slot * radio.downlink.factor
+
+    def _wish(self, radio: _Radio, key: int, actor: VehicleActor) -> Wish:
+        config = radio.channel.config
+        assert isinstance(config, SerialLink | SimulatedLink)
+        rates = actor.config.streams if config.stream_profile == "custom" else profile_rates(config.stream_profile)
+        rates = {n: hz for n, hz in rates.items() if hz > 0 and n in self._bytes and self._has(actor, n)}
+        if actor.planned.position_hz is not None:
+            rates[POSITION] = max(rates.get(POSITION, 0.0), actor.planned.position_hz)
+        if actor.flight.pilot.active or actor.planned.position_hz is not None:
+            return Wish(rates, CONTROLLED)
+        return Wish(rates, SELECTED if key in self.selected else NORMAL)
+
+    def _has(self, actor: VehicleActor, message: str) -> bool:
+        return message != "EKF_STATUS_REPORT" or actor.vehicle.family == "ardupilot"
+
+    def _loss_of(self, radio: _Radio, key: int, now: float) -> float | None:
+        heard = self._watch.of(key, now).get(radio.channel.link.name)
+        return None if heard is None else heard.loss
+
+    def _loss_of_all(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> float | None:
+        losses = [loss for key in members if (loss := self._loss_of(radio, key, now)) is not None]
+        return sum(losses) / len(losses) if losses else None
+
+    def _judge(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
+        """Tell what has become poor, once, and when it is fair again."""
+        report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
+        if report is not None:
+            text = f"its transmit buffer is {1 - report.txbuf_free:.0%} full: the air does not take what is sent"
+            self._tell(radio, "txbuf", report.txbuf_free < TXBUF_POOR, report.txbuf_free > TXBUF_FAIR, text, None)
+        margins = [f.margin_db for key in members if (f := self._watch.of(key, now).get(radio.channel.link.name))]
+        known = [margin for margin in margins if margin is not None]
+        if known:
+            text = f"its signal is only {min(known):.0f} dB above the noise"
+            self._tell(radio, "signal", min(known) < MARGIN_POOR_DB, min(known) > MARGIN_FAIR_DB, text, None)
+        for key, actor in members.items():
+            loss = self._loss_of(radio, key, now)
+            if loss is not None:
+                text = f"{loss:.0%} of its frames are lost"
+                self._tell(radio, actor.name, loss > LOSS_POOR, loss < LOSS_FAIR, text, actor)
+            self._hint(radio, key, actor)
+
+    def _tell(self, radio: _Radio, what: str, poor: bool, fair: bool, text: str, actor: VehicleActor | None) -> None:
+        link = radio.channel.link.name
+        name, sysid = (None, None) if actor is None else (actor.name, actor.sysid)
+        data = {"link": link, "what": what if actor is None else "loss"}
+        if poor and what not in radio.poor:
+            radio.poor.add(what)
+            self._on_event(Event("link_degraded", name, sysid, f"radio {link}: {text}", data))
+        elif fair and what in radio.poor:
+            radio.poor.discard(what)
+            fine = "is heard well again" if actor is not None else f"{what} is well again"
+            self._on_event(Event("link_recovered", name, sysid, f"radio {link}: {fine}", data))
+
+    def _hint(self, radio: _Radio, key: int, actor: VehicleActor) -> None:
+        """What a vehicle will not stop by request, a person has to stop in its parameters."""
+        stubborn = actor.planned.keeper.stubborn() if key not in radio.hinted else []
+        if not stubborn:
+            return
+        radio.hinted.add(key)
+        wasted = sum(hz * self._bytes.get(name, 0) for name, hz in stubborn)
+        names = ", ".join(f"{name} {hz:.2g} Hz" for name, hz in stubborn[:4])
+        how = (
+            "lower its port's SRx_ parameters"
+            if actor.vehicle.family == "ardupilot"
+            else "set its port's profile to Minimal (MAV_0_MODE = 7) and its rate down (MAV_0_RATE)"
+        )
+        text = f"goes on streaming what it was asked to stop ({names}; {wasted:.0f} B/s of the radio): {how}"
+        self._on_event(Event("warning", actor.name, actor.sysid, text, {"link": radio.channel.link.name}))
+
+    def _status_of(self, radio: _Radio, now: float) -> dict[str, Any]:
+        total, each = radio.budget
+        planned = {k: plan_bytes_per_s(rates, self._bytes) for k, rates in radio.planned.items()}
+        sources = radio.channel.sources
+        vehicles = []
+        for key, rates in radio.planned.items():
+            actor = self._fleet.vehicles.get(key)
+            if actor is None:
+                continue
+            stats = sources.get(key)
+            trip = actor.planned.round_trip_s()
+            vehicles.append(
+                {
+                    "name": actor.name,
+                    "sysid": actor.sysid,
+                    "weight": radio.wishes[key].weight,
+                    "planned_bytes_per_s": round(planned[key], 1),
+                    "measured_bytes_per_s": None if stats is None else round(stats.bytes_per_s, 1),
+                    "loss": self._loss_of(radio, key, now),
+                    "round_trip_s": None if trip is None else round(trip, 3),
+                    "settled": actor.planned.settled,
+                    "scaled": any(hz > rates.get(n, 0.0) for n, hz in radio.wishes[key].rates_hz.items()),
+                    "streams": actor.planned.status(),
+                }
+            )
+        measured = sum(s.bytes_per_s for s in sources.values())
+        return {
+            "link": radio.channel.link.name,
+            "peer": radio.channel.peer,
+            "vehicles": vehicles,
+            "down": {
+                "budget_bytes_per_s": round(total, 1),
+                "per_vehicle_bytes_per_s": round(each, 1),
+                "planned_bytes_per_s": round(sum(planned.values()), 1),
+                "measured_bytes_per_s": round(measured, 1),
+                "factor": round(radio.downlink.factor, 2),
+            },
+            "up": radio.air.status(now),
+            "poor": sorted(radio.poor),
+            "history": [report.as_dict(now) for report in list(radio.air.pacer.history)[-60:]],
+        }
