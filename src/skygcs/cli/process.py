@@ -112,7 +112,9 @@ def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
 
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     tty = sys.stderr.isatty()
-    renderer: Any = structlog.dev.ConsoleRenderer(colors=tty, pad_event_to=0)
+    # plain: a traceback with the values of local variables could print a signing key or a token
+    plain = structlog.dev.plain_traceback
+    renderer: Any = structlog.dev.ConsoleRenderer(colors=tty, pad_event_to=0, exception_formatter=plain)
     structlog.configure(
         processors=[
             structlog.processors.add_log_level,

@@ -1,0 +1,143 @@
+"""`skygcs-cli signing` against a fake daemon: what it asks, prints and refuses; and that a fault prints no key."""
+
+from __future__ import annotations
+
+import asyncio
+import stat
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+from typer.testing import CliRunner
+
+from skygcs.cli.control import app
+from skygcs.cli.process import configure_logging
+from skygcs.core.exchange.command import Outcome
+from skygcs.errors import KeyFileError
+from skygcs.rpc.server import RpcServer
+from support.fake_daemon import FakeDaemon
+
+CHANNEL = {
+    "peer": "/dev/ttyUSB0",
+    "signed": 2810,
+    "unsigned_allowed": 31,
+    "unsigned": 4,
+    "bad_signature": 0,
+    "replayed": 2,
+    "stale": 0,
+    "too_many_streams": 0,
+    "sent_signed": 460,
+}
+
+
+class FakeSetup:
+    def __init__(self) -> None:
+        self.asked: list[tuple[Any, ...]] = []
+
+    async def setup(self, targets: str, key_file: Path, *, force: bool = False) -> dict[str, Outcome]:
+        self.asked.append((targets, key_file, force))
+        if key_file.name == "open":
+            raise KeyFileError(str(key_file), "others can read or change it")
+        return {"alpha": Outcome(True, "accepted", "it signs with key 2c6184d5", 1, 0.2)}
+
+    async def off(self, targets: str, *, force: bool = False) -> dict[str, Outcome]:
+        self.asked.append((targets,))
+        return {"alpha": Outcome(False, "timeout", "it still signs", 3, 7.5)}
+
+
+class SigningDaemon(FakeDaemon):
+    def __init__(self) -> None:
+        super().__init__()
+        self.signing_setup = FakeSetup()
+        self.links_with_key = True
+
+    def signing_status(self) -> dict[str, Any]:
+        if not self.links_with_key:
+            return {"keys": [], "links": []}
+        key = {"key_id": "2c6184d5", "time_unix_s": 1.8e9, "ahead_s": 61.2, "links": ["radio"]}
+        link = {"link": "radio", "key_id": "2c6184d5", "key_file": "/k", "link_id": 3, "sign_outgoing": True}
+        return {"keys": [key], "links": [{**link, "accept_unsigned": ["RADIO_STATUS", 166], "channels": [CHANNEL]}]}
+
+
+@pytest.fixture
+def daemon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[SigningDaemon]:
+    monkeypatch.setenv("SKYGCS_SOCKET", str(tmp_path / "s"))
+    monkeypatch.chdir(tmp_path)
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever)
+    thread.start()
+    daemon = SigningDaemon()
+    server = RpcServer(daemon, tmp_path / "s")
+    asyncio.run_coroutine_threadsafe(server.start(), loop).result(10)
+    yield daemon
+    asyncio.run_coroutine_threadsafe(server.close(), loop).result(10)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join()
+    loop.close()
+
+
+def signing(*args: str, code: int = 0) -> str:
+    result = CliRunner().invoke(app, ["signing", *args])
+    assert result.exit_code == code, result.output + repr(result.exception)
+    return result.output
+
+
+def test_setup_asks_with_the_whole_path_and_tells_the_outcome(daemon: SigningDaemon, tmp_path: Path) -> None:
+    assert "ok   alpha  it signs with key 2c6184d5" in signing("setup", "alpha", "--key", "lab.key")
+    signing("setup", "all", "--key", "lab.key", "--force")
+    key = tmp_path / "lab.key"
+    assert daemon.signing_setup.asked == [("alpha", key, False), ("all", key, True)]
+
+
+def test_a_key_that_others_can_read_is_one_line_and_exit_1(daemon: SigningDaemon) -> None:
+    assert "others can read or change it" in " ".join(signing("setup", "alpha", "--key", "open", code=1).split())
+
+
+def test_off_fails_if_a_vehicle_still_signs(daemon: SigningDaemon) -> None:
+    assert "FAIL alpha  it still signs" in signing("off", "alpha", code=1)
+
+
+def test_status_tells_what_was_dropped(daemon: SigningDaemon) -> None:
+    assert signing("status").splitlines() == [
+        "radio: key 2c6184d5, its clock 61 s ahead of ours, link id 3, signs",
+        "  may come unsigned: RADIO_STATUS, 166",
+        "  /dev/ttyUSB0: 2810 signed, 31 unsigned let in, dropped: 4 unsigned, 2 replayed; sent 460",
+    ]
+    assert '"bad_signature": 0' in signing("status", "--json")
+    daemon.links_with_key = False
+    assert "no link has a key" in signing("status")
+
+
+def test_a_relative_key_file_is_refused_by_the_daemon(daemon: SigningDaemon) -> None:
+    result = CliRunner().invoke(app, ["call", "signing.setup", '{"targets": "all", "key_file": "lab.key"}'])
+    assert result.exit_code == 2
+    assert "absolute path" in " ".join(result.output.split())
+    assert daemon.signing_setup.asked == []
+
+
+def test_a_new_key_needs_no_daemon_and_is_not_printed(tmp_path: Path) -> None:
+    path = tmp_path / "new.key"
+    told = signing("key", str(path))
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert "keep a copy" in told and path.read_text()[:16] not in told
+    before = path.read_text()
+    assert "exists" in signing("key", str(path), code=1)
+    assert path.read_text() == before
+
+
+def test_a_fault_in_the_log_shows_no_values(capsys: pytest.CaptureFixture[str]) -> None:
+    """Tracebacks with local variables, as structlog prints them where rich is installed, would show a key."""
+    configure_logging()
+    secret = "".join(chr(ord("a") + n % 26) for n in range(40))
+    try:
+        raise RuntimeError(f"a fault beside a secret of {len(secret)} characters")
+    except RuntimeError as error:
+        structlog.get_logger("skygcs").error("failed", exc_info=error)
+    finally:
+        structlog.reset_defaults()
+    told = capsys.readouterr().err
+    assert "a fault beside" in told and "Traceback" in told
+    assert secret not in told
