@@ -125,6 +125,9 @@ async def test_a_test_that_is_cancelled_leaves_the_fence_as_it_was(tmp_path: Pat
         test = begin(gcs, name)
         await gcs.until(lambda: any(t.kind == "fence" for t in gcs.told), 60.0)
         assert held(gcs, name) != before
+        for method, more in (("fence.test", {}), ("fence.set", {"radius_m": 9.0})):
+            refused = await gcs.outcome(method, name, **more)
+            assert refused["result"] == "refused" and "being tested" in refused["message"]
         test.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await test

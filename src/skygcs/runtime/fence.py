@@ -93,7 +93,10 @@ class VehicleFence:
         self._on_event = on_event
         self._ask = ask
         self._log_dir = log_dir
+        self._testing = False
         self._walk: _Walk | None = None
+        self._endings: set[asyncio.Task[Outcome]] = set()
+        """Tests that put back what was there; a task that nobody holds may be thrown away."""
         self._last_text: str | None = None
 
     def on_text(self, text: str) -> None:
@@ -105,6 +108,8 @@ class VehicleFence:
 
     async def set(self, *, radius_m: float | None, height_m: float | None, action: str | None) -> FenceOutcome:
         """Set what is not None and read all of it back."""
+        if self._testing:
+            return FenceOutcome(_UNDER_TEST)
         held = await self._held()
         if isinstance(held, Outcome):
             return FenceOutcome(held)
@@ -142,8 +147,15 @@ class VehicleFence:
 
     async def test(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
         """The walk. Ok: it told of the breach, and did what its fence asks for if it was armed."""
-        if self._walk is not None:
-            return FenceOutcome(Outcome(False, "refused", "refused: its fence is being tested already"))
+        if self._testing:
+            return FenceOutcome(_UNDER_TEST)
+        self._testing = True
+        try:
+            return await self._tested(radius_m, action, timeout_s)
+        finally:
+            self._testing = bool(self._endings)
+
+    async def _tested(self, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
         vehicle = self._vehicle
         try:
             require_connected(vehicle, self._loop.time())
@@ -179,6 +191,8 @@ class VehicleFence:
         finally:
             self._walk = None
             ending = self._loop.create_task(self._end(path, record, walk, held, outcome))
+            self._endings.add(ending)
+            ending.add_done_callback(self._ended)
             outcome = await asyncio.shield(ending)
         return FenceOutcome(outcome, record=record)
 
@@ -271,6 +285,10 @@ class VehicleFence:
         self._tell(f"fence test: {message}", {"state": "done", "ok": ok, "file": record["file"]})
         return ended
 
+    def _ended(self, ending: asyncio.Task[Outcome]) -> None:
+        self._endings.discard(ending)
+        self._testing = False
+
     # -- parameters and messages
 
     async def _held(self) -> dict[str, float] | Outcome:
@@ -316,6 +334,9 @@ class VehicleFence:
 
     def _tell(self, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event("fence", self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+_UNDER_TEST = Outcome(False, "refused", "refused: its fence is being tested; wait for the end, or cancel the test")
 
 
 def _refused(error: RefusedError) -> Outcome:
