@@ -284,6 +284,19 @@ async def test_no_key_while_armed_or_where_others_hear(tmp_path: Path) -> None:
         assert not any(raw[7] | raw[8] << 8 == 256 for raw in wire(daemon).received + wire(daemon, "bench").received)
 
 
+async def test_a_vehicle_that_is_armed_meanwhile_is_sent_no_more(tmp_path: Path) -> None:
+    async with running(tmp_path, bench={}) as daemon:
+        vehicle = PymavPeer(7, 1)
+        wire(daemon, "bench").send(vehicle.heartbeat())
+        await discovered(daemon, 1)
+        setup = asyncio.create_task(daemon.signing_setup.setup("7", key_file(tmp_path)))
+        await asyncio.sleep(0.1)
+        wire(daemon, "bench").send(vehicle.heartbeat(armed=True))
+        told = await setup
+        assert (told["v7"].result, told["v7"].attempts) == ("refused", 1)
+        assert sum(KEY in raw for raw in wire(daemon, "bench").received) == 1
+
+
 async def test_a_key_from_elsewhere_is_not_forwarded_recorded_or_shown(tmp_path: Path) -> None:
     async with running(tmp_path, record=True, radio={}, gcs={"role": "gcs"}) as daemon:
         wire(daemon).send(PymavPeer(7, 1).heartbeat())

@@ -32,6 +32,8 @@ WAIT_S = 2.5
 
 STATUSTEXT = 253
 
+ARMED = "it is armed: a key is changed on the ground, disarmed"
+
 RADIO_SOURCE = 51 << 8 | 68
 """What a SiK or RFD900 radio reports as."""
 
@@ -57,9 +59,9 @@ class SigningSetup:
         """Give the vehicles the key of a file. Raises TargetError, or KeyFileError before anything is sent."""
         return await self._tell(targets, read_key(key_file), force=force)
 
-    async def off(self, targets: str | list[str], *, force: bool = False) -> dict[str, Outcome]:
+    async def off(self, targets: str | list[str]) -> dict[str, Outcome]:
         """Have the vehicles forget their key. Raises TargetError."""
-        return await self._tell(targets, None, force=force)
+        return await self._tell(targets, None, force=False)
 
     async def _tell(self, targets: str | list[str], key: bytes | None, *, force: bool) -> dict[str, Outcome]:
         vehicles = [actor.vehicle for actor in self._fleet.resolve(targets)]
@@ -71,7 +73,7 @@ class SigningSetup:
         try:
             require_connected(vehicle, self._loop.time())
             if vehicle.armed:
-                raise RefusedError("it is armed: a key is changed on the ground, disarmed")
+                raise RefusedError(ARMED)
             channel = self._way(vehicle, with_key=key is not None, force=force)
         except RefusedError as error:
             outcome = Outcome(False, "refused", f"refused: {error}")
@@ -141,6 +143,8 @@ class SigningSetup:
 
         values = {"target_system": vehicle.sysid, "target_component": vehicle.compid, "secret_key": [0] * KEY_BYTES}
         for number in range(1, TRIES + 1):
+            if vehicle.armed:
+                return Outcome(False, "refused", f"refused: {ARMED}", number - 1, self._loop.time() - began)
             if key is not None:
                 values |= {"secret_key": list(key), "initial_timestamp": self._signing.stamp(key)}
             shown.clear()

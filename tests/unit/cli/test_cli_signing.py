@@ -43,7 +43,7 @@ class FakeSetup:
             raise KeyFileError(str(key_file), "others can read or change it")
         return {"alpha": Outcome(True, "accepted", "it signs with key 2c6184d5", 1, 0.2)}
 
-    async def off(self, targets: str, *, force: bool = False) -> dict[str, Outcome]:
+    async def off(self, targets: str) -> dict[str, Outcome]:
         self.asked.append((targets,))
         return {"alpha": Outcome(False, "timeout", "it still signs", 3, 7.5)}
 
