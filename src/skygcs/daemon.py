@@ -147,7 +147,7 @@ class Daemon:
             clocks = [
                 group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
                 group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
-                group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="link watch"),
+                group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
                 group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
                 group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
