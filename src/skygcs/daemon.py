@@ -100,16 +100,19 @@ class Daemon:
             config,
             dialect,
             self.loop,
-            on_vehicle_frame=self.fleet.on_frame,
+            on_vehicle_frame=self.fleet.on_frame if own.keep_vehicles else None,
             record=self.recorder.offer if self.recorder is not None else None,
             on_note=self._on_note,
             on_fault=self._on_fault,
             on_replayed=self.fleet.set_replayed,
             signing=self.signing,
             on_key=self._on_key,
+            record_many=self.recorder.offer_many if self.recorder is not None else None,
+            only_noted=self.fleet.only_noted,
         )
         self.link_watch = LinkWatch(self.hub)
         self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
+        self.fleet.on_roster = self.hub.forget_lanes
         self.watchman = Watchman(
             DeadMan(own.operator_timeout_s, own.operator_lost), self.fleet, self.loop, self.on_event
         )

@@ -49,6 +49,8 @@ class DaemonConfig(Model):
     token_file: Path | None = None
     log_dir: Path = Path("logs")
     """tlogs go here; relative to the fleet file."""
+    keep_vehicles: bool = True
+    """Keep the state of vehicles and take orders for them; without, a router and nothing else."""
     record: bool = True
     record_max_mb: Annotated[float, Field(gt=0)] = 100.0
     """A new tlog is begun at this size ..."""
@@ -120,7 +122,15 @@ class SerialLink(RadioKeys, LinkCommon):
     low_latency: bool = True
 
 
-class UdpServerLink(LinkCommon):
+class UdpCommon(LinkCommon):
+    """Keys of every UDP link."""
+
+    whole_datagrams: bool = True
+    """Frames that came in one datagram and all go here are sent in one, too; false: each in its own, for receivers that
+    read only the first frame of a datagram (mavp2p 1.3)."""
+
+
+class UdpServerLink(UdpCommon):
     """Listens; every peer that sends a good frame becomes a channel of its own."""
 
     type: Literal["udp_server"] = "udp_server"
@@ -130,7 +140,7 @@ class UdpServerLink(LinkCommon):
     max_peers: Annotated[int, Field(ge=1, le=4096)] = 256
 
 
-class UdpClientLink(LinkCommon):
+class UdpClientLink(UdpCommon):
     """Sends to one address (a QGroundControl on port 14550, for instance) and hears its answers."""
 
     type: Literal["udp_client"] = "udp_client"
@@ -139,7 +149,7 @@ class UdpClientLink(LinkCommon):
     local_port: Port = 0
 
 
-class UdpBroadcastLink(LinkCommon):
+class UdpBroadcastLink(UdpCommon):
     """Broadcasts until somebody answers, then talks to that one; back to broadcast after 5 s of silence."""
 
     type: Literal["udp_broadcast"] = "udp_broadcast"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -25,6 +26,17 @@ class Decision:
     verdict: Verdict
     destinations: tuple[int, ...] = ()
     local: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where all frames like one go, so that nobody need ask about each."""
+
+    destinations: tuple[int, ...]
+    heard: dict[int, float]
+    """Where the router wants their time noted, under sysid << 8 | compid."""
+    again: Callable[[float], None] | None = None
+    """To be called with the time when there were some; several at one time count as one."""
 
 
 @dataclass(frozen=True, slots=True)

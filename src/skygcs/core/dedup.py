@@ -6,6 +6,7 @@ Copies on the *same* channel pass: some senders never count their seq up, and th
 from __future__ import annotations
 
 from collections.abc import Hashable
+from typing import Protocol
 
 WINDOW_S = 0.5
 """How long a frame is remembered, at least (at most twice that). Two radios on one antenna mast differ by one TDM round
@@ -28,6 +29,12 @@ BETTER_BY = 0.1
 
 SILENT_S = 2.0
 """A channel that has heard nothing of the system for so long, while another has, is not preferred."""
+
+
+class FirstHeard(Protocol):
+    """Somebody who remembers frames as `DuplicateFilter` does; keys are sysid, compid, seq, CRC in one number."""
+
+    def first_heard_on(self, key: int, channel_id: int, now: float, /) -> int: ...
 
 
 class DuplicateFilter:

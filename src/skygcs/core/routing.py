@@ -26,9 +26,10 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from collections.abc import Callable
 
-from skygcs.core.decision import Decision, RouteNote, Verdict
-from skygcs.core.dedup import SILENT_S, DuplicateFilter, ParallelChannels
+from skygcs.core.decision import Decision, RouteNote, Standing, Verdict
+from skygcs.core.dedup import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V2, Frame
 from skygcs.core.rivals import RivalWatch
@@ -113,7 +114,15 @@ class _Port:
 class Router:
     """The routing table. Channels are opened and closed by the host; `decide` learns from a frame and routes it."""
 
-    def __init__(self, own_sysid: int, own_compid: int, *, route_timeout_s: float = 60.0) -> None:
+    def __init__(
+        self,
+        own_sysid: int,
+        own_compid: int,
+        *,
+        route_timeout_s: float = 60.0,
+        duplicates: FirstHeard | None = None,
+    ) -> None:
+        """``duplicates``: who remembers which frame was heard where first, if it is not to be a `DuplicateFilter`."""
         self._own_sysid = own_sysid
         self._own_source = own_sysid << 8 | own_compid
         self._own_compid = own_compid
@@ -121,7 +130,9 @@ class Router:
         self._ports: dict[int, _Port] = {}
         self._by_source: dict[int, list[_Port]] = {}
         self._by_system: dict[int, list[_Port]] = {}
-        self._duplicates = DuplicateFilter()
+        self._duplicates: FirstHeard = DuplicateFilter() if duplicates is None else duplicates
+        self.on_change: Callable[[], None] = lambda: None
+        """Called whenever what `standing` said, a None as well, may no longer be so."""
         self._dedup = False
         self._parallel: dict[int, ParallelChannels] = {}
         self._anchored: set[int] = set()
@@ -155,6 +166,7 @@ class Router:
         self._topology_changed()
 
     def _topology_changed(self) -> None:
+        self.on_change()
         for port in self._ports.values():
             port.broadcast.clear()
         self._dedup = len(self._ports) > 1
@@ -205,11 +217,48 @@ class Router:
         self.counters[decision.verdict] += 1
         return decision
 
+    def standing(self, channel_id: int, frame: Frame) -> Standing | None:
+        """What `decide` would say of all further frames of this source and message that have no target and are no
+        copies (and, of heartbeats, have the same payload), until `on_change`. None: it has to be asked about each.
+        """
+        port = self._ports[channel_id]
+        source = frame.sysid << 8 | frame.compid
+        if frame.info is None or frame.msgid == SYSTEM_TIME or port.policy.replayed or not self._dedup:
+            return None
+        if source == self._own_source or source not in port.heard or frame.sysid in self._parallel:
+            return None
+        if source in self._anchored and port.policy.role == "gcs":
+            return None
+        if port.limiter_in is not None:
+            return None
+        if port.filter_in is not None and not port.filter_in.passes(frame.msgid, frame.sysid, frame.compid):
+            return None
+        decision, checked = self._broadcast_to(port, frame, source)
+        for other in checked:
+            if other.limiter_out is not None or other.filter_out is None:
+                return None
+            if not other.filter_out.passes(frame.msgid, frame.sysid, frame.compid):
+                return None
+        again = None
+        if frame.msgid == HEARTBEAT and source in port.vehicles:
+            shown = _shown_by(frame)
+
+            def again(now: float) -> None:
+                self._watch_rivals(port, source, shown, now)
+
+        return Standing(decision.destinations, port.heard, again)
+
     def _counted(self, decision: Decision) -> Decision:
         self.counters[decision.verdict] += 1
         return decision
 
     def _broadcast(self, port: _Port, frame: Frame, source: int, now: float) -> Decision:
+        decision, checked = self._broadcast_to(port, frame, source)
+        if not checked:
+            return decision
+        return self._restricted(decision, frame, source, False, now)
+
+    def _broadcast_to(self, port: _Port, frame: Frame, source: int) -> tuple[Decision, tuple[_Port, ...]]:
         kind = 0
         if frame.info is None:
             kind = _UNKNOWN_ID
@@ -220,10 +269,7 @@ class Router:
         cached = port.broadcast.get(kind)
         if cached is None:
             cached = port.broadcast[kind] = self._broadcast_ports(port, kind)
-        decision, checked = cached
-        if not checked:
-            return decision
-        return self._restricted(decision, frame, source, False, now)
+        return cached
 
     def _broadcast_ports(self, port: _Port, kind: int) -> tuple[Decision, tuple[_Port, ...]]:
         """The decision for this kind of broadcast, and those of its destinations that filter or limit."""
@@ -343,6 +389,7 @@ class Router:
         self._note("learned", source, port)
 
     def _forget(self, port: _Port, source: int) -> None:
+        self.on_change()
         del port.heard[source]
         self._routes -= 1
         _remove(self._by_source, source, port)
@@ -372,6 +419,7 @@ class Router:
                     self._forget(other, known)
                     other.boot_ms.pop(known, None)
             self._parallel.pop(system, None)
+            self.on_change()
             self._note("cleared", source, port)
         if source in port.boot_ms or len(port.boot_ms) < MAX_ROUTES:
             port.boot_ms[source] = boot_ms
@@ -389,11 +437,13 @@ class Router:
             self._topology_changed()
             self._drop_echo_routes(source)
         if source in port.heard and not port.policy.replayed:  # and not just found to be an echo
-            copies = source >> 8 in self._parallel
-            shown = raw[at : at + 7]  # custom mode, type, autopilot, base mode
-            change = self._rivals.on_beat(source, port.id, port.policy.link, shown, copies=copies, now=now)
-            if change is not None:
-                self._note(change, source, port)
+            self._watch_rivals(port, source, _shown_by(frame), now)
+
+    def _watch_rivals(self, port: _Port, source: int, shown: bytes, now: float) -> None:
+        copies = source >> 8 in self._parallel
+        change = self._rivals.on_beat(source, port.id, port.policy.link, shown, copies=copies, now=now)
+        if change is not None:
+            self._note(change, source, port)
 
     def _drop_echo_routes(self, source: int) -> None:
         """A vehicle found on its own link was perhaps met first through a ground station or a recording."""
@@ -410,11 +460,13 @@ class Router:
         return self._counted(_DUPLICATE)
 
     def _is_copy(self, port: _Port, frame: Frame, source: int, now: float) -> bool:
-        first = self._duplicates.first_heard_on((source, frame.seq, frame.crc), port.id, now)
+        # one int and no tuple of three: a third of the lookup's cost
+        first = self._duplicates.first_heard_on(source << 24 | frame.seq << 16 | frame.crc, port.id, now)
         system = source >> 8
         parallel = self._parallel.get(system)
         copy = first != port.id and first in self._ports
         if copy and parallel is None:
+            self.on_change()
             parallel = self._parallel[system] = ParallelChannels(first)
             parallel.on_frame(first, copy=False)
         if parallel is not None:
@@ -426,6 +478,7 @@ class Router:
     def _end_parallel(self, system: int, now: float) -> None:
         """SCORE_FRAMES frames without copies. A channel silent all the while has lost the system: no route is left."""
         parallel = self._parallel.pop(system)
+        self.on_change()
         for port in list(self._by_system.get(system, ())):
             if port.id in parallel.channel_ids and now - self._last_heard(port, system) > SILENT_S / 2:
                 for source in [s for s in port.heard if s >> 8 == system]:
@@ -462,6 +515,13 @@ class Router:
         if port is None:
             return {}
         return {"filtered_in": port.filtered_in, "filtered_out": port.filtered_out, "rate_limited": port.limited}
+
+
+def _shown_by(heartbeat: Frame) -> bytes:
+    """Custom mode, type, autopilot and base mode, as sent."""
+    raw = heartbeat.raw
+    at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
+    return raw[at : at + 7]
 
 
 def _remove(table: dict[int, list[_Port]], key: int, port: _Port) -> None:

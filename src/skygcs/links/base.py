@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Hashable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from skygcs.config.models import LinkConfig
 from skygcs.core.airtime import Priority
@@ -21,7 +21,32 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
 
 if TYPE_CHECKING:
+    from skygcs.links._express import Lane, Out, Table
     from skygcs.links.paced import AirBudget
+
+
+class Noted(NamedTuple):
+    """How frames of one source and message are noted where not each of them has to be looked at."""
+
+    slot: Any = None
+    """Where the newest is put, with its time, and counted (`core.vehicle.readings.Slot`); None: nowhere."""
+    watches: list[Any] | None = None
+    """While it is not empty somebody waits for what such frames may change, and each of them is to be shown."""
+    again: Callable[[float], None] | None = None
+    """To be called at the end of a burst with its time; for frames whose payload is that of the one before."""
+
+
+class Way(NamedTuple):
+    """What is known of all further frames of one source and message: no rule has to be asked."""
+
+    outs: tuple[Out, ...]
+    stats: SourceStats
+    heard: dict[int, float]
+    """Where the time is noted, under the source (`core.routing`)."""
+    noted: Noted
+    steady: bytes | None = None
+    """The payload they must have; None: any."""
+
 
 MAX_SOURCES_PER_CHANNEL = 512
 """Bound of the per-source table of one channel; what comes from further sources is counted together."""
@@ -76,6 +101,15 @@ class LinkHost(Protocol):
         """What a link needs that makes or reads frames itself (simulated, replay)."""
         ...
 
+    @property
+    def express(self) -> Table | None:
+        """What compiled lanes of links share; None: frames go through `on_frames`, all of them."""
+        ...
+
+    def after_lane(self) -> None:
+        """To be called after each burst of a lane, and before anything else is done in the middle of one."""
+        ...
+
     def new_parser(self, config: LinkConfig) -> FrameParser:
         """A parser for one channel of this link."""
         ...
@@ -99,6 +133,14 @@ class LinkHost(Protocol):
 
 class Channel(ABC):
     """One route target. ``peer`` is a person's name for the other end ("192.168.1.7:14550", "/dev/ttyUSB0")."""
+
+    whole_datagrams = False
+    """Whether frames that came in one datagram and all go the same way may be sent on in one (`send_whole`)."""
+
+    lane: Lane | None = None
+    """The compiled lane that datagrams from this peer may take, and ..."""
+    out: Out | None = None
+    """... this peer as the end of such lanes."""
 
     def __init__(self, link: Link, peer: str) -> None:
         self.id = 0
@@ -124,6 +166,14 @@ class Channel(ABC):
     @abstractmethod
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
         """Send or queue; False if it was dropped or refused (counted). Never blocks, never raises."""
+
+    def send_whole(self, data: bytes, frames: int) -> None:
+        """Send so many frames as one datagram; only where ``whole_datagrams``."""
+        raise NotImplementedError
+
+    def let_through(self, frame: Frame, way: Way) -> None:
+        """Open the lane to further frames of this source and message; only where there is a ``lane``."""
+        raise NotImplementedError
 
     def encode(self, outgoing: Outgoing) -> bytes:
         """Bytes to write now; a message of our own takes this channel's next sequence number and is recorded."""

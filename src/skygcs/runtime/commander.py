@@ -136,6 +136,11 @@ class Commander:
         return bool(self._watches)
 
     @property
+    def watches(self) -> list[Any]:
+        """What `busy` is about; always the same list."""
+        return self._watches
+
+    @property
     def commanding(self) -> bool:
         return bool(self._running)
 

@@ -21,6 +21,7 @@ from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
 from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
+from skygcs.links.base import Noted
 from skygcs.runtime.commander import Carrier, SendFn
 from skygcs.runtime.errands import Errands
 from skygcs.runtime.param_cache import ParamCache
@@ -98,6 +99,8 @@ class Fleet:
         """
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
+        self.on_roster: Callable[[], None] = lambda: None
+        """Called when a vehicle has come or gone."""
         self.refused_vehicles = 0
         origin = None if config.origin is None else Origin(**config.origin.model_dump())
         self.world = World(origin, self.vehicles, on_event)
@@ -122,6 +125,14 @@ class Fleet:
             actor.on_frame(frame, channel_label, now)
         elif frame.msgid == discovery.HEARTBEAT and discovery.discovers(frame):
             self._discover(key, frame, channel_label, now)
+
+    def only_noted(self, key: int, frame: Frame, channel_label: str) -> Noted | None:
+        """How frames like this one (heartbeats: of the same payload) are noted, until `on_roster` is called. None: each
+        is to be given to `on_frame`."""
+        actor = self.vehicles.get(key)
+        if actor is not None:
+            return actor.only_noted(frame, channel_label)
+        return None if discovery.discovers(frame) else Noted()
 
     def tick(self, now: float) -> None:
         """Every vehicle's turn, whatever becomes of another's; the first exception is raised after the last turn."""
@@ -160,6 +171,7 @@ class Fleet:
         actor = self.vehicles.pop(key, None)
         if actor is not None:
             actor.close()
+            self.on_roster()
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
@@ -397,6 +409,7 @@ class Fleet:
             heard=lambda: self._heard(key),
         )
         self.vehicles[key] = actor
+        self.on_roster()
         self.world.join(actor)
         actor.on_frame(frame, channel_label, now)
         kind = vehicle.snapshot(now)["type"]

@@ -9,7 +9,8 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Hashable, Iterable, Mapping
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from skygcs.config.models import FleetConfig, LinkConfig, MessageName
 from skygcs.core.airtime import Priority
@@ -20,9 +21,13 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
-from skygcs.core.routing import Router
-from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, OwnMessage
+from skygcs.core.routing import HEARTBEAT, Router
+from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Noted, OwnMessage, Way
+from skygcs.links.express import new_table
 from skygcs.runtime.signing import Signing
+
+if TYPE_CHECKING:
+    from skygcs.links._express import Table
 
 FrameTap = Callable[[Frame, Channel, float], None]
 
@@ -34,6 +39,12 @@ MAX_PARTED = 256
 
 MAX_REPLAYED = 4096
 """As many sources of recordings are told from live ones as there may be routes."""
+
+MAX_HOPELESS = 16384
+"""Sources and messages known not to pass a lane; then all are asked about anew."""
+
+WHOLE_DATAGRAM_BYTES = 1472
+"""Frames that came in one datagram are sent on in one up to this size, what one Ethernet packet carries."""
 
 _DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN)
 
@@ -92,6 +103,11 @@ class Hub:
     ``on_fault`` gets the first of each kind of unexpected exception behind a frame; ``on_replayed(key, replayed)``
     is told, before its first frame is shown, that a source is heard in a recording only, or on the air after all;
     ``on_key(sysid, channel)`` that somebody sent a signing key, which goes nowhere.
+
+    With ``record_many(tlog records, their number)`` and ``only_noted(key, frame, channel label)`` (how frames like
+    this one are noted if not each has to be shown, else None; `forget_lanes` when that changes) links may use compiled
+    lanes.
+    Without ``on_vehicle_frame`` it is a router and nothing else.
     """
 
     def __init__(
@@ -100,16 +116,25 @@ class Hub:
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         *,
-        on_vehicle_frame: Callable[[int, Frame, str, float], None],
+        on_vehicle_frame: Callable[[int, Frame, str, float], None] | None,
         record: Callable[[bytes, int], None] | None,
         on_note: Callable[[RouteNote, Channel | None], None],
         on_fault: Callable[[str], None],
         on_replayed: Callable[[int, bool], None] = lambda key, replayed: None,
         signing: Signing | None = None,
         on_key: Callable[[int, Channel], None] = lambda sysid, channel: None,
+        record_many: Callable[[bytes, int], None] | None = None,
+        only_noted: Callable[[int, Frame, str], Noted | None] | None = None,
     ) -> None:
         own = config.daemon
-        self.router = Router(own.sysid, own.compid, route_timeout_s=own.route_timeout_s)
+        self.express: Table | None = None
+        if (record is None or record_many is not None) and (on_vehicle_frame is None or only_noted is not None):
+            self.express = new_table(dialect, recording=record is not None)
+        self.router = Router(own.sysid, own.compid, route_timeout_s=own.route_timeout_s, duplicates=self.express)
+        self.router.on_change = self.forget_lanes
+        self._record_many = record_many
+        self._only_noted = only_noted
+        self._hopeless: set[int] = set()
         self.channels: dict[int, Channel] = {}
         self.faults = 0
         self.replayed: set[int] = set()
@@ -175,6 +200,7 @@ class Hub:
             if not frames:
                 return  # nothing was heard that counts
         decide = self.router.decide
+        on_vehicle_frame = self._on_vehicle_frame
         channels = self.channels
         channel_id = channel.id
         shown = self._shown_of(channel)
@@ -182,6 +208,9 @@ class Hub:
         unix_us = time.time_ns() // 1000
         label = channel.link.name
         channel.last_rx_at = now
+        together: list[tuple[bytes, tuple[int, ...]]] | None = None
+        if channel.whole_datagrams and len(frames) > 1:
+            together = []
         for frame in frames:
             raw = frame.raw
             size = len(raw)
@@ -197,20 +226,102 @@ class Hub:
                 continue
             try:
                 decision = decide(channel_id, frame, now)
-                for destination in decision.destinations:
-                    channels[destination].send(raw)
+                if together is None:
+                    for destination in decision.destinations:
+                        channels[destination].send(raw)
+                else:
+                    together.append((raw, decision.destinations))
                 if decision.verdict in _DROPPED:
                     continue
                 if self._record is not None:
                     self._record(raw, unix_us)
-                if frame.info is not None and (shown is None or shown(key)):
-                    self._on_vehicle_frame(key, frame, label, now)
+                if frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
+                    on_vehicle_frame(key, frame, label, now)
                 if self._taps:
                     self._tap(frame, channel, key, now)
+                if channel.lane is not None:
+                    self._let_through(channel, frame, key, stats)
             except Exception as error:
                 self.fault(error)
+        if together:
+            self._send_together(together)
         if self.router.notes:
             self._drain_notes()
+
+    def _send_together(self, frames: list[tuple[bytes, tuple[int, ...]]]) -> None:
+        """What came in one datagram: on in one, to channels that take it, if all of it goes the same way."""
+        channels = self.channels
+        destinations = frames[0][1]
+        data = b"".join([raw for raw, _ in frames])
+        whole = len(data) <= WHOLE_DATAGRAM_BYTES and all(to == destinations for _, to in frames)
+        if whole and all(channels[d].whole_datagrams for d in destinations):
+            for destination in destinations:
+                channels[destination].send_whole(data, len(frames))
+            return
+        for raw, to in frames:
+            for destination in to:
+                channels[destination].send(raw)
+
+    # -- compiled lanes
+
+    def after_lane(self) -> None:
+        """Count and record what has passed lanes since the last call."""
+        if self.express is None:
+            return
+        forwarded, local, records, count = self.express.take()
+        if forwarded:
+            self.router.counters[Verdict.FORWARDED] += forwarded
+        if local:
+            self.router.counters[Verdict.LOCAL] += local
+        if count and self._record_many is not None:
+            self._record_many(records, count)
+        if self.router.notes:
+            self._drain_notes()
+
+    def forget_lanes(self) -> None:
+        """Whatever may pass lanes has to be learned anew."""
+        if self.express is not None:
+            self.express.invalidate()
+            self._hopeless.clear()
+
+    def _let_through(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> None:
+        """Open the channel's lane to further frames like this one, if nothing has to be decided about them."""
+        mark = channel.id << 40 | key << 24 | frame.msgid
+        if mark in self._hopeless or frame.target()[0] or channel.signing is not None:
+            return  # with a signing key each frame's stamp has to be looked at
+        way = self._way_of(channel, frame, key, stats)
+        if way is not None:
+            channel.let_through(frame, way)
+        elif len(self._hopeless) < MAX_HOPELESS:
+            self._hopeless.add(mark)
+
+    def _way_of(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> Way | None:
+        standing = self.router.standing(channel.id, frame)
+        if standing is None or channel.sources.get(key) is not stats or self._shown_of(channel) is not None:
+            return None
+        if any((m is None or frame.msgid in m) and (k is None or key in k) for m, k, _ in self._taps):
+            return None
+        outs = tuple(out for d in standing.destinations if (out := self.channels[d].out) is not None)
+        if len(outs) != len(standing.destinations):
+            return None
+        noted: Noted | None = Noted()
+        if self._only_noted is not None and self._on_vehicle_frame is not None:
+            noted = self._only_noted(key, frame, channel.link.name)
+        if noted is None:
+            return None
+        if frame.msgid != HEARTBEAT:
+            return Way(outs, stats, standing.heard, noted)
+        again = [call for call in (standing.again, noted.again) if call is not None]
+        noted = noted._replace(again=partial(self._on_beats, again) if again else None)
+        return Way(outs, stats, standing.heard, noted, steady=frame.payload)
+
+    def _on_beats(self, calls: list[Callable[[float], None]], now: float) -> None:
+        """Heartbeats like the last one have passed a lane."""
+        for call in calls:
+            try:
+                call(now)
+            except Exception as error:
+                self.fault(error)
 
     def _shown_of(self, channel: Channel) -> Callable[[int], bool] | None:
         """Which sources of this channel are shown to the fleet; None: all, and no source is known from a recording."""
@@ -223,6 +334,7 @@ class Hub:
     def _shown_replayed(self, key: int) -> bool:
         if key not in self.replayed and len(self.replayed) < MAX_REPLAYED:
             self.replayed.add(key)
+            self.forget_lanes()
             self._on_replayed(key, True)
         return key in self.replayed
 
@@ -297,10 +409,12 @@ class Hub:
         """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
         entry = (msgids, keys, tap)
         self._taps.append(entry)
+        self.forget_lanes()
 
         def remove() -> None:
             if entry in self._taps:
                 self._taps.remove(entry)
+                self.forget_lanes()
 
         return remove
 

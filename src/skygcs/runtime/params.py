@@ -129,6 +129,10 @@ class VehicleParams:
             return
         self._set_alarm()
 
+    def reads(self, msgid: int) -> bool:
+        """Whether `on_frame` looks at messages of this id."""
+        return msgid in (PARAM_VALUE, self._error_id)
+
     def on_text(self, text: str) -> None:
         for exchange in list(self._running):
             if isinstance(exchange, ParamExchange):

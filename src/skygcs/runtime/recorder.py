@@ -202,13 +202,27 @@ class Recorder:
         piece.data += encode_record(unix_us, raw)
         piece.records += 1
         self._buffered_bytes += size
-        if piece.records == 1:
+        self._offered(piece, piece.records == 1)
+
+    def _offered(self, piece: _Piece, first: bool) -> None:
+        if first:
             self._some.set()
         if len(piece.data) >= self._piece_bytes:
             self._pieces.append(piece)
             self._piece = _Piece()
             self._some.set()
             self._many.set()
+
+    def offer_many(self, records: bytes, count: int) -> None:
+        """So many records, encoded and in order, as by `offer` one by one; without room for all, all are dropped."""
+        piece = self._piece
+        if self._closed or self._buffered_bytes + len(records) > self._max_buffer_bytes:
+            self._drop(count)
+            return
+        piece.data += records
+        piece.records += count
+        self._buffered_bytes += len(records)
+        self._offered(piece, piece.records == count)
 
     async def run(self) -> None:
         """Write until cancelled; then call `close`. A disk fault never ends it."""
@@ -283,9 +297,9 @@ class Recorder:
         self._refused = False
         self._recovered()
 
-    def _drop(self) -> None:
-        self._lost += 1
-        self._lost_in_fault += 1
+    def _drop(self, records: int = 1) -> None:
+        self._lost += records
+        self._lost_in_fault += records
         if self._fault is None and not self._closed:
             self._failed("the disk is too slow, memory is full")
 

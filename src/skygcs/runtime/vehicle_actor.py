@@ -37,6 +37,7 @@ from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.worldview import setpoint_from_world, shown
 from skygcs.errors import RefusedError
+from skygcs.links.base import Noted
 from skygcs.runtime.commander import Commander, SendFn
 from skygcs.runtime.fence import FenceOutcome, VehicleFence
 from skygcs.runtime.flight_control import FlightControl
@@ -51,8 +52,12 @@ from skygcs.runtime.planned_streams import PlannedStreams
 from skygcs.runtime.preflight import Preflight
 from skygcs.runtime.upkeep import Upkeep
 
+HEARTBEAT = 0
 COMMAND_ACK = 77
 TIMESYNC = 111
+
+_EACH = frozenset({COMMAND_ACK, TIMESYNC, *MISSION_MESSAGES})
+"""Messages of which every one counts."""
 
 OnEvent = Callable[[Event], None]
 
@@ -201,6 +206,23 @@ class VehicleActor:
             self.channel = channel
         if commander.busy:
             commander.wake()
+
+    def only_noted(self, frame: Frame, channel: str) -> Noted | None:
+        """How frames like this one are noted, if not each has to be given to `on_frame`."""
+        if frame.msgid in _EACH or self.params.reads(frame.msgid):
+            return None
+        if frame.msgid == HEARTBEAT:
+            payload = frame.payload
+
+            def again(now: float) -> None:
+                events = self.vehicle.on_beat(payload, now)
+                if events:
+                    self._publish(events, now)
+                self.channel = channel
+
+            return Noted(self.vehicle.slots.get(HEARTBEAT), self.commander.watches, again)
+        slot = self.vehicle.only_noted(frame.msgid)
+        return None if slot is None else Noted(slot, self.commander.watches)
 
     def tick(self, now: float) -> None:
         """Once to ten times a second."""

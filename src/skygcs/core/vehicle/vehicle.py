@@ -117,7 +117,7 @@ class Vehicle:
         self._assembler = StatusTextAssembler()
         self._enu: tuple[Folded | None, Origin | None, list[float] | None] = (None, None, None)
         handlers: dict[str, Callable[[bytes, float], Events]] = {
-            "HEARTBEAT": self._on_heartbeat,
+            "HEARTBEAT": self.on_beat,
             "STATUSTEXT": self._on_statustext,
             "EXTENDED_SYS_STATE": self._on_extended_sys_state,
             "SYSTEM_TIME": self._on_system_time,
@@ -141,6 +141,10 @@ class Vehicle:
         slot.count += 1
         handler = self._handlers.get(frame.msgid)
         return () if handler is None else handler(frame.payload, now)
+
+    def only_noted(self, msgid: int) -> Slot | None:
+        """The slot of a message of which `on_frame` does no more than to put it there; None: of another one."""
+        return None if msgid in self._handlers else self.slots.get(msgid)
 
     def tick(self, now: float) -> Events:
         """What time alone brings: a lost vehicle, rates, texts that will not be completed, a reboot told by clocks."""
@@ -264,7 +268,8 @@ class Vehicle:
     def _event(self, kind: str, text: str, data: dict[str, Any] | None = None) -> Event:
         return Event(kind, self.name, self.sysid, text, data or {})
 
-    def _on_heartbeat(self, payload: bytes, now: float) -> Events:
+    def on_beat(self, payload: bytes, now: float) -> Events:
+        """A heartbeat that its slot has been told of already."""
         self._heard_at = now
         self._patience_s = self.timeout_s
         if payload == self._heartbeat_payload and self.connected:

@@ -1,0 +1,769 @@
+/* The express lane of UDP: datagrams whose way is known go from socket to socket without Python.
+ *
+ * It knows no routing rule. Every frame goes the Python way first: links.udp, core.mavlink.parser, runtime.hub,
+ * core.routing. Where that finds that all further frames of this source and message will go the same way, it says so
+ * here (`Lane.let_through`: a *flow*). A datagram takes the lane only if each of its frames is complete, has a right
+ * CRC, is addressed to nobody, belongs to a flow and is no copy of what came over another channel; else it is handed to
+ * Python whole, with nothing done to it, after what came before it was sent and counted. Any change of the routing
+ * table ends all flows (`Table.invalidate`). So the lane can be left out at any time, and nothing but the speed changes.
+ *
+ * What Python would have noted per frame (counters, sequence loss, last heard, newest frame of a message, tlog records)
+ * is gathered and told once per burst, before anybody can look. Numbers in docs/performance.md, reasons in
+ * docs/decisions/0003-express-lane.md.
+ */
+#define PY_SSIZE_T_CLEAN
+#define _GNU_SOURCE
+#include <Python.h>
+#include <structmember.h>
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <netinet/in.h>
+#include <stdint.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <time.h>
+
+enum {
+    BURST = 64,                 /* datagrams per wake-up, as links.udp.DATAGRAMS_PER_WAKEUP */
+    DATAGRAM_BYTES = 65536,
+    SLOT_BYTES = 65536 + 4160,  /* not a power of two: slots must not share the sets of the CPU's caches */
+    FRAMES = 256,               /* in one datagram; more go through Python */
+    MAX_FLOWS = 16384,          /* 250 vehicles of some 20 messages, on three links; then all are learned anew */
+    MAX_REMEMBERED = 65536,     /* core.dedup */
+    SEEN_SLOTS = 2 * MAX_REMEMBERED,
+    WHOLE_BYTES = 1472,         /* runtime.hub.WHOLE_DATAGRAM_BYTES */
+    LATE_GAP = 250,             /* core.linkstats */
+    TLOG_TIME_BYTES = 8,
+};
+static const double WINDOW_S = 0.5; /* core.dedup */
+
+static uint16_t crc_table[256];
+static uint8_t *slots; /* BURST datagrams; one set for all lanes, as only one runs at a time */
+static int lane_is_running;
+static PyObject *s_rx_frames, *s_rx_bytes, *s_last_rx_at, *s_good, *s_frames, *s_bytes, *s_lost, *s_last_seq, *s_last_at,
+    *s_counts_loss, *s_tx_frames, *s_tx_bytes, *s_tx_dropped, *s_frame, *s_at, *s_count;
+
+static PyTypeObject TableType, OutType, LaneType;
+
+/* -- a map from 64-bit keys; a value of NULL is no entry */
+
+typedef struct { uint64_t *keys; void **values; size_t mask, used; } Map;
+
+static size_t mixed(uint64_t key) {
+    key *= 0x9E3779B97F4A7C15u;
+    return (size_t)(key ^ key >> 32);
+}
+
+static void **map_slot(Map *map, uint64_t key) {
+    size_t i = mixed(key) & map->mask;
+    while (map->keys[i] != key && map->keys[i]) i = (i + 1) & map->mask;
+    map->keys[i] = key;
+    return &map->values[i];
+}
+
+static void *map_get(const Map *map, uint64_t key) {
+    if (!map->used) return NULL;
+    for (size_t i = mixed(key) & map->mask; map->keys[i]; i = (i + 1) & map->mask)
+        if (map->keys[i] == key) return map->values[i];
+    return NULL;
+}
+
+/* key must not be 0. False: no memory. */
+static int map_put(Map *map, uint64_t key, void *value) {
+    if (map->used * 2 >= map->mask) {
+        Map bigger = {.mask = map->mask ? map->mask * 2 + 1 : 255};
+        bigger.keys = PyMem_Calloc(bigger.mask + 1, sizeof *bigger.keys);
+        bigger.values = PyMem_Calloc(bigger.mask + 1, sizeof *bigger.values);
+        if (!bigger.keys || !bigger.values) {
+            PyMem_Free(bigger.keys), PyMem_Free(bigger.values);
+            PyErr_NoMemory();
+            return 0;
+        }
+        for (size_t i = 0; map->mask && i <= map->mask; i++)
+            if (map->values[i]) *map_slot(&bigger, map->keys[i]) = map->values[i], bigger.used++;
+        PyMem_Free(map->keys), PyMem_Free(map->values);
+        *map = bigger;
+    }
+    void **slot = map_slot(map, key);
+    if (!*slot) map->used++; /* a removed entry that comes back is counted twice: it grows a little early */
+    *slot = value;
+    return 1;
+}
+
+static void map_clear(Map *map, void (*free_value)(void *)) {
+    for (size_t i = 0; map->mask && i <= map->mask; i++)
+        if (map->values[i]) free_value(map->values[i]);
+    PyMem_Free(map->keys), PyMem_Free(map->values);
+    *map = (Map){0};
+}
+
+/* -- addresses: IPv4; a peer of IPv6 is no peer here and takes the Python way */
+
+static int address_from(PyObject *tuple, struct sockaddr_in *out) {
+    const char *host;
+    int port;
+    memset(out, 0, sizeof *out);
+    if (!PyArg_ParseTuple(tuple, "si;an IPv4 address is (host, port)", &host, &port)) return 0;
+    if (inet_pton(AF_INET, host, &out->sin_addr) != 1)
+        return PyErr_Format(PyExc_ValueError, "%s is no numeric IPv4 address", host), 0;
+    out->sin_family = AF_INET, out->sin_port = htons((uint16_t)port);
+    return 1;
+}
+
+static PyObject *address_tuple(const struct sockaddr_in *a) {
+    char host[INET_ADDRSTRLEN];
+    return Py_BuildValue("si", inet_ntop(AF_INET, &a->sin_addr, host, sizeof host), ntohs(a->sin_port));
+}
+
+static uint64_t address_key(const struct sockaddr_in *a) {
+    return (uint64_t)1 << 48 | (uint64_t)a->sin_port << 32 | a->sin_addr.s_addr;
+}
+
+/* -- the table all lanes of one hub share: messages, what was heard where, what has to be told */
+
+typedef struct { uint8_t crc_extra, min_length, length; int target_at; PyObject *info; } Message;
+typedef struct { uint64_t *at; size_t mask; int count; } Generation; /* key << 24 | channel id; 0: none */
+
+typedef struct {
+    PyObject_HEAD
+    Map messages; /* by msgid + 1 */
+    Generation newer, older;
+    uint64_t *spare;
+    double turn_at;
+    uint64_t epoch;
+    PyTypeObject *frame_type;
+    Py_ssize_t frame_slots[6];
+    int recording;
+    long forwarded, local, n_records; /* since the last `take` */
+    uint8_t *records;
+    size_t records_size, records_room;
+} Table;
+
+static void free_message(void *value) {
+    Message *message = value;
+    Py_DECREF(message->info);
+    PyMem_Free(message);
+}
+
+static int turn_is_due(const Table *table, double now) {
+    return now >= table->turn_at || table->newer.count >= MAX_REMEMBERED;
+}
+
+static void turn(Table *table, double now) {
+    Generation old = table->newer;
+    table->newer = table->older;
+    table->older = old;
+    /* Twice what the last one held, at half its room or less: the smaller, the less of it misses the CPU's caches. */
+    table->newer.mask = 1023;
+    while (table->newer.mask < (size_t)old.count * 4 && table->newer.mask < SEEN_SLOTS - 1)
+        table->newer.mask = table->newer.mask * 2 + 1;
+    table->newer.count = 0;
+    memset(table->newer.at, 0, (table->newer.mask + 1) * sizeof *table->newer.at);
+    if (now >= table->turn_at + WINDOW_S) memset(old.at, 0, (old.mask + 1) * sizeof *old.at);
+    table->turn_at = now + WINDOW_S;
+}
+
+static uint64_t *seen_slot(const Generation *g, uint64_t key) {
+    size_t i = mixed(key) & g->mask;
+    while (g->at[i] && g->at[i] >> 24 != key) i = (i + 1) & g->mask;
+    return &g->at[i];
+}
+
+/* The channel that a frame was heard on first, 0 if it is new. */
+static uint32_t first_heard(const Table *table, uint64_t key) {
+    uint64_t seen = *seen_slot(&table->newer, key);
+    if (!seen) seen = *seen_slot(&table->older, key);
+    return (uint32_t)(seen & 0xFFFFFF);
+}
+
+static void remember(Table *table, uint64_t key, uint32_t channel) {
+    Generation *g = &table->newer;
+    if ((size_t)++g->count * 2 > g->mask && g->mask < SEEN_SLOTS - 1) { /* more than the last one: into the room beside */
+        size_t wider = g->mask * 4 + 3 < SEEN_SLOTS - 1 ? g->mask * 4 + 3 : SEEN_SLOTS - 1, n = g->mask + 1;
+        uint64_t *kept = g->at;
+        g->at = table->spare, g->mask = wider, table->spare = kept;
+        memset(g->at, 0, (wider + 1) * sizeof *g->at);
+        for (size_t i = 0; i < n; i++)
+            if (kept[i]) *seen_slot(g, kept[i] >> 24) = kept[i];
+    }
+    *seen_slot(g, key) = key << 24 | (channel & 0xFFFFFF);
+}
+
+static PyObject *table_first_heard_on(Table *table, PyObject *args) {
+    unsigned long long key;
+    unsigned channel;
+    double now;
+    if (!PyArg_ParseTuple(args, "KId", &key, &channel, &now)) return NULL;
+    if (turn_is_due(table, now)) turn(table, now);
+    uint32_t first = first_heard(table, key);
+    if (!first) remember(table, key, first = channel);
+    return PyLong_FromUnsignedLong(first);
+}
+
+static PyObject *table_invalidate(Table *table, PyObject *unused) {
+    (void)unused;
+    table->epoch++;
+    Py_RETURN_NONE;
+}
+
+static int table_init(Table *table, PyObject *args, PyObject *unused) {
+    (void)unused;
+    PyObject *messages, *msgid, *row;
+    Py_ssize_t at = 0;
+    if (table->newer.at) return PyErr_SetString(PyExc_TypeError, "a table is made once"), -1;
+    if (!PyArg_ParseTuple(args, "O!O!p", &PyDict_Type, &messages, &PyType_Type, &table->frame_type, &table->recording))
+        return table->frame_type = NULL, -1;
+    Py_INCREF(table->frame_type);
+    static const char *const names[] = {"raw", "seq", "sysid", "compid", "msgid", "info"};
+    for (int i = 0; i < 6; i++) {
+        PyObject *slot = PyObject_GetAttrString((PyObject *)table->frame_type, names[i]);
+        int is_slot = slot && Py_TYPE(slot) == &PyMemberDescr_Type;
+        if (is_slot) table->frame_slots[i] = ((PyMemberDescrObject *)slot)->d_member->offset;
+        Py_XDECREF(slot);
+        if (!is_slot) return PyErr_Format(PyExc_TypeError, "a frame has a slot %s", names[i]), -1;
+    }
+    while (PyDict_Next(messages, &at, &msgid, &row)) {
+        unsigned long id = PyLong_AsUnsignedLong(msgid);
+        Message *message = PyMem_Calloc(1, sizeof *message);
+        if (!message) return PyErr_NoMemory(), -1;
+        if (PyErr_Occurred() || !PyArg_ParseTuple(row, "bbbiO", &message->crc_extra, &message->min_length,
+                                                  &message->length, &message->target_at, &message->info)) {
+            PyMem_Free(message);
+            return -1;
+        }
+        Py_INCREF(message->info);
+        if (!map_put(&table->messages, id + 1, message)) return free_message(message), -1;
+    }
+    table->newer.at = PyMem_Calloc(SEEN_SLOTS, sizeof(uint64_t));
+    table->older.at = PyMem_Calloc(SEEN_SLOTS, sizeof(uint64_t));
+    table->spare = PyMem_Calloc(SEEN_SLOTS, sizeof(uint64_t));
+    if (!table->newer.at || !table->older.at || !table->spare) return PyErr_NoMemory(), -1;
+    table->newer.mask = table->older.mask = 1023;
+    return 0;
+}
+
+static void table_dealloc(Table *table) {
+    Py_XDECREF(table->frame_type);
+    map_clear(&table->messages, free_message);
+    PyMem_Free(table->newer.at), PyMem_Free(table->older.at), PyMem_Free(table->spare), PyMem_Free(table->records);
+    Py_TYPE(table)->tp_free(table);
+}
+
+/* (frames forwarded, frames for nobody but us, tlog records, their number) since the last call. */
+static PyObject *table_take(Table *table, PyObject *unused) {
+    (void)unused;
+    PyObject *taken = Py_BuildValue("lly#l", table->forwarded, table->local, (const char *)table->records,
+                                    (Py_ssize_t)table->records_size, table->n_records);
+    table->forwarded = table->local = table->n_records = 0;
+    table->records_size = 0;
+    return taken;
+}
+
+static int record(Table *table, const uint8_t *raw, size_t size, uint64_t unix_us) {
+    size_t wanted = table->records_size + TLOG_TIME_BYTES + size;
+    if (wanted > table->records_room) {
+        uint8_t *more = PyMem_Realloc(table->records, wanted * 2);
+        if (!more) return PyErr_NoMemory(), 0;
+        table->records = more, table->records_room = wanted * 2;
+    }
+    uint8_t *to = table->records + table->records_size;
+    for (int i = 0; i < TLOG_TIME_BYTES; i++) to[i] = (uint8_t)(unix_us >> (56 - 8 * i));
+    memcpy(to + TLOG_TIME_BYTES, raw, size);
+    table->records_size = wanted;
+    table->n_records++;
+    return 1;
+}
+
+/* -- telling Python what was gathered */
+
+static int add(PyObject *object, PyObject *name, long delta) {
+    if (!delta) return 1;
+    PyObject *before = PyObject_GetAttr(object, name);
+    if (!before) return 0;
+    PyObject *after = PyLong_FromLong(PyLong_AsLong(before) + delta);
+    Py_DECREF(before);
+    int good = after && !PyErr_Occurred() && !PyObject_SetAttr(object, name, after);
+    Py_XDECREF(after);
+    return good;
+}
+
+static int set_long(PyObject *object, PyObject *name, long value) {
+    PyObject *number = PyLong_FromLong(value);
+    int good = number && !PyObject_SetAttr(object, name, number);
+    Py_XDECREF(number);
+    return good;
+}
+
+static int get_long(PyObject *object, PyObject *name, long *value) {
+    PyObject *number = PyObject_GetAttr(object, name);
+    if (!number) return 0;
+    *value = PyLong_AsLong(number);
+    Py_DECREF(number);
+    return !PyErr_Occurred();
+}
+
+/* -- where frames go to: one UDP peer */
+
+typedef struct Out {
+    PyObject_HEAD
+    int fd, n, whole, touched; /* whole: may be sent several frames in one datagram */
+    struct Out *next;
+    struct sockaddr_in to;
+    PyObject *channel; /* borrowed: the channel owns its Out */
+    struct iovec parts[BURST];
+    int frames[BURST];
+    long tx_frames, tx_bytes, tx_dropped;
+} Out;
+
+static int out_init(Out *out, PyObject *args, PyObject *unused) {
+    PyObject *address;
+    (void)unused;
+    if (!PyArg_ParseTuple(args, "iO!Op", &out->fd, &PyTuple_Type, &address, &out->channel, &out->whole)) return -1;
+    return address_from(address, &out->to) ? 0 : -1;
+}
+
+/* What a socket does not take is dropped and counted, as UdpChannel.send does. */
+static void out_flush(Out *out) {
+    struct mmsghdr messages[BURST];
+    for (int i = 0; i < out->n; i++) {
+        messages[i].msg_hdr = (struct msghdr){.msg_name = &out->to, .msg_namelen = sizeof out->to,
+                                              .msg_iov = &out->parts[i], .msg_iovlen = 1};
+        messages[i].msg_len = 0;
+    }
+    for (int done = 0; done < out->n;) {
+        int sent = sendmmsg(out->fd, messages + done, (unsigned)(out->n - done), MSG_DONTWAIT);
+        for (int i = done; i < done + sent; i++)
+            out->tx_frames += out->frames[i], out->tx_bytes += (long)out->parts[i].iov_len;
+        if (sent <= 0) out->tx_dropped += out->frames[done], sent = 1;
+        done += sent;
+    }
+    out->n = 0;
+}
+
+static int out_tell(Out *out) {
+    int good = add(out->channel, s_tx_frames, out->tx_frames) && add(out->channel, s_tx_bytes, out->tx_bytes) &&
+               add(out->channel, s_tx_dropped, out->tx_dropped);
+    out->tx_frames = out->tx_bytes = out->tx_dropped = 0;
+    return good;
+}
+
+/* -- a lane: one UDP socket. What a burst touched is linked in lists, to be told at its end */
+
+typedef struct Peer {
+    uint32_t number, channel_id;
+    PyObject *channel, *parser_stats;
+    long frames, bytes;
+    int touched;
+    struct Peer *next;
+} Peer;
+
+typedef struct Source {
+    PyObject *stats, *heard, *key;
+    long last_seq, lost, counts_loss, frames, bytes;
+    int touched;
+    struct Source *next;
+} Source;
+
+typedef struct Flow {
+    Source *source;
+    Out **outs;
+    int n_outs, newest_size, touched;
+    uint32_t msgid;
+    PyObject *info, *slot, *watches; /* slot, watches: or None */
+    PyObject *steady, *again;        /* steady: None, or the payload it has to have; again(now): once a burst */
+    const uint8_t *newest;           /* in the burst's slots */
+    long count;
+    struct Flow *next;
+} Flow;
+
+typedef struct {
+    PyObject_HEAD
+    Table *table;
+    int fd, settling;
+    uint32_t n_peers;
+    Map peers, sources, flows; /* by address; peer and source; peer, source and msgid */
+    uint64_t epoch;
+    Peer *touched_peers;
+    Source *touched_sources;
+    Flow *touched_flows;
+    Out *touched_outs;
+} Lane;
+
+#define TOUCH(list, item) \
+    if (!(item)->touched) (item)->touched = 1, (item)->next = (list), (list) = (item)
+
+static void free_peer(void *value) {
+    Peer *peer = value;
+    Py_DECREF(peer->channel), Py_DECREF(peer->parser_stats);
+    PyMem_Free(peer);
+}
+
+static void free_source(void *value) {
+    Source *source = value;
+    Py_DECREF(source->stats), Py_DECREF(source->heard), Py_DECREF(source->key);
+    PyMem_Free(source);
+}
+
+static void free_flow(void *value) {
+    Flow *flow = value;
+    for (int i = 0; i < flow->n_outs; i++) Py_DECREF(flow->outs[i]);
+    Py_DECREF(flow->info), Py_DECREF(flow->slot), Py_DECREF(flow->watches), Py_DECREF(flow->steady), Py_DECREF(flow->again);
+    PyMem_Free(flow->outs);
+    PyMem_Free(flow);
+}
+
+static void forget_flows(Lane *lane) {
+    map_clear(&lane->flows, free_flow);
+    map_clear(&lane->sources, free_source);
+    lane->epoch = lane->table->epoch;
+}
+
+static uint64_t source_key(const Peer *peer, unsigned source) { return (uint64_t)peer->number << 16 | source; }
+static uint64_t flow_key(const Peer *peer, unsigned source, uint32_t msgid) { return source_key(peer, source) << 24 | msgid; }
+
+static PyObject *lane_add_peer(Lane *lane, PyObject *args) {
+    PyObject *address, *channel, *parser_stats;
+    struct sockaddr_in from;
+    unsigned channel_id;
+    if (!PyArg_ParseTuple(args, "O!OOI", &PyTuple_Type, &address, &channel, &parser_stats, &channel_id)) return NULL;
+    if (!address_from(address, &from)) return NULL;
+    Peer *peer = map_get(&lane->peers, address_key(&from));
+    if (peer) free_peer(peer);
+    if (!(peer = PyMem_Calloc(1, sizeof *peer))) return PyErr_NoMemory();
+    *peer = (Peer){.number = ++lane->n_peers, .channel_id = channel_id, .channel = Py_NewRef(channel), .parser_stats = Py_NewRef(parser_stats)};
+    if (!map_put(&lane->peers, address_key(&from), peer)) return free_peer(peer), NULL;
+    Py_RETURN_NONE;
+}
+
+static PyObject *lane_remove_peer(Lane *lane, PyObject *address) {
+    struct sockaddr_in from;
+    if (!address_from(address, &from)) return NULL;
+    Peer *peer = map_get(&lane->peers, address_key(&from));
+    if (peer) {
+        *map_slot(&lane->peers, address_key(&from)) = NULL;
+        free_peer(peer);
+    }
+    Py_RETURN_NONE;
+}
+
+/* let_through(address, source, msgid, stats, heard, outs, slot, watches, steady, again): further frames of this source
+   and message from this peer go to `outs` (empty: to nobody but us), until the table changes. */
+static PyObject *lane_let_through(Lane *lane, PyObject *args) {
+    PyObject *address, *stats, *heard, *outs, *slot, *watches, *steady, *again;
+    struct sockaddr_in from;
+    unsigned source;
+    unsigned long msgid;
+    if (!PyArg_ParseTuple(args, "O!IkOO!O!OOOO", &PyTuple_Type, &address, &source, &msgid, &stats, &PyDict_Type, &heard,
+                          &PyTuple_Type, &outs, &slot, &watches, &steady, &again) || !address_from(address, &from)) return NULL;
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outs); i++)
+        if (Py_TYPE(PyTuple_GET_ITEM(outs, i)) != &OutType) return PyErr_SetString(PyExc_TypeError, "outs are Out"), NULL;
+    if (watches != Py_None && !PyList_Check(watches)) return PyErr_SetString(PyExc_TypeError, "watches is a list"), NULL;
+    if (steady != Py_None && !PyBytes_Check(steady)) return PyErr_SetString(PyExc_TypeError, "steady is bytes"), NULL;
+    if (lane->settling) Py_RETURN_NONE;
+    if (lane->epoch != lane->table->epoch || lane->flows.used >= MAX_FLOWS) forget_flows(lane);
+    Peer *peer = map_get(&lane->peers, address_key(&from));
+    Message *message = map_get(&lane->table->messages, msgid + 1);
+    if (!peer || !message || map_get(&lane->flows, flow_key(peer, source, (uint32_t)msgid))) Py_RETURN_NONE;
+    Source *known = map_get(&lane->sources, source_key(peer, source));
+    if (!known) {
+        if (!(known = PyMem_Calloc(1, sizeof *known))) return PyErr_NoMemory();
+        known->stats = Py_NewRef(stats), known->heard = Py_NewRef(heard), known->key = PyLong_FromUnsignedLong(source);
+        if (!known->key || !map_put(&lane->sources, source_key(peer, source), known)) return NULL;
+    }
+    Flow *flow = PyMem_Calloc(1, sizeof *flow);
+    if (!flow || !(flow->outs = PyMem_Calloc((size_t)PyTuple_GET_SIZE(outs) + 1, sizeof *flow->outs))) return PyErr_NoMemory();
+    for (; flow->n_outs < PyTuple_GET_SIZE(outs); flow->n_outs++)
+        flow->outs[flow->n_outs] = (Out *)Py_NewRef(PyTuple_GET_ITEM(outs, flow->n_outs));
+    flow->source = known, flow->msgid = (uint32_t)msgid;
+    flow->info = Py_NewRef(message->info), flow->slot = Py_NewRef(slot), flow->watches = Py_NewRef(watches);
+    flow->steady = Py_NewRef(steady), flow->again = Py_NewRef(again);
+    if (!map_put(&lane->flows, flow_key(peer, source, flow->msgid), flow)) return free_flow(flow), NULL;
+    Py_RETURN_NONE;
+}
+
+/* -- one datagram */
+
+typedef struct { Flow *flow; const uint8_t *raw; int size; unsigned seq; uint64_t seen_key; } Found;
+
+/* The frame at the start of `data` and its flow; 0 if it has to take the Python way. */
+static int find_frame(const Lane *lane, const Peer *peer, const uint8_t *data, int left, Found *found) {
+    int v2 = data[0] == 0xFD, head = v2 ? 10 : 6;
+    if ((!v2 && data[0] != 0xFE) || left < head + 2) return 0;
+    int length = data[1], size = head + length + 2;
+    const uint8_t *ids = v2 ? data + 5 : data + 3; /* sysid compid msgid */
+    uint32_t msgid = ids[2];
+    if (v2) {
+        if (data[2] > 1) return 0;
+        if (data[2]) size += 13;
+        msgid |= (uint32_t)ids[3] << 8 | (uint32_t)ids[4] << 16;
+    }
+    unsigned source = (unsigned)ids[0] << 8 | ids[1];
+    Flow *flow = size <= left ? map_get(&lane->flows, flow_key(peer, source, msgid)) : NULL;
+    if (!flow || (flow->watches != Py_None && PyList_GET_SIZE(flow->watches))) return 0;
+    const Table *table = lane->table;
+    const Message *message = map_get(&table->messages, msgid + 1);
+    if (!v2 && (length < message->min_length || length > message->length)) return 0;
+    if (message->target_at >= 0 && message->target_at < length && data[head + message->target_at]) return 0;
+    if (flow->steady != Py_None && (PyBytes_GET_SIZE(flow->steady) != length ||
+                                    memcmp(PyBytes_AS_STRING(flow->steady), data + head, (size_t)length))) return 0;
+    const uint8_t *sent = data + head + length;
+    unsigned seq = data[v2 ? 4 : 2];
+    uint64_t seen_key = (uint64_t)source << 24 | (uint64_t)seq << 16 | sent[0] | (uint64_t)sent[1] << 8;
+    __builtin_prefetch(&table->newer.at[mixed(seen_key) & table->newer.mask]); /* it comes while the CRC is worked out */
+    __builtin_prefetch(&table->older.at[mixed(seen_key) & table->older.mask]);
+    uint16_t crc = 0xFFFF;
+    for (int i = 1; i < head + length; i++) crc = (uint16_t)(crc >> 8 ^ crc_table[(crc ^ data[i]) & 0xFF]);
+    crc = (uint16_t)(crc >> 8 ^ crc_table[(crc ^ message->crc_extra) & 0xFF]);
+    if (sent[0] != (crc & 0xFF) || sent[1] != crc >> 8) return 0;
+    *found = (Found){flow, data, size, seq, seen_key};
+    return 1;
+}
+
+/* core.linkstats.SourceStats.on_frame */
+static void count_source(Source *s, unsigned seq, int size) {
+    long last = s->last_seq;
+    s->frames++;
+    s->bytes += size;
+    if (last >= 0 && s->counts_loss && seq != ((unsigned long)last + 1) % 256) {
+        int gap = (int)((seq - (unsigned long)last - 1) % 256);
+        if (gap >= LATE_GAP) {
+            if (gap != 255 && s->lost) s->lost--;
+            return;
+        }
+        s->lost += gap;
+    }
+    s->last_seq = (long)seq;
+}
+
+static void send_to(Lane *lane, const Flow *flow, const uint8_t *data, int size, int frames) {
+    for (int i = 0; i < flow->n_outs; i++) {
+        Out *out = flow->outs[i];
+        if (out->n == BURST) out_flush(out);
+        TOUCH(lane->touched_outs, out);
+        out->parts[out->n] = (struct iovec){(void *)data, (size_t)size};
+        out->frames[out->n++] = frames;
+    }
+}
+
+static int same_outs(const Flow *a, const Flow *b) {
+    return a->n_outs == b->n_outs && !memcmp(a->outs, b->outs, (size_t)a->n_outs * sizeof *a->outs);
+}
+
+/* 1: done with. 0: for Python, untouched. -1: an exception. */
+static int pass(Lane *lane, Peer *peer, const uint8_t *data, int size, double now, uint64_t unix_us) {
+    Table *table = lane->table;
+    Found found[FRAMES];
+    int n = 0, together = size <= WHOLE_BYTES;
+    if (turn_is_due(table, now)) return 0; /* twice a second; Python knows whether this datagram has it come */
+    for (int at = 0; at < size; at += found[n++].size) {
+        if (n == FRAMES || !find_frame(lane, peer, data + at, size - at, &found[n])) return 0;
+        uint32_t first = first_heard(table, found[n].seen_key);
+        if (first && first != peer->channel_id) return 0;
+        if (!same_outs(found[n].flow, found[0].flow)) together = 0;
+    }
+    if (!n || table->newer.count + n > MAX_REMEMBERED) return 0;
+    for (int i = 0; i < found[0].flow->n_outs; i++)
+        if (!found[0].flow->outs[i]->whole) together = 0;
+    for (int i = 0; i < n; i++) {
+        Found *f = &found[i];
+        Flow *flow = f->flow;
+        Source *source = flow->source;
+        if (!first_heard(table, f->seen_key)) remember(table, f->seen_key, peer->channel_id);
+        if (!source->touched && !(get_long(source->stats, s_last_seq, &source->last_seq) && get_long(source->stats, s_lost, &source->lost) &&
+                                  get_long(source->stats, s_counts_loss, &source->counts_loss))) return -1;
+        TOUCH(lane->touched_sources, source);
+        TOUCH(lane->touched_flows, flow);
+        count_source(source, f->seq, f->size);
+        flow->newest = f->raw, flow->newest_size = f->size, flow->count++;
+        *(flow->n_outs ? &table->forwarded : &table->local) += 1;
+        if (table->recording && !record(table, f->raw, (size_t)f->size, unix_us)) return -1;
+        if (!together) send_to(lane, flow, f->raw, f->size, 1);
+    }
+    if (together) send_to(lane, found[0].flow, data, size, n);
+    TOUCH(lane->touched_peers, peer);
+    peer->frames += n, peer->bytes += size;
+    return 1;
+}
+
+/* -- a burst */
+
+static int tell_slot(Lane *lane, Flow *flow, long count, PyObject *now) {
+    const uint8_t *raw = flow->newest;
+    int v2 = raw[0] == 0xFD;
+    PyObject *frame = PyType_GenericAlloc(lane->table->frame_type, 0);
+    if (frame) { /* its slots filled as Frame.__init__ does, without the call: gains a tenth with all vehicles' state */
+        const Py_ssize_t *at = lane->table->frame_slots;
+        *(PyObject **)((char *)frame + at[0]) = PyBytes_FromStringAndSize((const char *)raw, flow->newest_size);
+        *(PyObject **)((char *)frame + at[1]) = PyLong_FromLong(raw[v2 ? 4 : 2]);
+        *(PyObject **)((char *)frame + at[2]) = PyLong_FromLong(raw[v2 ? 5 : 3]);
+        *(PyObject **)((char *)frame + at[3]) = PyLong_FromLong(raw[v2 ? 6 : 4]);
+        *(PyObject **)((char *)frame + at[4]) = PyLong_FromLong((long)flow->msgid);
+        *(PyObject **)((char *)frame + at[5]) = Py_NewRef(flow->info);
+    }
+    int good = frame && !PyErr_Occurred() && !PyObject_SetAttr(flow->slot, s_frame, frame) && !PyObject_SetAttr(flow->slot, s_at, now) &&
+               add(flow->slot, s_count, count);
+    Py_XDECREF(frame);
+    return good;
+}
+
+static int tell_flow(Lane *lane, Flow *flow, PyObject *now) {
+    long count = flow->count;
+    flow->count = 0;
+    if (flow->slot != Py_None && !tell_slot(lane, flow, count, now)) return 0;
+    if (flow->again == Py_None) return 1;
+    PyObject *done = PyObject_CallOneArg(flow->again, now);
+    Py_XDECREF(done);
+    return done != NULL;
+}
+
+static int tell_source(Source *s, PyObject *now) {
+    int good = add(s->stats, s_frames, s->frames) && add(s->stats, s_bytes, s->bytes) && set_long(s->stats, s_lost, s->lost) &&
+               set_long(s->stats, s_last_seq, s->last_seq) && !PyObject_SetAttr(s->stats, s_last_at, now) &&
+               !PyDict_SetItem(s->heard, s->key, now);
+    s->frames = s->bytes = 0;
+    return good;
+}
+
+static int tell_peer(Peer *peer, PyObject *now) {
+    int good = add(peer->channel, s_rx_frames, peer->frames) && add(peer->channel, s_rx_bytes, peer->bytes) &&
+               add(peer->parser_stats, s_good, peer->frames) && !PyObject_SetAttr(peer->channel, s_last_rx_at, now);
+    peer->frames = peer->bytes = 0;
+    return good;
+}
+
+#define TELL(list, item, tell) \
+    for (; (item = (list)); item->touched = 0) if ((list) = item->next, !(tell)) good = 0
+
+/* Send what waits, and make Python's objects say what it would have made them say frame by frame. */
+static int settle(Lane *lane, PyObject *now) {
+    int good = 1;
+    Out *out;
+    Flow *flow;
+    Source *source;
+    Peer *peer;
+    lane->settling = 1; /* Python is called below */
+    for (out = lane->touched_outs; out; out = out->next) out_flush(out);
+    TELL(lane->touched_outs, out, out_tell(out));
+    TELL(lane->touched_flows, flow, tell_flow(lane, flow, now));
+    TELL(lane->touched_sources, source, tell_source(source, now));
+    TELL(lane->touched_peers, peer, tell_peer(peer, now));
+    lane->settling = 0;
+    return good;
+}
+
+static int to_python(PyObject *slow, const uint8_t *data, int size, const struct sockaddr_in *from) {
+    PyObject *address = address_tuple(from);
+    PyObject *done = address ? PyObject_CallFunction(slow, "y#N", (const char *)data, (Py_ssize_t)size, address) : NULL;
+    Py_XDECREF(done);
+    return done != NULL;
+}
+
+static int burst(Lane *lane, int got, struct mmsghdr *messages, struct sockaddr_in *from, PyObject *now, PyObject *slow) {
+    double seconds = PyFloat_AsDouble(now);
+    struct timespec clock;
+    clock_gettime(CLOCK_REALTIME, &clock);
+    uint64_t unix_us = (uint64_t)clock.tv_sec * 1000000u + (uint64_t)clock.tv_nsec / 1000u;
+    for (int i = 0; i < got; i++) {
+        const uint8_t *data = slots + (size_t)i * SLOT_BYTES;
+        int size = (int)messages[i].msg_len, passed = 0;
+        if (lane->epoch != lane->table->epoch) forget_flows(lane); /* nothing is gathered now: it was settled before */
+        Peer *peer = map_get(&lane->peers, address_key(&from[i]));
+        if (peer) passed = pass(lane, peer, data, size, seconds, unix_us);
+        if (passed < 0 || (!passed && !(settle(lane, now) && to_python(slow, data, size, &from[i])))) return 0;
+    }
+    return settle(lane, now);
+}
+
+/* receive(now, slow) -> datagrams received, at most BURST. slow(data, address) gets each that does not take the lane.
+   Raises OSError (BlockingIOError if there is none). */
+static PyObject *lane_receive(Lane *lane, PyObject *args) {
+    static struct mmsghdr messages[BURST];
+    static struct iovec parts[BURST];
+    static struct sockaddr_in from[BURST];
+    PyObject *now, *slow;
+    if (!PyArg_ParseTuple(args, "O!O", &PyFloat_Type, &now, &slow)) return NULL;
+    if (lane_is_running) return PyErr_SetString(PyExc_RuntimeError, "a lane is being received from already"), NULL;
+    for (int i = 0; i < BURST; i++) {
+        parts[i] = (struct iovec){slots + (size_t)i * SLOT_BYTES, DATAGRAM_BYTES};
+        messages[i].msg_hdr = (struct msghdr){.msg_name = &from[i], .msg_namelen = sizeof from[i], .msg_iov = &parts[i], .msg_iovlen = 1};
+    }
+    int got = recvmmsg(lane->fd, messages, BURST, MSG_DONTWAIT, NULL);
+    if (got < 0) return PyErr_SetFromErrno(PyExc_OSError);
+    lane_is_running = 1;
+    int good = burst(lane, got, messages, from, now, slow);
+    if (!good) { /* no memory, or a fault in a callback: let go of what was gathered, then tell */
+        PyObject *type, *value, *trace;
+        PyErr_Fetch(&type, &value, &trace);
+        if (!settle(lane, now)) PyErr_Clear();
+        PyErr_Restore(type, value, trace);
+    }
+    lane_is_running = 0;
+    return good ? PyLong_FromLong(got) : NULL;
+}
+
+static int lane_init(Lane *lane, PyObject *args, PyObject *unused) {
+    (void)unused;
+    if (lane->table) return PyErr_SetString(PyExc_TypeError, "a lane is made once"), -1;
+    if (!PyArg_ParseTuple(args, "O!i", &TableType, &lane->table, &lane->fd)) return lane->table = NULL, -1;
+    Py_INCREF(lane->table);
+    return 0;
+}
+
+/* The socket is about to be closed: let go of everything. */
+static PyObject *lane_close(Lane *lane, PyObject *unused) {
+    (void)unused;
+    map_clear(&lane->flows, free_flow), map_clear(&lane->sources, free_source), map_clear(&lane->peers, free_peer);
+    lane->fd = -1;
+    Py_RETURN_NONE;
+}
+
+static void lane_dealloc(Lane *lane) {
+    Py_XDECREF(lane_close(lane, NULL));
+    Py_XDECREF(lane->table);
+    Py_TYPE(lane)->tp_free(lane);
+}
+
+/* -- the module */
+
+static PyMethodDef table_methods[] = {
+    {"first_heard_on", (PyCFunction)table_first_heard_on, METH_VARARGS, "As core.dedup.DuplicateFilter's; keys are integers."},
+    {"invalidate", (PyCFunction)table_invalidate, METH_NOARGS, "End all flows: the routing table changed."},
+    {"take", (PyCFunction)table_take, METH_NOARGS, "(forwarded, local, tlog records, their number) since the last call."},
+    {0},
+};
+static PyMethodDef lane_methods[] = {
+    {"add_peer", (PyCFunction)lane_add_peer, METH_VARARGS, "add_peer(address, channel, parser_stats, channel_id)"},
+    {"remove_peer", (PyCFunction)lane_remove_peer, METH_O, "remove_peer(address)"},
+    {"let_through", (PyCFunction)lane_let_through, METH_VARARGS, "let_through(address, source, msgid, stats, heard, outs, slot, watches)"},
+    {"receive", (PyCFunction)lane_receive, METH_VARARGS, "receive(now, slow) -> number of datagrams"},
+    {"close", (PyCFunction)lane_close, METH_NOARGS, "Let go of everything."},
+    {0},
+};
+#define TYPE(NAME, SIZE, METHODS, INIT, DEALLOC) \
+    {PyVarObject_HEAD_INIT(NULL, 0).tp_name = "skygcs.links._express." NAME, .tp_basicsize = SIZE, .tp_flags = Py_TPFLAGS_DEFAULT, \
+     .tp_new = PyType_GenericNew, .tp_methods = METHODS, .tp_init = (initproc)INIT, .tp_dealloc = (destructor)DEALLOC}
+static PyTypeObject TableType = TYPE("Table", sizeof(Table), table_methods, table_init, table_dealloc);
+static PyTypeObject OutType = TYPE("Out", sizeof(Out), NULL, out_init, NULL);
+static PyTypeObject LaneType = TYPE("Lane", sizeof(Lane), lane_methods, lane_init, lane_dealloc);
+static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_express", "The express lane of UDP; see links.express.", -1, NULL, NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__express(void) {
+    static const struct { PyObject **at; const char *name; } names[] = {
+        {&s_rx_frames, "rx_frames"}, {&s_rx_bytes, "rx_bytes"}, {&s_last_rx_at, "last_rx_at"}, {&s_good, "good"},
+        {&s_frames, "frames"}, {&s_bytes, "bytes"}, {&s_lost, "lost"}, {&s_last_seq, "last_seq"}, {&s_last_at, "last_at"},
+        {&s_counts_loss, "counts_loss"}, {&s_tx_frames, "tx_frames"}, {&s_tx_bytes, "tx_bytes"},
+        {&s_tx_dropped, "tx_dropped"}, {&s_frame, "frame"}, {&s_at, "at"}, {&s_count, "count"},
+    };
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        if (!(*names[i].at = PyUnicode_InternFromString(names[i].name))) return NULL;
+    for (unsigned i = 0; i < 256; i++) { /* CRC-16/MCRF4XX */
+        unsigned crc = i;
+        for (int bit = 0; bit < 8; bit++) crc = crc & 1 ? crc >> 1 ^ 0x8408 : crc >> 1;
+        crc_table[i] = (uint16_t)crc;
+    }
+    if (!(slots = PyMem_RawMalloc((size_t)BURST * SLOT_BYTES))) return PyErr_NoMemory();
+    PyObject *made = PyModule_Create(&module);
+    if (!made || PyModule_AddType(made, &TableType) || PyModule_AddType(made, &OutType) || PyModule_AddType(made, &LaneType)) return NULL;
+    return made;
+}

@@ -1,0 +1,49 @@
+"""The express lane: datagrams whose way is known pass from socket to socket in compiled code. Optional.
+
+What it does and why it may be left out is told in `_express.c`; without it (no compiler when skygcs was installed, or
+SKYGCS_PURE set to anything) the very same happens in Python, at some four times the cost per frame.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+
+if TYPE_CHECKING:
+    from skygcs.links._express import Lane, Out, Table
+
+PURE = "SKYGCS_PURE"
+"""Environment variable: leave the compiled code aside."""
+
+
+def new_table(dialect: Dialect, *, recording: bool) -> Table | None:
+    """What all lanes of one hub share; None if there is no compiled code. ``recording``: tlog records are wanted."""
+    if os.environ.get(PURE):
+        return None
+    try:
+        from skygcs.links._express import Table
+    except ImportError:
+        return None
+    messages = {
+        m.msgid: (m.crc_extra, m.min_length, m.length, m.target_system_offset, m) for m in dialect.messages.values()
+    }
+    return Table(messages, Frame, recording)
+
+
+def new_lane(table: Table, fd: int) -> Lane:
+    """The lane of one UDP socket. Nothing passes until `Lane.let_through` says so."""
+    from skygcs.links._express import Lane
+
+    return Lane(table, fd)
+
+
+def new_out(fd: int, address: tuple[object, ...], channel: object, *, whole: bool) -> Out | None:
+    """A UDP peer as a destination of lanes; None if it is not of IPv4. ``whole``: see `Channel.whole_datagrams`."""
+    if len(address) != 2:
+        return None
+    from skygcs.links._express import Out
+
+    return Out(fd, address, channel, whole)
