@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test check bench bench-control soak clean format
+.PHONY: demo test check bench bench-control bench-radio soak clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
@@ -22,6 +22,9 @@ bench: $(STAMP)
 
 bench-control: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.control
+
+bench-radio: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m bench.radio
 
 format: $(STAMP)
 	$(BIN)/ruff format .

@@ -15,6 +15,10 @@ UART_BYTES = 512
 """Of an autopilot's transmit buffer: a message that finds no room is not sent (ArduPilot: HAVE_PAYLOAD_SPACE; PX4:
 get_free_tx_buf)."""
 
+PARAMETERS_FROM_PERCENT = 50
+"""Free, of its radio's buffer, from which an autopilot goes on with a list of parameters (ArduPilot:
+GCS_MAVLINK::queued_param_send)."""
+
 SLOWEST_S = 2.0
 LEAST_FACTOR = 0.01
 
@@ -37,7 +41,12 @@ class RadioFleet:
     def step(self, now: float) -> list[bytes]:
         """Live on until ``now``. A frame that lost bytes on the way comes as what is left of it."""
         for node, vehicle in enumerate(self.fleet.vehicles, 1):
-            for raw in vehicle.step(now):
+            held: list[int] = []
+            if vehicle.param_queue and self.network.txbuf_percent(node) < PARAMETERS_FROM_PERCENT:
+                held, vehicle.param_queue = vehicle.param_queue, []
+            frames = vehicle.step(now)
+            vehicle.param_queue = held + vehicle.param_queue
+            for raw in frames:
                 self._send(node, raw, now)
         ground = []
         for node, raw in self.network.step(now):
