@@ -367,6 +367,14 @@ class Daemon:
             "faults": self.hub.faults,
         }
 
+    def air_status(self) -> list[dict[str, Any]]:
+        """See `AirPlanner.status`."""
+        return self.air.status(self.now())
+
+    def select_vehicles(self, keys: set[int]) -> None:
+        """See `AirPlanner.select`."""
+        self.air.select(keys)
+
     def links_status(self) -> list[dict[str, Any]]:
         """Every link with its state, channels, counters and sources."""
         now = self.now()

@@ -399,6 +399,12 @@ class FakeDaemon:
     def link_quality(self, key: int) -> dict[str, Any]:
         return {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
 
+    def air_status(self) -> list[dict[str, Any]]:
+        return []
+
+    def select_vehicles(self, keys: set[int]) -> None:
+        self.selected = keys
+
     def links_status(self) -> list[dict[str, Any]]:
         return [
             {

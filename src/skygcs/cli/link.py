@@ -1,25 +1,31 @@
-"""`skygcs-cli link plan`: what a radio can carry, worked out without one. Needs no daemon."""
+"""`skygcs-cli link`: what a radio carries now, and `plan`: what one can carry, worked out without it or a daemon."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Annotated
 
 import typer
 
+from skygcs.cli import link_screen
 from skygcs.cli.connection import Exit, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.values import finite
 from skygcs.core.linkplan import FILL, FRAME_BYTES, PROFILES, SETPOINTS, LinkDemand, LinkPlan, plan_link
 
-link = typer.Typer(help="The shared radio: what it can carry.", no_args_is_help=True)
+link = typer.Typer(help="The shared radio: what it carries, what it can carry.", invoke_without_command=True)
+link.command("status")(link_screen.status)
+link.command("select")(link_screen.select)
 
 
 @link.callback()
-def _link() -> None:
-    """A group also while it has one command."""
+def _link(ctx: typer.Context) -> None:
+    """Without a command: `link status`, live on a terminal."""
+    if ctx.invoked_subcommand is None:
+        link_screen.status(follow=sys.stdout.isatty(), every_s=1.0, json_output=False)
 
 
 @link.command("plan")

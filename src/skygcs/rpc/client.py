@@ -54,6 +54,8 @@ EVENT_KINDS = (
     "duplicate",
     "link_up",
     "link_down",
+    "link_degraded",
+    "link_recovered",
     "route",
     "signing",
     "recorder",

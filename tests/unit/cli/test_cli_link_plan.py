@@ -36,7 +36,7 @@ def test_json_holds_the_same() -> None:
     answer = json.loads(run("10", "--profile", "control-10", "--json", code=FAILED))
     assert (answer["fits"], answer["most_vehicles"]) == (False, 5)
     assert [way["fits"] for way in answer["ways"]] == [False, True, False, True]
-    assert answer["rates_hz"]["LOCAL_POSITION_NED"] < 10
+    assert answer["rates_hz"]["GLOBAL_POSITION_INT"] < 10
 
 
 def test_a_profile_of_ones_own_is_the_sum_of_its_messages() -> None:

@@ -1,0 +1,90 @@
+"""`skygcs-cli link status` against what link.status tells."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+from rich.console import Console
+
+from skygcs.cli.link_screen import NO_RADIO, drawn, head_lines
+
+
+def radio(**changes: Any) -> dict[str, Any]:
+    quiet = dict.fromkeys(("waiting", "sent", "sent_bytes", "replaced", "dropped", "refused"), 0)
+    waits = {"wait_p50_s": None, "wait_p95_s": None}
+    report = {"age_s": 1.0, "txbuf_percent": 80, "rssi": 180, "remrssi": 170, "noise": 60, "remnoise": 62}
+    report |= {"rxerrors": 0, "fixed": 0}
+    return {
+        "link": "field",
+        "peer": "/dev/ttyUSB0",
+        "vehicles": [
+            {
+                "name": "alpha",
+                "sysid": 1,
+                "weight": 4.0,
+                "planned_bytes_per_s": 221.3,
+                "measured_bytes_per_s": 190.0,
+                "loss": 0.031,
+                "round_trip_s": 0.6,
+                "settled": True,
+                "scaled": True,
+                "streams": {"GLOBAL_POSITION_INT": {"planned_hz": 2.0, "measured_hz": 1.9}},
+            }
+        ],
+        "down": {
+            "budget_bytes_per_s": 2880.0,
+            "per_vehicle_bytes_per_s": 276.4,
+            "planned_bytes_per_s": 2213.0,
+            "measured_bytes_per_s": 1900.0,
+            "factor": 0.75,
+        },
+        "up": {
+            "base_bytes_per_s": 497.5,
+            "bytes_per_s": 320.0,
+            "paced_by": "reports",
+            "round_s": 0.912,
+            "radio": report,
+            "classes": {
+                "command": {**quiet, "sent": 12, "sent_bytes": 540, "wait_p50_s": 0.0, "wait_p95_s": 0.25},
+                "setpoint": {**quiet, **waits},
+            },
+        },
+        "poor": ["alpha"],
+        "history": [{**report, "txbuf_percent": percent} for percent in (100, 50, 0)],
+        **changes,
+    }
+
+
+def shown(radios: list[dict[str, Any]]) -> str:
+    out = io.StringIO()
+    Console(file=out, width=140, color_system=None).print(drawn(radios))
+    return out.getvalue()
+
+
+def test_it_shows_budget_classes_vehicles_and_what_is_degraded() -> None:
+    text = shown([radio()])
+    assert "320 of 498 B/s, paced by its reports" in text
+    assert "1,900 B/s come, 2,213 planned, 2,880 may be, cut to 75% after losses" in text
+    assert "a round takes 0.91 s" in text and "buffer 80 % free" in text and "degraded: alpha" in text
+    (vehicle,) = [line for line in text.splitlines() if line.strip().startswith("alpha")]
+    assert "3.1%" in vehicle and "0.60 s" in vehicle and "less than wanted, flown" in vehicle
+    assert "command" in text and "0.25 s" in text
+    assert "setpoint" not in text, "a class without anything is left out"
+
+
+def test_history_is_drawn_from_full_to_empty() -> None:
+    (line,) = [line for line in head_lines(radio()) if "buffer free" in line]
+    assert line.endswith("█▅▁")
+
+
+def test_a_radio_that_says_nothing_and_has_no_timeslots_is_shown_too() -> None:
+    silent = radio()
+    silent["up"] |= {"radio": None, "round_s": None, "paced_by": "rates"}
+    silent["vehicles"][0] |= {"measured_bytes_per_s": None, "loss": None, "round_trip_s": None, "streams": {}}
+    text = shown([silent])
+    assert "MAVLink framing" in text and "a round" not in text
+
+
+def test_without_a_radio_it_says_what_to_do() -> None:
+    assert 'role = "radio"' in NO_RADIO and NO_RADIO.split()[0] in shown([])
