@@ -287,7 +287,7 @@ class PlanKeeper:
         return [
             (name, watch.hz)
             for name, watch in self._watches.items()
-            if name not in self.rates_hz and watch.asked >= HINT_AFTER and watch.right is False
+            if name not in self.rates_hz and watch.asked >= HINT_AFTER and watch.right is not True
         ]
 
     def due(
