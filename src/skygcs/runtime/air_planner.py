@@ -10,6 +10,7 @@ from skygcs.config.radio import RadioKeys
 from skygcs.core.airtime import Priority
 from skygcs.core.linkplan import BITS_PER_BYTE, SLOT_BYTES
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.preflight.losses import WINDOW_S as LOSS_WINDOW_S
 from skygcs.core.stream_plan import (
     CONTROLLED,
     NORMAL,
@@ -56,6 +57,8 @@ class _Radio:
         """Bytes/s down: of all vehicles, and of one (its timeslot)."""
         self.planned: dict[int, dict[str, float]] = {}
         self.turn = 0
+        self.unsettled_at = float("-inf")
+        """When something was still asked of a vehicle last: losses of before say nothing of the plan."""
         self.poor: set[str] = set()
         """What is told to be poor: "txbuf", "signal", or a vehicle's name."""
         self.hinted: set[int] = set()
@@ -134,8 +137,11 @@ class AirPlanner:
     def _plan(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
         radio.air.set_vehicles(len(members), now)
         report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
+        if not all(actor.planned.settled for actor in members.values()):
+            radio.unsettled_at = now
+        settled = now - radio.unsettled_at > LOSS_WINDOW_S
         free = None if report is None else report.txbuf_free
-        radio.downlink.look(self._loss_of_all(radio, members, now), free, now)
+        radio.downlink.look(self._loss_of_all(radio, members, now) if settled else None, free, now)
         wishes = {key: self._wish(radio, key, actor) for key, actor in members.items()}
         budget = self._budget(radio)
         if (wishes, budget) == (radio.wishes, radio.budget):

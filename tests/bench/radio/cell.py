@@ -37,7 +37,7 @@ STREAMS_HZ = 4.0
 PARAMETERS = 900
 """Of a vehicle: about what both firmwares have."""
 
-PACKET_LOSS = 0.02
+PACKET_LOSS = 0.01
 """On air, of every packet between the ground and a vehicle."""
 
 SETTLE_S, MEASURE_S = 40.0, 60.0
@@ -47,7 +47,7 @@ USABLE_AGE_S = 2.5
 USABLE_S = 5.0
 """All vehicles are usable when for so long no position was older."""
 
-COMMAND_EVERY_S = 1.0
+COMMAND_EVERY_S = 0.5
 
 GET_MESSAGE_INTERVAL = 510
 """Asks and changes nothing, and is acknowledged by both firmwares."""

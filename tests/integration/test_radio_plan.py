@@ -1,0 +1,210 @@
+"""Vehicles behind one emulated radio, and a daemon that has them stream what it carries; all in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.stream_plan import POSITION, profile_rates
+from support.on_air import OnAir, on_air
+
+pytestmark = pytest.mark.looptime
+
+NAV = {"link": {"stream_profile": "nav"}}
+
+
+def flood(air: OnAir) -> None:
+    """What a program beside us may send to every vehicle, as much as waits at most."""
+    info = air.daemon.dialect.by_name["PARAM_REQUEST_READ"]
+    for _ in range(20):
+        for sim in air.link.vehicles:
+            values = {"target_system": sim.sysid, "target_component": 1, "param_id": b"X", "param_index": -1}
+            air.channel.send(encode(info, values, sysid=250, compid=190, seq=0), Priority.FORWARDED)
+
+
+async def test_ten_vehicles_at_64_kbit_stream_their_plan_and_nothing_else(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=5, ardupilot=5, radio={"air_kbps": 64}, **NAV) as air:
+        await air.settled(10)
+        await asyncio.sleep(20)
+        for sysid in range(1, 11):
+            assert air.rates(sysid) == profile_rates("nav")
+        told = air.air()
+        assert told["down"]["planned_bytes_per_s"] <= told["down"]["budget_bytes_per_s"]
+        assert 0.3 < told["vehicles"][0]["round_trip_s"] < 2 * told["up"]["round_s"]
+        assert air.radio.network.stats(0).overflow_bytes == 0
+        sent = told["up"]["classes"]["exchange"]["sent"]
+        await asyncio.sleep(60)
+        assert air.air()["up"]["classes"]["exchange"]["sent"] <= sent + 2, "and is left alone then"
+
+
+async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
+        await air.settled(10)
+        before, began = air.channel.tx_bytes, air.daemon.now()
+        for _ in range(200):
+            flood(air)
+            await asyncio.sleep(0.1)
+        assert air.channel.air is not None and air.channel.air.queue.budget is not None
+        rate = (air.channel.tx_bytes - before) / (air.daemon.now() - began)
+        assert 0.7 * air.channel.air.pacer.base < rate <= 1.1 * air.channel.air.pacer.base
+        assert air.radio.network.stats(0).overflow_bytes == 0
+        assert air.radio.network.txbuf_percent(0) > 40
+
+
+async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
+        await air.settled(10)
+        heard: dict[int, float] = {}
+        for sim in air.link.vehicles:
+            before = sim.on_frame
+
+            def on_frame(frame, now, sim=sim, before=before):  # type: ignore[no-untyped-def]
+                if frame.name == "COMMAND_LONG" and frame.fields()["command"] in (21, 176):
+                    heard.setdefault(sim.sysid, now)
+                before(frame, now)
+
+            sim.on_frame = on_frame  # type: ignore[method-assign]
+        for _ in range(100):
+            flood(air)
+            await asyncio.sleep(0.1)
+        ordered = air.daemon.now()
+        stop = asyncio.create_task(air.daemon.fleet.command_all("all", "stop", action="land"))
+        for _ in range(30):
+            flood(air)
+            await asyncio.sleep(0.1)
+        stop.cancel()
+        await asyncio.gather(stop, return_exceptions=True)
+        assert heard.keys() == set(range(1, 11))
+        assert max(heard.values()) - ordered <= 2 * air.air()["up"]["round_s"] + 0.2
+
+
+async def test_commands_are_answered_within_two_rounds_while_the_fleet_streams(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=5, ardupilot=5, radio={"loss": 0.02}, **NAV) as air:
+        await air.settled(10)
+        actors = air.daemon.fleet.resolve("all")
+        told = [await actor.command(510, (33.0,)) for _ in range(3) for actor in actors]
+        assert all(outcome.ok for outcome in told)
+        late = sorted(outcome.elapsed_s for outcome in told)[int(0.9 * len(told))]
+        assert late <= 2 * air.air()["up"]["round_s"] + 0.5
+
+
+async def test_a_vehicle_that_reboots_is_brought_back_to_the_plan(tmp_path: Path) -> None:
+    async with on_air(tmp_path, **NAV) as air:
+        await air.settled(2)
+        for sysid in (1, 2):
+            air.sim(sysid).faults.reboot = True
+        await asyncio.sleep(6)
+        await air.settled(2)
+        await asyncio.sleep(30)
+        assert air.rates(1) == air.rates(2) == profile_rates("nav")
+
+
+async def test_a_vehicle_that_leaves_gives_its_room_to_the_others_and_takes_it_back(tmp_path: Path) -> None:
+    link = {"stream_profile": "full", "downlink_share": 0.12}
+    async with on_air(tmp_path, px4=3, ardupilot=0, link=link) as air:
+        await air.settled(3)
+        narrow = air.vehicle(1)["streams"][POSITION]["planned_hz"]
+        assert air.vehicle(1)["scaled"]
+        air.sim(3).faults.mute = True
+        await asyncio.sleep(10)
+        assert len(air.air()["vehicles"]) == 3, "a short silence changes nothing"
+        await air.until(lambda: len(air.air()["vehicles"]) == 2)
+        wider = air.vehicle(1)["streams"][POSITION]["planned_hz"]
+        assert wider > narrow
+        air.sim(3).faults.mute = False
+        await air.until(lambda: len(air.air()["vehicles"]) == 3)
+        assert air.vehicle(1)["streams"][POSITION]["planned_hz"] == narrow
+
+
+async def test_who_is_selected_gets_more(tmp_path: Path) -> None:
+    link = {"stream_profile": "full", "downlink_share": 0.12}
+    async with on_air(tmp_path, px4=3, ardupilot=0, radio={"air_kbps": 250}, link=link) as air:
+        await air.settled(3)
+        alike = {v["planned_bytes_per_s"] for v in air.air()["vehicles"]}
+        air.daemon.select_vehicles({2 << 8 | 1})
+        await asyncio.sleep(2)
+        assert len(alike) == 1
+        assert air.vehicle(2)["planned_bytes_per_s"] > max(alike) > air.vehicle(1)["planned_bytes_per_s"]
+
+
+async def test_flight_control_gets_its_position_as_fast_as_the_plan_has_room(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
+        await air.settled(10)
+        actor = air.daemon.fleet.find("1")
+        assert actor.planned.want_position(50.0)
+        await asyncio.sleep(20)
+        told = air.air()
+        assert told["down"]["planned_bytes_per_s"] <= told["down"]["budget_bytes_per_s"]
+        mine = air.vehicle(1)
+        assert mine["weight"] == 4.0 and mine["planned_bytes_per_s"] <= told["down"]["per_vehicle_bytes_per_s"]
+        assert 2.0 < air.rates(1)[POSITION] < 10.0
+        assert actor.planned.want_position(None)
+        await asyncio.sleep(20)
+        assert air.rates(1)[POSITION] == 2.0
+
+
+async def test_a_rate_a_person_sets_is_left_to_him(tmp_path: Path) -> None:
+    async with on_air(tmp_path, **NAV) as air:
+        await air.settled(2)
+        assert (await air.daemon.fleet.find("1").set_message_interval("VFR_HUD", 2.0)).ok
+        await asyncio.sleep(60)
+        assert air.rates(1)["VFR_HUD"] == 2.0
+
+
+async def test_the_state_tells_planned_rates_beside_measured_ones(tmp_path: Path) -> None:
+    async with on_air(tmp_path, **NAV) as air:
+        await air.settled(2)
+        messages = air.daemon.fleet.find("2").state(air.daemon.now())["messages"]
+        assert messages[POSITION]["planned_hz"] == 2.0 and messages["HEARTBEAT"]["planned_hz"] == 0.0
+
+
+async def test_a_vehicle_that_is_heard_badly_is_told_of_once_and_again_when_it_is_well(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=2, ardupilot=0, **NAV) as air:
+        await air.settled(2)
+        chance = air.radio.network._is_lost
+        air.radio.network._is_lost = lambda node, now: node == 1 and now % 1.0 < 0.5  # type: ignore[method-assign]
+        await air.until(lambda: air.events("link_degraded"), 60)
+        await asyncio.sleep(20)
+        (text,) = air.events("link_degraded")
+        assert "frames are lost" in text and "radio air" in text
+        assert air.air()["poor"] == ["v1"]
+        air.radio.network._is_lost = chance  # type: ignore[method-assign]
+        await air.until(lambda: air.events("link_recovered"), 120)
+        assert air.air()["poor"] == []
+
+
+async def test_a_link_that_is_no_radio_is_neither_planned_nor_paced(tmp_path: Path) -> None:
+    async with on_air(tmp_path, link={"role": "vehicle"}) as air:
+        await asyncio.sleep(30)
+        assert air.daemon.air_status() == [] and air.channel.air is None
+        assert "VFR_HUD" in air.rates(1), "what comes by itself goes on"
+        assert not air.daemon.fleet.find("1").planned.active
+
+
+async def test_a_stream_that_will_not_stop_is_told_with_what_to_do(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=1, ardupilot=0, **NAV) as air:
+        sim = air.sim(1)
+        set_interval = sim.streams.set_interval
+        sim.streams.set_interval = (  # type: ignore[method-assign]
+            lambda name, s, now: True if name == "VFR_HUD" else set_interval(name, s, now)
+        )
+        await air.until(lambda: air.events("warning"), 200)
+        (text,) = air.events("warning")
+        assert "VFR_HUD" in text and "MAV_0_MODE" in text
+
+
+async def test_what_is_lost_while_vehicles_still_flood_does_not_count_against_the_plan(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=7, ardupilot=8, radio={"air_kbps": 125}, **NAV) as air:
+        for sim in air.link.vehicles[7:]:
+            for group in ("EXTRA1", "EXTRA2", "EXTRA3", "EXT_STAT", "POSITION", "RAW_SENS", "RC_CHAN"):
+                sim.params.set(f"SR1_{group}", 10)
+                sim.on_param(f"SR1_{group}", air.daemon.now())
+        await air.settled(15)
+        assert air.radio.network.stats(0).output_overflow_bytes > 0, "the port was too narrow at first"
+        await asyncio.sleep(60)
+        assert air.air()["down"]["factor"] == 1.0
+        assert all(air.rates(n)[POSITION] == 2.0 for n in range(1, 16))

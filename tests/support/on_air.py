@@ -1,0 +1,115 @@
+"""A whole daemon with simulated vehicles behind an emulated radio, in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import FleetConfig
+from skygcs.core.sim.radio_fleet import RadioFleet
+from skygcs.core.sim.vehicle import SimVehicle
+from skygcs.daemon import Daemon
+from skygcs.links.base import Channel
+from skygcs.links.simulated import SimulatedVehiclesLink
+
+FIELD = {"lat_deg": 43.7806, "lon_deg": -79.4653, "alt_amsl_m": 180.0}
+
+
+class OnAir:
+    """The daemon, its one link "air", and the vehicles' side of it."""
+
+    def __init__(self, daemon: Daemon) -> None:
+        self.daemon = daemon
+
+    @property
+    def link(self) -> SimulatedVehiclesLink:
+        link = self.daemon.links.link("air")
+        assert isinstance(link, SimulatedVehiclesLink)
+        return link
+
+    @property
+    def radio(self) -> RadioFleet:
+        assert self.link.radio is not None
+        return self.link.radio
+
+    @property
+    def channel(self) -> Channel:
+        (channel,) = self.link.channels
+        return channel
+
+    def sim(self, sysid: int) -> SimVehicle:
+        return next(s for s in self.link.vehicles if s.sysid == sysid)
+
+    def air(self) -> dict[str, Any]:
+        """What link.status tells of the radio."""
+        (told,) = self.daemon.air_status()
+        return told
+
+    def vehicle(self, sysid: int) -> dict[str, Any]:
+        return next(v for v in self.air()["vehicles"] if v["sysid"] == sysid)
+
+    def rates(self, sysid: int) -> dict[str, float]:
+        """Hz that a vehicle really streams, its heartbeat left out."""
+        streams = self.sim(sysid).streams
+        names = [name for name in self.sim(sysid).builders if streams.interval(name) < float("inf")]
+        return {n: round(1 / streams.interval(n), 3) for n in names if n != "HEARTBEAT"}
+
+    def events(self, *kinds: str) -> list[str]:
+        return [e["text"] for e in self.daemon.events if e["kind"] in kinds]
+
+    async def until(self, condition: Callable[[], object], timeout_s: float = 60.0) -> float:
+        """Wait for it; when it was."""
+        end = self.daemon.now() + timeout_s
+        while not condition():
+            assert self.daemon.now() < end, "it never happened"
+            await asyncio.sleep(0.1)
+        return self.daemon.now()
+
+    async def settled(self, vehicles: int, timeout_s: float = 60.0) -> float:
+        """All are planned and follow."""
+        return await self.until(
+            lambda: (
+                self.daemon.air_status()
+                and len(self.air()["vehicles"]) == vehicles
+                and all(v["settled"] for v in self.air()["vehicles"])
+            ),
+            timeout_s,
+        )
+
+
+@contextlib.asynccontextmanager
+async def on_air(
+    tmp_path: Path,
+    *,
+    px4: int = 1,
+    ardupilot: int = 1,
+    radio: Mapping[str, Any] | None = None,
+    link: Mapping[str, Any] | None = None,
+    defaults: Mapping[str, Any] | None = None,
+) -> AsyncIterator[OnAir]:
+    """From the moment at which the link is open; nobody has been heard yet."""
+    air = {"type": "simulated", "role": "radio", "px4": px4, "ardupilot": ardupilot, "dynamics": "kinematic"}
+    config = FleetConfig.model_validate(
+        {
+            "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
+            "origin": FIELD,
+            "links": {"air": {**air, "radio": dict(radio or {}), **(link or {})}},
+            "defaults": dict(defaults or {}),
+        }
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    running = asyncio.create_task(daemon.run(), name="the daemon")
+    await daemon.ready.wait()
+    air_ = OnAir(daemon)
+    await air_.until(lambda: air_.link.channels)
+    try:
+        yield air_
+        assert not air_.events("fault")
+    finally:
+        daemon.stop()
+        with contextlib.suppress(asyncio.CancelledError):
+            await running
