@@ -35,6 +35,7 @@ from enum import Enum, auto
 
 from skygcs.core.exchange.base import Effect, Exchange, Finish, Report, Send
 from skygcs.core.exchange.param import LATE_VALUE_S
+from skygcs.core.exchange.wait import ReplyWait
 from skygcs.core.mavlink.param import HASH_NAME, Param, ParamType, ParamValue
 
 VALUE_BYTES = 37
@@ -48,11 +49,6 @@ WINDOW = 8
 
 BURST_QUIET_S = 2.0
 """A burst in which nothing new came for so long is over: ArduPilot slows down to a value every 0.5 s at worst."""
-
-FIRST_WAIT_S = 1.0
-LEAST_WAIT_S = 0.25
-MOST_WAIT_S = 5.0
-"""For an answer, before it is asked for again: at first, and the bounds of what the link's own round trips make it."""
 
 MAX_TRIES = 20
 """Requests of one index. With 20 % lost each way, one index in 700 million needs more."""
@@ -142,7 +138,7 @@ class ParamList(Exchange):
         self._restarts = 0
         self._next_send = -math.inf
         self._percent = -1
-        self._wait = _Wait()
+        self._wait = ReplyWait()
         self._names: dict[int, str] = {}
         self._params: dict[str, Param] = {}
         self._index_of: dict[str, int] = {}
@@ -297,29 +293,3 @@ class ParamList(Exchange):
         elapsed_s = now - self._started
         self.outcome = ListOutcome(result == "accepted", result, message, params, self.count, self.sent, elapsed_s)
         return (Finish(),)
-
-
-class _Wait:
-    """How long to wait for an answer: smoothed round trip and four times its deviation, doubled when one is overdue.
-
-    TCP's rule (RFC 6298); only answers to first requests are measured, as nobody knows which one a later answer is to.
-    """
-
-    def __init__(self) -> None:
-        self.seconds = FIRST_WAIT_S
-        self._mean: float | None = None
-        self._deviation = 0.0
-        self._doubled_at = -math.inf
-
-    def measured(self, round_s: float) -> None:
-        if self._mean is None:
-            self._mean, self._deviation = round_s, round_s / 2
-        else:
-            self._deviation += (abs(round_s - self._mean) - self._deviation) / 4
-            self._mean += (round_s - self._mean) / 8
-        self.seconds = min(max(LEAST_WAIT_S, self._mean + 4 * self._deviation), MOST_WAIT_S)
-
-    def overdue(self, now: float) -> None:
-        if now - self._doubled_at >= self.seconds:
-            self.seconds = min(2 * self.seconds, MOST_WAIT_S)
-            self._doubled_at = now
