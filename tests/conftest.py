@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import functools
 import os
 import tempfile
 
 import pytest
+import typer.main
 from hypothesis import HealthCheck, settings
 
 settings.register_profile("suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -20,6 +22,10 @@ NOOP_CYCLES = 2
 suite costs. Whatever is ready to run, is read from a socket or waits for a thread runs first all the same: these turns
 only serve what needs an idle loop to get going."""
 
+
+typer.main.get_command = functools.cache(typer.main.get_command)
+"""Typer's test runner makes all commands anew for every line that is typed: a quarter of a second each time. They hold
+nothing of one line that another could see."""
 
 _cache = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 

@@ -14,7 +14,17 @@ from support.flown import Flown, flown
 pytestmark = pytest.mark.looptime
 
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
-MODES = pytest.mark.parametrize("mode", ["attitude", "velocity", "position"])
+KINDS_AND_MODES = pytest.mark.parametrize(
+    ("kind", "mode"),
+    [
+        ({"px4": 1}, "attitude"),
+        ({"px4": 0, "ardupilot": 1}, "attitude"),
+        ({"px4": 0, "ardupilot": 1}, "velocity"),
+        ({"px4": 1}, "position"),
+    ],
+    ids=["px4-attitude", "ardupilot-attitude", "ardupilot-velocity", "px4-position"],
+)
+"""Each autopilot, and each way with one of them: that the guard holds whatever the way is tested with the guard."""
 
 
 async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: float, why: str) -> None:
@@ -27,8 +37,7 @@ async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: floa
     assert {int(c.values["command"]) for c in gcs.commands(since)} == {176}
 
 
-@KINDS
-@MODES
+@KINDS_AND_MODES
 async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     async with flown(tmp_path, control={"battery_min_percent": 30.0}, **kind) as gcs:
         await gcs.fly(mode)
@@ -42,8 +51,7 @@ async def test_the_battery_is_low(tmp_path: Path, kind: dict[str, int], mode: st
         await gcs.ends_safe(within_m=5.0, since=low)
 
 
-@KINDS
-@MODES
+@KINDS_AND_MODES
 async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     async with flown(tmp_path, **kind) as gcs:
         await gcs.fly(mode)
@@ -56,8 +64,7 @@ async def test_nan_in_attitude(tmp_path: Path, kind: dict[str, int], mode: str) 
             assert all(math.isfinite(v) for v in sent.values.values() if isinstance(v, float)), sent
 
 
-@KINDS
-@MODES
+@KINDS_AND_MODES
 async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
     """Without a position no mode holds one: the autopilot lands, by the order's refusal or by its own failsafe."""
     async with flown(tmp_path, **kind) as gcs:

@@ -299,10 +299,10 @@ async def flown(
     living = asyncio.create_task(gcs.live())
     try:
         await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
-        await asyncio.sleep(12)  # the estimators converge
+        await asyncio.sleep(7)  # the estimators converge
         await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
         await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)
-        await asyncio.sleep(8)
+        await asyncio.sleep(5)  # nothing moves any more
         yield gcs
         assert all(s.state in ("engaging", "flying") for s in gcs.sent if s.name in SETPOINTS), (
             "setpoints after the end"
