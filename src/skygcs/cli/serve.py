@@ -72,6 +72,11 @@ def _parser() -> argparse.ArgumentParser:
     where.add_argument("--udp", metavar="HOST:PORT", help="send to this address (default 127.0.0.1:14550)")
     where.add_argument("--tcp", metavar="HOST:PORT", help="listen there; every connection hears all vehicles")
     where.add_argument("--pty", metavar="PATH", help="a pseudo-terminal, like a radio with all vehicles behind it")
+    sim.add_argument(
+        "--radio",
+        metavar="KBPS[,KEY=VALUE…]",
+        help="with --pty: emulated multipoint radios of this air speed; loss=0.02, burst_loss, nodes, baud, rtscts",
+    )
     sim.add_argument("--separate-ports", action="store_true", help="with --udp: one socket per vehicle")
     sim.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL")
     sim.add_argument("--seed", type=int, default=1)
@@ -150,6 +155,7 @@ def _sim(args: argparse.Namespace) -> int:
         udp=udp,
         tcp=args.tcp,
         pty=args.pty,
+        air=args.radio,
         separate_ports=args.separate_ports,
         home=args.home,
         seed=args.seed,

@@ -8,9 +8,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from skygcs.cli.process import run_loop
 from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort
 from skygcs.config.dialects import load_dialect
+from skygcs.config.radio import EmulatedRadio
 from skygcs.config.sim_params import load_param_set
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim import protocol as m
@@ -19,8 +22,10 @@ from skygcs.core.sim.conditions import CALM, Conditions, conditions_of
 from skygcs.core.sim.fleet import make_vehicles
 from skygcs.core.sim.kinematics import LocalFrame
 from skygcs.core.sim.radio import SimRadio
+from skygcs.core.sim.radio_fleet import RadioFleet
 from skygcs.core.sim.vehicle import TICK_S, SimVehicle
 from skygcs.errors import LinkError
+from skygcs.links.simulated_radio import emulated
 
 SIM_DIALECT = "ardupilotmega"
 
@@ -43,6 +48,7 @@ def run_sim(
     seed: int = 1,
     speedup: float = 1.0,
     radio: bool = True,
+    air: str | None = None,
     conditions: Conditions = CALM,
     params: Sequence[Path] = (),
 ) -> int:
@@ -51,7 +57,8 @@ def run_sim(
     ``udp`` HOST:PORT is sent to, all vehicles from one socket or, with ``separate_ports``, each from its own.
     ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
     its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
-    behind a radio, which with ``radio`` reports RADIO_STATUS. ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
+    behind a radio, which with ``radio`` reports RADIO_STATUS. ``air`` KBPS[,KEY=VALUE…] puts emulated radios between
+    the two instead (keys of `config.radio.EmulatedRadio`). ``home`` is LAT,LON,AMSL[,HEADING]. ``conditions`` hold
     for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
     Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """
@@ -59,6 +66,9 @@ def run_sim(
         raise LinkError(f"speedup {speedup:g}: must be above 0 and at most {MAX_SPEEDUP:g}")
     if sum(way is not None for way in (udp, tcp, pty)) != 1:
         raise LinkError("one of --udp, --tcp and --pty is needed")
+    if air is not None and pty is None:
+        raise LinkError("--radio: emulated radios are behind a --pty")
+    emulated_radio = None if air is None else parse_radio(air)
     where, heading_deg = _parse_home(home)
     dialect = load_dialect(SIM_DIALECT)
     try:
@@ -88,8 +98,32 @@ def run_sim(
             host, number = _parse_address("--tcp", tcp)
             ports.append(TcpPort(group, dialect, clock, (host, number + i if number else 0)))
         elif pty is not None:
-            ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None))
+            behind = None if emulated_radio is None else _behind(emulated_radio, group, dialect, seed)
+            ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind))
     return run_loop(_serve(ports, clock, speedup))
+
+
+def parse_radio(text: str) -> EmulatedRadio:
+    """Of KBPS[,KEY=VALUE…]. Raises LinkError for a person."""
+    kbps, *pairs = text.split(",")
+    table: dict[str, object] = {"air_kbps": kbps}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise LinkError(f"--radio {text!r}: {pair!r} is not of the form KEY=VALUE")
+        table[key.strip()] = value.strip()
+    try:
+        return EmulatedRadio.model_validate(table)
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        raise LinkError(f"--radio {text!r}: {'.'.join(map(str, wrong['loc']))}: {wrong['msg'].lower()}") from None
+
+
+def _behind(radio: EmulatedRadio, vehicles: list[SimVehicle], dialect: Dialect, seed: int) -> RadioFleet:
+    try:
+        return emulated(radio, vehicles, dialect, seed=seed, now=0.0)
+    except ValueError as error:
+        raise LinkError(f"--radio: {error}") from None
 
 
 def _radio(dialect: Dialect, seed: int) -> SimRadio:

@@ -22,6 +22,8 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.sim.fleet import SimFleet
 from skygcs.core.sim.radio import SimRadio
+from skygcs.core.sim.radio_fleet import RadioFleet
+from skygcs.core.sim.tdm import GROUND
 from skygcs.core.sim.vehicle import SimVehicle
 from skygcs.errors import LinkError
 
@@ -29,6 +31,9 @@ MAX_BACKLOG_BYTES = 65536
 """A TCP connection that does not read loses frames instead of holding the vehicles up."""
 
 READ_BYTES = 65536
+
+DRIVER_BYTES = 4096
+"""Of a serial port's driver: more is not taken from the writer until the slow line has passed some on."""
 
 
 class SimClock:
@@ -184,12 +189,21 @@ class _TcpConnection(asyncio.Protocol):
 
 
 class PtyPort(SimPort):
-    """A pseudo-terminal with a symlink to it: opened by others as a serial port with a radio."""
+    """A pseudo-terminal with a symlink to it: opened by others as a serial port with a radio. With ``air`` it is the
+    ground's port of an emulated network, slow and lossy as that is."""
 
     def __init__(
-        self, vehicles: list[SimVehicle], dialect: Dialect, clock: SimClock, path: str, radio: SimRadio | None
+        self,
+        vehicles: list[SimVehicle],
+        dialect: Dialect,
+        clock: SimClock,
+        path: str,
+        radio: SimRadio | None,
+        air: RadioFleet | None = None,
     ) -> None:
         super().__init__(vehicles, dialect, clock, radio)
+        self._air = air
+        self._full = False
         self._path = Path(path)
         self._parser = FrameParser(dialect)
         self._master = -1
@@ -227,6 +241,26 @@ class PtyPort(SimPort):
             if os.readlink(self._path) == self._device:  # not the one of another process that took the place
                 self._path.unlink()
 
+    def hear(self, frames: list[Frame]) -> None:
+        if self._air is None:
+            super().hear(frames)
+            return
+        now = self._clock.now()
+        for frame in frames:
+            self._air.uplink(frame.raw, now)
+
+    def pump(self) -> None:
+        if self._air is None:
+            super().pump()
+            return
+        now = self._clock.now()
+        frames = self._air.step(now)
+        if frames:
+            self.write(frames)
+        if self._full and self._air.network.backlog_bytes(GROUND, now) < DRIVER_BYTES / 2:
+            self._full = False
+            asyncio.get_running_loop().add_reader(self._master, self._on_readable)
+
     def write(self, frames: list[bytes]) -> None:
         data = b"".join(frames)
         try:
@@ -238,7 +272,10 @@ class PtyPort(SimPort):
 
     def _on_readable(self) -> None:
         try:
-            data = os.read(self._master, READ_BYTES)
+            data = os.read(self._master, READ_BYTES if self._air is None else DRIVER_BYTES)
         except (BlockingIOError, OSError):
             return
         self.hear(self._parser.feed(data))
+        if self._air is not None and self._air.network.backlog_bytes(GROUND, self._clock.now()) >= DRIVER_BYTES:
+            self._full = True
+            asyncio.get_running_loop().remove_reader(self._master)

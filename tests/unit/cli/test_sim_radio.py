@@ -1,0 +1,68 @@
+"""`skygcs sim --radio`."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from pathlib import Path
+
+import pytest
+
+from skygcs.cli.sim import parse_radio, run_sim
+from skygcs.cli.sim_ports import DRIVER_BYTES, PtyPort, SimClock
+from skygcs.config.dialects import load_dialect
+from skygcs.config.radio import EmulatedRadio
+from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.sim.fleet import make_vehicles
+from skygcs.core.sim.kinematics import LocalFrame
+from skygcs.core.sim.tdm import GROUND
+from skygcs.errors import LinkError
+from skygcs.links.simulated_radio import emulated
+
+
+def test_an_air_speed_and_keys_make_a_radio() -> None:
+    assert parse_radio("125") == EmulatedRadio(air_kbps=125)
+    assert parse_radio("64,loss=0.02, nodes=16,rtscts=true") == EmulatedRadio(
+        air_kbps=64, loss=0.02, nodes=16, rtscts=True
+    )
+
+
+@pytest.mark.parametrize("text", ["", "fast", "64,loss", "64,loss=2", "64,colour=red", "0", "nan"])
+def test_what_is_none_is_refused_with_what_was_given(text: str) -> None:
+    with pytest.raises(LinkError, match="--radio"):
+        parse_radio(text)
+
+
+def test_it_needs_a_pty_and_a_node_for_each_vehicle() -> None:
+    with pytest.raises(LinkError, match="--pty"):
+        run_sim(px4=1, ardupilot=0, first_sysid=1, udp="127.0.0.1:14550", air="64")
+    with pytest.raises(LinkError, match="4 vehicles and the ground are 5"):
+        run_sim(px4=4, ardupilot=0, first_sysid=1, pty="/nonexistent/tty", air="64,nodes=3")
+
+
+async def test_the_port_is_the_grounds_radio_and_takes_no_more_than_a_serial_line_passes_on(tmp_path: Path) -> None:
+    dialect = load_dialect("ardupilotmega")
+    vehicles = make_vehicles(dialect, px4=1, ardupilot=0, first_sysid=1, home=LocalFrame(43.78, -79.46, 180.0))
+    clock = SimClock(20.0)
+    air = emulated(EmulatedRadio(), vehicles, dialect, seed=1, now=0.0)
+    port = PtyPort(vehicles, dialect, clock, str(tmp_path / "tty"), None, air)
+    await port.open()
+    fd = os.open(tmp_path / "tty", os.O_RDWR | os.O_NONBLOCK)
+    try:
+        heartbeat = encode(dialect.by_name["HEARTBEAT"], {"type": 6}, sysid=255, compid=190, seq=0)
+        request = encode(dialect.by_name["PARAM_REQUEST_READ"], {"param_index": -1}, sysid=255, compid=190, seq=0)
+        written = os.write(fd, heartbeat + request * 200)
+        parser, sources = FrameParser(dialect), set()
+        for _ in range(100):
+            await asyncio.sleep(0.01)
+            port.pump()
+            with contextlib.suppress(BlockingIOError):
+                sources |= {(f.sysid, f.compid) for f in parser.feed(os.read(fd, 65536))}
+        assert sources == {(51, 68), (1, 1)}
+        assert written == len(heartbeat + request * 200)
+        assert air.network.backlog_bytes(GROUND, clock.now()) <= 2 * DRIVER_BYTES
+    finally:
+        os.close(fd)
+        port.close()
