@@ -249,7 +249,7 @@ _LINKS = st.fixed_dictionaries(
 
 
 @native
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     seed=st.integers(0, 2**32),
     quiet=st.booleans(),
