@@ -460,7 +460,7 @@ class Router:
         return self._counted(_DUPLICATE)
 
     def _is_copy(self, port: _Port, frame: Frame, source: int, now: float) -> bool:
-        # one int and no tuple of three: a third of the lookup's cost
+        # one int, as the compiled lane keeps it
         first = self._duplicates.first_heard_on(source << 24 | frame.seq << 16 | frame.crc, port.id, now)
         system = source >> 8
         parallel = self._parallel.get(system)
