@@ -41,7 +41,7 @@ from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.signing import Signing
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.signing_store import SigningStore, default_state_dir
-from skygcs.runtime.uplink import setpoint_bytes_per_s
+from skygcs.runtime.uplink import setpoint_bytes_per_s, stream_refusal
 from skygcs.runtime.watchman import Watchman
 
 MAX_EVENTS = 1000
@@ -92,6 +92,7 @@ class Daemon:
             self.on_event,
             self._may_broadcast,
             lambda sysid, compid: setpoint_bytes_per_s(self.hub, self.fleet, sysid, compid),
+            lambda sysid, compid, px4: stream_refusal(self.hub, self.fleet, sysid, compid, px4=px4),
             ParamCache(default_cache_dir()),
             lambda key: self.link_watch.of(key, self.now()),
         )

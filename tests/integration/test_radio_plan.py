@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import cast
 
 import pytest
 
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.stream_plan import POSITION, profile_rates
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.uplink import stream_refusal
+from skygcs.runtime.vehicle_actor import VehicleActor
 from support.on_air import OnAir, on_air
 
 pytestmark = pytest.mark.looptime
@@ -208,3 +212,35 @@ async def test_what_is_lost_while_vehicles_still_flood_does_not_count_against_th
         await asyncio.sleep(60)
         assert air.air()["down"]["factor"] == 1.0
         assert all(air.rates(n)[POSITION] == 2.0 for n in range(1, 16))
+
+
+async def test_what_the_radio_cannot_carry_is_refused_with_the_figures_and_what_can(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
+        await air.settled(10)
+        (told,) = (await air.daemon.fleet.command_all("1", "takeoff", height_m=5.0, wait_s=60.0)).values()
+        assert told.ok
+        await air.until(lambda: air.sim(1).motion.up_m > 4.5)
+        await asyncio.sleep(5)
+        (told,) = (await air.daemon.fleet.command_all("1", "control", mode="position")).values()
+        assert told.result == "refused"
+        assert "every 0.91 s; PX4 wants setpoints at 2 Hz" in told.message and "goto" in told.message
+        assert not air.daemon.fleet.find("1").planned.position_hz
+
+
+async def test_how_many_are_flown_decides_whether_a_further_one_can_be(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=0, ardupilot=10, **NAV) as air:
+        await air.settled(10)
+        hub, actors = air.daemon.hub, air.daemon.fleet.resolve("all")
+
+        class Flown:
+            def __init__(self, count: int) -> None:
+                self.count = count
+
+            def flown(self) -> list[VehicleActor]:
+                return actors[1 : 1 + self.count]
+
+        def why(count: int) -> str | None:
+            return stream_refusal(hub, cast(Fleet, Flown(count)), actors[0].sysid, 1, px4=False)
+
+        assert why(0) is None and why(2) is None
+        assert "leaves 62 B/s to setpoints for it, and 1 Hz of 65 bytes are 65" in (why(3) or "")

@@ -89,13 +89,15 @@ class Fleet:
         on_event: Callable[[Event], None],
         may_broadcast: Callable[[], bool] = lambda: True,
         uplink_bytes_per_s: Callable[[int, int], float] = lambda sysid, compid: math.inf,
+        stream_refusal: Callable[[int, int, bool], str | None] = lambda sysid, compid, px4: None,
         param_cache: ParamCache | None = None,
         heard: Callable[[int], Mapping[str, LinkFacts]] = lambda key: {},
     ) -> None:
         """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``.
 
-        ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it. ``param_cache``:
-        where parameters are kept; None: nowhere. ``heard(sysid << 8 | compid)``: how well, by link.
+        ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it; ``stream_refusal``
+        (and whether it is a PX4): why it bears no stream of them. ``param_cache``: where parameters are kept; None:
+        nowhere. ``heard(sysid << 8 | compid)``: how well, by link.
         """
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
@@ -110,6 +112,7 @@ class Fleet:
         self._on_event = on_event
         self._may_broadcast = may_broadcast
         self._uplink_bytes_per_s = uplink_bytes_per_s
+        self._stream_refusal = stream_refusal
         self._param_cache = param_cache
         self._heard = heard
         self._kept = Errands(loop, on_event)
@@ -403,6 +406,7 @@ class Fleet:
             self._on_event,
             log_dir=daemon.log_dir,
             uplink_bytes_per_s=lambda: self._uplink_bytes_per_s(frame.sysid, frame.compid),
+            stream_refusal=lambda px4: self._stream_refusal(frame.sysid, frame.compid, px4),
             param_cache=self._param_cache,
             configured=config.named if self.config.vehicles else None,
             preflight_valid_s=60 * daemon.preflight_valid_minutes,

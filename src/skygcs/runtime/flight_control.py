@@ -71,6 +71,7 @@ class FlightControl:
         on_event: Callable[[Event], None],
         log_dir: Path,
         uplink_bytes_per_s: Callable[[], float],
+        stream_refusal: Callable[[bool], str | None] = lambda px4: None,
     ) -> None:
         self._vehicle = vehicle
         self._settings = settings
@@ -103,6 +104,7 @@ class FlightControl:
             release=self.release,
             position_hz=position_hz,
             plan_position=plan_position,
+            stream_refusal=stream_refusal,
             on_event=on_event,
         )
         self._law_changed = False

@@ -53,6 +53,7 @@ class Takeover:
     """Of one vehicle. ``execute`` carries out a plan, ``attempt`` plans and carries out; ``position_hz``: of its
     position while nobody flies it by setpoints, None: its own. ``plan_position(rate)`` is told how often it is wanted
     (None: not any more); if it is True, a radio's plan sees to it, as far as there is room.
+    ``stream_refusal`` (whether it is a PX4): why its link bears no stream of setpoints.
 
     ``begin`` has the setpoints stream, and raises RefusedError if they cannot; ``release`` ends them, which begins a
     turn (`next_turn`) like everything that begins or ends control.
@@ -75,6 +76,7 @@ class Takeover:
         release: Callable[[str], None],
         position_hz: float | None,
         plan_position: Callable[[float | None], bool] = lambda rate_hz: False,
+        stream_refusal: Callable[[bool], str | None] = lambda px4: None,
         on_event: Callable[[Event], None],
     ) -> None:
         self.turn = 0
@@ -93,6 +95,7 @@ class Takeover:
         self._release = release
         self._position_hz = position_hz
         self._plan_position = plan_position
+        self._stream_refusal = stream_refusal
         self._on_event = on_event
 
     def next_turn(self) -> int:
@@ -105,6 +108,8 @@ class Takeover:
         started, turn = self._loop.time(), self.turn
         try:
             self._check_entry(started)
+            if not force and not self._pilot.active:
+                self._check_stream()
             if way is Way.ATTITUDE:
                 await self._check_attitude(force=force)
             if self.turn != turn:
@@ -121,6 +126,8 @@ class Takeover:
             self._check_entry(self._loop.time())  # what was true before all this waiting may not be any more
             self._begin(way)
         except RefusedError as error:
+            if not self._pilot.active:
+                self._plan_position(None)
             return Outcome.refused(str(error))
         outcome: Outcome | None = None
         try:
@@ -145,6 +152,12 @@ class Takeover:
             refusal = f"it is in {self._vehicle.mode} already: another program sends it setpoints; end that first"
         if refusal is None:
             refusal = self._outside_now()
+        if refusal is not None:
+            raise RefusedError(refusal)
+
+    def _check_stream(self) -> None:
+        """Raises RefusedError where its radio cannot carry a stream of setpoints."""
+        refusal = self._stream_refusal(self._vehicle.family == "px4")
         if refusal is not None:
             raise RefusedError(refusal)
 

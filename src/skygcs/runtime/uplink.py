@@ -1,9 +1,10 @@
-"""What a link leaves to setpoints: the number from which a vehicle's rate of attitude setpoints is bounded."""
+"""What a link leaves to setpoints: how many attitude setpoints a second it bears, and whether a stream at all."""
 
 from __future__ import annotations
 
 import math
 
+from skygcs.core.linkplan import FRAME_BYTES, OFFBOARD_LOSS_S, OFFBOARD_MIN_HZ
 from skygcs.links.serial import SerialLink
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -22,6 +23,38 @@ SIGNED_SHARE = 51 / 64
 
 BITS_PER_BYTE = 10
 """8N1: start bit, eight, stop bit."""
+
+
+GUIDED_MIN_HZ = 1.0
+"""ArduPilot stops 3 s after the last position or velocity (field-notes 10.5): two may be lost."""
+
+STREAMED = "SET_POSITION_TARGET_LOCAL_NED"
+"""The longest of the setpoints, as long as its GLOBAL_INT sister."""
+
+
+def stream_refusal(hub: Hub, fleet: Fleet, sysid: int, compid: int, *, px4: bool) -> str | None:
+    """Why no stream of setpoints can be kept up to this vehicle over the radio it is behind; None if it can."""
+    least_hz = OFFBOARD_MIN_HZ if px4 else GUIDED_MIN_HZ
+    needed = least_hz * FRAME_BYTES[STREAMED]
+    instead = "; send it places instead (skygcs-cli goto), fly fewer by setpoints, or raise the radio's air speed"
+    for channel_id in hub.ways(sysid, compid):
+        channel = hub.channels[channel_id]
+        air = channel.air
+        if air is None:
+            continue
+        round_s = air.pacer.rates.round_s(air.pacer.vehicles)
+        if px4 and round_s is not None and round_s > 1 / OFFBOARD_MIN_HZ:
+            return (
+                f"the ground's radio sends once a round, every {round_s:.2f} s; PX4 wants setpoints at "
+                f"{OFFBOARD_MIN_HZ:g} Hz and leaves OFFBOARD after {OFFBOARD_LOSS_S:g} s without one{instead}"
+            )
+        share = setpoint_bytes_per_s(hub, fleet, sysid, compid)
+        if share < needed:
+            return (
+                f"the radio leaves {share:.0f} B/s to setpoints for it, and {least_hz:g} Hz of {FRAME_BYTES[STREAMED]} "
+                f"bytes are {needed:.0f}{instead}"
+            )
+    return None
 
 
 def setpoint_bytes_per_s(hub: Hub, fleet: Fleet, sysid: int, compid: int) -> float:

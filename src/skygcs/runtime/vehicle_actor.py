@@ -77,12 +77,14 @@ class VehicleActor:
         *,
         log_dir: Path = Path("logs"),
         uplink_bytes_per_s: Callable[[], float] = lambda: math.inf,
+        stream_refusal: Callable[[bool], str | None] = lambda px4: None,
         param_cache: ParamCache | None = None,
         configured: bool | None = None,
         preflight_valid_s: float = math.inf,
         heard: Callable[[], Mapping[str, LinkFacts]] = dict,
     ) -> None:
-        """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints.
+        """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints;
+        ``stream_refusal`` (whether it is a PX4): why it bears no stream of them.
 
         ``param_cache``: where its parameters are kept; None: nowhere. ``configured``, ``preflight_valid_s``, ``heard``
         (how, by link): see `Preflight`.
@@ -112,6 +114,7 @@ class VehicleActor:
             on_event=on_event,
             log_dir=log_dir,
             uplink_bytes_per_s=uplink_bytes_per_s,
+            stream_refusal=stream_refusal,
         )
         self.params = VehicleParams(vehicle, dialect, send, loop, on_event, param_cache or ParamCache(None))
         self.missions = Missions(vehicle, self.commander, dialect, loop, self._orders.report, on_event)
