@@ -33,6 +33,10 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 WAITING_AT_ONCE = 3
 """Requests that wait in a radio's queue at most: what is asked next is decided late, by what has come until then."""
 
+PATIENCE_ROUNDS, ANSWER_S = 1.5, 0.2
+"""Before a command is repeated: it waits for the ground's turn and its answer for the vehicle's, a round each at most
+and one together on average. Sooner, half of all commands would go out twice on a large network."""
+
 GONE_AFTER_S = 20.0
 """A vehicle silent for so long leaves the plan, and the others get its part; a shorter silence changes nothing."""
 
@@ -94,6 +98,7 @@ class AirPlanner:
         for key, actor in self._fleet.vehicles.items():
             if key not in planned and actor.planned.active and not self._is_silent(actor, now):
                 actor.planned.plan(None, self._bytes)  # it is reached another way now
+                actor.commander.patience_s = 0.0
 
     def step(self, now: float) -> None:
         """Have vehicles asked for what they do not send yet, as long as few requests wait."""
@@ -136,6 +141,9 @@ class AirPlanner:
 
     def _plan(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
         radio.air.set_vehicles(len(members), now)
+        round_s = radio.air.pacer.rates.round_s(len(members))
+        for actor in members.values():
+            actor.commander.patience_s = 0.0 if round_s is None else PATIENCE_ROUNDS * round_s + ANSWER_S
         report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
         if not all(actor.planned.settled for actor in members.values()):
             radio.unsettled_at = now

@@ -122,6 +122,8 @@ class Commander:
         self.target = target
         self.own = own
         self.carrier: Carrier | None = None
+        self.patience_s = 0.0
+        """Nothing but an emergency is repeated sooner: what a radio whose rounds are long takes to bring an answer."""
         self._dialect = dialect
         self._send = send
         self._loop = loop
@@ -205,7 +207,7 @@ class Commander:
                 line,
                 spec,
                 Priority.COMMAND,
-                RETRY_TIMERS_S,
+                tuple(max(wait_s, self.patience_s) for wait_s in RETRY_TIMERS_S),
                 satisfied,
                 on_report,
                 everywhere=everywhere,
