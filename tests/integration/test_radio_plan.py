@@ -245,3 +245,12 @@ async def test_how_many_are_flown_decides_whether_a_further_one_can_be(tmp_path:
 
         assert why(0) is None and why(2) is None
         assert "leaves 62 B/s to setpoints for it, and 1 Hz of 65 bytes are 65" in (why(3) or "")
+
+
+async def test_who_is_to_be_asked_for_nothing_is_left_as_it_is(tmp_path: Path) -> None:
+    async with on_air(tmp_path, px4=1, ardupilot=1, defaults={"streams": {}}) as air:
+        await asyncio.sleep(5)
+        before = [air.rates(n) for n in (1, 2)]
+        await asyncio.sleep(40)
+        assert [air.rates(n) for n in (1, 2)] == before and "VFR_HUD" in before[0]
+        assert air.channel.air is not None, "paced it is all the same"

@@ -92,8 +92,8 @@ class AirPlanner:
                 self._radios[number] = _Radio(channel, channel.air)
             radio = self._radios[number]
             members = self._members(number, now)
-            planned |= members.keys()
             self._plan(radio, members, now)
+            planned |= radio.wishes.keys()
             self._judge(radio, members, now)
         for key, actor in self._fleet.vehicles.items():
             if key not in planned and actor.planned.active and not self._is_silent(actor, now):
@@ -150,7 +150,7 @@ class AirPlanner:
         settled = now - radio.unsettled_at > LOSS_WINDOW_S
         free = None if report is None else report.txbuf_free
         radio.downlink.look(self._loss_of_all(radio, members, now) if settled else None, free, now)
-        wishes = {key: self._wish(radio, key, actor) for key, actor in members.items()}
+        wishes = {k: wish for k, actor in members.items() if (wish := self._wish(radio, k, actor)) is not None}
         budget = self._budget(radio)
         if (wishes, budget) == (radio.wishes, radio.budget):
             return
@@ -167,10 +167,13 @@ class AirPlanner:
         slot = serial if round_s is None else SLOT_BYTES / round_s * share * pacer.rates.duty_cycle
         return serial * (pacer.rates.duty_cycle if round_s is None else 1.0), slot * radio.downlink.factor
 
-    def _wish(self, radio: _Radio, key: int, actor: VehicleActor) -> Wish:
+    def _wish(self, radio: _Radio, key: int, actor: VehicleActor) -> Wish | None:
+        """None: it is to be asked for nothing (``streams = {}``), and nothing of it is turned off either."""
         config = radio.channel.config
         assert isinstance(config, SerialLink | SimulatedLink)
         rates = actor.config.streams if config.stream_profile == "custom" else profile_rates(config.stream_profile)
+        if not rates:
+            return None
         rates = {n: hz for n, hz in rates.items() if hz > 0 and n in self._bytes and self._has(actor, n)}
         if actor.planned.position_hz is not None:
             rates[POSITION] = max(rates.get(POSITION, 0.0), actor.planned.position_hz)

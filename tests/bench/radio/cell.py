@@ -103,8 +103,7 @@ def measure(
     column: Column, vehicles: int, air_kbps: float, *, settle_s: float = SETTLE_S, measure_s: float = MEASURE_S
 ) -> Measured:
     """Run one cell; takes some seconds of real time."""
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
-    with tempfile.TemporaryDirectory() as folder:
+    with contextlib.closing(_Quiet()), tempfile.TemporaryDirectory() as folder:
         cell = _Cell(column, vehicles, air_kbps, Path(folder), settle_s, measure_s)
         return in_virtual_time(cell.run())
 
@@ -118,6 +117,16 @@ def in_virtual_time(work: Coroutine[Any, Any, Measured]) -> Measured:
     finally:
         asyncio.set_event_loop(None)
         loop.close()
+
+
+class _Quiet:
+    """No logs of a daemon that is measured, until `close`."""
+
+    def __init__(self) -> None:
+        structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
+
+    def close(self) -> None:
+        structlog.reset_defaults()
 
 
 class _Cell:
