@@ -24,6 +24,7 @@ from skygcs.config.models import (
     UdpServerLink,
     VehicleSettings,
 )
+from skygcs.config.radio import RadioKeys
 from skygcs.core.mavlink.dialect import Dialect
 
 MAX_SOCKET_PATH_BYTES = 107
@@ -51,6 +52,7 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     if ("daemon", "sysid") not in wrong:
         problems += _own_sysid(config)
     problems += _simulated(config)
+    problems += _radios(config)
     problems += _control(config)
     active = {name: link for name, link in config.links.items() if link.enabled}
     problems += _shared_places(config, active)
@@ -224,6 +226,23 @@ def _simulated(config: FleetConfig) -> Iterator[Problem]:
         elif clash := next((s for s in sysids if s in taken), None):
             yield Problem(path, f"{clash} is also a vehicle of the simulated link {taken[clash]}")
         taken.update(dict.fromkeys(sysids, name))
+
+
+def _radios(config: FleetConfig) -> Iterator[Problem]:
+    for name, link in config.links.items():
+        if not isinstance(link, RadioKeys) or not link.enabled:
+            continue
+        for key in sorted(RadioKeys.model_fields.keys() & link.model_fields_set):
+            if link.role != "radio":
+                yield Problem(("links", name, key), f'counts only with role = "radio", and the role is "{link.role}"')
+        if isinstance(link, SimulatedLink) and link.radio is not None:
+            nodes = link.px4 + link.ardupilot + 1
+            if link.radio.nodes is not None and link.radio.nodes < nodes:
+                text = f"{link.radio.nodes} nodes are too few for {nodes - 1} vehicles and the ground"
+                yield Problem(("links", name, "radio", "nodes"), text)
+            if len(link.radio.distances_m) >= nodes:
+                text = f"{len(link.radio.distances_m)} distances are too many for {nodes - 1} vehicles"
+                yield Problem(("links", name, "radio", "distances_m"), text)
 
 
 def _control(config: FleetConfig) -> Iterator[Problem]:
