@@ -178,7 +178,8 @@ class _Class(Generic[T]):
 
     def next_flow(self) -> Hashable:
         if len(self.lines) == 1:
-            return next(iter(self.lines))
+            (flow,) = self.lines
+            return flow
         return min(self._used, key=self._used.__getitem__)  # of equals the one that waits longest
 
     def head(self) -> Waiting[T]:
@@ -350,7 +351,9 @@ class TxQueue(Generic[T]):
             return None
         for priority, of_class in self._classes.items():
             if of_class.length:
-                return Priority.HEARTBEAT if self._overdue(now) and priority is not Priority.EMERGENCY else priority
+                if self._heartbeat_since is None or priority is Priority.EMERGENCY or not self._overdue(now):
+                    return priority
+                return Priority.HEARTBEAT
         return None
 
     def _overdue(self, now: float) -> bool:
