@@ -59,7 +59,8 @@ async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Pat
         assert air.radio.network.txbuf_percent(0) > 40
 
 
-async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(tmp_path: Path) -> None:
+@pytest.mark.parametrize("phase_s", [0.0, 0.3, 0.6, 0.85])
+async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(tmp_path: Path, phase_s: float) -> None:
     async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
         await air.settled(10)
         heard: dict[int, float] = {}
@@ -75,6 +76,8 @@ async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(t
         for _ in range(100):
             flood(air)
             await asyncio.sleep(0.1)
+        await asyncio.sleep(phase_s)  # wherever the round of 0.91 s is
+        flood(air)
         ordered = air.daemon.now()
         stop = asyncio.create_task(air.daemon.fleet.command_all("all", "stop", action="land"))
         for _ in range(30):
