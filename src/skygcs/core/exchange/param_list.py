@@ -241,7 +241,7 @@ class ParamList(Exchange):
 
     def _fill(self, now: float) -> tuple[Effect, ...]:
         """Ask for what is missing, as many as may be under way, in their turns; sets the deadline."""
-        if now - self._heard >= SILENCE_S:
+        if now >= self._heard + SILENCE_S:  # as the deadline is reckoned: a rounding must not ask for it again
             text = f"nothing more of its parameters came for {SILENCE_S:.0f} s{self._missing()}"
             return self._finish(now, "incomplete" if self._names else "timeout", text)
         for index in [i for i, r in self._under_way.items() if now >= r.due]:
