@@ -34,6 +34,12 @@ class ParamBook:
         fields = self._version_fields()
         return encoding_of(self._vehicle.autopilot, None if fields is None else int(fields["capabilities"]))
 
+    @property
+    def capabilities(self) -> int:
+        """MAV_PROTOCOL_CAPABILITY bits; 0 while it has not told them."""
+        fields = self._version_fields()
+        return 0 if fields is None else int(fields["capabilities"])
+
     def heard(self, param: Param) -> None:
         """The vehicle says what a parameter is, whoever asked or set it."""
         known = self.params.get(param.name)

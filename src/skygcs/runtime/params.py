@@ -1,4 +1,4 @@
-"""Parameters of one vehicle: the asyncio side of `ParamExchange` and `ParamList`, with one timer for all of them.
+"""Parameters of one vehicle: the asyncio side of `ParamExchange`, `ParamList` and `FileDownload`, with one timer.
 
 The actor owns one and hands it what the vehicle says (`on_frame`, `on_text`, `stop_all`). Nothing here asks by itself:
 a parameter goes over the link when somebody wants it, and a list only if it is not known already.
@@ -18,14 +18,18 @@ from typing import Any, TypeVar
 
 from skygcs.core.airtime import Priority
 from skygcs.core.exchange.base import Effect, Exchange, Report, Send
+from skygcs.core.exchange.ftp import FileDownload, FileOutcome
 from skygcs.core.exchange.param import ParamExchange, ParamOutcome
-from skygcs.core.exchange.param_list import BYTES_PER_S, ListProgress, ParamList
+from skygcs.core.exchange.param_list import BYTES_PER_S, MAX_COUNT, ListProgress, ParamList
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.ftp import MSGID as FILE_TRANSFER
+from skygcs.core.mavlink.ftp import decode
 from skygcs.core.mavlink.param import HASH_NAME, Param, Value, bits_message, value_reader
 from skygcs.core.params.names import other_name
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime import param_file
 from skygcs.runtime.alarm import Alarm
 from skygcs.runtime.commander import SendFn
 from skygcs.runtime.errands import fault
@@ -77,7 +81,12 @@ class VehicleParams:
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
         cache: ParamCache,
+        *,
+        own: tuple[int, int] | None = None,
+        link_bytes_per_s: Callable[[], float] = lambda: math.inf,
     ) -> None:
+        """``own``: our ids, to which a vehicle addresses its files; None: all are taken. ``link_bytes_per_s``: what the
+        link to it leaves, infinite where none is known to be thin."""
         self.progress: ListProgress | None = None
         """Of the list that is being read."""
         self._vehicle = vehicle
@@ -100,6 +109,12 @@ class VehicleParams:
         self._hashless = False
         """Whether it has said, by answering all else, that it has no hash."""
         self._count: int | None = None
+        self._own = own
+        self._link_bytes_per_s = link_bytes_per_s
+        self._file_session = 0
+        self._file_running = False
+        self._changed: dict[str, Param] = {}
+        """What it has said while a file was read: newer than what is in it."""
         self._loading: asyncio.Task[Loaded] | None = None
         self._waiting = 0
         self._cancelled = 0
@@ -116,6 +131,8 @@ class VehicleParams:
                 return
             self._count = value.count
             self._book.heard(value.param)
+            if self._file_running and len(self._changed) < MAX_COUNT:
+                self._changed[value.param.name] = value.param
             for exchange in list(self._running):
                 if isinstance(exchange, ParamExchange | ParamList):
                     self._apply(exchange, exchange.on_value(value, now))
@@ -125,13 +142,21 @@ class VehicleParams:
             for exchange in list(self._running):
                 if isinstance(exchange, ParamExchange):
                     self._apply(exchange, exchange.on_error(name, code, now))
+        elif frame.msgid == FILE_TRANSFER and self._running:
+            self._on_file_reply(frame, now)
         else:
             return
         self._set_alarm()
 
+    def _on_file_reply(self, frame: Frame, now: float) -> None:
+        reply = decode(frame.payload) if self._own is None or frame.target() == self._own else None
+        for exchange in list(self._running):
+            if isinstance(exchange, FileDownload) and reply is not None:
+                self._apply(exchange, exchange.on_reply(reply, now))
+
     def reads(self, msgid: int) -> bool:
         """Whether `on_frame` looks at messages of this id."""
-        return msgid in (PARAM_VALUE, self._error_id)
+        return msgid in (PARAM_VALUE, FILE_TRANSFER, self._error_id)
 
     def on_text(self, text: str) -> None:
         for exchange in list(self._running):
@@ -147,7 +172,7 @@ class VehicleParams:
         self._cancelled += 1
         running = list(self._running)
         for exchange in running:
-            if isinstance(exchange, ParamExchange | ParamList):
+            if isinstance(exchange, ParamExchange | ParamList | FileDownload):
                 self._apply(exchange, exchange.stop(self._loop.time(), result, message))
         self._set_alarm()
         return len(running)
@@ -285,6 +310,12 @@ class VehicleParams:
             return self._known_list(started)
         if self._cancelled != cancelled:
             return Loaded(False, "cancelled", "cancelled", "vehicle", "read", (), None, 0, self._loop.time() - started)
+        why_not = ""
+        if param_file.offered(self._vehicle, self._dialect, self._book.capabilities):
+            by_file = await self._load_file(burst=burst, bytes_per_s=bytes_per_s)
+            if by_file.ok or by_file.result in ("cancelled", "lost", "refused"):
+                return by_file
+            why_not = f" (not by file: {by_file.message})"
         exchange = ParamList(burst=burst, bytes_per_s=bytes_per_s, stops_burst=px4)
         try:
             await self._run(exchange)
@@ -296,11 +327,12 @@ class VehicleParams:
             # what changed while it was read is good for now, but nobody will vouch for it
             after = await self._ask_hash() if before is not None else None
             self._book.remember(outcome.params, after if after == before else None)
-        self._tell("list", f"parameters: {outcome.message}", {"received": len(outcome.params), "count": outcome.count})
+        message = outcome.message + why_not
+        self._tell("list", f"parameters: {message}", {"received": len(outcome.params), "count": outcome.count})
         return Loaded(
             outcome.ok,
             outcome.result,
-            outcome.message,
+            message,
             "vehicle",
             "read",
             outcome.params,
@@ -308,6 +340,32 @@ class VehicleParams:
             outcome.sent,
             self._loop.time() - started,
         )
+
+    async def _load_file(self, *, burst: bool, bytes_per_s: float | None) -> Loaded:
+        self._file_session = (self._file_session + 16) & 0xFF  # a download may need some
+        started, link = self._loop.time(), self._link_bytes_per_s()
+        exchange = param_file.download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
+        self._changed.clear()
+        self._file_running = True
+        try:
+            await self._run(exchange)
+        finally:
+            self.progress = None
+            self._file_running = False
+        outcome = exchange.outcome
+        assert outcome is not None
+        return self._loaded_file(outcome, self._loop.time() - started)
+
+    def _loaded_file(self, outcome: FileOutcome, elapsed_s: float) -> Loaded:
+        try:
+            params = param_file.params_of(outcome, self._changed)
+        except ValueError as error:
+            result = "incomplete" if outcome.ok else outcome.result
+            return Loaded(False, result, str(error), "vehicle", "read", (), None, outcome.sent, elapsed_s)
+        self._book.remember(params, None)
+        text, count = f"{len(params)} parameters, by file", len(params)
+        self._tell("list", f"parameters: {text}", {"received": count, "count": count})
+        return Loaded(True, "accepted", text, "vehicle", "read", params, count, outcome.sent, elapsed_s)
 
     async def _still_known(self, hash_now: int | None) -> bool:
         """Whether what was read before, now or in an earlier run, is what the vehicle holds, as far as it can tell."""
@@ -339,7 +397,7 @@ class VehicleParams:
         if until > now:
             self._quiet_until[name] = until
 
-    async def _run(self, exchange: ParamExchange | ParamList) -> bool:
+    async def _run(self, exchange: ParamExchange | ParamList | FileDownload) -> bool:
         """Until it is done; whether no link took any of its messages."""
         done: asyncio.Future[None] = self._loop.create_future()
         self._running[exchange] = done
@@ -364,6 +422,9 @@ class VehicleParams:
             elif isinstance(effect, Report) and isinstance(exchange, ParamList):
                 self.progress = exchange.progress(self._loop.time())
                 self._progress("list", self.progress, "reading parameters")
+            elif isinstance(effect, Report) and isinstance(exchange, FileDownload):
+                self.progress = param_file.progress_of(exchange, self._loop.time())
+                self._progress("list", self.progress, "reading parameters by file, some")
         done = self._running.get(exchange)
         if exchange.done and done is not None and not done.done():
             done.set_result(None)

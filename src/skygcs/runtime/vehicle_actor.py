@@ -116,7 +116,16 @@ class VehicleActor:
             uplink_bytes_per_s=uplink_bytes_per_s,
             stream_refusal=stream_refusal,
         )
-        self.params = VehicleParams(vehicle, dialect, send, loop, on_event, param_cache or ParamCache(None))
+        self.params = VehicleParams(
+            vehicle,
+            dialect,
+            send,
+            loop,
+            on_event,
+            param_cache or ParamCache(None),
+            own=own,
+            link_bytes_per_s=uplink_bytes_per_s,
+        )
         self.missions = Missions(vehicle, self.commander, dialect, loop, self._orders.report, on_event)
 
         async def ask(message: str) -> Outcome:

@@ -14,6 +14,7 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.mavlink.frame import encode
+from skygcs.core.mavlink.ftp import MESSAGE
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.params.compare import plan
 from skygcs.core.params.file import of_vehicle, parse, write
@@ -100,3 +101,41 @@ async def test_a_file_of_a_vehicle_taken_to_it_sets_what_was_changed_in_it(
         assert {p.name: p.value for p in again.params}[name] == value
         if actor.vehicle.family == "ardupilot":
             assert again.source == "cache" and sent[before:].count("PARAM_REQUEST_READ") == 1
+
+
+async def test_an_ardupilots_list_comes_as_a_file_with_what_is_set_meanwhile(tmp_path: Path) -> None:
+    async with field(tmp_path) as (fleet, sent):
+        px4, copter = fleet.resolve("1")[0], fleet.resolve("2")[0]
+        before = len(sent)
+        held = await copter.params.load(refresh=True)
+        assert held.ok and held.message == f"{held.count} parameters, by file"
+        assert set(sent[before:]) == {"FILE_TRANSFER_PROTOCOL"} and held.sent == sent[before:].count(MESSAGE)
+        one = (await copter.params.get("SYSID_MYGCS")).param
+        assert one in held.params
+        thin = await copter.params.load(refresh=True, bytes_per_s=500.0)
+        assert thin.params == held.params and thin.message.endswith("by file") and thin.elapsed_s > held.elapsed_s
+        loading = asyncio.create_task(copter.params.load(refresh=True, bytes_per_s=150.0))
+        await asyncio.sleep(1.0)
+        await copter.params.set({"SYSID_MYGCS": 254})
+        assert {p.name: p.value for p in (await loading).params}["SYSID_MYGCS"] == 254
+        assert "by file" not in (await px4.params.load(refresh=True)).message
+
+
+async def test_a_file_that_does_not_come_is_read_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("skygcs.core.sim.copter_files.PATH", b"@PARAM/else")
+    async with field(tmp_path) as (fleet, sent):
+        (copter,) = fleet.resolve("2")
+        held = await copter.params.load(refresh=True)
+        assert held.ok and held.count == len(held.params) > 30
+        assert "not by file: it could not be opened: it has no such file" in held.message
+        assert sent.count("PARAM_REQUEST_READ") >= len(held.params)
+
+
+async def test_a_file_that_is_cancelled_is_not_read_another_way(tmp_path: Path) -> None:
+    async with field(tmp_path) as (fleet, sent):
+        (copter,) = fleet.resolve("2")
+        loading = asyncio.create_task(copter.params.load(refresh=True, bytes_per_s=150.0))
+        await asyncio.sleep(2.0)
+        assert copter.params.cancel() == 1
+        assert (await loading).result == "cancelled" and "PARAM_REQUEST_READ" not in sent
+        assert (await copter.params.load(refresh=True)).ok  # its session was closed

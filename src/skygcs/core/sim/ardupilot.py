@@ -17,6 +17,7 @@ from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.commands import Command
 from skygcs.core.sim.conditions import CALM, Conditions
+from skygcs.core.sim.copter_files import FileServer
 from skygcs.core.sim.copter_lists import CopterLists
 from skygcs.core.sim.copter_mission import CopterRun
 from skygcs.core.sim.copter_setup import (
@@ -114,6 +115,7 @@ class CopterVehicle(SimVehicle):
             "capabilities": m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
             | m.MAV_PROTOCOL_CAPABILITY_MISSION_INT
             | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | m.MAV_PROTOCOL_CAPABILITY_FTP
             | m.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
             | m.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
@@ -155,6 +157,7 @@ class CopterVehicle(SimVehicle):
 
     def on_boot(self, now: float) -> None:
         self.mode: int = CopterMode.STABILIZE
+        self.files = FileServer()
         self.failsafe = False
         self.speed_mps = 0.0
         self.target_at = now
@@ -173,7 +176,11 @@ class CopterVehicle(SimVehicle):
         self.tx.say(m.MAV_SEVERITY_INFO, "EKF3 IMU0 is using GPS")
         self.send_soon("GPS_GLOBAL_ORIGIN")
 
+    def on_file_transfer(self, payload: bytes, sender: tuple[int, int], now: float) -> None:
+        self.files.hear(self, payload, sender, now)
+
     def on_tick(self, now: float) -> None:
+        self.files.step(self, now)
         if not self.armed and now >= self._prearm_at:
             self._prearm_at = now + PREARM_EVERY_S
             self._tell_prearm()

@@ -7,7 +7,7 @@ https://mavlink.io/en/services/parameter.html#parameter-encoding
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import isfinite
 from zlib import crc32
@@ -44,6 +44,9 @@ class Params:
 
     def __len__(self) -> int:
         return len(self._all)
+
+    def __iter__(self) -> Iterator[Param]:
+        return iter(self._all)
 
     def __getitem__(self, name: str) -> float:
         return self._all[self._index[name]].value

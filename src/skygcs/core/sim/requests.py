@@ -309,6 +309,10 @@ def _heartbeat(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> Non
         v.on_gcs_heartbeat(sender, now)
 
 
+def _file_transfer(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    v.on_file_transfer(bytes(fields["payload"]), sender, now)
+
+
 _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
     "HEARTBEAT": _heartbeat,
     "PARAM_REQUEST_LIST": _param_list,
@@ -321,4 +325,5 @@ _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
     "REQUEST_DATA_STREAM": _data_stream,
     "SET_MODE": _set_mode,
     "SETUP_SIGNING": _setup_signing,
+    "FILE_TRANSFER_PROTOCOL": _file_transfer,
 }

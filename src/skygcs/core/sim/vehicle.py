@@ -201,6 +201,10 @@ class SimVehicle(ABC):
     def on_param(self, name: str, now: float) -> None:
         """A parameter was set."""
 
+    def on_file_transfer(self, payload: bytes, sender: tuple[int, int], now: float) -> None:
+        """FILE_TRANSFER_PROTOCOL's payload; a vehicle without files takes no notice."""
+        return
+
     # -- in and out
 
     def on_frame(self, frame: Frame, now: float) -> None:
