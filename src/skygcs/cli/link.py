@@ -6,7 +6,7 @@ import json
 import sys
 from collections.abc import Iterable
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,7 +14,9 @@ from skygcs.cli import link_screen
 from skygcs.cli.connection import Exit, run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.values import finite
-from skygcs.core.linkplan import FILL, FRAME_BYTES, PROFILES, SETPOINTS, LinkDemand, LinkPlan, plan_link
+
+if TYPE_CHECKING:  # every command line registers every command: what only this one needs is imported when it runs
+    from skygcs.core.linkplan import LinkPlan
 
 link = typer.Typer(help="The shared radio: what it carries, what it can carry.", invoke_without_command=True)
 link.command("status")(link_screen.status)
@@ -35,21 +37,25 @@ def plan(
     air_kbps: Annotated[
         str, typer.Option("--air-speed", metavar="KBPS", help="Of a multipoint radio; none: no timeslots.")
     ] = "64",
-    profile: Annotated[str, typer.Option("--profile", help=f"{', '.join(PROFILES)}, or custom.")] = "nav",
+    profile: Annotated[
+        str, typer.Option("--profile", help="monitor, nav, control, control-10, full, or custom.")
+    ] = "nav",
     rates: Annotated[
         list[str] | None,
         typer.Option("--rate", metavar="MESSAGE=HZ", help="Changes the profile; its own set: --profile custom."),
     ] = None,
     setpoint: Annotated[
-        str, typer.Option("--setpoints", help=f"Streamed to every vehicle: {', '.join(SETPOINTS)}.")
+        str, typer.Option("--setpoints", help="Streamed to every vehicle: none, position, velocity, attitude.")
     ] = "none",
     setpoint_hz: Annotated[float, typer.Option("--setpoint-rate", metavar="HZ", parser=finite)] = 2.0,
     fill: Annotated[
         float, typer.Option("--fill", metavar="SHARE", parser=finite, help="Of each way that may be planned with.")
-    ] = FILL,
+    ] = 0.5,
     json_output: Json = False,
 ) -> None:
     """Tell whether a number of vehicles fits on a radio, what each gets, and what would fit. Exit 1 if it does not."""
+    from skygcs.core.linkplan import SETPOINTS, LinkDemand, plan_link
+
     demand = LinkDemand(
         vehicles,
         baud,
@@ -125,6 +131,8 @@ def _air(text: str) -> float | None:
 
 
 def _rates(profile: str, changes: list[str]) -> dict[str, float]:
+    from skygcs.core.linkplan import FRAME_BYTES, PROFILES
+
     rates = {"HEARTBEAT": 1.0} if profile == "custom" else dict(PROFILES[_one_of("--profile", profile, PROFILES)])
     for pair in changes:
         name, equals, text = pair.partition("=")

@@ -10,20 +10,20 @@ import os
 import sys
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skygcs.cli import param_lines
 from skygcs.cli.connection import Exit, run, run_offline
 from skygcs.cli.options import Json, Targets
-from skygcs.cli.param_file import Held, held_of, include_of, kind_of, read_file, write_file
 from skygcs.cli.values import NUMBERS, NumbersCommand, parse_number
-from skygcs.core.params.compare import ApplyPlan, Difference, diff, plan
-from skygcs.core.params.file import Entry
-from skygcs.core.params.names import SORTS
 from skygcs.errors import RefusedError
 from skygcs.rpc.client import Client
+
+if TYPE_CHECKING:  # every command line registers every command: what only these need is imported when they run
+    from skygcs.cli.param_file import Held
+    from skygcs.core.params.compare import ApplyPlan, Difference
+    from skygcs.core.params.file import Entry
 
 params = typer.Typer(
     help="Read, set, save, compare and apply parameters; `diff` of two files needs no daemon.", no_args_is_help=True
@@ -41,7 +41,7 @@ Include = Annotated[
     typer.Option(
         "--include",
         metavar="SORT,…",
-        help=f"Also what is of one vehicle alone: {', '.join(SORTS[1:])}, or all.",
+        help="Also what is of one vehicle alone: calibration, statistics, identity, or all.",
     ),
 ]
 
@@ -93,6 +93,8 @@ def list_(
     """All parameters of vehicles, or those whose names fit a pattern."""
 
     async def command(gcs: Client) -> int:
+        from skygcs.cli import param_lines
+
         lists = await _lists(gcs, targets, refresh=refresh, burst=burst)
         for entry in lists.values():
             entry["params"] = [p for p in entry["params"] if fnmatch.fnmatchcase(p["name"], pattern.upper())]
@@ -115,6 +117,8 @@ def save(
     burst: Burst = False,
 ) -> None:
     """Save all parameters of a vehicle to a file."""
+    from skygcs.cli.param_file import kind_of, write_file
+
     kind = kind_of(file)
     if file.exists() and not force:
         raise typer.BadParameter(f"{file} is there already; --force writes over it")
@@ -145,6 +149,10 @@ def apply(
     Calibration, statistics and system ids are left alone unless asked for with --include. Nothing is sent if the file
     has a value that the vehicle cannot hold, or seems to be another vehicle's.
     """
+    from skygcs.cli import param_lines
+    from skygcs.cli.param_file import held_of, include_of, read_file
+    from skygcs.core.params.compare import plan
+
     sorts = include_of(include)
 
     async def command(gcs: Client) -> int:
@@ -190,6 +198,11 @@ def diff_(
     json_output: Json = False,
 ) -> None:
     """Where two sets of parameters differ; exit 1 if they do. Each is a file or a vehicle."""
+    from skygcs.cli import param_lines
+    from skygcs.cli.param_file import include_of, read_file
+    from skygcs.core.params.compare import diff
+    from skygcs.core.params.file import Entry
+
     sorts = include_of(include)
 
     def tell(left: tuple[Entry, ...], right: tuple[Entry, ...]) -> int:
@@ -246,6 +259,8 @@ def _refuse(name: str, made: ApplyPlan, *, force: bool) -> None:
 
 
 def _tell(outcomes: Mapping[str, Mapping[str, Mapping[str, Any]]], json_output: bool) -> int:
+    from skygcs.cli import param_lines
+
     if json_output:
         typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
     else:
@@ -285,6 +300,8 @@ async def _held(gcs: Client, target: str, *, refresh: bool, burst: bool) -> Held
     lists = await _lists(gcs, target, refresh=refresh, burst=burst, sure=True)
     if len(lists) != 1:
         raise RefusedError(f"{target} names {len(lists)} vehicles ({', '.join(lists)}); give one")
+    from skygcs.cli.param_file import held_of
+
     return held_of(next(iter(lists.values())))
 
 
@@ -305,6 +322,8 @@ async def _progress(gcs: Client, targets: str) -> AsyncIterator[None]:
 
 
 async def _draw(gcs: Client, targets: str) -> None:
+    from skygcs.cli import param_lines
+
     async for event in gcs.events(targets, kinds=["params"]):
         sys.stderr.write(f"\r\033[K{param_lines.bar(event)}")
         sys.stderr.flush()

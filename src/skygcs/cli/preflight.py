@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli import param_lines, preflight_lines
 from skygcs.cli.connection import Exit, fail, run, waiting
 from skygcs.cli.options import Json, OptionalTargets
 from skygcs.cli.render import screen_width
@@ -36,6 +35,8 @@ def preflight(
         raise typer.BadParameter("--fix asks before it sets anything: with --json give --yes, too")
 
     async def command(gcs: Client) -> int:
+        from skygcs.cli import preflight_lines
+
         async with waiting(f"preflight {targets}"):
             answer = await gcs.call("preflight.run", targets=targets)
         if fix and _agreed(answer["vehicles"], yes=yes, quiet=json_output):
@@ -58,6 +59,8 @@ def preflight(
 
 def _agreed(vehicles: Mapping[str, Any], *, yes: bool, quiet: bool) -> bool:
     """Whether to set what would put something right: the plan is told, then asked for."""
+    from skygcs.cli import preflight_lines
+
     plan = list(preflight_lines.plan_lines(vehicles))
     if not plan:
         if not quiet:
@@ -76,6 +79,8 @@ def _agreed(vehicles: Mapping[str, Any], *, yes: bool, quiet: bool) -> bool:
 
 
 def _tell_fixed(vehicles: Mapping[str, Any]) -> None:
+    from skygcs.cli import param_lines
+
     told = {name: report["fixed"] for name, report in vehicles.items() if report["fixed"]}
     for line in param_lines.outcomes(told):
         typer.echo(line)

@@ -47,6 +47,7 @@ EVENT_KINDS = (
     "reboot",
     "failsafe",
     "command",
+    "control",
     "mission",
     "fence",
     "origin",

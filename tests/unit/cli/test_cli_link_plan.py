@@ -8,6 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.control import app
+from skygcs.core.linkplan import PROFILES, SETPOINTS
+from skygcs.core.params.names import SORTS
 
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -61,3 +63,12 @@ def test_a_profile_of_ones_own_is_the_sum_of_its_messages() -> None:
 )
 def test_what_makes_no_sense_is_a_usage_error(args: tuple[str, ...]) -> None:
     run(*args, code=USAGE)
+
+
+def test_the_help_names_what_there_is() -> None:
+    """The lists themselves are imported only by the commands that need them."""
+    shown = " ".join(CliRunner().invoke(app, ["link", "plan", "--help"], env={"COLUMNS": "200"}).output.split())
+    assert f"{', '.join(PROFILES)}, or custom" in shown
+    assert ", ".join(SETPOINTS) in shown
+    shown = " ".join(CliRunner().invoke(app, ["param", "diff", "--help"], env={"COLUMNS": "200"}).output.split())
+    assert f"{', '.join(SORTS[1:])}, or all" in shown

@@ -18,7 +18,7 @@ DOCS = ROOT / "docs"
 
 def blocks(page: str, language: str) -> list[str]:
     text = (DOCS / page).read_text(encoding="utf-8")
-    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+    return re.findall(rf"```{language}(?: table)?\n(.*?)```", text, re.DOTALL)
 
 
 def test_every_column_and_the_format_of_a_trace_are_described() -> None:
