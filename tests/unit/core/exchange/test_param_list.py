@@ -106,7 +106,8 @@ def test_values_without_an_index_do_not_count_but_are_newer() -> None:
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 1 << 30), st.sampled_from(["more", "fewer"]), st.floats(0.5, 8.0))
 def test_a_list_that_changes_under_way_is_read_anew(seed: int, change: str, when_s: float) -> None:
-    """What comes out is one state of the vehicle, never a mixture of two."""
+    """What comes out is one state of the vehicle, never a mixture of two. Of a list that lost its tail while only that
+    was missing nobody answers any more: that is told as incomplete."""
     before = big_set(40)
     vehicle = ParamVehicle.of(before)
     wire = Wire(vehicle, Network(loss=0.1, duplicate=0.1, delay_s=(0.1, 0.8)), seed)
@@ -114,7 +115,8 @@ def test_a_list_that_changes_under_way_is_read_anew(seed: int, change: str, when
     after = {"more": extra + before, "fewer": before[5:]}[change]
     wire.at(when_s, lambda: setattr(vehicle, "params", {p.name: p for p in after}))
     outcome = wire.run(ParamList(bytes_per_s=None))
-    assert outcome.ok and outcome.params in (tuple(before), tuple(after))
+    assert outcome.ok or (change, outcome.result) == ("fewer", "incomplete"), outcome
+    assert not outcome.ok or outcome.params in (tuple(before), tuple(after))
 
 
 def test_a_list_that_always_changes_is_given_up() -> None:
@@ -166,6 +168,7 @@ class ListMachine(RuleBasedStateMachine):
     def begin(self, count: int, burst: bool) -> None:
         self.now = 0.0
         self.params = big_set(count)
+        self.states = [sorted(p.name for p in self.params)]
         self.vehicle = ParamVehicle.of(self.params)
         self.exchange = ParamList(burst=burst, window=4)
         self.up: list[Send] = []
@@ -211,6 +214,7 @@ class ListMachine(RuleBasedStateMachine):
         extra = [Param("A_FEATURE", 1), Param("A_FEATURE_TOO", 2)]
         self.params = self.params[2:] if self.params[0] == extra[0] else [*extra, *self.params]
         self.vehicle.params = {p.name: p for p in self.params}
+        self.states.append(sorted(p.name for p in self.params))
 
     @invariant()
     def bounded_and_consistent(self) -> None:
@@ -224,7 +228,6 @@ class ListMachine(RuleBasedStateMachine):
     def teardown(self) -> None:
         if not hasattr(self, "exchange"):
             return
-        finished_before = self.exchange.done
         for _ in range(2000):
             while self.up:
                 self._arrive(0, keep=False)
@@ -235,8 +238,8 @@ class ListMachine(RuleBasedStateMachine):
             self.time_passes(0.1)
         outcome = self.exchange.outcome
         assert outcome is not None
-        if not finished_before and outcome.ok:
-            assert sorted(p.name for p in outcome.params) == sorted(p.name for p in self.params)
+        if outcome.ok:  # one state it was in, if not its last: its last answer may have been under way at the switch
+            assert sorted(p.name for p in outcome.params) in self.states
         assert outcome.result in ("accepted", "changing", "timeout", "incomplete")
 
 
