@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test check bench bench-control bench-radio soak clean format
+.PHONY: demo test check bench bench-control bench-radio clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 

@@ -30,6 +30,20 @@ async def test_no_setpoint_by_hand_goes_to_a_vehicle_that_is_flown_by_ours(tmp_p
         assert send("STATUSTEXT", {"severity": 6, "text": "hello"}, target="v1")["sent"] == 1
 
 
+async def test_a_vehicle_that_throws_setpoints_away_is_held_and_may_be_taken_up_again(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=1) as gcs:
+        await gcs.fly("velocity")
+        await gcs.step(5.0, 0.0, 0.0)
+        await asyncio.sleep(1.0)
+        refused, text = gcs.now, "SET_POSITION_TARGET_LOCAL_NED coordinate frame 1 unsupported"
+        gcs.sim().tx.say(2, text + "\t")
+        await gcs.until(lambda: gcs.control()["state"] == "held", 2.0)
+        assert [t for t in gcs.texts(refused) if "nothing more is sent" in t and text in t]
+        assert gcs.last_setpoint() < gcs.now
+        await gcs.ends_safe(within_m=8.0, since=refused)
+        await gcs.fly("velocity")
+
+
 async def test_a_takeoff_may_be_ordered_before_the_vehicle_knows_where_it_is(tmp_path: Path) -> None:
     config = FleetConfig.model_validate(
         {

@@ -27,7 +27,7 @@ from skygcs.runtime.errands import Errands
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_all import examine_all, meant
 from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
-from skygcs.runtime.world import OnOriginChange, World
+from skygcs.runtime.world import World
 
 __all__ = ["Fleet", "OnEvent", "SendFn"]
 
@@ -200,10 +200,6 @@ class Fleet:
     def origin_status(self) -> dict[str, Any]:
         """See `World.status`."""
         return self.world.status()
-
-    def on_origin_change(self, listener: OnOriginChange) -> Callable[[], None]:
-        """See `World.on_change`."""
-        return self.world.on_change(listener)
 
     def set_origin(self, origin: Origin | None, *, force: bool = False) -> None:
         """See `World.set`."""

@@ -19,6 +19,7 @@ from skygcs.core.control.analysis import why_not_delay
 from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import Way
 from skygcs.core.exchange.command import Outcome
+from skygcs.core.linkplan import FRAME_BYTES
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle import offboard, orders
@@ -33,9 +34,6 @@ from skygcs.runtime.errands import Errands
 from skygcs.runtime.plan_runner import Attempt, Execute
 from skygcs.runtime.takeover import Takeover
 from skygcs.runtime.trace_file import Recording
-
-ATTITUDE_FRAME_BYTES = 51
-"""SET_ATTITUDE_TARGET on the wire (field-notes 10.1)."""
 
 VALID_S = (0.1, 5.0)
 """Deadlines a setpoint may have."""
@@ -213,6 +211,11 @@ class FlightControl:
         if fields["tc1"] != 0:
             self.pilot.delay.on_pong(fields["ts1"], now)
 
+    def on_text(self, text: str) -> None:
+        """A status text: what the vehicle throws away it is not sent again and again."""
+        if self.pilot.active and offboard.refuses_setpoint(text):
+            self.pilot.refusing = text
+
     def origin_changed(self) -> None:
         """A stream of setpoints in the old frame ends where the vehicle is: its next ones may mean another place."""
         if self.pilot.streaming:
@@ -223,7 +226,7 @@ class FlightControl:
 
     def refresh_budget(self) -> None:
         """How many attitude setpoints a second the link bears now."""
-        self.pilot.attitude_hz_allowed = self._uplink_bytes_per_s() / ATTITUDE_FRAME_BYTES
+        self.pilot.attitude_hz_allowed = self._uplink_bytes_per_s() / FRAME_BYTES["SET_ATTITUDE_TARGET"]
 
     def status(self, now: float) -> dict[str, Any]:
         """The state's ``control`` section, still in the anchor's frame."""

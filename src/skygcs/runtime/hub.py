@@ -155,6 +155,8 @@ class Hub:
         self._next_id = 1
         self._parted: dict[tuple[str, str], dict[int, SourceStats]] = {}
         self._taps: list[tuple[set[int] | None, set[int] | None, FrameTap]] = []
+        self._tapped: frozenset[int] | None = frozenset()
+        """Ids of which some tap wants frames; None: of all."""
 
     # -- what links call
 
@@ -237,7 +239,7 @@ class Hub:
                     self._record(raw, unix_us)
                 if frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
                     on_vehicle_frame(key, frame, label, now)
-                if self._taps:
+                if self._tapped is None or frame.msgid in self._tapped:
                     self._tap(frame, channel, key, now)
                 if channel.lane is not None:
                     self._let_through(channel, frame, key, stats)
@@ -409,14 +411,21 @@ class Hub:
         """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
         entry = (msgids, keys, tap)
         self._taps.append(entry)
-        self.forget_lanes()
+        self._taps_changed()
 
         def remove() -> None:
             if entry in self._taps:
                 self._taps.remove(entry)
-                self.forget_lanes()
+                self._taps_changed()
 
         return remove
+
+    def _taps_changed(self) -> None:
+        wanted: set[int] | None = set()
+        for msgids, _, _ in self._taps:
+            wanted = None if wanted is None or msgids is None else wanted | msgids
+        self._tapped = None if wanted is None else frozenset(wanted)
+        self.forget_lanes()
 
     def _tap(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
         for msgids, keys, tap in tuple(self._taps):

@@ -124,7 +124,7 @@ class VehicleParams:
     # -- what the vehicle says
 
     def on_frame(self, frame: Frame, now: float) -> None:
-        """A frame of this vehicle, of any kind. Hot; never raises."""
+        """A frame of this vehicle of one of `messages`. Never raises."""
         if frame.msgid == PARAM_VALUE and self._read is not None:
             value = self._read(frame.payload, self._book.encoding)
             if value is None:
@@ -154,9 +154,10 @@ class VehicleParams:
             if isinstance(exchange, FileDownload) and reply is not None:
                 self._apply(exchange, exchange.on_reply(reply, now))
 
-    def reads(self, msgid: int) -> bool:
-        """Whether `on_frame` looks at messages of this id."""
-        return msgid in (PARAM_VALUE, FILE_TRANSFER, self._error_id)
+    @property
+    def messages(self) -> frozenset[int]:
+        """Ids of the messages that `on_frame` is to be given."""
+        return frozenset({PARAM_VALUE, FILE_TRANSFER, self._error_id})
 
     def on_text(self, text: str) -> None:
         for exchange in list(self._running):

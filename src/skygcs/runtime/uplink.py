@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from skygcs.core.linkplan import FRAME_BYTES, OFFBOARD_LOSS_S, OFFBOARD_MIN_HZ
+from skygcs.core.mavlink.frame import SIGNATURE_BYTES
 from skygcs.links.serial import SerialLink
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -18,8 +19,8 @@ BUDGET_SHARE = 0.5
 """Of what goes up into a radio at all, where that is known better than from the serial rate: its timeslots, its own
 reports. Without them it is the same number, for half of the serial rate is the way up."""
 
-SIGNED_SHARE = 51 / 64
-"""What is left where each frame ends in a signature of 13 bytes."""
+SIGNED_SHARE = FRAME_BYTES["SET_ATTITUDE_TARGET"] / (FRAME_BYTES["SET_ATTITUDE_TARGET"] + SIGNATURE_BYTES)
+"""What is left where each frame ends in a signature."""
 
 BITS_PER_BYTE = 10
 """8N1: start bit, eight, stop bit."""

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from skygcs.config.models import VehicleConfig
 from skygcs.core.control.guard import Way
@@ -55,9 +55,6 @@ from skygcs.runtime.upkeep import Upkeep
 HEARTBEAT = 0
 COMMAND_ACK = 77
 TIMESYNC = 111
-
-_EACH = frozenset({COMMAND_ACK, TIMESYNC, *MISSION_MESSAGES})
-"""Messages of which every one counts."""
 
 OnEvent = Callable[[Event], None]
 
@@ -147,6 +144,13 @@ class VehicleActor:
         self._upkeep = Upkeep(
             vehicle, self.commander, dialect, config.streams, self._orders.attempt, self._on_fault, loop
         )
+        self._read: dict[int, Callable[[Frame, float], None]] = {
+            COMMAND_ACK: self._on_ack,
+            TIMESYNC: self.flight.on_timesync,
+            **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
+            **dict.fromkeys(self.params.messages, self.params.on_frame),
+        }
+        """Messages of which every one counts, and who reads them."""
 
     @property
     def name(self) -> str:
@@ -205,23 +209,21 @@ class VehicleActor:
         commander = self.commander
         if events:
             self._publish(events, now)
-        if frame.msgid == COMMAND_ACK and self.vehicle.last_ack is not None:
-            commander.on_ack(self.vehicle.last_ack, now)
-            self.planned.on_ack(self.vehicle.last_ack, now)
-        elif frame.msgid == TIMESYNC:
-            self.flight.on_timesync(frame, now)
-        elif frame.msgid in MISSION_MESSAGES:
-            self.missions.on_frame(frame, now)
-        else:
-            self.params.on_frame(frame, now)
-        if frame.msgid == 0:
+        if frame.msgid == HEARTBEAT:
             self.channel = channel
+        elif (read := self._read.get(frame.msgid)) is not None:
+            read(frame, now)
         if commander.busy:
             commander.wake()
 
+    def _on_ack(self, frame: Frame, now: float) -> None:
+        if self.vehicle.last_ack is not None:
+            self.commander.on_ack(self.vehicle.last_ack, now)
+            self.planned.on_ack(self.vehicle.last_ack, now)
+
     def only_noted(self, frame: Frame, channel: str) -> Noted | None:
         """How frames like this one are noted, if not each has to be given to `on_frame`."""
-        if frame.msgid in _EACH or self.params.reads(frame.msgid):
+        if frame.msgid in self._read:
             return None
         if frame.msgid == HEARTBEAT:
             payload = frame.payload
@@ -301,29 +303,17 @@ class VehicleActor:
         """Emergency stop; see `core.vehicle.stop`. A kill is to be confirmed by whoever calls (`Fleet.command_all`)."""
         return await self._orders.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
 
-    async def goto(
-        self,
-        *,
-        lat_deg: float | None = None,
-        lon_deg: float | None = None,
-        height_m: float | None = None,
-        enu_m: Sequence[float] | None = None,
-        yaw_deg: float | None = None,
-        force: bool = False,
-    ) -> Outcome:
-        """See `orders.goto`. While it is flown by setpoints it is their reference that goes there."""
-        where: dict[str, Any] = {
-            "lat_deg": lat_deg,
-            "lon_deg": lon_deg,
-            "height_m": height_m,
-            "enu_m": enu_m,
-            "yaw_deg": yaw_deg,
-            "limit_m": self.config.goto_limit_m,
-            "force": force,
-        }
-        if self.flight.flying:
-            return self._orders.told("goto", self._lead(where))
-        return await self._orders.run("goto", lambda now: orders.goto(self.vehicle, now, **where))
+    async def goto(self, **where: Unpack[orders.Where]) -> Outcome:
+        """See `orders.destination`. While it is flown by setpoints it is their reference that goes there."""
+        limit_m = self.config.goto_limit_m
+        if not self.flight.flying:
+            return await self._orders.run("goto", lambda now: orders.goto(self.vehicle, now, limit_m=limit_m, **where))
+        try:
+            to = orders.destination(self.vehicle, self._loop.time(), limit_m=limit_m, **where)
+        except RefusedError as error:
+            return self._orders.told("goto", Outcome.refused(str(error)))
+        yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
+        return self._orders.told("goto", self.flight.fly_to(Place(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw))
 
     async def reboot(self, *, force: bool = False) -> Outcome:
         return await self._orders.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
@@ -529,15 +519,6 @@ class VehicleActor:
         outcome = await self._orders.attempt(lambda now: orders.hold(self.vehicle, now))
         return replace(outcome, message=f"control is off; {outcome.message}")
 
-    def _lead(self, where: Mapping[str, Any]) -> Outcome:
-        """A goto of a vehicle that is flown by setpoints; its yaw is a compass heading."""
-        try:
-            to = orders.destination(self.vehicle, self._loop.time(), **where)
-        except RefusedError as error:
-            return Outcome.refused(str(error))
-        yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
-        return self.flight.fly_to(Place(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
-
     def _publish(self, events: tuple[Event, ...], now: float) -> None:
         for event in events:
             if event.kind == "statustext":
@@ -545,6 +526,7 @@ class VehicleActor:
                 self.missions.on_text(event.text)
                 self.fence.on_text(event.text)
                 self.params.on_text(event.text)
+                self.flight.on_text(event.text)
             elif event.kind == "vehicle_lost":
                 self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
                 self.missions.stop("lost", f"the vehicle was lost: {event.text}")

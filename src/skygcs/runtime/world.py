@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from skygcs.core.geo import EAST_DEG, Origin
@@ -10,9 +10,6 @@ from skygcs.core.vehicle import origin as origins
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import RefusedError
 from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
-
-OnOriginChange = Callable[[Origin | None, Origin | None], object]
-"""Called with the old and the new origin."""
 
 
 class World:
@@ -27,17 +24,6 @@ class World:
         self.generation = 0 if origin is None else 1
         self._actors = actors
         self._on_event = on_event
-        self._listeners: list[OnOriginChange] = []
-
-    def on_change(self, listener: OnOriginChange) -> Callable[[], None]:
-        """Call ``listener`` after every change, when all vehicles have the new origin; returns how to end that."""
-        self._listeners.append(listener)
-
-        def remove() -> None:
-            if listener in self._listeners:
-                self._listeners.remove(listener)
-
-        return remove
 
     def join(self, actor: VehicleActor) -> None:
         """A vehicle that was just met gets the frame of all others."""
@@ -60,12 +46,6 @@ class World:
         self.generation += 1
         for actor in self._actors.values():
             self.join(actor)
-        for listener in tuple(self._listeners):
-            try:
-                listener(old, origin)
-            except Exception as error:  # the frame has changed for everybody else all the same
-                text = f"a listener failed at the change of the origin: {error!r}"
-                self._on_event(Event("fault", None, None, text, {}))
         data = {"old": as_dict(old), "new": as_dict(origin), "generation": self.generation, "source": source or None}
         self._on_event(Event("origin", None, None, _told(old, origin, source), data))
 

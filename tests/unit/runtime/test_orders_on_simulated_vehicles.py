@@ -5,88 +5,22 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import pytest
 
-from skygcs.config.models import FleetConfig
-from skygcs.core.airtime import Priority
 from skygcs.core.exchange.command import Outcome
-from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.core.mavlink.frame import encode
-from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.fleet import SimFleet, make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.vehicle.events import Event
-from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.vehicle_actor import VehicleActor
-from support.vehicles import HOME, flight_dialect
+from support.sim_field import SimField
+from support.vehicles import HOME
 
 pytestmark = pytest.mark.looptime
 
-DELAY_S = 0.25
-"""One way; a half round of a five-node radio."""
 
-
-class Field:
-    """A fleet and simulated vehicles, joined by nothing but bytes and a delay."""
+class Field(SimField):
+    """Over the radio of `SimField`."""
 
     def __init__(self, px4: int, ardupilot: int) -> None:
-        self.loop = asyncio.get_running_loop()
-        self.dialect = flight_dialect()
-        self.events: list[Event] = []
-        home = LocalFrame(*HOME)
-        vehicles = make_vehicles(
-            self.dialect, px4=px4, ardupilot=ardupilot, first_sysid=1, home=home, now=self.loop.time(), unix_us=1
-        )
-        self.sim = SimFleet(vehicles)
-        config = {"origin": {"lat_deg": HOME[0], "lon_deg": HOME[1], "alt_amsl_m": HOME[2]}}
-        self.fleet = Fleet(FleetConfig.model_validate(config), self.dialect, self._send, self.loop, self.events.append)
-        self._down = FrameParser(self.dialect)
-        self._up = FrameParser(self.dialect)
-        self._seq = 0
-        self._task = self.loop.create_task(self._run())
-
-    async def __aenter__(self) -> Field:
-        await asyncio.sleep(3)
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
-        self.fleet.close()
-        await asyncio.sleep(0)
-
-    def _send(
-        self,
-        info: MessageInfo,
-        values: Mapping[str, Any],
-        sysid: int,
-        compid: int,
-        priority: Priority,
-        *,
-        everywhere: bool = False,
-    ) -> bool:
-        self._seq += 1
-        raw = encode(info, values, sysid=255, compid=25, seq=self._seq & 0xFF)
-        self.loop.call_later(DELAY_S, self._arrive, raw)
-        return True
-
-    def _arrive(self, raw: bytes) -> None:
-        for frame in self._up.feed_datagram(raw):
-            self.sim.on_frame(frame, self.loop.time())
-
-    def _hear(self, raw: bytes) -> None:
-        for frame in self._down.feed_datagram(raw):
-            self.fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "radio", self.loop.time())
-
-    async def _run(self) -> None:
-        while True:
-            for raw in self.sim.step(self.loop.time()):
-                self.loop.call_later(DELAY_S, self._hear, raw)
-            self.fleet.tick(self.loop.time())
-            await asyncio.sleep(0.1)
+        super().__init__(px4, ardupilot, {"origin": {"lat_deg": HOME[0], "lon_deg": HOME[1], "alt_amsl_m": HOME[2]}})
 
     async def ready(self) -> None:
         """Until every vehicle would arm: ArduPilot's estimator takes its time."""

@@ -12,11 +12,11 @@ import pytest
 
 from skygcs.config.models import FleetConfig, MemoryLink, SerialLink
 from skygcs.core.airtime import Priority
+from skygcs.core.linkplan import FRAME_BYTES
 from skygcs.links.base import Channel, ChannelSigning, Outgoing
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.links.serial import SerialLink as Serial
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.flight_control import ATTITUDE_FRAME_BYTES
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.uplink import setpoint_bytes_per_s
 from support.frames import frame
@@ -73,7 +73,7 @@ class Air:
 
     def rate_hz(self, sysid: int) -> float:
         fleet = cast(Fleet, self)  # of which `flown` is all that is asked
-        return setpoint_bytes_per_s(self.hub, fleet, sysid, 1) / ATTITUDE_FRAME_BYTES
+        return setpoint_bytes_per_s(self.hub, fleet, sysid, 1) / FRAME_BYTES["SET_ATTITUDE_TARGET"]
 
 
 @pytest.mark.parametrize(("flown", "rate_hz"), [(1, 28), (2, 14), (3, 9), (9, 3)])
@@ -119,4 +119,4 @@ async def test_what_is_no_serial_port_bounds_nothing_nor_does_a_vehicle_nobody_h
 
 def test_the_frame_is_as_long_as_it_is_counted() -> None:
     values: dict[str, Any] = {"type_mask": 7, "q": [0.5] * 4, "thrust": 0.5, "target_system": 1, "target_component": 1}
-    assert len(frame("SET_ATTITUDE_TARGET", {**values, "time_boot_ms": 123_456})) == ATTITUDE_FRAME_BYTES
+    assert len(frame("SET_ATTITUDE_TARGET", {**values, "time_boot_ms": 123_456})) == FRAME_BYTES["SET_ATTITUDE_TARGET"]

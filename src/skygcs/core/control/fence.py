@@ -22,16 +22,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skygcs.core.geo import EnuFrame, Origin, Vector
+from skygcs.core.geo import EnuFrame, Origin
 from skygcs.errors import ConfigError
 
 Span = tuple[float, float]
 
 LARGEST_M = 100_000.0
 """Of a box. Farther out "up" of the origin is no height any more (at 100 km, 785 m too high)."""
-
-_ARM_M = 1000.0
-"""Length of the vectors that find one frame's axes in the other: an error of 1 um turns them by 1e-9 rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +78,7 @@ class Fence:
 
         ``what`` the text is to call it. A ``free`` axis follows a velocity, has no place there and is not looked at.
         """
-        what = what or _what(reference)
+        what = what or ("the place to go to" if reference else "the vehicle")
         if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and math.isfinite(alt_amsl_m)):
             return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is no place on earth"
         x_m, y_m, up_m = self._frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m)
@@ -89,60 +86,15 @@ class Fence:
             x_m, y_m = sum(self.x_m) / 2, sum(self.y_m) / 2
         if free_z:
             up_m = sum(self.up_m) / 2
-        return self._why_not_at((x_m, y_m, up_m), reference, what)
-
-    def seen_from(self, anchor: Origin) -> LocalFence:
-        """The same fence for positions along the axes of ``anchor``: two frames on earth differ by a turn and a shift.
-
-        Good to 1 mm within 10 km.
-        """
-        frame = EnuFrame(anchor)
-        cx, cy, cz = centre = self._frame.from_geodetic(anchor.lat_deg, anchor.lon_deg, anchor.alt_amsl_m)
-        axes = []
-        for arm in ((_ARM_M, 0.0, 0.0), (0.0, _ARM_M, 0.0), (0.0, 0.0, _ARM_M)):
-            x, y, z = self._frame.from_geodetic(*frame.to_geodetic(*arm))
-            axes.append(((x - cx) / _ARM_M, (y - cy) / _ARM_M, (z - cz) / _ARM_M))
-        (a, b, c), (d, e, f), (g, h, i) = axes
-        return LocalFence(self, centre, ((a, d, g), (b, e, h), (c, f, i)))
-
-    def _why_not_at(self, point: Vector, reference: bool, what: str) -> str | None:
-        """For a point in the fence's own frame."""
         inset = self.margin_m if reference else 0.0
         below = 0.0 if reference else self.margin_m
         spans = (
-            ("x", point[0], self.x_m[0] + inset, self.x_m[1] - inset),
-            ("y", point[1], self.y_m[0] + inset, self.y_m[1] - inset),
-            ("up", point[2], self.up_m[0] - below, self.up_m[1] - inset),
+            ("x", x_m, self.x_m[0] + inset, self.x_m[1] - inset),
+            ("y", y_m, self.y_m[0] + inset, self.y_m[1] - inset),
+            ("up", up_m, self.up_m[0] - below, self.up_m[1] - inset),
         )
         for axis, value, low, high in spans:
             if not low <= value <= high:  # NaN too
                 less = f" less {self.margin_m:g} m of margin" if reference else ""
                 return f"{what} is at {axis} {value:.1f} m (limit {low:g}..{high:g} m, the fence{less})"
         return None
-
-
-@dataclass(frozen=True, slots=True)
-class LocalFence:
-    """A fence for positions about an anchor, made by `Fence.seen_from`; nothing but nine products."""
-
-    fence: Fence
-    centre_m: Vector
-    """The anchor in the fence's frame."""
-    rows: tuple[Vector, Vector, Vector]
-    """Turn the anchor's axes into the fence's."""
-
-    def contains(self, pos_enu_m: Vector, *, reference: bool = False) -> bool:
-        """Whether a vehicle may be there, or with ``reference`` be sent there."""
-        return self.why_not(pos_enu_m, reference=reference) is None
-
-    def why_not(self, pos_enu_m: Vector, *, reference: bool = False) -> str | None:
-        """As `Fence.why_not`."""
-        x, y, z = pos_enu_m
-        (a, b, c), (d, e, f), (g, h, i) = self.rows
-        cx, cy, cz = self.centre_m
-        point = (cx + a * x + b * y + c * z, cy + d * x + e * y + f * z, cz + g * x + h * y + i * z)
-        return self.fence._why_not_at(point, reference, _what(reference))
-
-
-def _what(reference: bool) -> str:
-    return "the place to go to" if reference else "the vehicle"

@@ -151,6 +151,12 @@ def loss_note(vehicle: Vehicle) -> str | None:
     )
 
 
+def refuses_setpoint(text: str) -> bool:
+    """Whether a status text says that a setpoint was thrown away: PX4 names the message, as in
+    "SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame 99". ArduCopter throws it away without a word."""
+    return text.startswith(("SET_POSITION_TARGET_", "SET_ATTITUDE_TARGET"))
+
+
 def boosts_thrust(vehicle: Vehicle) -> bool:
     """Whether it divides the thrust it is given by the cosine of the tilt (`setpoint.attitude_target`, angle_boost).
 

@@ -9,6 +9,7 @@ import difflib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TypedDict, Unpack
 
 from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.geo import distance_m, geodetic_from_enu
@@ -104,48 +105,28 @@ def hold(vehicle: Vehicle, now: float) -> Plan:
     return autopilot.hold(vehicle)
 
 
-def goto(
-    vehicle: Vehicle,
-    now: float,
-    *,
-    lat_deg: float | None = None,
-    lon_deg: float | None = None,
-    height_m: float | None = None,
-    enu_m: Sequence[float] | None = None,
-    yaw_deg: float | None = None,
-    limit_m: float,
-    force: bool = False,
-) -> Plan:
+class Where(TypedDict, total=False):
+    """What is said of a place to go to; see `destination`."""
+
+    lat_deg: float | None
+    lon_deg: float | None
+    height_m: float | None
+    enu_m: Sequence[float] | None
+    yaw_deg: float | None
+    force: bool
+
+
+def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Plan:
     """To a `destination`."""
-    to = destination(
-        vehicle,
-        now,
-        lat_deg=lat_deg,
-        lon_deg=lon_deg,
-        height_m=height_m,
-        enu_m=enu_m,
-        yaw_deg=yaw_deg,
-        limit_m=limit_m,
-        force=force,
-    )
-    return autopilot.goto(vehicle, to)
+    return autopilot.goto(vehicle, destination(vehicle, now, limit_m=limit_m, **where))
 
 
-def destination(
-    vehicle: Vehicle,
-    now: float,
-    *,
-    lat_deg: float | None = None,
-    lon_deg: float | None = None,
-    height_m: float | None = None,
-    enu_m: Sequence[float] | None = None,
-    yaw_deg: float | None = None,
-    limit_m: float,
-    force: bool = False,
-) -> Destination:
+def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Destination:
     """A place (lat, lon; ``height_m`` above this vehicle's home, None: as high as it is) or a point of the fleet's
     frame (``enu_m``). ``force`` overrides the distance limit and the ground check, never an impossible coordinate."""
     here, home_amsl_m = require_going(vehicle, now)
+    lat_deg, lon_deg, height_m = where.get("lat_deg"), where.get("lon_deg"), where.get("height_m")
+    enu_m, yaw_deg = where.get("enu_m"), where.get("yaw_deg")
     ground = vehicle.type in GROUND_TYPES
     if enu_m is not None:
         if lat_deg is not None or lon_deg is not None or height_m is not None:
@@ -156,7 +137,7 @@ def destination(
     if yaw_deg is not None:
         _require_within("a yaw", yaw_deg, 360.0)
         to = replace(to, yaw_deg=yaw_deg)
-    if not force:
+    if not where.get("force"):
         _check_reach(here, to, limit_m, ground=ground)
     return to
 

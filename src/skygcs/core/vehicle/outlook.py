@@ -46,6 +46,7 @@ class Outlook:
         self._fence: Fence | None = None
         self._judged_at = -math.inf
         self._read: tuple[Any, EnuFrame | None, Estimate | None] = (None, None, None)
+        self._at = 0.0
         self._place: tuple[Reference | None, Place | None] = (None, None)
         self._breach: tuple[Any, str | None] = (None, None)
         self._fenced: tuple[Place | None, str | None] = (None, None)
@@ -72,7 +73,7 @@ class Outlook:
 
     def estimate(self) -> Estimate | None:
         """Its position and velocity about the anchor, as last told; None without a position."""
-        position = self._vehicle.section("position")
+        position, self._at = self._vehicle.readings.section("position")
         if self._read[0] is not position or self._read[1] is not self.frame:
             estimate = None
             if position is not None and self.frame is not None and position["lat_deg"] is not None:
@@ -83,9 +84,8 @@ class Outlook:
         return self._read[2]
 
     def age_s(self, now: float) -> float | None:
-        """How long ago the position came; None without one."""
-        at = self._vehicle.section_at("position")
-        return None if at is None else now - at
+        """How long ago what `estimate` gave last came; None if it gave none."""
+        return None if self._read[2] is None else now - self._at
 
     def yaw_rad(self) -> float:
         """Its present yaw (ENU); north unless it tells."""

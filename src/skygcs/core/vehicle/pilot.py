@@ -112,7 +112,7 @@ class Pilot:
         self.tracing = False
         """Whether ticks carry a row for the trace."""
         self.refusing: str | None = None
-        """Why the autopilot does not take our attitude setpoints, if it does not."""
+        """What the autopilot said of our setpoints when it threw one away since the last `engage`."""
         self._outlook = Outlook(vehicle)
         self._guard = Guard(config.guard, Way.POSITION)
         self._reference = Reference()
@@ -172,7 +172,7 @@ class Pilot:
         """
         self._outlook.anchor(fence)
         self.state, self.wanted, self.way, self.reasons = PilotState.ENGAGING, way, None, ()
-        self.was_entered = False
+        self.was_entered, self.refusing = False, None
         self._guard.reset(way)
         self._last = _Last()
         self._obeys = guided_mode(self.vehicle)
@@ -251,7 +251,7 @@ class Pilot:
         dt_s = self.config.law.period_s if first else min(max(now - last.at, 0.0), LARGEST_DT_S)
         last.at = now
         estimate = self._outlook.estimate()
-        age_s = None if estimate is None else self._outlook.age_s(now)
+        age_s = self._outlook.age_s(now)
         last.estimate, last.state_age_s = estimate, age_s
         self._outlook.measure(age_s, now)
         events: list[Event] = []

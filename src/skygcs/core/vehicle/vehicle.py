@@ -235,10 +235,6 @@ class Vehicle:
         """A parameter of `parameters.WATCHED`; None if nobody has read it since the vehicle started."""
         return self.parameters.value(name)
 
-    def ground_alt_amsl_m(self) -> float | None:
-        """Of the ground it took off from; if nobody saw it take off, of its home."""
-        return self.home_alt_amsl_m() if self.launch.alt_amsl_m is None else self.launch.alt_amsl_m
-
     def snapshot(self, now: float, unix_now: float | None = None) -> VehicleState:
         """The whole state. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
         return take_snapshot(self, now, unix_now)

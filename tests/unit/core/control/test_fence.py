@@ -82,31 +82,6 @@ def test_agrees_with_the_frame_of_its_origin_everywhere(x: float, y: float, up: 
         assert Fence(origin).contains(*place) is inside
 
 
-@given(
-    *[st.floats(-70, 70)] * 2,
-    st.floats(-4, 24),
-    st.tuples(*[st.floats(-2000, 2000)] * 2, st.floats(-100, 100)),
-    st.floats(0, 359),
-    st.floats(0, 359),
-)
-def test_seen_from_an_anchor_it_is_the_same_fence(
-    x: float, y: float, up: float, anchor_m: tuple[float, float, float], heading: float, anchor_heading: float
-) -> None:
-    origin = Origin(43.78, -79.46, 170.0, x_heading_deg=heading)
-    anchor = Origin(*geodetic_from_enu(*anchor_m, origin), x_heading_deg=anchor_heading)
-    place = geodetic_from_enu(x, y, up, origin)
-    local = Fence(origin).seen_from(anchor)
-    seen = enu_from_geodetic(*place, anchor)
-    for reference, walls, top, floor in ((False, 50, 20, -2), (True, 48, 18, 0)):
-        if min(abs(abs(x) - walls), abs(abs(y) - walls), abs(up - top), abs(up - floor)) > 2e-3:
-            assert local.contains(seen, reference=reference) is Fence(origin).contains(*place, reference=reference)
-
-
-def test_seen_from_an_anchor_nan_is_outside() -> None:
-    assert not FENCE.seen_from(ORIGIN).contains((math.nan, 0.0, 1.0))
-    assert not FENCE.seen_from(ORIGIN).contains((0.0, 0.0, math.inf))
-
-
 @given(st.tuples(st.floats(), st.floats(), st.floats()))
 @example((43.78, -79.46, math.nan))
 @example((43.78, math.inf, 170.0))

@@ -138,6 +138,19 @@ def test_an_operator_is_told_what_a_vehicle_left_alone_would_do() -> None:
     assert offboard.loss_note(copter) is None
 
 
+@pytest.mark.parametrize(
+    ("text", "refuses"),
+    [
+        ("SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame 99", True),  # both as PX4 1.16 said them
+        ("SET_POSITION_TARGET_LOCAL_NED coordinate frame 99 unsupported", True),
+        ("Takeoff detected", False),
+        ("Failsafe activated: no offboard signal", False),
+    ],
+)
+def test_a_setpoint_thrown_away_is_known_by_the_message_it_names(text: str, refuses: bool) -> None:
+    assert offboard.refuses_setpoint(text) is refuses
+
+
 def test_parameters_are_read_by_each_autopilots_own_encoding_and_forgotten_by_a_reboot() -> None:
     px4, voice = flying(PX4)
     px4.on_frame(bytewise(voice, "COM_RC_IN_MODE", 4), NOW)
