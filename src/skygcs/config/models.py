@@ -32,7 +32,8 @@ OWN_COMPID = 25
 
 
 class Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    # deferred: validators of tables that a fleet file does not have are not made, and the others once, inside the whole
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class DaemonConfig(Model):

@@ -34,7 +34,7 @@ class RadioKeys(BaseModel):
 class EmulatedRadio(BaseModel):
     """The radios between the daemon and simulated vehicles (`core.sim.tdm`)."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
     air_kbps: Kbps = 64.0
     baud: Annotated[int, Field(ge=1200, le=1_000_000)] = 57600

@@ -23,7 +23,7 @@ EVERY_MESSAGE = "*"
 class SigningSettings(BaseModel):
     """[links.NAME.signing]"""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     key_file: Path
     """The secret key; only its owner may be able to read it."""

@@ -72,7 +72,8 @@ def _new_link_name(name: str) -> str:
 
 
 class Params(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+    # deferred: a hundred validators, of which a start needs none and a session a few
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 class NoParams(Params):
@@ -276,7 +277,7 @@ class UnsubscribeParams(Params):
 class Result(BaseModel):
     """Base of described results; more keys may come with later versions."""
 
-    model_config = ConfigDict(extra="allow")
+    model_config = ConfigDict(extra="allow", defer_build=True)
 
 
 class Outcome(Result):
