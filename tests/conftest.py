@@ -11,6 +11,9 @@ import pytest
 import typer.main
 from hypothesis import HealthCheck, settings
 
+import skygcs.rpc.methods
+import skygcs.rpc.session  # noqa: F401 - a daemon imports them in a thread, which virtual time would not wait for
+
 settings.register_profile("suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("long", settings.get_profile("suite"), max_examples=2000)
 settings.load_profile("suite")

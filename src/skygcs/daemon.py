@@ -131,7 +131,7 @@ class Daemon:
 
     async def run(self) -> None:
         """Run until `stop`. Raises LinkError/ConfigError-like SkygcsErrors only before `ready` is set."""
-        await self.rpc.start()
+        self.rpc.claim()
         try:
             async with asyncio.TaskGroup() as outer:
                 recording = None
@@ -161,8 +161,9 @@ class Daemon:
                 beat = self._every(HEARTBEAT_PERIOD_S, self._beat)
                 clocks.append(group.create_task(beat, name="heartbeat"))
             self.links.start(group)
-            self.ready.set()
             try:
+                await self.rpc.start()  # after the links: a restart in flight forwards first
+                self.ready.set()
                 await self._stopping.wait()
                 await self._park()
             finally:  # also if a part of the daemon has failed: nothing flies on then

@@ -10,7 +10,8 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from skygcs.errors import SkygcsError
@@ -26,8 +27,7 @@ EXIT_INTERRUPTED = 130
 
 async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None = None) -> None:
     """Run the daemon until SIGINT or SIGTERM; tells a service manager (sd_notify) when it is up and when it stops."""
-    import structlog
-
+    structlog = import_structlog()
     log = structlog.get_logger("skygcs")
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -106,10 +106,38 @@ def run_loop(main_coroutine: Coroutine[Any, Any, int]) -> int:
         raise first from None
 
 
+def import_structlog() -> ModuleType:
+    """structlog without rich, which it imports if it finds it, for a traceback format that is not used here.
+
+    40 ms and 6 MB; whoever imports rich later gets it as ever.
+    """
+    hidden = [name for name in ("rich",) if name not in sys.modules]
+    for name in hidden:
+        sys.modules[name] = None  # type: ignore[assignment]  # importlib: "not there"
+    try:
+        import structlog
+        import structlog.dev
+    finally:
+        for name in hidden:
+            del sys.modules[name]
+    return structlog
+
+
+@contextlib.contextmanager
+def without_collections() -> Iterator[None]:
+    """No garbage collection in the body: what an import makes stays, and looking at it again and again is 50 ms."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
 def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
     """One line per change of state on stderr: coloured on a terminal, key=value elsewhere."""
-    import structlog
-
+    structlog = import_structlog()
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     tty = sys.stderr.isatty()
     # plain: a traceback with the values of local variables could print a signing key or a token

@@ -12,7 +12,14 @@ import sys
 from pathlib import Path
 
 from skygcs import __version__
-from skygcs.cli.process import EXIT_FAILED, EXIT_OK, configure_logging, run_loop, serve_until_signal
+from skygcs.cli.process import (
+    EXIT_FAILED,
+    EXIT_OK,
+    configure_logging,
+    run_loop,
+    serve_until_signal,
+    without_collections,
+)
 from skygcs.errors import SkygcsError
 
 
@@ -103,18 +110,19 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from skygcs.config.dialects import load_dialect
-    from skygcs.config.loader import load_fleet
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for some is to read every package's metadata
+    with without_collections():
+        from skygcs.config.loader import load_fleet_and_dialect
 
-    config = load_fleet(args.file)
+        config, dialect = load_fleet_and_dialect(args.file)
     changes = {"socket": args.socket, "log_dir": args.log_dir}
     own = config.daemon.model_copy(update={k: v for k, v in changes.items() if v is not None})
     config = config.model_copy(update={"daemon": own})
-    dialect = load_dialect(config.dialect, base_dir=args.file.resolve().parent)
     configure_logging(verbose=args.verbose, quiet=args.quiet)
 
     async def serve() -> int:
-        from skygcs.daemon import Daemon
+        with without_collections():
+            from skygcs.daemon import Daemon
 
         daemon = Daemon(config, dialect, source=str(args.file.resolve()))
         await serve_until_signal(daemon)

@@ -73,11 +73,17 @@ def load_fleet(path: Path | str) -> FleetConfig:
 
     Raises ConfigError with every problem there is (a TOML syntax error hides the others).
     """
+    return load_fleet_and_dialect(path)[0]
+
+
+def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
+    """The fleet file as `load_fleet`, and its dialect, which the check needs as well."""
     path = Path(path)
     text = _read(path)
     table = _parse(path, text)
     lines = key_lines(text)
     config, problems, wrong = _validate(table)
+    dialect: Dialect | None = None
     if config is not None:
         problems += conflicts(config, wrong)
         config = _with_paths(config, path.parent.absolute())
@@ -88,9 +94,9 @@ def load_fleet(path: Path | str) -> FleetConfig:
         else:
             problems += dialect_problems(dialect)
             problems += message_problems(config.links, dialect) + stream_problems(config, dialect)
-    if problems or config is None:
+    if problems or config is None or dialect is None:
         raise ConfigError(str(path), _shown(problems, lines))
-    return config
+    return config, dialect
 
 
 def parse_link(name: str, table: dict[str, Any], dialect: Dialect | None = None) -> LinkConfig:

@@ -2,6 +2,9 @@
 
 Every client is a session of its own with bounds on all it can make the daemon keep or do; what one does wrong is
 answered to it, counted, and noticed by nobody else.
+
+This module is light: sessions and methods with their models are imported by `RpcServer.start`, beside the loop, so that
+a daemon that is restarted in flight forwards frames meanwhile.
 """
 
 from __future__ import annotations
@@ -9,20 +12,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import fcntl
+import importlib
 import os
 import socket
 import stat
+import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import structlog
 
 from skygcs.errors import LinkError
-from skygcs.rpc.context import Context
-from skygcs.rpc.dispatch import Dispatcher
-from skygcs.rpc.methods import METHODS
-from skygcs.rpc.ports import Daemon, JsonObject
-from skygcs.rpc.session import Session
-from skygcs.rpc.sessions import Sessions
+
+if TYPE_CHECKING:
+    from skygcs.rpc.ports import Daemon, JsonObject
+    from skygcs.rpc.sessions import Sessions
 
 MAX_SUN_PATH_BYTES = 107
 """Linux's sockaddr_un holds 108 bytes with the closing NUL."""
@@ -31,7 +36,7 @@ _log = structlog.get_logger(__name__)
 
 
 class RpcServer:
-    """Serves one daemon. `start` once, `close` once."""
+    """Serves one daemon. `claim` if wanted, `start` once, `close` once."""
 
     def __init__(
         self,
@@ -53,16 +58,47 @@ class RpcServer:
         self._socket_inode: tuple[int, int] | None = None
         self._lock_fd = -1
 
+    def claim(self) -> None:
+        """Make sure of the socket's path before anything else is begun; `start` listens there.
+
+        Raises LinkError if another daemon has it, or it cannot be had. `close` gives it back.
+        """
+        if self._lock_fd >= 0:
+            return
+        path = os.fspath(self.socket_path)
+        if len(os.fsencode(path)) > MAX_SUN_PATH_BYTES:
+            raise LinkError(f"{path}: a socket's path has at most {MAX_SUN_PATH_BYTES} bytes")
+        try:
+            self._make_directory()
+            self._take_lock(path)
+            self._remove_stale(path)
+        except OSError as error:
+            self._release()
+            raise LinkError(f"cannot make the socket {path}: {error.strerror or error}") from None
+        except LinkError:
+            self._release()
+            raise
+
     async def start(self) -> None:
         """Listen. Raises LinkError if another daemon has the socket, or it cannot be made."""
+        self.claim()
         loop = asyncio.get_running_loop()
-        self._hub = hub = Sessions(self._daemon, Dispatcher[Context](METHODS), loop)
         try:
+            await _import_beside("skygcs.rpc.methods")
+            await _import_beside("skygcs.rpc.session")
+            from skygcs.rpc.dispatch import Dispatcher
+            from skygcs.rpc.methods import METHODS
+            from skygcs.rpc.session import Session
+            from skygcs.rpc.sessions import Sessions
+
+            self._hub = hub = Sessions(self._daemon, Dispatcher(METHODS), loop)
             listener = self._bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener)
             self._servers.append(server)
             if self._tcp_port is not None:
-                await self._listen_tcp(loop, hub)
+                token = self._token
+                assert token is not None
+                await self._listen_tcp(loop, lambda: Session(hub, token))
         except BaseException:
             await self.close()
             raise
@@ -77,19 +113,17 @@ class RpcServer:
             await self._hub.close()
             self._hub = None
         self._remove_socket()
-        if self._lock_fd >= 0:
-            os.close(self._lock_fd)
-            self._lock_fd = -1
+        self._release()
 
     def stats(self) -> JsonObject:
         """Counters: sessions now and ever, requests, errors, drops."""
         return self._hub.stats() if self._hub is not None else {}
 
-    async def _listen_tcp(self, loop: asyncio.AbstractEventLoop, hub: Sessions) -> None:
-        token = self._token
-        assert token is not None
+    async def _listen_tcp(
+        self, loop: asyncio.AbstractEventLoop, new_session: Callable[[], asyncio.BaseProtocol]
+    ) -> None:
         try:
-            server = await loop.create_server(lambda: Session(hub, token), "127.0.0.1", self._tcp_port)
+            server = await loop.create_server(new_session, "127.0.0.1", self._tcp_port)
         except OSError as error:
             raise LinkError(f"cannot listen on 127.0.0.1:{self._tcp_port}: {error.strerror or error}") from None
         self._servers.append(server)
@@ -98,12 +132,7 @@ class RpcServer:
     def _bind(self) -> socket.socket:
         """A bound Unix socket of mode 0600. Nobody can connect before it listens, and it does so only after this."""
         path = os.fspath(self.socket_path)
-        if len(os.fsencode(path)) > MAX_SUN_PATH_BYTES:
-            raise LinkError(f"{path}: a socket's path has at most {MAX_SUN_PATH_BYTES} bytes")
         try:
-            self._make_directory()
-            self._take_lock(path)
-            self._remove_stale(path)
             listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
             try:
                 listener.bind(path)
@@ -136,6 +165,11 @@ class RpcServer:
         except BlockingIOError:
             raise LinkError(_in_use(path)) from None
 
+    def _release(self) -> None:
+        if self._lock_fd >= 0:
+            os.close(self._lock_fd)
+            self._lock_fd = -1
+
     def _remove_stale(self, path: str) -> None:
         """What a dead daemon left is replaced; anything alive, or no socket at all, is not."""
         try:
@@ -165,6 +199,12 @@ class RpcServer:
             if (status.st_dev, status.st_ino) == self._socket_inode:
                 os.unlink(self.socket_path)
         self._socket_inode = None
+
+
+async def _import_beside(module: str) -> None:
+    """Import it in a thread: the loop goes on with what flies."""
+    if module not in sys.modules:
+        await asyncio.to_thread(importlib.import_module, module)
 
 
 def _in_use(path: str) -> str:
