@@ -38,8 +38,22 @@ SEED_XY = AxisGains(pos_p_per_s=0.95, vel_p=0.08, vel_i=0.02)
 SEED_Z = AxisGains(pos_p_per_s=1.0, vel_p=0.3, vel_i=0.02)
 
 
+class _Derived:
+    """What follows from a config and is wanted in every step; no fields, so that configs compare and print as given."""
+
+    __slots__ = ("dt_max_s", "dt_min_s", "integral_xy_max", "tilt_max_tan")
+
+    dt_min_s: float
+    """Shortest step the law believes: 10 ms at 50 Hz."""
+    dt_max_s: float
+    """Longest step the law believes: 30 ms at 50 Hz, and in proportion at slower rates."""
+    integral_xy_max: float
+    """Norm of the horizontal integral: what full tilt gives at hover. More could never be flown."""
+    tilt_max_tan: float
+
+
 @dataclass(frozen=True, slots=True)
-class ControlConfig:
+class ControlConfig(_Derived):
     """All that `step` needs to know of one vehicle. Raises ConfigError, with every problem at once.
 
     Replace it between two steps to change gains in flight: the integral is kept in units of thrust, so a new gain
@@ -65,21 +79,12 @@ class ControlConfig:
         problems = [*_gain_problems("xy", self.xy), *_gain_problems("z", self.z), *_limit_problems(self)]
         if problems:
             raise ConfigError("control", problems)
-
-    @property
-    def dt_min_s(self) -> float:
-        """Shortest step the law believes: 10 ms at 50 Hz."""
-        return 0.5 * self.period_s
-
-    @property
-    def dt_max_s(self) -> float:
-        """Longest step the law believes: 30 ms at 50 Hz, and in proportion at slower rates."""
-        return 1.5 * self.period_s
-
-    @property
-    def integral_xy_max(self) -> float:
-        """Norm of the horizontal integral: what full tilt gives at hover. More could never be flown."""
-        return self.hover_thrust * math.tan(self.tilt_max_rad)
+        told = object.__setattr__  # frozen, and made of nothing but the fields
+        tilt_max_tan = math.tan(self.tilt_max_rad)
+        told(self, "dt_min_s", 0.5 * self.period_s)
+        told(self, "dt_max_s", 1.5 * self.period_s)
+        told(self, "tilt_max_tan", tilt_max_tan)
+        told(self, "integral_xy_max", self.hover_thrust * tilt_max_tan)
 
 
 def _gain_problems(axis: str, gains: AxisGains) -> list[str]:

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, NamedTuple
 
-from skygcs.core.control.cascade import LARGEST_INPUT, Estimate
+from skygcs.core.control.cascade import LARGEST_INPUT, Estimate, usable_estimate
 from skygcs.errors import ConfigError
 
 Action = Literal["send", "hold", "release"]
@@ -298,7 +298,7 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
         yield Refusal("no_fix", "the vehicle has no usable position fix")
     if facts.estimate is None:
         yield Refusal("no_position", "the vehicle's position is not known")
-    elif not _usable(facts.estimate):
+    elif not usable_estimate(facts.estimate):
         position = ", ".join(f"{value:g}" for value in (*facts.estimate.pos_enu_m, *facts.estimate.vel_enu_mps))
         yield Refusal(
             "estimate", f"position and velocity ({position}) are not all numbers up to {LARGEST_INPUT:g} m and m/s"
@@ -345,14 +345,6 @@ def _unfit(config: GuardConfig, facts: Facts, way: Way) -> Iterator[Refusal]:
 def _too_old(age_s: float, limit_s: float) -> bool:
     """NaN is, and what comes from the future is: its age is not known."""
     return not -FUTURE_SLACK_S <= age_s <= limit_s
-
-
-def _usable(estimate: Estimate) -> bool:
-    x, y, z = estimate.pos_enu_m
-    vx, vy, vz = estimate.vel_enu_mps
-    largest = LARGEST_INPUT
-    at = abs(x) <= largest and abs(y) <= largest and abs(z) <= largest  # each false for NaN
-    return at and abs(vx) <= largest and abs(vy) <= largest and abs(vz) <= largest
 
 
 def _age_text(age_s: float, limit_s: float, what: str) -> str:

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from skygcs.core.control.config import ControlConfig
-from skygcs.core.control.pi import clip, filtered_slope, horizontal, horizontal_limit, vertical
+from skygcs.core.control.pi import clip, filtered_slope, horizontal, horizontal_limit, newest_weight, vertical
 
 CONFIG = ControlConfig()
 DT_S = 0.02
@@ -19,15 +19,16 @@ def test_clip_keeps_the_sign_and_bounds_the_magnitude():
 def test_the_slope_of_a_ramp_is_found_within_a_few_time_constants():
     slope = 0.0
     for tick in range(50):
-        slope = filtered_slope(0.1 * (tick + 1), 0.1 * tick, slope, DT_S, 5.0)
+        slope = filtered_slope(0.1 * (tick + 1), 0.1 * tick, slope, DT_S, newest_weight(DT_S, 5.0))
     assert slope == pytest.approx(5.0, rel=1e-6)
 
 
 def test_the_slope_of_a_step_dies_at_the_cut_off_frequency():
     """One sample of 5 Hz at 50 Hz: weight 2 pi 5 x 0.02 / (1 + that) = 0.386."""
-    first = filtered_slope(1.0, 0.0, 0.0, DT_S, 5.0)
+    first = filtered_slope(1.0, 0.0, 0.0, DT_S, newest_weight(DT_S, 5.0))
     assert first == pytest.approx(0.38587 / DT_S, rel=1e-4)
-    assert filtered_slope(1.0, 1.0, first, DT_S, 5.0) == pytest.approx(first * (1 - 0.38587), rel=1e-4)
+    second = filtered_slope(1.0, 1.0, first, DT_S, newest_weight(DT_S, 5.0))
+    assert second == pytest.approx(first * (1 - 0.38587), rel=1e-4)
 
 
 def test_the_vertical_integral_stops_at_full_thrust_while_the_error_asks_for_more():
