@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.control.cascade import Estimate
-from skygcs.core.control.guard import WAYS, Facts, Guard, GuardConfig, Verdict, Way
+from skygcs.core.control.guard import WAYS, Facts, Guard, GuardConfig, Verdict, Way, all_well
 from skygcs.errors import ConfigError
 
 NAN = math.nan
@@ -453,3 +453,58 @@ def test_says_why_whenever_it_is_not_what_was_wanted(
     for _, verdict in run(config, wanted, sequence):
         assert bool(verdict.reasons) is (verdict.way is not wanted)
         assert len(set(verdict.kinds)) == len(verdict.kinds)
+
+
+nearly_well = st.builds(
+    lambda change: but(**change),
+    st.one_of(
+        st.just({}),
+        st.dictionaries(
+            st.sampled_from(["rate_hz", "rate_min_hz", "state_age_s", "delay_p95_s", "rtt_p95_s", "battery_percent"]),
+            st.sampled_from([-1.0, 0.0, 0.1, 0.100001, 0.5, 0.7, 1.5, 2.0, 2.1, 20.0, 50.0, NAN]),
+            max_size=2,
+        ),
+        st.dictionaries(
+            st.sampled_from(["connected", "armed", "following", "engaging", "finite", "fix_ok", "inside_fence"]),
+            st.booleans(),
+            max_size=2,
+        ),
+        st.sampled_from(
+            [
+                {"rtt_p95_s": None},
+                {"delay_p95_s": None},
+                {"state_age_s": None},
+                {"estimate": None},
+                {"estimate": Estimate((0.0, NAN, 0.0), (0.0, 0.0, 0.0))},
+                {"estimate": Estimate((0.0, 0.0, 0.0), (0.0, 0.0, -1.1e6))},
+                {"battery_percent": None},
+                {"airborne": None},
+                {"airborne": False},
+                {"rebooted": True},
+                {"reference_inside_fence": False},
+                {"refusing": ""},
+                {"attitude_refused": ""},
+            ]
+        ),
+    ),
+)
+
+
+@given(configs, ways, st.one_of(any_facts, nearly_well))
+def test_all_is_well_where_no_row_of_the_table_says_anything(config: GuardConfig, wanted: Way, facts: Facts) -> None:
+    below = WAYS[WAYS.index(wanted) :]
+    assert all_well(config, facts, wanted) is not any(Guard(config, way).why_not(facts) for way in below)
+
+
+@given(
+    st.sampled_from([CONFIG, RETURNING, GuardConfig(battery_min_percent=None, return_after_s=1.0)]),
+    ways,
+    st.lists(st.tuples(st.one_of(st.just(WELL), nearly_well), st.floats(-1.0, 4.0)), max_size=40),
+)
+def test_says_the_same_whether_or_not_it_goes_by_the_whole_table(
+    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+) -> None:
+    quick = run(config, wanted, sequence)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("skygcs.core.control.guard.all_well", lambda config, facts, wanted: False)
+        assert run(config, wanted, sequence) == quick
