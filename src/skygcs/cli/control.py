@@ -5,11 +5,15 @@ Exit codes: 0 done, 1 refused or failed, 2 usage, 3 daemon not reachable. Contra
 
 from __future__ import annotations
 
+import copy
 import os
+import sys
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
+from typer.main import get_command_name
+from typer.models import CommandInfo
 
 from skygcs import __version__
 from skygcs.cli import (
@@ -36,6 +40,8 @@ from skygcs.cli.wires import links, messages
 from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
 
 GLOBAL_OPTIONS = ("--socket", "--token-file")
+COMPLETION_VARIABLE = "_SKYGCS_CLI_COMPLETE"
+"""Set by the shell that asks what may follow."""
 
 
 class _Anywhere(TyperGroup):
@@ -139,6 +145,36 @@ app.add_typer(signing.app, name="signing", rich_help_panel="Orders")
 plot.add_to(app)
 
 
+def command_of(args: list[str]) -> str | None:
+    """The command that a line names; None if it names none, or asks something of the whole program (--help)."""
+    left = iter(hoisted(json_last(args)))
+    for arg in left:
+        if arg in GLOBAL_OPTIONS:
+            next(left, None)
+        elif not arg.startswith(tuple(f"{option}=" for option in GLOBAL_OPTIONS)):
+            return None if arg.startswith("-") else arg
+    return None
+
+
+def narrowed(whole: typer.Typer, args: list[str]) -> typer.Typer:
+    """The same program with no other command than the line names: to make all hundred takes a third of a `status`.
+
+    The whole one where others may be needed: for help, completion, or a name that is none.
+    """
+    name = command_of(args)
+    commands = [c for c in whole.registered_commands if _name_of(c) == name]
+    groups = [g for g in whole.registered_groups if g.name == name]
+    if name is None or COMPLETION_VARIABLE in os.environ or not (commands or groups):
+        return whole
+    narrow = copy.copy(whole)
+    narrow.registered_commands, narrow.registered_groups = commands, groups
+    return narrow
+
+
+def _name_of(command: CommandInfo) -> str | None:
+    return command.name or (get_command_name(command.callback.__name__) if command.callback else None)
+
+
 def main() -> None:
     """Entry point of `skygcs-cli`."""
-    app(prog_name="skygcs-cli")
+    narrowed(app, sys.argv[1:])(prog_name="skygcs-cli")

@@ -483,6 +483,21 @@ async def test_a_dead_daemons_socket_is_replaced_and_a_living_ones_is_not(tmp_pa
     await second.close()
 
 
+async def test_a_claimed_path_is_nobody_elses_before_anybody_listens(tmp_path: Path) -> None:
+    path = tmp_path / "s.sock"
+    first, second = RpcServer(FakeDaemon(), path), RpcServer(FakeDaemon(), path)
+    first.claim()
+    first.claim()
+    assert not path.exists()
+    with pytest.raises(LinkError, match="another skygcs daemon listens"):
+        second.claim()
+    await first.start()
+    assert path.exists()
+    await first.close()
+    second.claim()
+    await second.close()
+
+
 async def test_another_programs_listening_socket_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "s.sock"
     with socket.socket(socket.AF_UNIX) as other:

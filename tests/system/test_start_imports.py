@@ -1,0 +1,64 @@
+"""What a start must not wait for: modules that neither the first frame nor `skygcs-cli status` need. No times."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+HEAVY = ("matplotlib", "numpy", "pyarrow", "pygments", "pymap3d", "pymavlink", "lxml", "rich", "typer")
+"""From 30 ms (rich) to 600 ms (pymavlink's generated dialects), and together three times a daemon's memory."""
+
+SOCKET_SIDE = ("skygcs.rpc.methods", "skygcs.rpc.models", "skygcs.rpc.session")
+"""What clients of the socket need; imported beside the loop when frames are forwarded already."""
+
+RUN = """
+import asyncio, sys
+from skygcs.cli import process, serve
+watched = sys.argv[2:]
+loaded = lambda: [m for m in watched if m in sys.modules]
+async def served(daemon):
+    print("before", *loaded())
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    print("after", *loaded())
+    daemon.stop()
+    await running
+serve.serve_until_signal = served
+serve.main(["run", "-q", sys.argv[1]])
+"""
+
+
+def loaded(code: str, *arguments: str) -> list[set[str]]:
+    """The words of each line that the code printed, without the first."""
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+    return [set(line.split()[1:]) for line in done.stdout.splitlines()]
+
+
+def test_a_daemon_loads_nothing_heavy_and_what_its_socket_needs_last(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n')
+    loaded(RUN, str(fleet))  # the dialect's table may have to be made, which takes mavgen and a validator
+    before, after = loaded(RUN, str(fleet), *HEAVY, *SOCKET_SIDE)
+    assert before == set()
+    assert after == set(SOCKET_SIDE)
+
+
+def test_rich_can_be_imported_after_the_log_was_set_up() -> None:
+    code = (
+        "import sys\nfrom skygcs.cli.process import configure_logging\nconfigure_logging()\n"
+        "print('hidden', *[m for m in ('rich',) if m in sys.modules])\nimport rich.console, structlog\n"
+        "structlog.get_logger('x').error('still told')\n"
+    )
+    assert loaded(code) == [set()]
+
+
+def test_a_command_is_looked_for_without_what_others_need() -> None:
+    code = "import sys\nimport skygcs.cli.control\nprint('loaded', *[m for m in sys.argv[1:] if m in sys.modules])"
+    heavy = set(HEAVY) - {"typer"} | {"structlog", "uvloop", "pydantic", "skygcs.config.models"}
+    assert loaded(code, *heavy) == [set()]
