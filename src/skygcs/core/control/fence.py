@@ -88,13 +88,17 @@ class Fence:
             up_m = sum(self.up_m) / 2
         inset = self.margin_m if reference else 0.0
         below = 0.0 if reference else self.margin_m
-        spans = (
-            ("x", x_m, self.x_m[0] + inset, self.x_m[1] - inset),
-            ("y", y_m, self.y_m[0] + inset, self.y_m[1] - inset),
-            ("up", up_m, self.up_m[0] - below, self.up_m[1] - inset),
-        )
-        for axis, value, low, high in spans:
-            if not low <= value <= high:  # NaN too
-                less = f" less {self.margin_m:g} m of margin" if reference else ""
-                return f"{what} is at {axis} {value:.1f} m (limit {low:g}..{high:g} m, the fence{less})"
+        x_low, x_high = self.x_m[0] + inset, self.x_m[1] - inset
+        if not x_low <= x_m <= x_high:  # NaN too, here and below
+            return self._text(what, "x", x_m, x_low, x_high, reference)
+        y_low, y_high = self.y_m[0] + inset, self.y_m[1] - inset
+        if not y_low <= y_m <= y_high:
+            return self._text(what, "y", y_m, y_low, y_high, reference)
+        low, high = self.up_m[0] - below, self.up_m[1] - inset
+        if not low <= up_m <= high:
+            return self._text(what, "up", up_m, low, high, reference)
         return None
+
+    def _text(self, what: str, axis: str, value_m: float, low_m: float, high_m: float, reference: bool) -> str:
+        less = f" less {self.margin_m:g} m of margin" if reference else ""
+        return f"{what} is at {axis} {value_m:.1f} m (limit {low_m:g}..{high_m:g} m, the fence{less})"

@@ -7,9 +7,9 @@ protocol (65535, -1, INT_MAX, NaN ...) become None. Everything comes out JSON-ab
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from skygcs.core.geo import wrap_deg_180
 from skygcs.core.vehicle.decoder import Decoder, Values
@@ -49,7 +49,7 @@ def _amps(centiamps: int) -> float | None:
     return None if centiamps in (-1, -100) else centiamps / 100
 
 
-def _numbers(values: tuple[float, ...], scale: float = 1.0, digits: int = 4) -> list[float | None]:
+def _numbers(values: Sequence[float], scale: float = 1.0, digits: int = 4) -> list[float | None]:
     return [_number(v * scale, digits) for v in values]
 
 
@@ -76,17 +76,33 @@ def fold_gps(v: Values, decoder: Decoder) -> Folded | None:
     }
 
 
-def fold_position(v: Values, decoder: Decoder) -> Folded | None:
-    """GLOBAL_POSITION_INT's velocity is north, east, **down** (cm/s): turned to ENU here and nowhere else."""
-    boot_ms, lat, lon, alt, rel, vx, vy, vz, hdg = v["GLOBAL_POSITION_INT"]
+class GlobalPosition(NamedTuple):
+    """Of GLOBAL_POSITION_INT what control looks at for every setpoint; None, both of them: not known."""
+
+    lat_deg: float | None
+    lon_deg: float | None
+    alt_amsl_m: float
+    vel_enu_mps: tuple[float, float, float]
+
+
+def global_position(fields: tuple[Any, ...]) -> GlobalPosition:
+    """Its velocity is north, east, **down** (cm/s): turned to ENU here and nowhere else."""
+    _, lat, lon, alt, _, vx, vy, vz, _ = fields
     lat_deg, lon_deg = _lat_lon(lat, lon)
+    return GlobalPosition(lat_deg, lon_deg, alt / 1000, (vy / 100, vx / 100, -vz / 100))
+
+
+def fold_position(v: Values, decoder: Decoder) -> Folded | None:
+    fields = v["GLOBAL_POSITION_INT"]
+    lat_deg, lon_deg, alt_amsl_m, vel_enu_mps = global_position(fields)
+    boot_ms, rel, hdg = fields[0], fields[4], fields[8]
     return {
         "lat_deg": lat_deg,
         "lon_deg": lon_deg,
-        "alt_amsl_m": alt / 1000,
+        "alt_amsl_m": alt_amsl_m,
         "alt_rel_m": rel / 1000,
         "heading_deg": _scaled(hdg, 65535, 0.01, 2),
-        "vel_enu_mps": [vy / 100, vx / 100, -vz / 100],
+        "vel_enu_mps": list(vel_enu_mps),
         "time_boot_s": boot_ms / 1000,
     }
 
@@ -100,18 +116,21 @@ def fold_local(v: Values, decoder: Decoder) -> Folded | None:
     }
 
 
+def finite_angles(fields: tuple[Any, ...]) -> bool:
+    """Whether roll, pitch and yaw of an ATTITUDE are numbers."""
+    return math.isfinite(fields[1]) and math.isfinite(fields[2]) and math.isfinite(fields[3])
+
+
 def fold_attitude(v: Values, decoder: Decoder) -> Folded | None:
     """Angles of the body (FRD) against NED, as every autopilot shows them: yaw is the compass heading."""
     if "ATTITUDE" in v:
-        boot_ms, *angles = v["ATTITUDE"][:4]
-        rates = v["ATTITUDE"][4:]
-        if not all(map(math.isfinite, angles)):
+        boot_ms, roll, pitch, yaw, *rates = v["ATTITUDE"]
+        if not finite_angles(v["ATTITUDE"]):
             return None
-        roll, pitch, yaw = angles
         quaternion = quaternion_from_euler(roll, pitch, yaw)
     else:
         boot_ms, *parts = v["ATTITUDE_QUATERNION"][:5]
-        rates = v["ATTITUDE_QUATERNION"][5:]
+        rates = list(v["ATTITUDE_QUATERNION"][5:])
         if not all(abs(part) <= 2.0 for part in parts):  # also false for NaN
             return None
         quaternion = (parts[0], parts[1], parts[2], parts[3])

@@ -8,12 +8,13 @@ every tick, 50 times a second.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from skygcs.core.control.cascade import Estimate, Reference, Vector
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.fence import Fence
 from skygcs.core.geo import EnuFrame, Origin, yaw_enu_from_heading_deg
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.fold import GlobalPosition, finite_angles, global_position
 from skygcs.core.vehicle.goals import Place
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -30,6 +31,8 @@ ATTITUDE_FRESH_S = 3.0
 JUDGE_S = 0.1
 """How often what moves slowly is looked at anew: the percentile of a window of seconds, fix and battery."""
 
+_MESSAGES = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
+
 
 class Outlook:
     """On one vehicle. `anchor` it before anything is asked; `measure` once a tick; the loop's times."""
@@ -45,10 +48,17 @@ class Outlook:
         self._vehicle = vehicle
         self._fence: Fence | None = None
         self._judged_at = -math.inf
-        self._read: tuple[Any, EnuFrame | None, Estimate | None] = (None, None, None)
+        decoder = vehicle.readings.decoder
+        self._position_id, self._attitude_id, self._quaternion_id = map(decoder.msgid_of, _MESSAGES)
+        self._read_position, self._read_attitude = map(decoder.read.get, _MESSAGES[:2])
+        self._told: tuple[Frame | None, EnuFrame | None] = (None, None)
+        """What the estimate below was made of."""
+        self._position: GlobalPosition | None = None
+        self._estimate: Estimate | None = None
         self._at = 0.0
+        self._attitude: tuple[Frame | None, bool] = (None, True)
         self._place: tuple[Reference | None, Place | None] = (None, None)
-        self._breach: tuple[Any, str | None] = (None, None)
+        self._breach: tuple[GlobalPosition | None, str | None] = (None, None)
         self._fenced: tuple[Place | None, str | None] = (None, None)
 
     def anchor(self, fence: Fence | None) -> None:
@@ -73,19 +83,24 @@ class Outlook:
 
     def estimate(self) -> Estimate | None:
         """Its position and velocity about the anchor, as last told; None without a position."""
-        position, self._at = self._vehicle.readings.section("position")
-        if self._read[0] is not position or self._read[1] is not self.frame:
-            estimate = None
-            if position is not None and self.frame is not None and position["lat_deg"] is not None:
-                enu = self.frame.from_geodetic(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
-                east, north, up = position["vel_enu_mps"]
-                estimate = Estimate(enu, (east, north, up))
-            self._read = (position, self.frame, estimate)
-        return self._read[2]
+        slot = self._vehicle.slots.get(self._position_id)
+        frame = None if slot is None else slot.frame
+        if slot is not None:
+            self._at = slot.at
+        if self._told[0] is not frame or self._told[1] is not self.frame:
+            self._told = (frame, self.frame)
+            self._position = self._estimate = None
+            if frame is not None and self.frame is not None and self._read_position is not None:
+                # Not `section`, which has more than is wanted here: 2.7 us against 5.8, for each position that comes.
+                self._position = position = global_position(self._read_position(frame.payload))
+                if position.lat_deg is not None and position.lon_deg is not None:
+                    enu = self.frame.from_geodetic(position.lat_deg, position.lon_deg, position.alt_amsl_m)
+                    self._estimate = Estimate(enu, position.vel_enu_mps)
+        return self._estimate
 
     def age_s(self, now: float) -> float | None:
         """How long ago what `estimate` gave last came; None if it gave none."""
-        return None if self._read[2] is None else now - self._at
+        return None if self._estimate is None else now - self._at
 
     def yaw_rad(self) -> float:
         """Its present yaw (ENU); north unless it tells."""
@@ -98,6 +113,20 @@ class Outlook:
 
     def attitude_is_finite(self, now: float) -> bool:
         """What it tells of its attitude, if it tells, are numbers."""
+        slots = self._vehicle.slots
+        slot = slots.get(self._attitude_id)
+        if slot is None or slot.frame is None or self._quaternion_id in slots or self._read_attitude is None:
+            return self._whole_attitude_is_finite(now)
+        if now - slot.at > ATTITUDE_FRESH_S:
+            return True
+        frame = slot.frame
+        if self._attitude[0] is not frame:
+            # Only the angles, not the section with its quaternion: 0.9 us against 9, for each attitude that comes.
+            self._attitude = (frame, finite_angles(self._read_attitude(frame.payload)))
+        return self._attitude[1]
+
+    def _whole_attitude_is_finite(self, now: float) -> bool:
+        """The same of a vehicle that tells it by two messages, or by the other one."""
         slot = self._vehicle.slot("ATTITUDE") or self._vehicle.slot("ATTITUDE_QUATERNION")
         if slot is None or now - slot.at > ATTITUDE_FRESH_S:
             return True
@@ -119,11 +148,11 @@ class Outlook:
 
     def breach(self) -> str | None:
         """Why the vehicle, where `estimate` found it, is outside the fence; None: it is not."""
-        fence, position = self._fence, self._read[0]
-        if fence is None or self._read[2] is None:
+        fence, position = self._fence, self._position
+        if fence is None or position is None or position.lat_deg is None or position.lon_deg is None:
             return None
         if self._breach[0] is not position:
-            self._breach = (position, fence.why_not(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]))
+            self._breach = (position, fence.why_not(position.lat_deg, position.lon_deg, position.alt_amsl_m))
         return self._breach[1]
 
     def reference_breach(self, reference: Reference) -> str | None:
@@ -133,7 +162,7 @@ class Outlook:
         taken over near a wall may stay where it is.
         """
         fence = self._fence
-        if fence is None or self._read[2] is None:
+        if fence is None or self._estimate is None:
             return None
         place = self.place_of(reference)
         if place is not self._fenced[0]:
