@@ -18,6 +18,7 @@ from typing import Any
 import structlog
 
 from skygcs import __version__
+from skygcs.config.endpoints import endpoint_text
 from skygcs.config.models import FleetConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.control.deadman import DeadMan
@@ -61,6 +62,13 @@ log = structlog.get_logger("skygcs")
 _QUIET_KINDS = frozenset({"statustext", "command", "route"})
 """Events that are told to subscribers and logged at debug or info, not as changes of the daemon's own state."""
 
+
+_NOTE_KINDS = {
+    "conflict": "conflict",
+    "duplicate": "duplicate",
+    "duplicate_over": "duplicate",
+    "out_of_bounds": "warning",
+}
 
 class Daemon:
     """One running skygcs. `run` until `stop`; the rest answers the RPC methods (loop thread only)."""
@@ -276,6 +284,7 @@ class Daemon:
         text = {
             "learned": f"{who} heard on {where}",
             "expired": f"{who} not heard on {where} for {self.config.daemon.route_timeout_s:g} s, route forgotten",
+            "out_of_bounds": _beyond(note, where, channel),
             "cleared": f"{who} restarted (SYSTEM_TIME went back), its routes are learned anew",
             "conflict": f"{where} sends frames with our own id {who}: they are dropped; "
             "give one of the two another daemon.sysid or daemon.compid",
@@ -287,7 +296,7 @@ class Daemon:
             "(PX4: MAV_SYS_ID, ArduPilot: SYSID_THISMAV)",
             "duplicate_over": f"only one vehicle with system id {note.sysid} is heard any more: it takes orders again",
         }[note.kind]
-        kind = {"conflict": "conflict", "duplicate": "duplicate", "duplicate_over": "duplicate"}.get(note.kind, "route")
+        kind = _NOTE_KINDS.get(note.kind, "route")
         vehicle = self.fleet.vehicles.get(note.sysid << 8 | note.compid)
         name = vehicle.name if vehicle is not None and kind == "duplicate" else None
         self.on_event(Event(kind, name, note.sysid, text, {"change": note.kind, "compid": note.compid}))
@@ -445,5 +454,18 @@ def _read_token(path: Path | None) -> str | None:
     if mode & 0o077:
         raise LinkError(f"daemon.token_file {path}: others can read it; chmod 600 {path}")
     if len(token) < 16:
+def _beyond(note: RouteNote, where: str, channel: Channel | None) -> str:
+    """What is told of a program behind a bound link that addressed somebody else; in the ids that it knows."""
+    if channel is None or channel.endpoint is None:
+        return f"{where} addressed a system that its link is not bound to"
+    turned = channel.endpoint.turned
+    allowed = ", ".join(str(turned(sysid)) for sysid in sorted(channel.endpoint.vehicles))
+    meant = f"system {turned(note.target)}" if note.target else "all systems (target 0)"
+    return (
+        f"{where}: {turned(note.sysid)}/{note.compid} addressed {meant}, and this link is bound to "
+        f"{endpoint_text(channel.config)}: dropped, as all such frames; what may be addressed there: {allowed}"
+    )
+
+
         raise LinkError(f"daemon.token_file {path}: the token needs at least 16 characters")
     return token

@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from skygcs.config.checks import replay_warnings
+from skygcs.config.checks import link_warnings
 from skygcs.config.dialects import load_dialect
+from skygcs.config.endpoints import endpoint_text
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
     FleetConfig,
@@ -59,8 +60,9 @@ def _show(file: Path, config: FleetConfig) -> None:
         table.add_column("where", overflow="fold")
         table.add_column("role")
         for name, link in config.links.items():
-            role = link.role if link.enabled else f"{link.role}, not enabled"
-            table.add_row(escape(name), link.type, escape(_where(link)), role)
+            role = f"{link.role}: {endpoint_text(link)}" if link.vehicles else link.role
+            role = role if link.enabled else f"{role}, not enabled"
+            table.add_row(escape(name), link.type, escape(_where(link)), escape(role))
         console.print(table)
     else:
         console.print("links    none; they can be added while it runs")
@@ -105,7 +107,7 @@ def _notes(config: FleetConfig) -> list[str]:
                 read_key(link.signing.key_file)
             except KeyFileError as error:
                 notes.append(f"links.{name}.signing: {error}; skygcs will not start so")
-    notes += [f"links.{name}: {text}" for name, text in replay_warnings(config.links).items()]
+    notes += [f"links.{name}: {text}" for name, text in link_warnings(config).items()]
     token = config.daemon.token_file
     if token is not None and not token.is_file():
         notes.append(f"daemon.token_file: there is no file {token} now")

@@ -243,7 +243,7 @@ def links_table(links: Iterable[Mapping[str, Any]], width: int = PIPE_WIDTH) -> 
         state_text = state if timeless else f"{state} {duration(since)}"
         if state not in ("up", "disabled") and link.get("last_error"):
             reasons.append(Text(f"{link['name']}: {' '.join(str(link['last_error']).split())}", style="red"))
-        head = (str(link["name"]), str(link.get("type", "")), str(link.get("role", "")), state_text)
+        head = (str(link["name"]), str(link.get("type", "")), _role(link), state_text)
         channels = [_channel_cells(channel) for channel in link.get("channels") or ()] or [("",) * 8]
         rows += [(*(head if i == 0 else ("",) * 4), *cells) for i, cells in enumerate(channels)]
         styles += [{"down": "red", "disabled": "dim"}.get(state)] * len(channels)
@@ -254,6 +254,13 @@ def links_table(links: Iterable[Mapping[str, Any]], width: int = PIPE_WIDTH) -> 
     for row, style in zip(rows, styles, strict=True):
         table.add_row(*(Text(row[i]) for i in shown), style=style)
     return Group(table, *reasons)
+
+
+def _role(link: Mapping[str, Any]) -> str:
+    """ "radio"; of a link bound to vehicles whom it shows: "kite as 1"."""
+    vehicles = ", ".join(str(vehicle) for vehicle in link.get("vehicles") or ())
+    shown_as = f" as {link['present_as']}" if link.get("present_as") is not None else ""
+    return vehicles + shown_as or str(link.get("role", ""))
 
 
 def _channel_cells(channel: Mapping[str, Any]) -> tuple[str, ...]:

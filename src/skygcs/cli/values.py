@@ -70,10 +70,10 @@ def parse_pairs(pairs: list[str]) -> dict[str, Any]:
 
 
 def parse_link(pairs: list[str]) -> dict[str, Any]:
-    """`parse_pairs` for a link's table: filters are lists, also of names and of one. Raises BadParameter."""
+    """`parse_pairs` for a link's table: filters and vehicles are lists, also of one. Raises BadParameter."""
     link = parse_pairs(pairs)
     for key, value in link.items():
-        if key.startswith(("allow_", "block_")) and not isinstance(value, list):
+        if key.startswith(("allow_", "block_", "vehicles")) and not isinstance(value, list):
             names = value.split(",") if isinstance(value, str) else [value]
             link[key] = [parse_value(n.strip()) if isinstance(n, str) else n for n in names if n != ""]
     return link

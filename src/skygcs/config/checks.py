@@ -6,10 +6,10 @@ import difflib
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 from itertools import combinations
 
 from skygcs.config.control import ControlSettings
+from skygcs.config.endpoints import endpoint_problems, endpoint_warnings
 from skygcs.config.keylines import KeyPath
 from skygcs.config.models import (
     FleetConfig,
@@ -24,6 +24,7 @@ from skygcs.config.models import (
     UdpServerLink,
     VehicleSettings,
 )
+from skygcs.config.problem import Problem
 from skygcs.config.radio import RadioKeys
 from skygcs.core.mavlink.dialect import Dialect
 
@@ -35,15 +36,6 @@ MAX_MSGID = 0xFFFFFF
 
 _WILDCARDS = frozenset({"", "0.0.0.0", "::"})
 _LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-
-
-@dataclass(frozen=True, slots=True)
-class Problem:
-    """One thing wrong with a fleet file. ``missing``: the key at ``path`` should be there and is not."""
-
-    path: KeyPath
-    text: str
-    missing: bool = False
 
 
 def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Problem]:
@@ -59,6 +51,7 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     problems += _own_places(active)
     problems += _contradicting_filters(config.links)
     problems += _signing(active)
+    problems += endpoint_problems(config)
     socket = config.daemon.socket
     if socket is not None and len(os.fsencode(socket)) > MAX_SOCKET_PATH_BYTES:
         problems.append(
@@ -76,6 +69,11 @@ def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[st
     before = conflicts(config.model_copy(update={"links": others}))
     after = conflicts(config.model_copy(update={"links": {**others, name: link}}))
     return [f"{'.'.join(map(str, p.path))}: {p.text}" for p in after if p not in before]
+
+
+def link_warnings(config: FleetConfig) -> dict[str, str]:
+    """By the name of each link that stands badly beside another, what to think of."""
+    return {**replay_warnings(config.links), **endpoint_warnings(config)}
 
 
 def replay_warnings(links: Mapping[str, LinkConfig]) -> dict[str, str]:

@@ -15,7 +15,7 @@ from typing import Any, get_args
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
-from skygcs.config.checks import Problem, conflicts, dialect_problems, message_problems, stream_problems
+from skygcs.config.checks import conflicts, dialect_problems, message_problems, stream_problems
 from skygcs.config.control import ControlSettings, FenceSettings, GainSettings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.keylines import KeyPath, key_lines, line_of
@@ -33,6 +33,7 @@ from skygcs.config.models import (
     VehicleSettings,
 )
 from skygcs.config.preflight import PreflightSettings, RuleSettings
+from skygcs.config.problem import Problem
 from skygcs.config.signing import SigningSettings
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError

@@ -110,6 +110,10 @@ class LinkCommon(Model):
     rate_out: RateLimits = RateLimits()
     signing: SigningSettings | None = None
     """Check the signature of what comes and sign what is ours."""
+    vehicles: tuple[str | int, ...] = ()
+    """Names or system ids of the only vehicles that who is behind this link sees and may speak to ("bound")."""
+    present_as: Sysid | None = None
+    """The system id under which its one vehicle is shown there."""
 
 
 class SerialLink(RadioKeys, LinkCommon):
@@ -327,6 +331,18 @@ class FleetConfig(Model):
         """Every vehicle with defaults < type < vehicle applied."""
         named = {"named": True}
         return tuple(self._resolved(n, entry).model_copy(update=named) for n, entry in self.vehicles.items())
+
+    def bound_sysids(self, link: LinkConfig) -> dict[str | int, int | None]:
+        """The system id of each of the link's ``vehicles``; None for what is none: no name, no id from 1 to 255."""
+        return {vehicle: self._sysid_of(vehicle) for vehicle in link.vehicles}
+
+    def _sysid_of(self, vehicle: str | int) -> int | None:
+        entry = self.vehicles.get(vehicle) if isinstance(vehicle, str) else None
+        if entry is not None:
+            return entry.sysid
+        digits = vehicle.removeprefix("v") if isinstance(vehicle, str) else str(vehicle)
+        number = int(digits) if digits.isdecimal() and digits.isascii() else 0
+        return number if 1 <= number <= 255 else None
 
     def default_vehicle(self, sysid: int) -> VehicleConfig:
         """Settings of a vehicle that is not in the file."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
+from enum import StrEnum
 
 
-class Verdict(Enum):
-    """What became of a frame. Values are the names of the counters."""
+class Verdict(StrEnum):
+    """What became of a frame. Values are the names of the counters. (Of a plain Enum the hash is worked out in Python.)"""
 
     FORWARDED = "forwarded"
     LOCAL = "local"
@@ -17,6 +17,8 @@ class Verdict(Enum):
     DUPLICATE = "duplicate"
     CONFLICT = "conflict"
     FILTERED_IN = "filtered_in"
+    OUT_OF_BOUNDS = "out_of_bounds"
+    """From a link bound to vehicles, and for somebody else."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +43,12 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class RouteNote:
-    """A change worth a log line: learned, expired, cleared, conflict, echo, duplicate or duplicate_over."""
+    """A change worth a log line: learned, expired, cleared, conflict, echo, duplicate, duplicate_over, or a target that
+    was out_of_bounds."""
 
     kind: str
     sysid: int
     compid: int
     channel_id: int
+    target: int = 0
+    """Of out_of_bounds: the system that was addressed; 0: all."""

@@ -119,6 +119,8 @@ class ChannelPolicy:
     replayed: bool = False
     """What comes is a recording: shown to ground stations, never to vehicles, and nothing is sent there."""
     group: str | None = None
+    vehicles: frozenset[int] = frozenset()
+    """System ids that the channel is bound to; empty: it is not bound."""
     forward_unknown: bool = True
     filter_in: MessageFilter = field(default_factory=MessageFilter)
     filter_out: MessageFilter = field(default_factory=MessageFilter)

@@ -15,9 +15,22 @@ Rules (https://mavlink.io/en/guide/routing.html, and what a ground router of man
     target never heard                      nowhere, counted
     source = our own id                     nowhere: an echo, or somebody uses our id; counted, noted, not learned
     an autopilot's, from a gcs channel,     nowhere: an echo of what the ground station was sent
-    though it is heard elsewhere
+    though it is heard elsewhere            (from a bound channel: also if it is heard nowhere else)
     a recording's (replayed channel)        without a target: ground stations (role gcs); with one: nowhere. Nothing
                                             of what is alive elsewhere, and nothing is ever sent to the recording
+
+A channel may be bound to vehicles (`ChannelPolicy.vehicles`): a program behind it that knows of those only. Then also:
+
+    to it, from another system              nowhere: other vehicles, other ground stations, RADIO_STATUS, our own
+    from it, target = one of its vehicles   as above
+    from it, target = any other, ours too   nowhere; counted as out_of_bounds, noted once for each target
+    from it, target system 0                its vehicle (the link's edge, `core.presented`, has put it there); out of
+                                            bounds if there are several, as nobody meant them all
+    from it, no target or id not known      us; channels that are not bound and on which no autopilot of another system
+                                            is heard, those of role vehicle or radio only if one of its own is
+
+Many programs use one id (pymavlink is 255/0): what comes from bound channels is nobody's copy, and an answer goes where
+that id was heard and the system that answers may be heard.
 
 Never back to the channel it came from. SYSTEM_TIME going back means the system rebooted: its routes are cleared.
 """
@@ -61,11 +74,13 @@ _CONFLICT = Decision(Verdict.CONFLICT)
 _FILTERED_IN = Decision(Verdict.FILTERED_IN)
 _UNKNOWN_TARGET = Decision(Verdict.UNKNOWN_TARGET)
 _NOBODY = Decision(Verdict.NOBODY)
+_OUT_OF_BOUNDS = Decision(Verdict.OUT_OF_BOUNDS)
 
 # Kinds of broadcast, as bits: each has its own cached list of destinations per channel.
 _TELEMETRY = 1
 _UNKNOWN_ID = 2
 _RADIO_STATUS = 4
+_KIND_BITS = 3
 
 
 class _Port:
@@ -73,6 +88,7 @@ class _Port:
 
     __slots__ = (
         "boot_ms",
+        "bound",
         "broadcast",
         "conflict_at",
         "echoes",
@@ -85,13 +101,16 @@ class _Port:
         "limited",
         "limiter_in",
         "limiter_out",
+        "out_of_bounds",
         "policy",
+        "refused",
         "vehicles",
     )
 
     def __init__(self, channel_id: int, policy: ChannelPolicy) -> None:
         self.id = channel_id
         self.policy = policy
+        self.bound = policy.vehicles
         self.filter_in = policy.filter_in or None
         self.filter_out = policy.filter_out or None
         self.limiter_in = policy.limiter_in() or None
@@ -105,6 +124,13 @@ class _Port:
         self.filtered_in = 0
         self.filtered_out = 0
         self.limited = 0
+        self.out_of_bounds = 0
+        self.refused: set[int] = set()
+        """Targets out of bounds that were noted."""
+
+    def may_hear(self, sysid: int) -> bool:
+        """Whether frames of this system may be sent there."""
+        return not self.bound or sysid in self.bound
 
     @property
     def restricts_out(self) -> bool:
@@ -134,6 +160,7 @@ class Router:
         self.on_change: Callable[[], None] = lambda: None
         """Called whenever what `standing` said, a None as well, may no longer be so."""
         self._dedup = False
+        self._any_bound = False
         self._parallel: dict[int, ParallelChannels] = {}
         self._anchored: set[int] = set()
         self._rivals = RivalWatch()
@@ -170,6 +197,7 @@ class Router:
         for port in self._ports.values():
             port.broadcast.clear()
         self._dedup = len(self._ports) > 1
+        self._any_bound = any(port.bound for port in self._ports.values())
         self._anchored = {
             source
             for port in self._ports.values()
@@ -190,6 +218,8 @@ class Router:
             return self._counted(_FILTERED_IN)
         if source in self._anchored and (port.policy.role == "gcs" or port.policy.replayed):
             return self._echo(port, source)
+        if port.bound and frame.msgid == HEARTBEAT and _is_autopilots(frame):
+            return self._echo(port, source)
         info = frame.info
         if info is not None:
             if frame.msgid == SYSTEM_TIME:
@@ -200,9 +230,11 @@ class Router:
                 self._learn(port, source, now)
             if frame.msgid == HEARTBEAT:
                 self._check_vehicle(port, frame, source, now)
-        if self._dedup and self._is_copy(port, frame, source, now):
+        if self._dedup and not port.bound and self._is_copy(port, frame, source, now):
             return self._counted(_DUPLICATE)
         system, component = frame.target()
+        if port.bound and system not in port.bound and (system or _has_target(frame)):
+            return self._beyond(port, source, system)
         if port.limiter_in is not None and not port.limiter_in.passes(
             source, frame.msgid, len(frame.raw), system != 0, now
         ):
@@ -225,6 +257,8 @@ class Router:
         source = frame.sysid << 8 | frame.compid
         if frame.info is None or frame.msgid == SYSTEM_TIME or port.policy.replayed or not self._dedup:
             return None
+        if port.bound:
+            return None  # a lane would remember its frames, and take equal ones of another program for copies
         if source == self._own_source or source not in port.heard or frame.sysid in self._parallel:
             return None
         if source in self._anchored and port.policy.role == "gcs":
@@ -266,14 +300,16 @@ class Router:
             kind = _RADIO_STATUS
         if port.policy.carries_vehicles or source in port.vehicles:
             kind |= _TELEMETRY
+        if self._any_bound:
+            kind |= frame.sysid << _KIND_BITS
         cached = port.broadcast.get(kind)
         if cached is None:
-            cached = port.broadcast[kind] = self._broadcast_ports(port, kind)
+            cached = port.broadcast[kind] = self._broadcast_ports(port, kind, frame.sysid)
         return cached
 
-    def _broadcast_ports(self, port: _Port, kind: int) -> tuple[Decision, tuple[_Port, ...]]:
-        """The decision for this kind of broadcast, and those of its destinations that filter or limit."""
-        ports = [p for p in self._ports.values() if self._takes_broadcast(port, p, kind)]
+    def _broadcast_ports(self, port: _Port, kind: int, sysid: int) -> tuple[Decision, tuple[_Port, ...]]:
+        """The decision for this kind of broadcast of a system, and those of its destinations that filter or limit."""
+        ports = [p for p in self._ports.values() if p.may_hear(sysid) and self._takes_broadcast(port, p, kind)]
         verdict = Verdict.FORWARDED if ports else Verdict.LOCAL
         decision = Decision(verdict, tuple(p.id for p in ports), local=True)
         return decision, tuple(p for p in ports if p.restricts_out)
@@ -285,7 +321,16 @@ class Router:
             return False
         if kind & _UNKNOWN_ID and not port.policy.forward_unknown:
             return False
+        if source.bound and not self._is_of_bound(source, port):
+            return False
         return not (kind & _RADIO_STATUS and (port.policy.carries_vehicles or port.vehicles))
+
+    @staticmethod
+    def _is_of_bound(source: _Port, port: _Port) -> bool:
+        """Whether what a bound channel says to nobody by name reaches none but its own vehicles on this one."""
+        if port.bound or any(autopilot >> 8 not in source.bound for autopilot in port.vehicles):
+            return False
+        return bool(port.vehicles) or not port.policy.carries_vehicles
 
     def _targeted(self, port: _Port, frame: Frame, system: int, component: int, now: float) -> Decision:
         ports: list[_Port] | None
@@ -304,7 +349,7 @@ class Router:
             return Decision(Verdict.LOCAL, (), local=True) if local else _UNKNOWN_TARGET
         if len(ports) > 1 and system in self._parallel:
             ports = self._preferred(ports, system, now)
-        ids = tuple(p.id for p in ports if self._may_forward(port, p))
+        ids = tuple(p.id for p in ports if self._may_forward(port, p) and p.may_hear(frame.sysid))
         if not ids:
             return Decision(Verdict.LOCAL, (), local=True) if local else _NOBODY
         decision = Decision(Verdict.FORWARDED, ids, local)
@@ -356,12 +401,13 @@ class Router:
     def route_own(self, sysid: int, compid: int, now: float, *, everywhere: bool = False) -> tuple[int, ...]:
         """Channels for a message of ours: all for system 0; else the best one to that component or system.
 
-        ``everywhere`` (emergencies) takes every channel on which it was heard. () if it was never heard.
+        ``everywhere`` (emergencies) takes every channel on which it was heard. () if it was never heard. Never one that
+        is bound to vehicles.
         """
         if sysid == 0:
-            return tuple(p.id for p in self._ports.values() if not p.policy.replayed)
+            return tuple(p.id for p in self._ports.values() if not p.policy.replayed and not p.bound)
         ports = self._by_source.get(sysid << 8 | compid) or self._by_system.get(sysid) or []
-        ports = [p for p in ports if not p.policy.replayed]
+        ports = [p for p in ports if not p.policy.replayed and not p.bound]
         ports = [p for p in ports if p.policy.role != "gcs"] or ports
         if not ports:
             return ()
@@ -414,11 +460,13 @@ class Router:
         before = port.boot_ms.get(source, 0)
         if boot_ms < before and (boot_ms < JUST_BOOTED_MS or boot_ms < before - BOOT_JITTER_MS):
             system = source >> 8
-            for other in self._ports.values():
+            # of programs with one id behind bound channels each has a clock of its own
+            for other in [port] if port.bound else [p for p in self._ports.values() if not p.bound]:
                 for known in [s for s in other.heard if s >> 8 == system]:
                     self._forget(other, known)
                     other.boot_ms.pop(known, None)
-            self._parallel.pop(system, None)
+            if not port.bound:
+                self._parallel.pop(system, None)
             self.on_change()
             self._note("cleared", source, port)
         if source in port.boot_ms or len(port.boot_ms) < MAX_ROUTES:
@@ -426,11 +474,7 @@ class Router:
 
     def _check_vehicle(self, port: _Port, frame: Frame, source: int, now: float) -> None:
         """A heartbeat of an autopilot: what this source broadcasts from here is telemetry of a vehicle."""
-        if source not in port.heard:
-            return
-        raw = frame.raw
-        at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
-        if raw[1] < 6 or raw[at + 5] == _MAV_AUTOPILOT_INVALID or raw[at + 4] == _MAV_TYPE_GCS:
+        if source not in port.heard or not _is_autopilots(frame):
             return
         if source not in port.vehicles:
             port.vehicles.add(source)
@@ -490,8 +534,16 @@ class Router:
         port.conflict_at = now
         return self._counted(_CONFLICT)
 
-    def _note(self, kind: str, source: int, port: _Port) -> None:
-        self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id))
+    def _beyond(self, port: _Port, source: int, target: int) -> Decision:
+        """From a bound channel, for who is none of its vehicles."""
+        port.out_of_bounds += 1
+        if target not in port.refused:
+            port.refused.add(target)
+            self._note("out_of_bounds", source, port, target)
+        return self._counted(_OUT_OF_BOUNDS)
+
+    def _note(self, kind: str, source: int, port: _Port, target: int = 0) -> None:
+        self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id, target))
 
     # -- what a person asks
 
@@ -510,11 +562,24 @@ class Router:
         return sorted(rows)
 
     def port_counters(self, channel_id: int) -> dict[str, int]:
-        """What filters and limits kept out on one channel."""
+        """What filters, limits and the vehicles it is bound to kept out on one channel."""
         port = self._ports.get(channel_id)
         if port is None:
             return {}
-        return {"filtered_in": port.filtered_in, "filtered_out": port.filtered_out, "rate_limited": port.limited}
+        kept = {"filtered_in": port.filtered_in, "filtered_out": port.filtered_out, "rate_limited": port.limited}
+        return kept | {"out_of_bounds": port.out_of_bounds} if port.bound else kept
+
+
+def _is_autopilots(heartbeat: Frame) -> bool:
+    """Whether this is the heartbeat of an autopilot."""
+    raw = heartbeat.raw
+    at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
+    return raw[1] >= 6 and raw[at + 5] != _MAV_AUTOPILOT_INVALID and raw[at + 4] != _MAV_TYPE_GCS
+
+
+def _has_target(frame: Frame) -> bool:
+    """Whether the message has a field for its target, whatever stands there."""
+    return frame.info is not None and frame.info.target_system_offset >= 0
 
 
 def _shown_by(heartbeat: Frame) -> bytes:

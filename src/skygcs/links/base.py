@@ -19,6 +19,7 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
+from skygcs.core.presented import Endpoint
 
 if TYPE_CHECKING:
     from skygcs.links._express import Lane, Out, Table
@@ -151,6 +152,8 @@ class Channel(ABC):
         self.version = 2
         self.signing: ChannelSigning | None = None
         """Set by the host when it attaches the channel of a link that has a key."""
+        self.endpoint: Endpoint | None = None
+        """Set by the host when it attaches the channel of a link that is bound to vehicles."""
         self.air: AirBudget | None = None
         """Of a channel into a radio: what it may send."""
         self.opened_at = link.loop.time()
@@ -192,6 +195,7 @@ class Channel(ABC):
         """JSON-able counters of this channel; subclasses add their own."""
         stats = self.parser.stats
         signing = {} if self.signing is None else {"signing": self.signing.counters()}
+        endpoint = {} if self.endpoint is None else self.endpoint.counters()
         return {
             "rx_frames": self.rx_frames,
             "rx_bytes": self.rx_bytes,
@@ -202,6 +206,7 @@ class Channel(ABC):
             "bad_crc": stats.bad_crc,
             "unknown": stats.unknown,
             "skipped_bytes": stats.skipped_bytes,
+            **endpoint,
             **signing,
         }
 

@@ -21,6 +21,7 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
+from skygcs.core.presented import Endpoint
 from skygcs.core.routing import HEARTBEAT, Router
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Noted, OwnMessage, Way
 from skygcs.links.express import new_table
@@ -46,11 +47,12 @@ MAX_HOPELESS = 16384
 WHOLE_DATAGRAM_BYTES = 1472
 """Frames that came in one datagram are sent on in one up to this size, what one Ethernet packet carries."""
 
-_DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN)
+_DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN, Verdict.OUT_OF_BOUNDS)
 
 
-def channel_policy(config: LinkConfig, dialect: Dialect) -> ChannelPolicy:
-    """The routing policy of a link's channels. Raises KeyError for a message name the dialect does not have."""
+def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int] = frozenset()) -> ChannelPolicy:
+    """The routing policy of a link's channels; ``vehicles``: the system ids it is bound to. Raises KeyError for a
+    message name the dialect does not have."""
 
     def msgid(name: MessageName) -> int:
         if isinstance(name, int) or name.isdecimal():
@@ -69,6 +71,7 @@ def channel_policy(config: LinkConfig, dialect: Dialect) -> ChannelPolicy:
         link=config.name,
         replayed=config.type == "replay",
         group=config.group,
+        vehicles=vehicles,
         forward_unknown=config.role != "radio" if unknown is None else unknown,
         filter_in=MessageFilter(
             msgids(config.allow_msg_id_in),
@@ -135,6 +138,8 @@ class Hub:
         self._record_many = record_many
         self._only_noted = only_noted
         self._hopeless: set[int] = set()
+        self._renumbering: dict[int, Endpoint] = {}
+        """By channel id: what is sent there is changed on the way."""
         self.channels: dict[int, Channel] = {}
         self.faults = 0
         self.replayed: set[int] = set()
@@ -174,7 +179,12 @@ class Hub:
             for stats in parted.values():
                 stats.restart()  # what was sent while nobody listened is not a loss of the link
             channel.sources = parted
-        self.router.open(channel.id, channel_policy(channel.config, self.dialect))
+        sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
+        if sysids:
+            channel.endpoint = Endpoint(sysids, channel.config.present_as)
+            if channel.endpoint.renumbers:
+                self._renumbering[channel.id] = channel.endpoint
+        self.router.open(channel.id, channel_policy(channel.config, self.dialect, sysids))
         if self._signing is not None:
             self._signing.attach(channel)
         if self._heartbeat is not None:
@@ -189,6 +199,7 @@ class Hub:
         """The channel is gone, with its routes. Idempotent."""
         if self.channels.pop(channel.id, None) is not None:
             self.router.close(channel.id)
+            self._renumbering.pop(channel.id, None)
             self._parted[channel.link.name, channel.peer] = channel.sources
             if len(self._parted) > MAX_PARTED:
                 del self._parted[next(iter(self._parted))]
@@ -201,6 +212,8 @@ class Hub:
             frames = channel.signing.admit(channel, frames)
             if not frames:
                 return  # nothing was heard that counts
+        if channel.endpoint is not None:
+            frames = channel.endpoint.inward(frames)
         decide = self.router.decide
         on_vehicle_frame = self._on_vehicle_frame
         channels = self.channels
@@ -210,7 +223,8 @@ class Hub:
         unix_us = time.time_ns() // 1000
         label = channel.link.name
         channel.last_rx_at = now
-        together: list[tuple[bytes, tuple[int, ...]]] | None = None
+        renumbering = self._renumbering
+        together: list[tuple[Frame, tuple[int, ...]]] | None = None
         if channel.whole_datagrams and len(frames) > 1:
             together = []
         for frame in frames:
@@ -230,9 +244,12 @@ class Hub:
                 decision = decide(channel_id, frame, now)
                 if together is None:
                     for destination in decision.destinations:
-                        channels[destination].send(raw)
+                        if destination in renumbering:
+                            self._send_as_shown(destination, [frame])
+                        else:
+                            channels[destination].send(raw)
                 else:
-                    together.append((raw, decision.destinations))
+                    together.append((frame, decision.destinations))
                 if decision.verdict in _DROPPED:
                     continue
                 if self._record is not None:
@@ -250,19 +267,34 @@ class Hub:
         if self.router.notes:
             self._drain_notes()
 
-    def _send_together(self, frames: list[tuple[bytes, tuple[int, ...]]]) -> None:
+    def _send_together(self, frames: list[tuple[Frame, tuple[int, ...]]]) -> None:
         """What came in one datagram: on in one, to channels that take it, if all of it goes the same way."""
         channels = self.channels
         destinations = frames[0][1]
-        data = b"".join([raw for raw, _ in frames])
+        data = b"".join([frame.raw for frame, _ in frames])
         whole = len(data) <= WHOLE_DATAGRAM_BYTES and all(to == destinations for _, to in frames)
         if whole and all(channels[d].whole_datagrams for d in destinations):
             for destination in destinations:
-                channels[destination].send_whole(data, len(frames))
+                if destination in self._renumbering:
+                    self._send_as_shown(destination, [frame for frame, _ in frames])
+                else:
+                    channels[destination].send_whole(data, len(frames))
             return
-        for raw, to in frames:
+        for frame, to in frames:
             for destination in to:
-                channels[destination].send(raw)
+                if destination in self._renumbering:
+                    self._send_as_shown(destination, [frame])
+                else:
+                    channels[destination].send(frame.raw)
+
+    def _send_as_shown(self, channel_id: int, frames: list[Frame]) -> None:
+        """To a program that knows its vehicle under another id: frames of one datagram, or one."""
+        channel, endpoint = self.channels[channel_id], self._renumbering[channel_id]
+        shown = [raw for frame in frames if (raw := endpoint.outward(frame)) is not None]
+        if len(shown) > 1:
+            channel.send_whole(b"".join(shown), len(shown))
+        elif shown:
+            channel.send(shown[0])
 
     # -- compiled lanes
 
@@ -303,6 +335,8 @@ class Hub:
             return None
         if any((m is None or frame.msgid in m) and (k is None or key in k) for m, k, _ in self._taps):
             return None
+        if any(d in self._renumbering for d in standing.destinations):
+            return None  # each frame has to be changed on its way there
         outs = tuple(out for d in standing.destinations if (out := self.channels[d].out) is not None)
         if len(outs) != len(standing.destinations):
             return None
@@ -385,12 +419,13 @@ class Hub:
         return ids
 
     def send_heartbeat(self, info: MessageInfo, values: Mapping[str, Any]) -> None:
-        """Our heartbeat, on every channel whatever its role; a channel that opens later is greeted with the newest."""
+        """Our heartbeat, on every channel that is not bound to vehicles, whatever its role; one that opens later is
+        greeted with the newest."""
         message = self._heartbeat = OwnMessage(info, info.pack(values), *self._own)
         self._send_on(tuple(self.channels), message, Priority.HEARTBEAT, "heartbeat")
 
     def send_on(self, ids: Iterable[int], info: MessageInfo, values: Mapping[str, Any], priority: Priority) -> bool:
-        """A message of ours to exactly these channels; False if none of them took it."""
+        """A message of ours to exactly these channels; False if none of them took it. Never to a bound one."""
         return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, None)
 
     def channels_of_link(self, link: str) -> tuple[int, ...]:
@@ -401,7 +436,7 @@ class Hub:
         sent = False
         for channel_id in ids:
             channel = self.channels.get(channel_id)
-            if channel is not None:
+            if channel is not None and channel.endpoint is None:  # who knows one vehicle only has not heard of us
                 sent |= channel.send(message, priority, key)
         return sent
 

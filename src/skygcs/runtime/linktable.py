@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
-from skygcs.config.checks import added_conflicts, replay_warnings
+from skygcs.config.checks import added_conflicts, link_warnings
 from skygcs.config.loader import parse_link
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
@@ -153,11 +153,13 @@ class LinkTable:
 
     def _checked(self, name: str, table: Mapping[str, Any]) -> LinkConfig:
         config = parse_link(name, dict(table), self._dialect)
-        current = self._fleet_config.model_copy(update={"links": self.configs})
-        if problems := added_conflicts(current, name, config):
+        if problems := added_conflicts(self._current(), name, config):
             raise LinkError(f"link {name}: " + "; ".join(problems))
         self._signing.prepare(config)
         return config
+
+    def _current(self) -> FleetConfig:
+        return self._fleet_config.model_copy(update={"links": self.configs})
 
     def _enter(self, name: str, config: LinkConfig) -> None:
         assert self._group is not None
@@ -176,15 +178,16 @@ class LinkTable:
             await asyncio.wait({entry.task})  # which, unlike awaiting it, does not swallow a cancellation of our own
 
     def _warn(self, which: Mapping[str, LinkConfig]) -> None:
-        for name, text in replay_warnings(self.configs).items():
+        for name, text in link_warnings(self._current()).items():
             if name in which:
                 self._on_event(Event("warning", None, None, f"links.{name}: {text}", {"link": name}))
 
     # -- what a person asks
 
     def status(self, now: float, channel_status: Callable[[Channel], dict[str, Any]]) -> list[dict[str, Any]]:
-        """Every link with its state, counters and channels; ``warning`` where it stands badly beside another."""
-        warnings = replay_warnings(self.configs)
+        """Every link with its state, counters and channels; ``vehicles`` where it is bound to some; ``warning`` where
+        it stands badly beside another."""
+        warnings = link_warnings(self._current())
         rows = []
         for name, entry in self._entries.items():
             supervisor = entry.supervisor
@@ -202,6 +205,8 @@ class LinkTable:
                     **supervisor.link.counters(),
                     "channels": [channel_status(c) for c in supervisor.link.channels],
                 }
+            if entry.config.vehicles:
+                row |= {"vehicles": list(entry.config.vehicles), "present_as": entry.config.present_as}
             if name in warnings:
                 row["warning"] = warnings[name]
             rows.append(row)

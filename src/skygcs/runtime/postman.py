@@ -53,6 +53,8 @@ class Postman:
             self._refuse_flown(info, fields, target)
         if link is not None:
             self._links.require(link)
+            if self._links.configs[link].vehicles:
+                raise RefusedError(f"link {link} is bound to vehicles: who is behind it is sent nothing of ours")
             return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields)))
         if target is not None:
             return self._to_vehicles(info, fields, target)
