@@ -32,6 +32,7 @@ from skygcs.links.base import Channel
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.air_planner import AirPlanner
+from skygcs.runtime.corrections import CorrectionFeed
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
@@ -131,6 +132,7 @@ class Daemon:
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()
+        self._corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self._postman = Postman(self.hub, self.fleet, self.links)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
@@ -385,6 +387,14 @@ class Daemon:
     def select_vehicles(self, keys: set[int]) -> None:
         """See `AirPlanner.select`."""
         self.air.select(keys)
+
+    def send_corrections(self, source: str, data: bytes) -> dict[str, Any]:
+        """See `CorrectionFeed.send`."""
+        return self._corrections.send(source, data)
+
+    def corrections_status(self) -> dict[str, Any]:
+        """See `CorrectionFeed.status`."""
+        return self._corrections.status()
 
     def links_status(self) -> list[dict[str, Any]]:
         """Every link with its state, channels, counters and sources."""

@@ -380,6 +380,10 @@ class FakeDaemon:
         self.sent: list[tuple[str, dict[str, Any], str | None, str | None]] = []
         self.links: dict[str, dict[str, Any]] = {"radio": {"type": "serial", "device": "/dev/ttyUSB0"}}
         self.link_states: dict[str, dict[str, Any]] = {}
+        self.corrections: list[tuple[str, bytes]] = []
+        self.corrections_fail: Exception | None = None
+        self.corrections_taken: dict[str, Any] = {}
+        self.corrections_told: dict[str, Any] = {}
         self._on_event: list[Callable[[Mapping[str, Any]], None]] = []
         self._on_frame: list[tuple[set[str] | None, set[int] | None, Callable[[Frame, Any, float], None]]] = []
         self.emit("vehicle_discovered", "alpha", "alpha (1) discovered on radio")
@@ -404,6 +408,15 @@ class FakeDaemon:
 
     def select_vehicles(self, keys: set[int]) -> None:
         self.selected = keys
+
+    def send_corrections(self, source: str, data: bytes) -> dict[str, Any]:
+        if self.corrections_fail is not None:
+            raise self.corrections_fail
+        self.corrections.append((source, data))
+        return dict(self.corrections_taken)
+
+    def corrections_status(self) -> dict[str, Any]:
+        return dict(self.corrections_told)
 
     def links_status(self) -> list[dict[str, Any]]:
         return [

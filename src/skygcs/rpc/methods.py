@@ -12,7 +12,7 @@ from itertools import islice
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
-from skygcs.rpc import air, control, dispatch, fence, missions, openrpc, origin, params, preflight, signing
+from skygcs.rpc import air, control, corrections, dispatch, fence, missions, openrpc, origin, params, preflight, signing
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -365,6 +365,7 @@ METHODS: dict[str, Method[Context]] = {
         *control.METHODS,
         *missions.METHODS,
         *air.METHODS,
+        *corrections.METHODS,
         *fence.METHODS,
         *signing.METHODS,
         *preflight.METHODS,

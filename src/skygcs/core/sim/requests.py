@@ -309,6 +309,10 @@ def _heartbeat(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> Non
         v.on_gcs_heartbeat(sender, now)
 
 
+def _corrections(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+    v.rtk.on_message(fields, now)
+
+
 def _file_transfer(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
     v.on_file_transfer(bytes(fields["payload"]), sender, now)
 
@@ -326,4 +330,5 @@ _HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
     "SET_MODE": _set_mode,
     "SETUP_SIGNING": _setup_signing,
     "FILE_TRANSFER_PROTOCOL": _file_transfer,
+    "GPS_RTCM_DATA": _corrections,
 }

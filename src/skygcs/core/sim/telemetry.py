@@ -93,11 +93,14 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
         unknown = {"eph": UNKNOWN_U16, "epv": UNKNOWN_U16, "vel": UNKNOWN_U16, "cog": UNKNOWN_U16}
         return {"time_usec": v.boot_ms * 1000, "fix_type": m.GPS_FIX_TYPE_NO_FIX, **unknown}
     motion = v.told
-    lat, lon = v.where.to_geodetic(motion.east_m + v.chance.spread(0.4), motion.north_m + v.chance.spread(0.4))
-    alt_mm = round((v.where.alt_amsl_m + motion.up_m + v.chance.spread(0.5)) * 1000)
+    fix_type = v.rtk.fix_type(now)
+    fixed = fix_type == m.GPS_FIX_TYPE_RTK_FIXED
+    error_m = 0.02 if fixed else 0.4
+    lat, lon = v.where.to_geodetic(motion.east_m + v.chance.spread(error_m), motion.north_m + v.chance.spread(error_m))
+    alt_mm = round((v.where.alt_amsl_m + motion.up_m + v.chance.spread(1.25 * error_m)) * 1000)
     return {
         "time_usec": v.boot_ms * 1000,
-        "fix_type": m.GPS_FIX_TYPE_3D_FIX,
+        "fix_type": fix_type,
         "lat": round(lat * 1e7),
         "lon": round(lon * 1e7),
         "alt": alt_mm,
@@ -107,8 +110,8 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
         "vel": round(motion.groundspeed_mps * 100),
         "cog": round(degrees(atan2(motion.vel_e_mps, motion.vel_n_mps)) % 360 * 100) % 36000,
         "satellites_visible": v.faults.satellites,
-        "h_acc": 800,
-        "v_acc": 1300,
+        "h_acc": 14 if fixed else 800,
+        "v_acc": 20 if fixed else 1300,
         "vel_acc": 200,
     }
 

@@ -28,6 +28,7 @@ from skygcs.core.sim.mission_lists import MissionLists
 from skygcs.core.sim.mission_run import MissionRun
 from skygcs.core.sim.params import Param, Params
 from skygcs.core.sim.plan import GoTo, Plan
+from skygcs.core.sim.rtk import RtkReceiver
 from skygcs.core.sim.sensors import Sensors
 from skygcs.core.sim.signing import BoardSigning
 from skygcs.core.sim.streams import Streams
@@ -394,6 +395,7 @@ class SimVehicle(ABC):
         self.streams = Streams(
             (n for n in self.builders if n in self.dialect.by_name), self.default_rates_hz, self.chance, now
         )
+        self.rtk = RtkReceiver(whole_messages=self.autopilot != m.MAV_AUTOPILOT_PX4)
         self.plan.fly()
         self.on_boot(now)
 
