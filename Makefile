@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test check bench bench-control bench-radio clean format
+.PHONY: demo test check bench bench-control bench-radio soak clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
@@ -25,6 +25,9 @@ bench-control: $(STAMP)
 
 bench-radio: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.radio
+
+soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=250 SOAK_RATE=5000
+	PYTHONPATH=tests SOAK_MINUTES=$(or $(SOAK_MINUTES),60) $(BIN)/python -m bench.soak
 
 format: $(STAMP)
 	$(BIN)/ruff format .

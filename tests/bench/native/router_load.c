@@ -389,7 +389,9 @@ int main(int argc, char **argv) {
             for (char *p = strtok(value, ","); p && n_gcs < MAX_GCS; p = strtok(NULL, ",")) gcs_ports[n_gcs++] = atoi(p);
         else return fprintf(stderr, "%s: unknown key\n", argv[i]), 2;
     }
-    if (n_vehicles < 1 || n_vehicles > 200 || per_datagram < 1 || per_datagram > DATAGRAM / 45 || !n_gcs) return 2;
+    int most = commands.rate > 0 ? 200 : MAX_VEHICLES; /* ground stations that command have ids of their own above */
+    if (n_vehicles < 1 || n_vehicles > most || per_datagram < 1 || per_datagram > DATAGRAM / 45 || !n_gcs)
+        return fputs("vehicles=, per_datagram= or gcs= is out of range\n", stderr), 2;
     make_crc_table();
     prepare(&telemetry, n_gcs);
     prepare(&commands, 1);
