@@ -40,6 +40,8 @@ class ControlClock:
         self._period_s = period_s
         self._phase = phase
         self._due = 0.0
+        self._pace_s = 0.0
+        """The period when the next deadline was set."""
         self._handle: asyncio.TimerHandle | None = None
         self._lateness_s: deque[float] = deque(maxlen=KEPT)
 
@@ -50,7 +52,8 @@ class ControlClock:
     def start(self) -> None:
         """The first tick comes at once, or ``phase`` later. Without effect while it runs."""
         if self._handle is None:
-            self._due = self._loop.time() + self._phase * min(self._period_s(), SPREAD_S)
+            self._pace_s = self._period_s()
+            self._due = self._loop.time() + self._phase * min(self._pace_s, SPREAD_S)
             self._handle = self._loop.call_at(self._due, self._run)
 
     def stop(self) -> None:
@@ -76,24 +79,26 @@ class ControlClock:
         }
 
     def _run(self) -> None:
-        now = self._loop.time()
-        lateness_s = max(0.0, now - self._due)
+        now, handle = self._loop.time(), self._handle
+        lateness_s = now - self._due if now > self._due else 0.0
         self.ticks += 1
         self.late += lateness_s > LATE_S
         self._lateness_s.append(lateness_s)
-        self._handle = handle = self._loop.call_at(self._next(now), self._run)
-        self._tick(now)
-        if handle is self._handle and self._due - now > self._period_s():
-            handle.cancel()  # the tick made it faster: the first one of the new pace is not to wait for the old
-            self._due = now + self._period_s()
-            self._handle = self._loop.call_at(self._due, self._run)
+        try:
+            self._tick(now)
+        finally:
+            if self._handle is handle:  # it was not stopped, nor begun anew
+                self._handle = self._loop.call_at(self._next(now), self._run)
 
     def _next(self, now: float) -> float:
-        """The next deadline after now; those that have passed meanwhile are skipped."""
-        period_s = self._period_s()
-        self._due += period_s
+        """The next deadline after ``now``; those that have passed are skipped. A slower pace holds from then on, a
+        faster one at once: its first tick is not to wait for the old one."""
+        before_s, self._pace_s = self._pace_s, self._period_s()
+        self._due += before_s
         if self._due <= now:
-            missed = int((now - self._due) / period_s) + 1
+            missed = int((now - self._due) / before_s) + 1
             self.skipped += missed
-            self._due += missed * period_s
+            self._due += missed * before_s
+        if self._pace_s < before_s and self._due > now + self._pace_s:
+            self._due = now + self._pace_s
         return self._due

@@ -56,6 +56,8 @@ class Way(StrEnum):
 
 WAYS = (Way.ATTITUDE, Way.VELOCITY, Way.POSITION)
 """In the order of falling back."""
+_, _VELOCITY, _POSITION = WAYS
+"""Naming a member of an enumeration takes 75 ns (CPython 3.11), twice in every tick."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,11 +304,11 @@ def all_well(config: GuardConfig, facts: Facts, wanted: Way) -> bool:
     floor, battery = config.battery_min_percent, facts.battery_percent
     if floor is not None and battery is not None and not battery >= floor:
         return False
-    if wanted is Way.POSITION:
+    if wanted is _POSITION:
         return not _too_old(age_s, config.position_stale_s)
     if _too_old(age_s, config.stale_s) or not facts.rate_hz >= STREAM_MIN_HZ:  # stale_s is the smaller one of the two
         return False
-    if wanted is Way.VELOCITY:
+    if wanted is _VELOCITY:
         return delay_s is None or delay_s <= config.velocity_delay_s
     return (
         facts.rtt_p95_s is not None

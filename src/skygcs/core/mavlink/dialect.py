@@ -7,6 +7,7 @@ extension fields behind them unsorted, trailing zero bytes of a MAVLink 2 payloa
 
 from __future__ import annotations
 
+import operator
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -32,7 +33,16 @@ ABSENT = -1
 """Offset of a target field that a message does not have."""
 
 _ZEROS = bytes(MAX_PAYLOAD_BYTES + 8)
-_NUMBERS = [0] * MAX_PAYLOAD_BYTES
+
+MAX_PACKERS = 8
+"""Sets of fields of one message that have a packer of their own; skygcs itself gives no message more than three."""
+
+Packer = Callable[[Mapping[str, Any]], bytes | None]
+
+
+def _pack_nothing(values: Mapping[str, Any]) -> bytes | None:
+    """For fields that have to be packed one by one."""
+    return None
 
 
 class FieldInfo:
@@ -79,6 +89,7 @@ class MessageInfo:
 
     __slots__ = (
         "_names",
+        "_packers",
         "_struct",
         "crc_extra",
         "crc_extra_byte",
@@ -113,6 +124,7 @@ class MessageInfo:
         self.fields = tuple(fields)
         self._struct: struct.Struct | None = None
         self._names: tuple[tuple[str, int, bool], ...] = ()
+        self._packers: dict[tuple[str, ...], Packer] = {}
 
     def __repr__(self) -> str:
         return f"<MessageInfo {self.name} id {self.msgid}>"
@@ -154,8 +166,11 @@ class MessageInfo:
 
         Raises ValueError naming the message and field for an unknown field, a wrong type or a value out of range.
         """
-        packed = self._packed_at_once(values)
-        if packed is not None:
+        given = tuple(values)
+        packer = self._packers.get(given)
+        if packer is None and len(self._packers) < MAX_PACKERS:
+            packer = self._packers[given] = self._packer_of(given)
+        if packer is not None and (packed := packer(values)) is not None:
             return packed
         unknown = values.keys() - {f.name for f in self.fields}
         if unknown:
@@ -167,30 +182,28 @@ class MessageInfo:
                 self._pack_field(payload, field, values[field.name])
         return bytes(payload)
 
-    def _packed_at_once(self, values: Mapping[str, Any]) -> bytes | None:
-        """`pack` in one struct call, for numbers that all fit; None for anything else, which then goes field by field
-        and is told by its name. Setpoints and our other steady messages are such."""
-        compiled = self._compiled()
-        wire: list[Any] = []
-        given = 0
-        try:
-            for name, count, is_char in self._names:
-                if is_char:
-                    return None
-                if name not in values:
-                    wire += _NUMBERS[: count or 1]
-                    continue
-                given += 1
-                value = values[name]
-                if not count:
-                    wire.append(value)
-                elif len(value) == count:
-                    wire += value
-                else:
-                    return None
-            return compiled.pack(*wire) if given == len(values) else None
-        except (struct.error, TypeError, OverflowError):
-            return None
+    def _packer_of(self, names: tuple[str, ...]) -> Packer:
+        """What packs just these fields in one struct call, None for values that do not fit: those then go field by
+        field and are told by their name. Our steady messages, setpoints before all, name the same fields each time
+        (SET_ATTITUDE_TARGET: 1.0 us, and 7 us field by field)."""
+        wire = sorted(self.fields, key=lambda f: f.offset)
+        given = [f for f in wire if f.name in names]
+        arrays = [n for n, field in enumerate(given) if field.array_length]
+        if len(given) != len(names) or len(given) < 2 or len(arrays) > 1 or any(f.type == "char" for f in given):
+            return _pack_nothing
+        codes = (f.code if f.name in names else f"{struct.calcsize('<' + f.code)}x" for f in wire)
+        pack = struct.Struct("<" + "".join(codes)).pack  # pad bytes are zero
+        pick = operator.itemgetter(*(f.name for f in given))
+        at = arrays[0] if arrays else len(given)
+
+        def packed(values: Mapping[str, Any]) -> bytes | None:
+            numbers = pick(values)
+            try:
+                return pack(*numbers[:at], *numbers[at], *numbers[at + 1 :]) if arrays else pack(*numbers)
+            except (struct.error, TypeError, OverflowError):
+                return None
+
+        return packed
 
     def _pack_field(self, payload: bytearray, field: FieldInfo, value: Any) -> None:
         try:

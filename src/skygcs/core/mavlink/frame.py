@@ -7,6 +7,7 @@ Layout: https://mavlink.io/en/guide/serialization.html#packet_format
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -23,6 +24,8 @@ SIGNATURE_BYTES = 13
 INCOMPAT_SIGNED = 0x01
 MAX_FRAME_BYTES = HEADER_V2_BYTES + MAX_PAYLOAD_BYTES + CRC_BYTES + SIGNATURE_BYTES
 """280: the longest frame there is, a signed one with a full payload."""
+
+_HEAD_V2 = struct.Struct("<BBBBBBBHB").pack
 
 Verdict = Literal["ok", "bad_crc", "unknown"]
 """What the CRC says; "unknown": the dialect has no such message, so nothing can be said."""
@@ -154,21 +157,6 @@ def encode_payload(info: MessageInfo, payload: bytes, *, sysid: int, compid: int
         head = bytes((MAGIC_V1, len(payload), seq & 0xFF, sysid, compid, info.msgid))
     else:
         payload = payload.rstrip(b"\0") or payload[:1]  # at least one byte stays (serialization guide)
-        msgid = info.msgid
-        head = bytes(
-            (
-                MAGIC_V2,
-                len(payload),
-                0,
-                0,
-                seq & 0xFF,
-                sysid,
-                compid,
-                msgid & 0xFF,
-                msgid >> 8 & 0xFF,
-                msgid >> 16,
-            )
-        )
+        head = _HEAD_V2(MAGIC_V2, len(payload), 0, 0, seq & 0xFF, sysid, compid, info.msgid & 0xFFFF, info.msgid >> 16)
     body = head + payload
-    crc = mcrf4xx(body[1:] + info.crc_extra_byte)
-    return body + bytes((crc & 0xFF, crc >> 8))
+    return body + mcrf4xx(body[1:] + info.crc_extra_byte).to_bytes(CRC_BYTES, "little")

@@ -25,8 +25,9 @@ from skygcs.core.control.cascade import ZERO, Estimate, Memory, Output, Referenc
 from skygcs.core.control.config import ControlConfig
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.fence import Fence
-from skygcs.core.control.guard import Facts, Guard, GuardConfig, Verdict, Way
+from skygcs.core.control.guard import WAYS, Facts, Guard, GuardConfig, Verdict, Way
 from skygcs.core.control.pi import clip
+from skygcs.core.control.record import record
 from skygcs.core.control.trace import TraceRow
 from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle import setpoint
@@ -52,6 +53,11 @@ class PilotState(StrEnum):
     HELD = "held"
 
 
+ATTITUDE, VELOCITY, POSITION = WAYS
+OFF, ENGAGING, FLYING, HELD = PilotState
+"""To name a member of an enumeration takes 75 ns each time (CPython 3.11): 1.5 us of every tick."""
+
+
 @dataclass(frozen=True, slots=True)
 class PilotConfig:
     """How to fly. Rates in setpoints per second; ``rate_min_hz``: attitude is not flown with fewer."""
@@ -64,7 +70,7 @@ class PilotConfig:
     rate_min_hz: float = 20.0
 
 
-@dataclass(frozen=True, slots=True)
+@record
 class Tick:
     """What one tick asks for. ``hold``: have the autopilot hold position, once.
 
@@ -101,8 +107,8 @@ class Pilot:
     def __init__(self, vehicle: Vehicle, config: PilotConfig) -> None:
         self.vehicle = vehicle
         self.config = config
-        self.state = PilotState.OFF
-        self.wanted = Way.POSITION
+        self.state = OFF
+        self.wanted = POSITION
         self.way: Way | None = None
         self.reasons: tuple[str, ...] = ()
         self.attitude_hz_allowed = math.inf
@@ -114,7 +120,7 @@ class Pilot:
         self.refusing: str | None = None
         """What the autopilot said of our setpoints when it threw one away since the last `engage`."""
         self._outlook = Outlook(vehicle)
-        self._guard = Guard(config.guard, Way.POSITION)
+        self._guard = Guard(config.guard, POSITION)
         self._reference = Reference()
         self._until: float | None = None
         self._obeys = -1
@@ -125,15 +131,15 @@ class Pilot:
     @property
     def active(self) -> bool:
         """Whether `tick` has anything to do."""
-        return self.state in (PilotState.ENGAGING, PilotState.FLYING)
+        return self.state is FLYING or self.state is ENGAGING
 
     @property
     def period_s(self) -> float:
         """From one tick to the next, for the present way and the link's budget."""
         way = self.way or self.wanted
-        if way is Way.ATTITUDE:
+        if way is ATTITUDE:
             return 1.0 / self.attitude_hz
-        return 1.0 / (self.config.velocity_hz if way is Way.VELOCITY else self.config.position_hz)
+        return 1.0 / (self.config.velocity_hz if way is VELOCITY else self.config.position_hz)
 
     @property
     def attitude_hz(self) -> float:
@@ -163,7 +169,7 @@ class Pilot:
     @property
     def reference(self) -> Reference | None:
         """Where it shall be, in the anchor's frame; None while it is not told."""
-        return self._reference if self.state is PilotState.FLYING else None
+        return self._reference if self.state is FLYING else None
 
     def engage(self, way: Way, fence: Fence | None) -> None:
         """Begin to stream "stay where you are" so that the autopilot can be switched over.
@@ -171,7 +177,7 @@ class Pilot:
         The fence stands on earth until control ends. Raises RefusedError without a position.
         """
         self._outlook.anchor(fence)
-        self.state, self.wanted, self.way, self.reasons = PilotState.ENGAGING, way, None, ()
+        self.state, self.wanted, self.way, self.reasons = ENGAGING, way, None, ()
         self.was_entered, self.refusing = False, None
         self._guard.reset(way)
         self._last = _Last()
@@ -181,8 +187,8 @@ class Pilot:
 
     def entered(self) -> None:
         """The autopilot obeys our setpoints: from now on the reference stays where it is."""
-        if self.state is PilotState.ENGAGING:
-            self.state, self.way = PilotState.FLYING, None
+        if self.state is ENGAGING:
+            self.state, self.way = FLYING, None
             self.was_entered = True
             self._guard.reset(self.wanted)
             self._forget()
@@ -195,9 +201,9 @@ class Pilot:
 
     def release(self, reason: str) -> Tick:
         """Send nothing from now on; whoever took over flies."""
-        if self.state is PilotState.OFF:
+        if self.state is OFF:
             return IDLE
-        self.state, self.way, self.reasons = PilotState.OFF, None, (reason,)
+        self.state, self.way, self.reasons = OFF, None, (reason,)
         self._until = None
         return Tick(events=(self._event(f"control ended: {reason}", "off"),))
 
@@ -255,7 +261,7 @@ class Pilot:
         last.estimate, last.state_age_s = estimate, age_s
         self._outlook.measure(age_s, now)
         events: list[Event] = []
-        if self.state is PilotState.ENGAGING:
+        if self.state is ENGAGING:
             self._stay(yaw_rad=self._reference.yaw_rad)
         elif self._until is not None and now > self._until:
             self._stay(yaw_rad=self._reference.yaw_rad)
@@ -264,17 +270,17 @@ class Pilot:
         if verdict.action == "release":
             ended = self.release("; ".join(verdict.reasons))
             return Tick(events=(*events, *ended.events))
-        if self.state is PilotState.ENGAGING:
-            return self._send(verdict.way or Way.POSITION, estimate, dt_s, following=False)
+        if self.state is ENGAGING:
+            return self._send(verdict.way or POSITION, estimate, dt_s, following=False)
         self.reasons = verdict.reasons
         if verdict.changed:
             events += self._on_change(verdict)
-        if verdict.way is Way.POSITION and self.wanted is not Way.POSITION and self._free():
+        if verdict.way is POSITION and self.wanted is not POSITION and self._free():
             # a velocity is flown on by no way the guard has refused it to
             self._stay(yaw_rad=self._reference.yaw_rad)
             events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
         if verdict.action == "hold" or verdict.way is None:
-            self.state, self.way, self._until = PilotState.HELD, None, None
+            self.state, self.way, self._until = HELD, None, None
             return Tick(events=tuple(events), hold=True)
         sent = self._send(verdict.way, estimate, dt_s, following=True)
         return replace(sent, events=tuple(events)) if events else sent
@@ -287,9 +293,9 @@ class Pilot:
             error = [r - x for r, x in zip(reference.pos_enu_m, last.estimate.pos_enu_m, strict=True)]
             if reference.velocity_only_z:
                 error[2] = 0.0
-        attitude = output if self.way is Way.ATTITUDE else None
+        attitude = output if self.way is ATTITUDE else None
         return {
-            "mode": None if self.state is PilotState.OFF else self.wanted.value,
+            "mode": None if self.state is OFF else self.wanted.value,
             "way": None if self.way is None else self.way.value,
             "state": self.state.value,
             "reasons": list(self.reasons),
@@ -318,7 +324,7 @@ class Pilot:
         row = self._row(way, estimate, dt_s, following=following)
         output: Output | None = None
         before = self.memory
-        if way is Way.ATTITUDE:
+        if way is ATTITUDE:
             if estimate is not None:
                 output, self.memory = step(law, self.memory, estimate, reference, dt_s, following=following)
             if output is None:
@@ -329,7 +335,7 @@ class Pilot:
             boost = boosts_thrust(self.vehicle)
             message = setpoint.attitude_target(attitude, thrust, self._boot_ms(), angle_boost=boost)
             return Tick(message, row=row, before=before, after=self.memory)
-        if way is Way.VELOCITY or reference.velocity_only_xy or reference.velocity_only_z:
+        if way is VELOCITY or reference.velocity_only_xy or reference.velocity_only_z:
             velocity = None if estimate is None else velocity_setpoint(law, estimate, reference)
             if velocity is None:
                 return IDLE
@@ -356,7 +362,7 @@ class Pilot:
 
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
         vehicle, config, outlook = self.vehicle, self.config, self._outlook
-        engaging = self.state is PilotState.ENGAGING
+        engaging = self.state is ENGAGING
         breach = outlook.breach()
         reference_breach = None if engaging else outlook.reference_breach(self._reference)
         return Facts(
@@ -376,7 +382,7 @@ class Pilot:
             rate_hz=min(config.attitude_hz, self.attitude_hz_allowed),
             rate_min_hz=config.rate_min_hz,
             refusing=self.refusing,
-            attitude_refused=attitude_refusal(vehicle) if self.wanted is Way.ATTITUDE else None,
+            attitude_refused=attitude_refusal(vehicle) if self.wanted is ATTITUDE else None,
             engaging=engaging,
             position_breach=breach,
             reference_breach=reference_breach,

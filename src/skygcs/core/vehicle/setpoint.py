@@ -72,9 +72,11 @@ def attitude_target(
     """
     if len(attitude_ned_frd) != 4:
         raise RefusedError(f"an attitude is a quaternion of 4 numbers (w, x, y, z), not {len(attitude_ned_frd)}")
-    w, x, y, z = (_finite("an attitude", value) for value in attitude_ned_frd)
+    w, x, y, z = map(float, attitude_ned_frd)
     length = math.sqrt(w * w + x * x + y * y + z * z)
-    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:  # also false for NaN
+        for value in (w, x, y, z):
+            _finite("an attitude", value)
         raise RefusedError(f"an attitude quaternion of length {length:g} is none; it has to be 1 within 0.001")
     if not 0.0 <= thrust <= 1.0:  # also false for NaN
         raise RefusedError(f"a thrust of {thrust:g} is not between 0 and 1")
