@@ -407,6 +407,9 @@ class Router:
         if sysid == 0:
             return tuple(p.id for p in self._ports.values() if not p.policy.replayed and not p.bound)
         ports = self._by_source.get(sysid << 8 | compid) or self._by_system.get(sysid) or []
+        if len(ports) == 1:  # nearly always, and for every setpoint: 0.3 us instead of 1.4
+            port = ports[0]
+            return () if port.policy.replayed or port.bound else (port.id,)
         ports = [p for p in ports if not p.policy.replayed and not p.bound]
         ports = [p for p in ports if p.policy.role != "gcs"] or ports
         if not ports:
