@@ -14,6 +14,24 @@ Kbps = Annotated[float, Field(gt=0, le=10_000)]
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
+class ForeignKeys(BaseModel):
+    """What ground stations and programs behind other links may send into a radio (`core.foreign`)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    param_lists: Literal["one", "deny", "allow"] = "one"
+    """PARAM_REQUEST_LIST: one vehicle's at a time, none, or all at once."""
+    streams: Literal["deny", "allow"] = "deny"
+    """REQUEST_DATA_STREAM, MESSAGE_INTERVAL and SET_MESSAGE_INTERVAL to vehicles whose streams are planned."""
+    logs: Literal["deny", "allow"] = "deny"
+    rates: dict[str, Annotated[float, Field(ge=0, le=1000)]] = Field(default_factory=dict)
+    """Hz per message name or id, of each source, laid over the built-in ones; 0: none at all."""
+    bytes_per_s: Annotated[float, Field(gt=0)] | None = None
+    """Most of everything foreign; None: half of what goes up into the radio."""
+    corrections_bytes_per_s: Annotated[float, Field(ge=0)] | None = None
+    """Most of RTCM corrections; None: 0.4 of what goes up."""
+
+
 class RadioKeys(BaseModel):
     """Keys of a serial link that count while its role is "radio"."""
 
@@ -29,6 +47,8 @@ class RadioKeys(BaseModel):
     """Of the serial rate and of a vehicle's timeslot that the planned streams may fill."""
     stream_profile: Profile = "custom"
     """What every vehicle behind it streams if there is room; custom: what its own ``streams`` say."""
+    foreign: ForeignKeys = ForeignKeys()
+    """What others may send into it."""
 
 
 class EmulatedRadio(BaseModel):

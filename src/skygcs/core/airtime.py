@@ -234,13 +234,15 @@ class _Class(Generic[T]):
 class TxQueue(Generic[T]):
     """Bounded, prioritised queue of one link. Entries with a ``key`` replace the waiting one of the same key.
 
-    ``budget``: what may be sent; None: as much as the writer takes. ``counters`` by class.
+    ``budget``: what may be sent; None: as much as the writer takes. ``forwarded``: what the last class may have of it;
+    None: what the others leave. ``counters`` by class.
     """
 
-    __slots__ = ("_classes", "_heartbeat_since", "_length", "_serial", "budget", "counters")
+    __slots__ = ("_classes", "_heartbeat_since", "_length", "_serial", "budget", "counters", "forwarded")
 
     def __init__(self, budget: ByteBudget | None = None) -> None:
         self.budget = budget
+        self.forwarded: ByteBudget | None = None
         self.counters: dict[Priority, ClassCounters] = {p: ClassCounters() for p in Priority}
         self._classes: dict[Priority, _Class[T]] = {p: _Class() for p in Priority}
         self._serial = 0
@@ -254,6 +256,11 @@ class TxQueue(Generic[T]):
     def waiting(self, priority: Priority) -> int:
         """Entries of a class that wait now."""
         return self._classes[priority].length
+
+    def holds(self, priority: Priority, flow: Hashable, key: Hashable) -> bool:
+        """Whether an entry of this class, flow and key waits: one that is offered now would take its place."""
+        line = self._classes[priority].lines.get(flow)
+        return line is not None and (key,) in line
 
     def offer(
         self,
@@ -310,6 +317,8 @@ class TxQueue(Generic[T]):
             if self.budget.ready_at(size, self._reserve(priority, now), now) > now:
                 return None
             self.budget.spend(size, now)
+        if priority is Priority.FORWARDED and self.forwarded is not None:
+            self.forwarded.spend(of_class.head()[1], now)
         entry, size, since = of_class.take()
         self._length -= 1
         counters = self.counters[priority]
@@ -323,8 +332,11 @@ class TxQueue(Generic[T]):
     def next_send_time(self, now: float) -> float | None:
         """From when `pop` gives something, if nothing more is offered: ``now`` if at once, None if nothing waits."""
         priority = self._next_class(now)
-        if priority is None or self.budget is None:
-            return None if priority is None else now
+        if priority is None:
+            last = self._classes[Priority.FORWARDED]
+            return self.forwarded.ready_at(last.head()[1], 0.0, now) if last.length and self.forwarded else None
+        if self.budget is None:
+            return now
         size = self._classes[priority].head()[1]
         at = self.budget.ready_at(size, self._reserve(priority, now), now)
         since = self._heartbeat_since
@@ -351,9 +363,11 @@ class TxQueue(Generic[T]):
             return None
         for priority, of_class in self._classes.items():
             if of_class.length:
-                if self._heartbeat_since is None or priority is Priority.EMERGENCY or not self._overdue(now):
-                    return priority
-                return Priority.HEARTBEAT
+                if self._heartbeat_since is not None and priority is not Priority.EMERGENCY and self._overdue(now):
+                    return Priority.HEARTBEAT
+                if priority is Priority.FORWARDED and self.forwarded is not None:
+                    return priority if self.forwarded.ready_at(of_class.head()[1], 0.0, now) <= now else None
+                return priority
         return None
 
     def _overdue(self, now: float) -> bool:

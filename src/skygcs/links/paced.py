@@ -1,11 +1,17 @@
-"""Channels into a radio: how large a message is and whom it is for, and a budget that follows what the radio says."""
+"""Channels into a radio: how large a message is and whom it is for, a budget that follows what the radio says, and what
+of others' traffic may have a part of it."""
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from skygcs.core.airtime import ByteBudget, TxQueue
+from skygcs.config.radio import ForeignKeys
+from skygcs.core.airtime import ByteBudget, Priority, TxQueue
+from skygcs.core.corrections import Corrections
+from skygcs.core.foreign import CORRECTIONS_SHARE, ForeignRules, ForeignTraffic, Ruling
+from skygcs.core.foreign_frames import PARAM_VALUE, parse
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.pacing import Pacer, RadioRates, report_of
@@ -19,16 +25,94 @@ SIGNATURE_BYTES = 13
 RADIO_SOURCE = (51, 68)
 """SiK's and RFD900x' own frames."""
 
-MAGIC_V2 = 0xFD
+
+_PARAM_COUNT_AT, _PARAM_INDEX_AT = 4, 6
+"""Offsets in a PARAM_VALUE (common.xml)."""
 
 
 class AirBudget:
-    """The budget of one channel's queue. `refresh` about once a second, `on_radio` for every report of its radio."""
+    """The sender's side of one channel into a radio: its queue, what fills it, and its budget.
 
-    def __init__(self, queue: TxQueue[Outgoing], rates: RadioRates, now: float) -> None:
+    `offer`, `pop` and `next_send_time` take the place of the queue's own. `refresh` about once a second, `on_radio` for
+    every report of its radio, `heard` for what comes from it.
+    """
+
+    def __init__(
+        self,
+        queue: TxQueue[Outgoing],
+        rates: RadioRates,
+        now: float,
+        rules: ForeignRules | None = None,
+        dialect: Dialect | None = None,
+    ) -> None:
+        """``dialect``: without it nothing is known of what others send, and all of it is alike."""
         self.queue = queue
         self.pacer = Pacer(rates)
-        queue.budget = ByteBudget(self.pacer.rate(now), self.pacer.burst_bytes(), now)
+        self.rules = rules or ForeignRules()
+        rate = self.pacer.rate(now)
+        self._messages: Mapping[int, MessageInfo] = {} if dialect is None else dialect.messages
+        self.foreign = ForeignTraffic(self.rules, self._messages, rate, now)
+        self.corrections: Corrections[Outgoing] = Corrections(self._corrections_rate(rate), now)
+        self._lost = 0
+        queue.budget = ByteBudget(rate, self.pacer.burst_bytes(), now)
+        queue.forwarded = self.foreign.budget
+
+    # -- up
+
+    def offer(
+        self, outgoing: Outgoing, priority: Priority, now: float, key: Hashable | None = None, *, signed: bool = False
+    ) -> bool:
+        """Queue it, or have it wait until its turn; False if it was dropped or refused."""
+        if type(outgoing) is bytes and priority is Priority.FORWARDED:
+            ruling = self.foreign.judge(outgoing, now, self.queue.holds)
+            match ruling.outcome:
+                case "send":
+                    return self._put_foreign(outgoing, ruling, now)
+                case "correction":
+                    return self._correct(outgoing, now)
+                case "wait":
+                    return True
+                case "refuse":
+                    return False
+        size = wire_bytes(outgoing, signed=signed)
+        if isinstance(outgoing, OwnMessage):
+            if priority is Priority.CORRECTION and outgoing.info.name == "GPS_RTCM_DATA":
+                source = outgoing.sysid << 8 | outgoing.compid
+                return self.corrections.offer(source, outgoing.payload, outgoing, size, now)
+            return self._put(outgoing, priority, now, key, size, flow_of(outgoing))
+        return self._put(outgoing, priority, now, key, size, 0)
+
+    def pop(self, now: float) -> tuple[Outgoing, Priority] | None:
+        """What is to be written now; see `TxQueue.pop`."""
+        for released in self.foreign.poll(now):
+            self._put_foreign(released.raw, released.ruling, now)
+        if not self.queue.waiting(Priority.CORRECTION):  # one at a time: which is next is decided as late as can be
+            correction = self.corrections.pop(now)
+            if correction is not None:
+                self._put(correction[0], Priority.CORRECTION, now, None, correction[1], 0)
+        return self.queue.pop(now)
+
+    def next_send_time(self, now: float) -> float | None:
+        """When `pop` is to be asked again, if nothing more is offered; None: not before something is."""
+        times = [self.queue.next_send_time(now), self.foreign.next_poll(now)]
+        if not self.queue.waiting(Priority.CORRECTION):
+            times.append(self.corrections.next_send_time(now))
+        return min((at for at in times if at is not None), default=None)
+
+    def clear(self) -> int:
+        """Forget everything that waits (the link went down); how many that were."""
+        return self.queue.clear() + self.foreign.clear() + self.corrections.clear()
+
+    def take_lost(self) -> int:
+        """Entries that were dropped or refused because too many wait, since the last call."""
+        lost, self._lost = self._lost, 0
+        return lost
+
+    def __len__(self) -> int:
+        """What waits, here or in the queue."""
+        return len(self.queue) + self.foreign.waiting + len(self.corrections)
+
+    # -- what the radio says
 
     def set_baud(self, baud: int, now: float) -> None:
         """Another rate of the serial port was found to be right."""
@@ -47,15 +131,75 @@ class AirBudget:
         ):
             self.refresh(now)
 
+    def heard(self, frames: list[Frame], now: float) -> None:
+        """Frames that came over this channel."""
+        for frame in frames:
+            if frame.msgid == PARAM_VALUE:
+                payload = frame.payload.ljust(_PARAM_INDEX_AT + 2, b"\0")
+                count = int.from_bytes(payload[_PARAM_COUNT_AT:_PARAM_INDEX_AT], "little")
+                index = int.from_bytes(payload[_PARAM_INDEX_AT : _PARAM_INDEX_AT + 2], "little")
+                self.foreign.heard(frame.sysid, frame.compid, index, count, now)
+
     def refresh(self, now: float) -> None:
         budget = self.queue.budget
         assert budget is not None
-        budget.set_rate(self.pacer.rate(now), now)
+        rate = self.pacer.rate(now)
+        budget.set_rate(rate, now)
         budget.set_burst(self.pacer.burst_bytes(), now)
+        self.foreign.set_rate(rate, now)
+        self.corrections.set_rate(self._corrections_rate(rate), now)
 
     def status(self, now: float) -> dict[str, Any]:
-        """What the radio bears up, what it reports, and how each class fares."""
-        return {**self.pacer.status(now), "classes": self.queue.status()}
+        """What the radio bears up, what it reports, how each class fares, and what others send."""
+        return {
+            **self.pacer.status(now),
+            "classes": self.queue.status(),
+            "foreign": self.foreign.status(now),
+            "corrections": self.corrections.status(),
+        }
+
+    # -- the inside
+
+    def _corrections_rate(self, rate: float) -> float:
+        own = self.rules.corrections_bytes_per_s
+        return CORRECTIONS_SHARE * rate if own is None else min(own, rate)
+
+    def _correct(self, raw: bytes, now: float) -> bool:
+        frame = parse(raw, self._messages)
+        return frame is not None and self.corrections.offer(frame.source, frame.payload, raw, len(raw), now)
+
+    def _put_foreign(self, raw: bytes, ruling: Ruling, now: float) -> bool:
+        size = len(raw)
+        if ruling.priority is not Priority.FORWARDED:
+            if self.queue.offer(raw, ruling.priority, now, ruling.key, size=size, flow=ruling.flow):
+                return True
+            ruling = ruling._replace(priority=Priority.FORWARDED)  # its class is full, and nobody here repeats it
+        return self._put(raw, Priority.FORWARDED, now, ruling.key, size, ruling.flow)
+
+    def _put(
+        self, entry: Outgoing, priority: Priority, now: float, key: Hashable | None, size: int, flow: Hashable
+    ) -> bool:
+        counters = self.queue.counters[priority]
+        before = counters.dropped + counters.refused
+        taken = self.queue.offer(entry, priority, now, key, size=size, flow=flow)
+        self._lost += counters.dropped + counters.refused - before
+        return taken
+
+
+def foreign_rules(keys: ForeignKeys, dialect: Dialect) -> ForeignRules:
+    """What a link's [foreign] table says. Raises KeyError for a message name the dialect does not have."""
+
+    def msgid(name: str) -> int:
+        return int(name) if name.isdecimal() else dialect.find(name).msgid
+
+    return ForeignRules(
+        keys.param_lists,
+        keys.streams,
+        keys.logs,
+        {msgid(name): hz for name, hz in keys.rates.items()},
+        keys.bytes_per_s,
+        keys.corrections_bytes_per_s,
+    )
 
 
 def wire_bytes(outgoing: Outgoing, *, signed: bool) -> int:
@@ -67,16 +211,7 @@ def wire_bytes(outgoing: Outgoing, *, signed: bool) -> int:
     return FRAME_OVERHEAD_BYTES + trimmed + SIGNATURE_BYTES * signed
 
 
-def flow_of(outgoing: Outgoing, dialect: Dialect) -> int:
-    """The system it is for: 0 is everybody."""
-    if isinstance(outgoing, OwnMessage):
-        return _target(outgoing.info, outgoing.payload)
-    v2 = outgoing[0] == MAGIC_V2
-    msgid = outgoing[7] | outgoing[8] << 8 | outgoing[9] << 16 if v2 else outgoing[5]
-    info = dialect.messages.get(msgid)
-    return 0 if info is None else _target(info, outgoing[10 if v2 else 6 :][: outgoing[1]])
-
-
-def _target(info: MessageInfo, payload: bytes) -> int:
-    at = info.target_system_offset
-    return payload[at] if 0 <= at < len(payload) else 0
+def flow_of(message: OwnMessage) -> int:
+    """The system that a message of ours is for: 0 is everybody."""
+    at = message.info.target_system_offset
+    return message.payload[at] if 0 <= at < len(message.payload) else 0

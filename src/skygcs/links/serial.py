@@ -19,6 +19,7 @@ from skygcs.config import models
 from skygcs.config.radio import radio_rates
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
+from skygcs.links.paced import foreign_rules
 from skygcs.links.stream import StreamChannel
 
 TRY_BAUD_S = 5.0
@@ -59,6 +60,7 @@ class SerialLink(Link):
                 outstanding=partial(_bytes_outstanding, fd),
                 bytes_per_s=self.baud / BITS_PER_BYTE,
                 radio=radio_rates(self.config, self.baud) if self.config.role == "radio" else None,
+                foreign=foreign_rules(self.config.foreign, self.host.dialect),
             )
             self.host.attach(self._channel)
         except BaseException:

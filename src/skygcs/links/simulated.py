@@ -170,5 +170,7 @@ class SimulatedVehiclesLink(Link):
         now = self.loop.time()
         sent = self._fleet.step(now) if self._air is None else self._air.step(now)
         frames = channel.parser.feed(b"".join(sent)) if sent else []
+        if channel.air is not None:
+            channel.air.heard(frames, now)
         if frames:
             self.host.on_frames(channel, frames, now)

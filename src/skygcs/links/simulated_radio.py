@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Hashable
 from typing import TYPE_CHECKING, Any
 
-from skygcs.config.radio import EmulatedRadio
+from skygcs.config.radio import EmulatedRadio, RadioKeys
 from skygcs.core.airtime import Priority, TxQueue
 from skygcs.core.linkplan import BITS_PER_BYTE
 from skygcs.core.mavlink.dialect import Dialect
@@ -16,7 +16,7 @@ from skygcs.core.sim.radio_fleet import RadioFleet
 from skygcs.core.sim.tdm import GROUND, TdmConfig, TdmNetwork
 from skygcs.core.sim.vehicle import SimVehicle
 from skygcs.links.base import Channel, Link, Outgoing
-from skygcs.links.paced import AirBudget, flow_of, wire_bytes
+from skygcs.links.paced import AirBudget, foreign_rules
 
 if TYPE_CHECKING:
     from skygcs.config import models
@@ -62,7 +62,10 @@ class SimulatedRadioChannel(Channel):
         super().__init__(link, peer)
         self.queue: TxQueue[Outgoing] = TxQueue()
         if rates is not None:
-            self.air = AirBudget(self.queue, rates, link.loop.time())
+            dialect = link.host.dialect
+            rules = foreign_rules(link.config.foreign, dialect) if isinstance(link.config, RadioKeys) else None
+            self.air = AirBudget(self.queue, rates, link.loop.time(), rules, dialect)
+        self._line: TxQueue[Outgoing] | AirBudget = self.queue if self.air is None else self.air
         self._radio: RadioFleet | None = air
         self._byte_s = BITS_PER_BYTE / baud
         self._limit = SHALLOW_BYTES if rates is not None else KERNEL_BYTES
@@ -73,25 +76,27 @@ class SimulatedRadioChannel(Channel):
         if self._radio is None:
             self.tx_dropped += 1
             return False
-        counters = self.queue.counters[priority]
-        lost = counters.dropped + counters.refused
-        size = wire_bytes(outgoing, signed=self.signing is not None)
-        flow = flow_of(outgoing, self.link.host.dialect) if self.air is not None else None
-        taken = self.queue.offer(outgoing, priority, self._loop.time(), key, size=size, flow=flow)
-        self.tx_dropped += counters.dropped + counters.refused - lost
+        if self.air is None:
+            counters = self.queue.counters[priority]
+            lost = counters.dropped + counters.refused
+            taken = self.queue.offer(outgoing, priority, self._loop.time(), key)
+            self.tx_dropped += counters.dropped + counters.refused - lost
+        else:
+            taken = self.air.offer(outgoing, priority, self._loop.time(), key, signed=self.signing is not None)
+            self.tx_dropped += self.air.take_lost()
         self._pump()
         return taken
 
     def close(self) -> None:
         """Nothing is sent after this. Idempotent."""
         self._radio = None
-        self.tx_dropped += self.queue.clear()
+        self.tx_dropped += self._line.clear()
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
     def counters(self) -> dict[str, Any]:
-        return {**super().counters(), "tx_waiting": len(self.queue)}
+        return {**super().counters(), "tx_waiting": len(self._line)}
 
     def _pump(self) -> None:
         if self._timer is not None:
@@ -101,12 +106,14 @@ class SimulatedRadioChannel(Channel):
             now = self._loop.time()
             held = self._radio.network.backlog_bytes(GROUND, now)
             if held >= self._limit or not self._radio.network.has_room(GROUND, SHALLOW_BYTES):
-                if self.queue:
+                if self._line:
                     self._later(now + max(self._limit / 2 * self._byte_s, 0.002))
                 return
-            popped = self.queue.pop(now)
+            popped = self._line.pop(now)
+            if self.air is not None:
+                self.tx_dropped += self.air.take_lost()
             if popped is None:
-                at = self.queue.next_send_time(now)
+                at = self._line.next_send_time(now)
                 if at is not None:
                     self._later(at)
                 return

@@ -12,9 +12,10 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 from skygcs.core.airtime import Priority, TxQueue
+from skygcs.core.foreign import ForeignRules
 from skygcs.core.pacing import RadioRates
 from skygcs.links.base import Channel, Link, Outgoing
-from skygcs.links.paced import AirBudget, flow_of, wire_bytes
+from skygcs.links.paced import AirBudget
 from skygcs.links.readiness import Readiness
 
 RESCUE_AFTER_S = 0.1
@@ -51,6 +52,8 @@ class StreamIntake:
         channel = self._channel
         now = self._loop.time()
         frames = channel.parser.feed(data)
+        if channel.air is not None:
+            channel.air.heard(frames, now)
         if channel.parser.pending:
             self._touched_at = now
             if self._timer is None:
@@ -88,7 +91,7 @@ class StreamChannel(Channel):
     with ``stuck_after_s``, after the other end took nothing for that long. ``outstanding`` tells how many written bytes
     the kernel still holds and ``bytes_per_s`` how fast they go: with them the kernel's buffer is kept shallow, so that
     priorities mean something; without, it is filled until it takes no more. ``radio``: there is one at the other end,
-    and no more is sent than it bears.
+    and no more is sent than it bears, and of what others send no more than ``foreign`` allows.
     """
 
     def __init__(
@@ -102,11 +105,13 @@ class StreamChannel(Channel):
         bytes_per_s: float = 5760.0,
         stuck_after_s: float | None = None,
         radio: RadioRates | None = None,
+        foreign: ForeignRules | None = None,
     ) -> None:
         super().__init__(link, peer)
         self.queue: TxQueue[Outgoing] = TxQueue()
         if radio is not None:
-            self.air = AirBudget(self.queue, radio, link.loop.time())
+            self.air = AirBudget(self.queue, radio, link.loop.time(), foreign, link.host.dialect)
+        self._line: TxQueue[Outgoing] | AirBudget = self.queue if self.air is None else self.air
         self.bytes_per_s = bytes_per_s
         self.intake = StreamIntake(self)
         self._fd = fd
@@ -127,16 +132,14 @@ class StreamChannel(Channel):
         if self._closed:
             self.tx_dropped += 1
             return False
-        counters = self.queue.counters[priority]
-        lost = counters.dropped + counters.refused
-        now = self._loop.time()
         if self.air is None:
-            taken = self.queue.offer(outgoing, priority, now, key)
+            counters = self.queue.counters[priority]
+            lost = counters.dropped + counters.refused
+            taken = self.queue.offer(outgoing, priority, self._loop.time(), key)
+            self.tx_dropped += counters.dropped + counters.refused - lost
         else:
-            size = wire_bytes(outgoing, signed=self.signing is not None)
-            flow = flow_of(outgoing, self.link.host.dialect)
-            taken = self.queue.offer(outgoing, priority, now, key, size=size, flow=flow)
-        self.tx_dropped += counters.dropped + counters.refused - lost
+            taken = self.air.offer(outgoing, priority, self._loop.time(), key, signed=self.signing is not None)
+            self.tx_dropped += self.air.take_lost()
         if not self._blocked and self._look is None:
             self._pump()
         return taken
@@ -152,11 +155,11 @@ class StreamChannel(Channel):
             if timer is not None:
                 timer.cancel()
         self._look = self._due = self._stuck = None
-        self.tx_dropped += self.queue.clear() + bool(self._rest)
+        self.tx_dropped += self._line.clear() + bool(self._rest)
         self._rest = b""
 
     def counters(self) -> dict[str, Any]:
-        return {**super().counters(), "tx_waiting": len(self.queue)}
+        return {**super().counters(), "tx_waiting": len(self._line)}
 
     def _on_ready(self) -> None:
         try:
@@ -181,7 +184,9 @@ class StreamChannel(Channel):
             if not rest:
                 if not self._has_room():
                     break
-                popped = self.queue.pop(self._loop.time())
+                popped = self._line.pop(self._loop.time())
+                if self.air is not None:
+                    self.tx_dropped += self.air.take_lost()
                 if popped is None:
                     self._wait_for_budget()
                     break
@@ -207,7 +212,7 @@ class StreamChannel(Channel):
 
     def _has_room(self) -> bool:
         """Whether the kernel holds little enough to write one more frame; if not, the time to look again is set."""
-        if self._outstanding is None or not self.queue:
+        if self._outstanding is None or not self._line:
             return True
         held = self._outstanding()
         limit = max(SHALLOW_BYTES, self.bytes_per_s * SHALLOW_S)
@@ -221,7 +226,7 @@ class StreamChannel(Channel):
         if self._due is not None:
             self._due.cancel()
             self._due = None
-        at = self.queue.next_send_time(self._loop.time())
+        at = self._line.next_send_time(self._loop.time())
         if at is not None:
             self._due = self._loop.call_at(at, self._on_due)
 
