@@ -1,0 +1,99 @@
+"""Links bound to vehicles in the fleet file: what goes together, and what a person is told where it does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from skygcs.config.checks import link_warnings
+from skygcs.config.endpoints import endpoint_text
+from skygcs.config.loader import load_fleet
+from skygcs.config.models import FleetConfig
+from skygcs.errors import ConfigError
+
+VEHICLES = "[vehicles.kite]\nsysid = 5\n[vehicles.hawk]\nsysid = 6\n"
+LINK = '[links.p]\ntype = "udp_server"\nport = 14561\nrole = "gcs"\n'
+SIGNED = '[links.radio]\ntype = "serial"\ndevice = "/dev/x"\nrole = "radio"\n[links.radio.signing]\nkey_file = "k"\n'
+
+
+def load(folder: Path, text: str) -> FleetConfig:
+    path = folder / "fleet.toml"
+    path.write_text(text)
+    return load_fleet(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "sysids", "shown"),
+    [
+        ('vehicles = ["kite"]', [5], "kite"),
+        ('vehicles = ["kite", 7, "v8", "9"]', [5, 7, 8, 9], "kite, 7, v8, 9"),
+        ("vehicles = [5]\npresent_as = 1", [5], "5 as 1"),
+        ('vehicles = ["hawk"]\npresent_as = 6', [6], "hawk as 6"),
+    ],
+)
+def test_vehicles_are_names_or_system_ids(tmp_path: Path, keys: str, sysids: list[int], shown: str) -> None:
+    config = load(tmp_path, VEHICLES + LINK + keys)
+    assert list(config.bound_sysids(config.links["p"]).values()) == sysids
+    assert endpoint_text(config.links["p"]) == shown
+
+
+def test_several_programs_may_see_one_id(tmp_path: Path) -> None:
+    text = VEHICLES
+    for n, vehicle in enumerate(("kite", "hawk", "kite")):
+        text += LINK.replace("links.p", f"links.p{n}").replace("14561", f"1456{n}")
+        text += f'vehicles = ["{vehicle}"]\npresent_as = 1\n'
+    assert len(load(tmp_path, text).links) == 3
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (LINK + 'vehicles = ["kit"]', "links.p.vehicles[0] (line 9): there is no vehicle 'kit'; did you mean kite?"),
+        (LINK + 'vehicles = ["zoe"]', "there is no vehicle 'zoe'; there are: kite, hawk; or a system id, 1 to 255"),
+        (LINK + "vehicles = [300]", "there is no vehicle 300"),
+        (LINK + "vehicles = [0]", "there is no vehicle 0"),
+        (LINK + "vehicles = [255]", "255 is skygcs's own system id (daemon.sysid), and no vehicle's"),
+        (LINK + 'vehicles = ["kite", 5]', "5 is system 5, as 'kite' is: name it once"),
+        (LINK.replace("gcs", "vehicle") + "vehicles = [5]", 'needs role = "gcs" (it is "vehicle")'),
+        (
+            LINK.replace('role = "gcs"\n', "") + "vehicles = [5]",
+            'needs role = "gcs" (it is "peer"): behind a bound link',
+        ),
+        (LINK + 'vehicles = ["kite", "hawk"]\npresent_as = 1', "and `vehicles` has 2: make a link for each"),
+        (LINK + "present_as = 1", "links.p.present_as (line 9): says how one vehicle is shown"),
+        (LINK + "vehicles = [5]\npresent_as = 255", "255 is skygcs's own system id (daemon.sysid)"),
+        (LINK + "vehicles = [5]\npresent_as = 0", "present_as"),
+        (
+            LINK + 'vehicles = [5]\npresent_as = 1\n[links.p.signing]\nkey_file = "k"',
+            "changes every frame, and a changed frame has no signature",
+        ),
+        (
+            '[links.p]\ntype = "serial"\ndevice = "/dev/x"\nrole = "gcs"\nvehicles = [5]',
+            "is for links to programs, udp_… and tcp_…; a serial link has the vehicles themselves behind it",
+        ),
+        ('[links.p]\ntype = "simulated"\npx4 = 1\nvehicles = [1]', "a simulated link has the vehicles"),
+        ('[links.p]\ntype = "replay"\nfile = "x.tlog"\nvehicles = [1]', "a replay link has the vehicles"),
+    ],
+)
+def test_what_does_not_go_together_is_told_with_what_to_do(tmp_path: Path, text: str, complaint: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(tmp_path, VEHICLES + text)
+    assert len(caught.value.problems) == 1, caught.value.problems
+    assert complaint in caught.value.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("keys", "warned"),
+    [
+        ("vehicles = [5]", "a frame that names no target from it is readdressed and loses its signature"),
+        ("vehicles = [5]\npresent_as = 1", "every frame from it is readdressed and loses its signature"),
+        ("vehicles = [5, 6]", None),
+        ("", None),
+        ("vehicles = [5]\nenabled = false", None),
+    ],
+)
+def test_orders_that_lose_their_signature_are_warned_of(tmp_path: Path, keys: str, warned: str | None) -> None:
+    found = link_warnings(load(tmp_path, SIGNED + LINK + keys))
+    assert (warned in found["p"] and "links.radio" in found["p"]) if warned is not None else not found
+    assert not link_warnings(load(tmp_path, LINK + keys)), "nobody checks"
