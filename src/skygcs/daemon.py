@@ -63,13 +63,13 @@ log = structlog.get_logger("skygcs")
 _QUIET_KINDS = frozenset({"statustext", "command", "route"})
 """Events that are told to subscribers and logged at debug or info, not as changes of the daemon's own state."""
 
-
 _NOTE_KINDS = {
     "conflict": "conflict",
     "duplicate": "duplicate",
     "duplicate_over": "duplicate",
     "out_of_bounds": "warning",
 }
+
 
 class Daemon:
     """One running skygcs. `run` until `stop`; the rest answers the RPC methods (loop thread only)."""
@@ -284,9 +284,9 @@ class Daemon:
         if note.kind in ("duplicate", "duplicate_over"):
             self.fleet.set_duplicate(note.sysid << 8 | note.compid, note.kind == "duplicate")
         text = {
+            "out_of_bounds": _beyond(note, where, channel),
             "learned": f"{who} heard on {where}",
             "expired": f"{who} not heard on {where} for {self.config.daemon.route_timeout_s:g} s, route forgotten",
-            "out_of_bounds": _beyond(note, where, channel),
             "cleared": f"{who} restarted (SYSTEM_TIME went back), its routes are learned anew",
             "conflict": f"{where} sends frames with our own id {who}: they are dropped; "
             "give one of the two another daemon.sysid or daemon.compid",
@@ -388,9 +388,9 @@ class Daemon:
         """See `AirPlanner.select`."""
         self.air.select(keys)
 
-    def send_corrections(self, source: str, data: bytes) -> dict[str, Any]:
+    def send_corrections(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
         """See `CorrectionFeed.send`."""
-        return self._corrections.send(source, data)
+        return self._corrections.send(source, data, end=end)
 
     def corrections_status(self) -> dict[str, Any]:
         """See `CorrectionFeed.status`."""
@@ -399,6 +399,7 @@ class Daemon:
     def links_status(self) -> list[dict[str, Any]]:
         """Every link with its state, channels, counters and sources."""
         now = self.now()
+        self.hub.after_lane()
         return self.links.status(now, lambda channel: self._channel_status(channel, now))
 
     def _channel_status(self, channel: Channel, now: float) -> dict[str, Any]:
@@ -428,6 +429,7 @@ class Daemon:
 
     def router_stats(self) -> dict[str, Any]:
         """Counters of decisions and the route table."""
+        self.hub.after_lane()
         router = self.hub.router
         now = self.now()
         return {
@@ -452,18 +454,6 @@ class Daemon:
         return self.recorder.status()
 
 
-def _read_token(path: Path | None) -> str | None:
-    """The RPC token; raises LinkError if the file is missing, empty or readable by others."""
-    if path is None:
-        return None
-    try:
-        mode = path.stat().st_mode
-        token = path.read_text().strip()
-    except OSError as error:
-        raise LinkError(f"daemon.token_file {path}: {error.strerror}") from None
-    if mode & 0o077:
-        raise LinkError(f"daemon.token_file {path}: others can read it; chmod 600 {path}")
-    if len(token) < 16:
 def _beyond(note: RouteNote, where: str, channel: Channel | None) -> str:
     """What is told of a program behind a bound link that addressed somebody else; in the ids that it knows."""
     if channel is None or channel.endpoint is None:
@@ -477,5 +467,17 @@ def _beyond(note: RouteNote, where: str, channel: Channel | None) -> str:
     )
 
 
+def _read_token(path: Path | None) -> str | None:
+    """The RPC token; raises LinkError if the file is missing, empty or readable by others."""
+    if path is None:
+        return None
+    try:
+        mode = path.stat().st_mode
+        token = path.read_text().strip()
+    except OSError as error:
+        raise LinkError(f"daemon.token_file {path}: {error.strerror}") from None
+    if mode & 0o077:
+        raise LinkError(f"daemon.token_file {path}: others can read it; chmod 600 {path}")
+    if len(token) < 16:
         raise LinkError(f"daemon.token_file {path}: the token needs at least 16 characters")
     return token

@@ -107,7 +107,7 @@ class Station:
                 self.peers[peer].sendto(datagram, ("127.0.0.1", self.port))
             for link in self.links:
                 for _ in range(3):
-                    link._on_burst() if link._lane is not None else link._on_readable()
+                    link._lane.ready() if link._lane is not None else link._on_readable()
             for _ in range(3):
                 self.loop.run_until_complete(asyncio.sleep(0))
             got += [_drain(s) for s in (*self.sinks, *self.peers)]
@@ -116,6 +116,7 @@ class Station:
             if number % 3 == 0:
                 self.hub.tick(self.loop.now)
         now = self.loop.now
+        self.hub.after_lane()
         return {
             "datagrams": got,
             "recorded": self.recorded,

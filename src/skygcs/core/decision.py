@@ -8,7 +8,7 @@ from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """What became of a frame. Values are the names of the counters. (Of a plain Enum the hash is worked out in Python.)"""
+    """What became of a frame. Values are the names of the counters. (A plain Enum works its hash out in Python.)"""
 
     FORWARDED = "forwarded"
     LOCAL = "local"

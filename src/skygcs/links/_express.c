@@ -7,8 +7,10 @@
  * Python whole, with nothing done to it, after what came before it was sent and counted. Any change of the routing
  * table ends all flows (`Table.invalidate`). So the lane can be left out at any time, and nothing but the speed changes.
  *
- * What Python would have noted per frame (counters, sequence loss, last heard, newest frame of a message, tlog records)
- * is gathered and told once per burst, before anybody can look. Numbers in docs/performance.md, reasons in
+ * What Python would have noted per frame is gathered. The newest frame of a message is told at the end of each burst;
+ * counters, sequence numbers, when somebody was last heard and tlog records when somebody wants to know
+ * (`Table.take`: once a second, before anything is recorded, shown or goes the Python way). A frame alone in its burst,
+ * as at 1,000 a second, so costs no call of Python. Numbers in docs/performance.md, reasons in
  * docs/decisions/0003-express-lane.md.
  */
 #define PY_SSIZE_T_CLEAN
@@ -25,7 +27,8 @@
 #include <time.h>
 
 enum {
-    BURST = 64,                 /* datagrams per wake-up, as links.udp.DATAGRAMS_PER_WAKEUP */
+    BURST = 64,                 /* datagrams received at once, as links.udp.DATAGRAMS_PER_WAKEUP */
+    BURSTS = 4,                 /* per wake-up: at a quarter of Python's time per datagram others wait no longer */
     DATAGRAM_BYTES = 65536,
     SLOT_BYTES = 65536 + 4160,  /* not a power of two: slots must not share the sets of the CPU's caches */
     FRAMES = 256,               /* in one datagram; more go through Python */
@@ -35,6 +38,7 @@ enum {
     WHOLE_BYTES = 1472,         /* runtime.hub.WHOLE_DATAGRAM_BYTES */
     LATE_GAP = 250,             /* core.linkstats */
     TLOG_TIME_BYTES = 8,
+    RECORDS_BYTES = 65536,      /* tlog records that wait for `Table.take`; with more it is asked for */
 };
 static const double WINDOW_S = 0.5; /* core.dedup */
 
@@ -125,8 +129,12 @@ static uint64_t address_key(const struct sockaddr_in *a) {
 typedef struct { uint8_t crc_extra, min_length, length; int target_at; PyObject *info; } Message;
 typedef struct { uint64_t *at; size_t mask; int count; } Generation; /* key << 24 | channel id; 0: none */
 
+typedef struct Lane Lane;
+static int tell_counts(Lane *lanes);
+
 typedef struct {
     PyObject_HEAD
+    Lane *lanes;
     Map messages; /* by msgid + 1 */
     Generation newer, older;
     uint64_t *spare;
@@ -204,6 +212,7 @@ static PyObject *table_first_heard_on(Table *table, PyObject *args) {
 static PyObject *table_invalidate(Table *table, PyObject *unused) {
     (void)unused;
     table->epoch++;
+    if (!tell_counts(table->lanes)) return NULL; /* now, while all channels are still there */
     Py_RETURN_NONE;
 }
 
@@ -250,9 +259,10 @@ static void table_dealloc(Table *table) {
     Py_TYPE(table)->tp_free(table);
 }
 
-/* (frames forwarded, frames for nobody but us, tlog records, their number) since the last call. */
+/* (frames forwarded, frames for nobody but us, tlog records, their number) since the last call; all else is told. */
 static PyObject *table_take(Table *table, PyObject *unused) {
     (void)unused;
+    if (!tell_counts(table->lanes)) return NULL;
     PyObject *taken = Py_BuildValue("lly#l", table->forwarded, table->local, (const char *)table->records,
                                     (Py_ssize_t)table->records_size, table->n_records);
     table->forwarded = table->local = table->n_records = 0;
@@ -307,10 +317,10 @@ static int get_long(PyObject *object, PyObject *name, long *value) {
 
 typedef struct Out {
     PyObject_HEAD
-    int fd, n, whole, touched; /* whole: may be sent several frames in one datagram */
-    struct Out *next;
+    int fd, n, whole, touched, waits; /* whole: may be sent several frames in one datagram */
+    struct Out *next, *next_waiting;
     struct sockaddr_in to;
-    PyObject *channel; /* borrowed: the channel owns its Out */
+    PyObject *channel; /* borrowed: the channel owns its Out, and when it goes the table is invalidated first */
     struct iovec parts[BURST];
     int frames[BURST];
     long tx_frames, tx_bytes, tx_dropped;
@@ -338,7 +348,7 @@ static void out_flush(Out *out) {
         if (sent <= 0) out->tx_dropped += out->frames[done], sent = 1;
         done += sent;
     }
-    out->n = 0;
+    out->n = out->waits = 0;
 }
 
 static int out_tell(Out *out) {
@@ -348,11 +358,12 @@ static int out_tell(Out *out) {
     return good;
 }
 
-/* -- a lane: one UDP socket. What a burst touched is linked in lists, to be told at its end */
+/* -- a lane: one UDP socket. What was touched is linked in lists, to be told of */
 
 typedef struct Peer {
     uint32_t number, channel_id;
     PyObject *channel, *parser_stats;
+    double at;
     long frames, bytes;
     int touched;
     struct Peer *next;
@@ -360,6 +371,7 @@ typedef struct Peer {
 
 typedef struct Source {
     PyObject *stats, *heard, *key;
+    double at;
     long last_seq, lost, counts_loss, frames, bytes;
     int touched;
     struct Source *next;
@@ -377,18 +389,20 @@ typedef struct Flow {
     struct Flow *next;
 } Flow;
 
-typedef struct {
+struct Lane {
     PyObject_HEAD
     Table *table;
+    Lane *next;
+    PyObject *clock, *slow, *after, *broken; /* see `Lane` in _express.pyi */
     int fd, settling;
     uint32_t n_peers;
     Map peers, sources, flows; /* by address; peer and source; peer, source and msgid */
     uint64_t epoch;
     Peer *touched_peers;
     Source *touched_sources;
-    Flow *touched_flows;
-    Out *touched_outs;
-} Lane;
+    Flow *touched_flows; /* in this burst */
+    Out *touched_outs, *waiting; /* waiting: with something to send */
+};
 
 #define TOUCH(list, item) \
     if (!(item)->touched) (item)->touched = 1, (item)->next = (list), (list) = (item)
@@ -413,6 +427,7 @@ static void free_flow(void *value) {
     PyMem_Free(flow);
 }
 
+/* Nothing may be untold: sources are let go of. */
 static void forget_flows(Lane *lane) {
     map_clear(&lane->flows, free_flow);
     map_clear(&lane->sources, free_source);
@@ -428,6 +443,7 @@ static PyObject *lane_add_peer(Lane *lane, PyObject *args) {
     unsigned channel_id;
     if (!PyArg_ParseTuple(args, "O!OOI", &PyTuple_Type, &address, &channel, &parser_stats, &channel_id)) return NULL;
     if (!address_from(address, &from)) return NULL;
+    if (!tell_counts(lane->table->lanes)) return NULL;
     Peer *peer = map_get(&lane->peers, address_key(&from));
     if (peer) free_peer(peer);
     if (!(peer = PyMem_Calloc(1, sizeof *peer))) return PyErr_NoMemory();
@@ -438,7 +454,7 @@ static PyObject *lane_add_peer(Lane *lane, PyObject *args) {
 
 static PyObject *lane_remove_peer(Lane *lane, PyObject *address) {
     struct sockaddr_in from;
-    if (!address_from(address, &from)) return NULL;
+    if (!address_from(address, &from) || !tell_counts(lane->table->lanes)) return NULL;
     Peer *peer = map_get(&lane->peers, address_key(&from));
     if (peer) {
         *map_slot(&lane->peers, address_key(&from)) = NULL;
@@ -461,7 +477,10 @@ static PyObject *lane_let_through(Lane *lane, PyObject *args) {
     if (watches != Py_None && !PyList_Check(watches)) return PyErr_SetString(PyExc_TypeError, "watches is a list"), NULL;
     if (steady != Py_None && !PyBytes_Check(steady)) return PyErr_SetString(PyExc_TypeError, "steady is bytes"), NULL;
     if (lane->settling) Py_RETURN_NONE;
-    if (lane->epoch != lane->table->epoch || lane->flows.used >= MAX_FLOWS) forget_flows(lane);
+    if (lane->epoch != lane->table->epoch || lane->flows.used >= MAX_FLOWS) {
+        if (!tell_counts(lane->table->lanes)) return NULL;
+        forget_flows(lane);
+    }
     Peer *peer = map_get(&lane->peers, address_key(&from));
     Message *message = map_get(&lane->table->messages, msgid + 1);
     if (!peer || !message || map_get(&lane->flows, flow_key(peer, source, (uint32_t)msgid))) Py_RETURN_NONE;
@@ -540,6 +559,7 @@ static void send_to(Lane *lane, const Flow *flow, const uint8_t *data, int size,
     for (int i = 0; i < flow->n_outs; i++) {
         Out *out = flow->outs[i];
         if (out->n == BURST) out_flush(out);
+        if (!out->waits && !out->n) out->waits = 1, out->next_waiting = lane->waiting, lane->waiting = out;
         TOUCH(lane->touched_outs, out);
         out->parts[out->n] = (struct iovec){(void *)data, (size_t)size};
         out->frames[out->n++] = frames;
@@ -575,6 +595,7 @@ static int pass(Lane *lane, Peer *peer, const uint8_t *data, int size, double no
         TOUCH(lane->touched_sources, source);
         TOUCH(lane->touched_flows, flow);
         count_source(source, f->seq, f->size);
+        source->at = now;
         flow->newest = f->raw, flow->newest_size = f->size, flow->count++;
         *(flow->n_outs ? &table->forwarded : &table->local) += 1;
         if (table->recording && !record(table, f->raw, (size_t)f->size, unix_us)) return -1;
@@ -582,7 +603,7 @@ static int pass(Lane *lane, Peer *peer, const uint8_t *data, int size, double no
     }
     if (together) send_to(lane, found[0].flow, data, size, n);
     TOUCH(lane->touched_peers, peer);
-    peer->frames += n, peer->bytes += size;
+    peer->frames += n, peer->bytes += size, peer->at = now;
     return 1;
 }
 
@@ -617,17 +638,21 @@ static int tell_flow(Lane *lane, Flow *flow, PyObject *now) {
     return done != NULL;
 }
 
-static int tell_source(Source *s, PyObject *now) {
-    int good = add(s->stats, s_frames, s->frames) && add(s->stats, s_bytes, s->bytes) && set_long(s->stats, s_lost, s->lost) &&
-               set_long(s->stats, s_last_seq, s->last_seq) && !PyObject_SetAttr(s->stats, s_last_at, now) &&
-               !PyDict_SetItem(s->heard, s->key, now);
+static int tell_source(Source *s) {
+    PyObject *at = PyFloat_FromDouble(s->at);
+    int good = at && add(s->stats, s_frames, s->frames) && add(s->stats, s_bytes, s->bytes) && set_long(s->stats, s_lost, s->lost) &&
+               set_long(s->stats, s_last_seq, s->last_seq) && !PyObject_SetAttr(s->stats, s_last_at, at) &&
+               !PyDict_SetItem(s->heard, s->key, at);
+    Py_XDECREF(at);
     s->frames = s->bytes = 0;
     return good;
 }
 
-static int tell_peer(Peer *peer, PyObject *now) {
-    int good = add(peer->channel, s_rx_frames, peer->frames) && add(peer->channel, s_rx_bytes, peer->bytes) &&
-               add(peer->parser_stats, s_good, peer->frames) && !PyObject_SetAttr(peer->channel, s_last_rx_at, now);
+static int tell_peer(Peer *peer) {
+    PyObject *at = PyFloat_FromDouble(peer->at);
+    int good = at && add(peer->channel, s_rx_frames, peer->frames) && add(peer->channel, s_rx_bytes, peer->bytes) &&
+               add(peer->parser_stats, s_good, peer->frames) && !PyObject_SetAttr(peer->channel, s_last_rx_at, at);
+    Py_XDECREF(at);
     peer->frames = peer->bytes = 0;
     return good;
 }
@@ -635,63 +660,72 @@ static int tell_peer(Peer *peer, PyObject *now) {
 #define TELL(list, item, tell) \
     for (; (item = (list)); item->touched = 0) if ((list) = item->next, !(tell)) good = 0
 
-/* Send what waits, and make Python's objects say what it would have made them say frame by frame. */
+/* Make Python's objects say what they would have been made to say frame by frame. Sets attributes, calls nothing. */
+static int tell_counts(Lane *lanes) {
+    int good = 1;
+    for (Lane *lane = lanes; lane; lane = lane->next) {
+        Out *out;
+        Source *source;
+        Peer *peer;
+        TELL(lane->touched_outs, out, out_tell(out));
+        TELL(lane->touched_sources, source, tell_source(source));
+        TELL(lane->touched_peers, peer, tell_peer(peer));
+    }
+    return good;
+}
+
+/* Send what waits and show the newest frames. */
 static int settle(Lane *lane, PyObject *now) {
     int good = 1;
-    Out *out;
     Flow *flow;
-    Source *source;
-    Peer *peer;
+    for (; lane->waiting; lane->waiting = lane->waiting->next_waiting) out_flush(lane->waiting);
     lane->settling = 1; /* Python is called below */
-    for (out = lane->touched_outs; out; out = out->next) out_flush(out);
-    TELL(lane->touched_outs, out, out_tell(out));
     TELL(lane->touched_flows, flow, tell_flow(lane, flow, now));
-    TELL(lane->touched_sources, source, tell_source(source, now));
-    TELL(lane->touched_peers, peer, tell_peer(peer, now));
     lane->settling = 0;
     return good;
 }
 
-static int to_python(PyObject *slow, const uint8_t *data, int size, const struct sockaddr_in *from) {
-    PyObject *address = address_tuple(from);
-    PyObject *done = address ? PyObject_CallFunction(slow, "y#N", (const char *)data, (Py_ssize_t)size, address) : NULL;
+/* The datagram takes the Python way, after all that came before it. */
+static int to_python(Lane *lane, const uint8_t *data, int size, const struct sockaddr_in *from, PyObject *now) {
+    PyObject *address = settle(lane, now) && tell_counts(lane->table->lanes) ? address_tuple(from) : NULL;
+    PyObject *slow = Py_NewRef(lane->slow); /* it may close the lane */
+    PyObject *done = address ? PyObject_CallFunction(slow, "y#NO", (const char *)data, (Py_ssize_t)size, address, now) : NULL;
+    Py_DECREF(slow);
     Py_XDECREF(done);
     return done != NULL;
 }
 
-static int burst(Lane *lane, int got, struct mmsghdr *messages, struct sockaddr_in *from, PyObject *now, PyObject *slow) {
+static int burst(Lane *lane, int got, struct mmsghdr *messages, struct sockaddr_in *from, PyObject *now) {
     double seconds = PyFloat_AsDouble(now);
     struct timespec clock;
     clock_gettime(CLOCK_REALTIME, &clock);
     uint64_t unix_us = (uint64_t)clock.tv_sec * 1000000u + (uint64_t)clock.tv_nsec / 1000u;
-    for (int i = 0; i < got; i++) {
+    for (int i = 0; i < got && lane->fd >= 0; i++) { /* it may be closed by what goes the Python way */
         const uint8_t *data = slots + (size_t)i * SLOT_BYTES;
         int size = (int)messages[i].msg_len, passed = 0;
-        if (lane->epoch != lane->table->epoch) forget_flows(lane); /* nothing is gathered now: it was settled before */
+        if (lane->epoch != lane->table->epoch) forget_flows(lane); /* nothing is untold: see `table_invalidate` */
         Peer *peer = map_get(&lane->peers, address_key(&from[i]));
         if (peer) passed = pass(lane, peer, data, size, seconds, unix_us);
-        if (passed < 0 || (!passed && !(settle(lane, now) && to_python(slow, data, size, &from[i])))) return 0;
+        if (passed < 0 || (!passed && !to_python(lane, data, size, &from[i], now))) return 0;
     }
     return settle(lane, now);
 }
 
-/* receive(now, slow) -> datagrams received, at most BURST. slow(data, address) gets each that does not take the lane.
-   Raises OSError (BlockingIOError if there is none). */
-static PyObject *lane_receive(Lane *lane, PyObject *args) {
+/* Receive at most BURST datagrams and see to them; how many there were, -1 and an exception. */
+static int receive(Lane *lane, PyObject *now) {
     static struct mmsghdr messages[BURST];
     static struct iovec parts[BURST];
     static struct sockaddr_in from[BURST];
-    PyObject *now, *slow;
-    if (!PyArg_ParseTuple(args, "O!O", &PyFloat_Type, &now, &slow)) return NULL;
-    if (lane_is_running) return PyErr_SetString(PyExc_RuntimeError, "a lane is being received from already"), NULL;
-    for (int i = 0; i < BURST; i++) {
+    static int filled = BURST; /* headers the kernel has written to, and for the first time all */
+    for (int i = 0; i < filled; i++) {
         parts[i] = (struct iovec){slots + (size_t)i * SLOT_BYTES, DATAGRAM_BYTES};
         messages[i].msg_hdr = (struct msghdr){.msg_name = &from[i], .msg_namelen = sizeof from[i], .msg_iov = &parts[i], .msg_iovlen = 1};
     }
     int got = recvmmsg(lane->fd, messages, BURST, MSG_DONTWAIT, NULL);
-    if (got < 0) return PyErr_SetFromErrno(PyExc_OSError);
+    filled = got < 0 ? 0 : got;
+    if (got < 0) return PyErr_SetFromErrno(PyExc_OSError), -1;
     lane_is_running = 1;
-    int good = burst(lane, got, messages, from, now, slow);
+    int good = burst(lane, got, messages, from, now);
     if (!good) { /* no memory, or a fault in a callback: let go of what was gathered, then tell */
         PyObject *type, *value, *trace;
         PyErr_Fetch(&type, &value, &trace);
@@ -699,27 +733,66 @@ static PyObject *lane_receive(Lane *lane, PyObject *args) {
         PyErr_Restore(type, value, trace);
     }
     lane_is_running = 0;
-    return good ? PyLong_FromLong(got) : NULL;
+    return good ? got : -1;
+}
+
+/* The socket can be read: the event loop's callback. An error of the socket goes to `broken`, a fault in a callback up. */
+static PyObject *lane_ready(Lane *lane, PyObject *unused) {
+    (void)unused;
+    if (lane_is_running) return PyErr_SetString(PyExc_RuntimeError, "a lane is being received from already"), NULL;
+    PyObject *now = lane->fd < 0 ? Py_NewRef(Py_None) : PyObject_CallNoArgs(lane->clock);
+    if (now && now != Py_None && !PyFloat_Check(now)) PyErr_SetString(PyExc_TypeError, "a clock tells seconds as a float");
+    int got = PyErr_Occurred() ? -1 : BURST;
+    for (int i = 0; i < BURSTS && got == BURST && lane->fd >= 0; i++) got = receive(lane, now);
+    Py_XDECREF(now);
+    PyObject *done = NULL;
+    if (got >= 0)
+        done = lane->table->records_size < RECORDS_BYTES ? Py_NewRef(Py_None) : PyObject_CallNoArgs(lane->after);
+    else if (PyErr_ExceptionMatches(PyExc_BlockingIOError))
+        PyErr_Clear(), done = Py_NewRef(Py_None);
+    else if (PyErr_ExceptionMatches(PyExc_OSError) && lane->fd >= 0) {
+        PyObject *type, *value, *trace;
+        PyErr_Fetch(&type, &value, &trace);
+        PyErr_NormalizeException(&type, &value, &trace);
+        done = PyObject_CallOneArg(lane->broken, value);
+        Py_XDECREF(type), Py_XDECREF(value), Py_XDECREF(trace);
+    }
+    return done;
 }
 
 static int lane_init(Lane *lane, PyObject *args, PyObject *unused) {
     (void)unused;
+    PyObject *table, *clock, *slow, *after, *broken;
     if (lane->table) return PyErr_SetString(PyExc_TypeError, "a lane is made once"), -1;
-    if (!PyArg_ParseTuple(args, "O!i", &TableType, &lane->table, &lane->fd)) return lane->table = NULL, -1;
-    Py_INCREF(lane->table);
+    if (!PyArg_ParseTuple(args, "O!iOOOO", &TableType, &table, &lane->fd, &clock, &slow, &after, &broken)) return -1;
+    lane->table = (Table *)Py_NewRef(table);
+    lane->clock = Py_NewRef(clock), lane->slow = Py_NewRef(slow), lane->after = Py_NewRef(after), lane->broken = Py_NewRef(broken);
+    lane->next = lane->table->lanes, lane->table->lanes = lane;
     return 0;
 }
 
-/* The socket is about to be closed: let go of everything. */
+/* The socket is about to be closed: let go of everything. Not from within this lane's own callback but by `slow`. */
 static PyObject *lane_close(Lane *lane, PyObject *unused) {
     (void)unused;
-    map_clear(&lane->flows, free_flow), map_clear(&lane->sources, free_source), map_clear(&lane->peers, free_peer);
+    if (lane->fd < 0) Py_RETURN_NONE;
+    int told = tell_counts(lane->table->lanes);
     lane->fd = -1;
-    Py_RETURN_NONE;
+    for (Lane **at = &lane->table->lanes; *at; at = &(*at)->next)
+        if (*at == lane) {
+            *at = lane->next;
+            break;
+        }
+    lane->next = NULL;
+    map_clear(&lane->flows, free_flow), map_clear(&lane->sources, free_source), map_clear(&lane->peers, free_peer);
+    Py_CLEAR(lane->clock);
+    Py_CLEAR(lane->slow);
+    Py_CLEAR(lane->after);
+    Py_CLEAR(lane->broken);
+    return told ? Py_NewRef(Py_None) : NULL;
 }
 
 static void lane_dealloc(Lane *lane) {
-    Py_XDECREF(lane_close(lane, NULL));
+    if (lane->table) Py_XDECREF(lane_close(lane, NULL));
     Py_XDECREF(lane->table);
     Py_TYPE(lane)->tp_free(lane);
 }
@@ -732,20 +805,24 @@ static PyMethodDef table_methods[] = {
     {"take", (PyCFunction)table_take, METH_NOARGS, "(forwarded, local, tlog records, their number) since the last call."},
     {0},
 };
+static PyMemberDef table_members[] = {
+    {"records_waiting", T_LONG, offsetof(Table, n_records), READONLY, "tlog records that `take` would give."},
+    {0},
+};
 static PyMethodDef lane_methods[] = {
     {"add_peer", (PyCFunction)lane_add_peer, METH_VARARGS, "add_peer(address, channel, parser_stats, channel_id)"},
     {"remove_peer", (PyCFunction)lane_remove_peer, METH_O, "remove_peer(address)"},
     {"let_through", (PyCFunction)lane_let_through, METH_VARARGS, "let_through(address, source, msgid, stats, heard, outs, slot, watches)"},
-    {"receive", (PyCFunction)lane_receive, METH_VARARGS, "receive(now, slow) -> number of datagrams"},
+    {"ready", (PyCFunction)lane_ready, METH_NOARGS, "To be called when the socket can be read."},
     {"close", (PyCFunction)lane_close, METH_NOARGS, "Let go of everything."},
     {0},
 };
-#define TYPE(NAME, SIZE, METHODS, INIT, DEALLOC) \
+#define TYPE(NAME, SIZE, METHODS, MEMBERS, INIT, DEALLOC) \
     {PyVarObject_HEAD_INIT(NULL, 0).tp_name = "skygcs.links._express." NAME, .tp_basicsize = SIZE, .tp_flags = Py_TPFLAGS_DEFAULT, \
-     .tp_new = PyType_GenericNew, .tp_methods = METHODS, .tp_init = (initproc)INIT, .tp_dealloc = (destructor)DEALLOC}
-static PyTypeObject TableType = TYPE("Table", sizeof(Table), table_methods, table_init, table_dealloc);
-static PyTypeObject OutType = TYPE("Out", sizeof(Out), NULL, out_init, NULL);
-static PyTypeObject LaneType = TYPE("Lane", sizeof(Lane), lane_methods, lane_init, lane_dealloc);
+     .tp_new = PyType_GenericNew, .tp_methods = METHODS, .tp_members = MEMBERS, .tp_init = (initproc)INIT, .tp_dealloc = (destructor)DEALLOC}
+static PyTypeObject TableType = TYPE("Table", sizeof(Table), table_methods, table_members, table_init, table_dealloc);
+static PyTypeObject OutType = TYPE("Out", sizeof(Out), NULL, NULL, out_init, NULL);
+static PyTypeObject LaneType = TYPE("Lane", sizeof(Lane), lane_methods, NULL, lane_init, lane_dealloc);
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_express", "The express lane of UDP; see links.express.", -1, NULL, NULL, NULL, NULL, NULL};
 
 PyMODINIT_FUNC PyInit__express(void) {

@@ -108,7 +108,7 @@ class LinkHost(Protocol):
         ...
 
     def after_lane(self) -> None:
-        """To be called after each burst of a lane, and before anything else is done in the middle of one."""
+        """Count and record what has passed lanes: to be called before anybody looks at channels or sources."""
         ...
 
     def new_parser(self, config: LinkConfig) -> FrameParser:

@@ -7,6 +7,7 @@ SKYGCS_PURE set to anything) the very same happens in Python, at some four times
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from skygcs.core.mavlink.dialect import Dialect
@@ -14,6 +15,7 @@ from skygcs.core.mavlink.frame import Frame
 
 if TYPE_CHECKING:
     from skygcs.links._express import Lane, Out, Table
+    from skygcs.links.address import Address
 
 PURE = "SKYGCS_PURE"
 """Environment variable: leave the compiled code aside."""
@@ -33,11 +35,23 @@ def new_table(dialect: Dialect, *, recording: bool) -> Table | None:
     return Table(messages, Frame, recording)
 
 
-def new_lane(table: Table, fd: int) -> Lane:
-    """The lane of one UDP socket. Nothing passes until `Lane.let_through` says so."""
+def new_lane(
+    table: Table,
+    fd: int,
+    *,
+    clock: Callable[[], float],
+    slow: Callable[[bytes, Address, float], None],
+    after: Callable[[], None],
+    broken: Callable[[OSError], None],
+) -> Lane:
+    """The lane of one UDP socket. Nothing passes until `Lane.let_through` says so.
+
+    ``slow(data, address, now)`` gets what does not pass, ``broken(error)`` the socket's errors; ``after()`` is to call
+    `Table.take`, for there is much to be taken.
+    """
     from skygcs.links._express import Lane
 
-    return Lane(table, fd)
+    return Lane(table, fd, clock, slow, after, broken)
 
 
 def new_out(fd: int, address: tuple[object, ...], channel: object, *, whole: bool) -> Out | None:

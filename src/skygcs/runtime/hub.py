@@ -223,6 +223,8 @@ class Hub:
         unix_us = time.time_ns() // 1000
         label = channel.link.name
         channel.last_rx_at = now
+        if self.express is not None and self.express.records_waiting:
+            self.after_lane()  # what came before is recorded before
         renumbering = self._renumbering
         together: list[tuple[Frame, tuple[int, ...]]] | None = None
         if channel.whole_datagrams and len(frames) > 1:
@@ -299,7 +301,7 @@ class Hub:
     # -- compiled lanes
 
     def after_lane(self) -> None:
-        """Count and record what has passed lanes since the last call."""
+        """Count and record what has passed lanes since the last call; for whoever looks at channels or sources."""
         if self.express is None:
             return
         forwarded, local, records, count = self.express.take()
@@ -309,8 +311,6 @@ class Hub:
             self.router.counters[Verdict.LOCAL] += local
         if count and self._record_many is not None:
             self._record_many(records, count)
-        if self.router.notes:
-            self._drain_notes()
 
     def forget_lanes(self) -> None:
         """Whatever may pass lanes has to be learned anew."""
@@ -358,6 +358,8 @@ class Hub:
                 call(now)
             except Exception as error:
                 self.fault(error)
+        if self.router.notes:
+            self._drain_notes()
 
     def _shown_of(self, channel: Channel) -> Callable[[int], bool] | None:
         """Which sources of this channel are shown to the fleet; None: all, and no source is known from a recording."""
@@ -388,6 +390,8 @@ class Hub:
         """A message of ours was written; recorded once however many channels it goes to."""
         if self._record is not None and not message.recorded:
             message.recorded = True
+            if self.express is not None and self.express.records_waiting:
+                self.after_lane()
             self._record(raw, time.time_ns() // 1000)
 
     # -- our own messages
@@ -471,6 +475,7 @@ class Hub:
 
     def tick(self, now: float) -> None:
         """Expire routes and sample rates."""
+        self.after_lane()
         self.router.expire(now)
         if self.router.notes:
             self._drain_notes()
