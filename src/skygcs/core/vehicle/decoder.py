@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+
+Reader = Callable[[bytes], tuple[Any, ...]]
+"""A payload, trimmed or not, to fields in a fixed order, by one struct call."""
 
 Values = Mapping[str, tuple[Any, ...]]
 """Per message its scalar fields in the order of `FIELDS`, then its arrays in the order of `ARRAYS`."""
@@ -110,13 +114,16 @@ class Decoder:
 
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
-        self.read: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
+        self.read: dict[str, Reader] = {}
         """Readers of the scalar fields; a message that this dialect cannot give is not among them."""
+        self._read_all: dict[str, Reader] = {}
         for name in FIELDS.keys() | ARRAYS.keys():
             info = dialect.by_name.get(name)
             fields = FIELDS.get(name, ())
             if info is not None and {f.name for f in info.fields}.issuperset((*fields, *ARRAYS.get(name, ()))):
                 self.read[name] = info.reader(*fields)
+                arrays = ARRAYS.get(name)
+                self._read_all[name] = _reader(info, (*fields, *arrays)) if arrays else self.read[name]
 
     def msgid_of(self, message: str) -> int:
         """Id of a message of the dialect; -1 if it has none of that name."""
@@ -125,14 +132,8 @@ class Decoder:
 
     def values(self, name: str, payload: bytes) -> tuple[Any, ...]:
         """The fields of `FIELDS`, then the arrays of the message, in order; () if this dialect cannot give them."""
-        read = self.read.get(name)
-        if read is None:
-            return ()
-        arrays = ARRAYS.get(name)
-        if arrays is None:
-            return read(payload)
-        fields = self.dialect.by_name[name].unpack(payload)
-        return (*read(payload), *(fields[a] for a in arrays))
+        read = self._read_all.get(name)
+        return () if read is None else read(payload)
 
     def bit_names(self, enum: str, bits: int, prefix: str) -> list[str]:
         """Names of the set bits, lower case, without the prefix; unnamed bits as ``bit_N``."""
@@ -143,3 +144,22 @@ class Decoder:
                 entry = entries.get(1 << n)
                 names.append(entry.removeprefix(prefix).lower() if entry else f"bit_{n}")
         return names
+
+
+def _reader(info: MessageInfo, names: tuple[str, ...]) -> Reader:
+    """`MessageInfo.reader` for fields some of which are arrays of numbers, which come as tuples."""
+    fmt, end, count = "<", 0, 0
+    places: dict[str, int | slice] = {}
+    for field in sorted((f for f in info.fields if f.name in names), key=lambda f: f.offset):
+        fmt += f"{field.offset - end}x{field.code}"
+        end = struct.calcsize(fmt)
+        places[field.name] = slice(count, count + field.array_length) if field.array_length else count
+        count += field.array_length or 1
+    compiled = struct.Struct(fmt)
+    wanted = [places[name] for name in names]
+
+    def read(payload: bytes) -> tuple[Any, ...]:
+        values = compiled.unpack_from(payload.ljust(compiled.size, b"\0"))
+        return tuple([values[place] for place in wanted])
+
+    return read

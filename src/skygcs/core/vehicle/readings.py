@@ -19,10 +19,16 @@ ALTERNATIVE_LAG_S = 2.0
 """Of messages that say the same, the preferred one is taken unless it is this much older than the newest."""
 
 
-class Slot:
-    """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over some seconds."""
+_NOTHING: tuple[None, tuple[Any, ...]] = (None, ())
 
-    __slots__ = ("_mark", "_sampled", "at", "count", "frame", "name", "rate_hz")
+
+class Slot:
+    """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over some seconds.
+
+    ``unpacked`` is the frame that was unpacked last and what was read of it (see `Readings.values`).
+    """
+
+    __slots__ = ("_mark", "_sampled", "at", "count", "frame", "name", "rate_hz", "unpacked")
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -30,6 +36,7 @@ class Slot:
         self.at = 0.0
         self.count = 0
         self.rate_hz = 0.0
+        self.unpacked: tuple[Frame | None, tuple[Any, ...]] = _NOTHING
         self._mark = 0
         self._sampled = False
 
@@ -58,6 +65,15 @@ class Readings:
         """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
         slot = self.slots.get(self.decoder.msgid_of(message))
         return slot if slot is not None and slot.frame is not None else None
+
+    def values(self, slot: Slot) -> tuple[Any, ...]:
+        """What is read of the slot's frame (`decoder.Values`), unpacked once, however many sections are made of it."""
+        frame = slot.frame
+        if frame is None:
+            return ()
+        if slot.unpacked[0] is not frame:
+            slot.unpacked = (frame, self.decoder.values(frame.name, frame.payload))
+        return slot.unpacked[1]
 
     def section(self, name: str) -> tuple[Folded | None, float]:
         """One section without its age, and when its newest message came. It is kept: do not change it."""
@@ -114,7 +130,7 @@ class Readings:
         frames = tuple(s.frame for s in slots if s.frame is not None)
         if known is not None and len(known[0]) == len(frames) and all(map(operator.is_, known[0], frames)):
             return known[1], at
-        values = {f.name: v for f in frames if (v := self.decoder.values(f.name, f.payload))}
+        values = {slot.name: v for slot in slots if (v := self.values(slot))}
         folded = section.fold(values, self.decoder) if values else None
         self._cache[section.name] = (frames, folded)
         return folded, at

@@ -383,9 +383,9 @@ class Vehicle:
     def _check_clocks(self, now: float) -> Events:
         """SYSTEM_TIME is not streamed by everybody; other messages carry the same clock."""
         newest = self.readings.newest(BOOT_TIME_MESSAGES)
-        if newest is None or newest.frame is None:
+        if newest is None:
             return ()
-        values = self._decoder.values(newest.name, newest.frame.payload)
+        values = self.readings.values(newest)
         return self._on_boot_ms(values[0], newest.at) if values else ()
 
     def _on_boot_ms(self, boot_ms: int, now: float) -> Events:

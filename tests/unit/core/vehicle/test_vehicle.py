@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoder import ARRAYS, FIELDS, Decoder
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.fold import SECTIONS
 from skygcs.core.vehicle.state import VehicleState
@@ -475,6 +475,33 @@ def test_a_section_is_unpacked_once_per_frame() -> None:
     assert vehicle.section("position") is first
     told(vehicle, voice.position(rel_m=1.0))
     assert vehicle.section("position") is not first
+
+
+def test_a_frame_is_unpacked_once_for_all_that_is_made_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    vehicle, voice = new()
+    unpacked: list[str] = []
+    values = Decoder.values
+
+    def noted(decoder: Decoder, name: str, payload: bytes) -> Any:
+        unpacked.append(name)
+        return values(decoder, name, payload)
+
+    monkeypatch.setattr(Decoder, "values", noted)
+    detail = mav.MAVLink_battery_status_message(0, 0, 0, 32767, [3000] * 10, -1, 378, -1, 42, 0)
+    told(vehicle, voice.say(sys_status(12600, 1530, 88)))  # battery and sensors
+    told(vehicle, voice.say(detail), voice.position())  # completes the battery
+    vehicle.tick(11.0)
+    vehicle.tick(12.0)
+    told(vehicle, now=12.0)
+    assert sorted(unpacked) == ["BATTERY_STATUS", "GLOBAL_POSITION_INT", "SYS_STATUS"]
+
+
+@given(st.sampled_from(sorted(ARRAYS)), st.binary(max_size=255))
+def test_arrays_are_read_as_the_dialect_unpacks_them(name: str, payload: bytes) -> None:
+    whole = flight_dialect().by_name[name].unpack(payload)
+    wanted = [whole[field] for field in (*FIELDS.get(name, ()), *ARRAYS[name])]
+    read = [list(v) if isinstance(v, tuple) else v for v in DECODER.values(name, payload)]
+    assert repr(read) == repr(wanted)  # NaN is not itself
 
 
 def test_a_frame_of_unknown_id_leaves_no_trace() -> None:
