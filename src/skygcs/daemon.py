@@ -34,6 +34,7 @@ from skygcs.rpc.server import RpcServer
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.corrections import CorrectionFeed
 from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.foreign_watch import ForeignWatch
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
 from skygcs.runtime.linktable import LinkTable
@@ -129,6 +130,7 @@ class Daemon:
         if self.watchman.watching:
             self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
         self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, self.on_event)
+        self.foreign = ForeignWatch(self.hub, own.sysid if own.heartbeat else None, dialect, self.on_event)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()
@@ -164,6 +166,7 @@ class Daemon:
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
                 group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
+                group.create_task(self._every(1.0, lambda: self.foreign.tick(self.now())), name="foreign traffic"),
                 group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
             ]
             signing = group.create_task(self.signing.run(), name="signing")

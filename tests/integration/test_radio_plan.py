@@ -19,14 +19,16 @@ from support.on_air import OnAir, on_air
 pytestmark = pytest.mark.looptime
 
 NAV = {"link": {"stream_profile": "nav"}}
+FLOODED = {"stream_profile": "nav", "foreign": {"bytes_per_s": 100_000, "rates": {"PARAM_REQUEST_READ": 1000}}}
+"""Nobody is slowed down: what others send fills whatever is left."""
 
 
 def flood(air: OnAir) -> None:
     """What a program beside us may send to every vehicle, as much as waits at most."""
     info = air.daemon.dialect.by_name["PARAM_REQUEST_READ"]
-    for _ in range(20):
+    for index in range(20):
         for sim in air.link.vehicles:
-            values = {"target_system": sim.sysid, "target_component": 1, "param_id": b"X", "param_index": -1}
+            values = {"target_system": sim.sysid, "target_component": 1, "param_id": b"X", "param_index": index}
             air.channel.send(encode(info, values, sysid=250, compid=190, seq=0), Priority.FORWARDED)
 
 
@@ -46,7 +48,7 @@ async def test_ten_vehicles_at_64_kbit_stream_their_plan_and_nothing_else(tmp_pa
 
 
 async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Path) -> None:
-    async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
+    async with on_air(tmp_path, px4=5, ardupilot=5, link=FLOODED) as air:
         await air.settled(10)
         before, began = air.channel.tx_bytes, air.daemon.now()
         for _ in range(200):
@@ -61,7 +63,7 @@ async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Pat
 
 @pytest.mark.parametrize("phase_s", [0.0, 0.3, 0.6, 0.85])
 async def test_a_stop_reaches_all_ten_through_a_flooded_link_within_two_rounds(tmp_path: Path, phase_s: float) -> None:
-    async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
+    async with on_air(tmp_path, px4=5, ardupilot=5, link=FLOODED) as air:
         await air.settled(10)
         heard: dict[int, float] = {}
         for sim in air.link.vehicles:

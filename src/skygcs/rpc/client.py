@@ -61,6 +61,7 @@ EVENT_KINDS = (
     "signing",
     "recorder",
     "params",
+    "foreign",
     "warning",
     "fault",
 )

@@ -151,6 +151,7 @@ class AirPlanner:
         free = None if report is None else report.txbuf_free
         radio.downlink.look(self._loss_of_all(radio, members, now) if settled else None, free, now)
         wishes = {k: wish for k, actor in members.items() if (wish := self._wish(radio, k, actor)) is not None}
+        radio.air.foreign.unplanned = frozenset(actor.sysid for k, actor in members.items() if k not in wishes)
         budget = self._budget(radio)
         if (wishes, budget) == (radio.wishes, radio.budget):
             return

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import tempfile
 from collections.abc import Coroutine
@@ -144,6 +145,8 @@ class _Cell:
             "dynamics": "kinematic",
             "radio": {"air_kbps": air_kbps, "loss": PACKET_LOSS},
         }
+        if skygcs:  # nobody is slowed down: what others send fills whatever is left
+            link["foreign"] = {"bytes_per_s": 100_000, "rates": {"PARAM_REQUEST_READ": 1000}}
         table = {
             "daemon": {"socket": folder / "s", "log_dir": folder / "logs", "record": False},
             "links": {"air": link},
@@ -287,9 +290,9 @@ class _Cell:
     async def _flood(self, channel: Any) -> None:
         """As much as the port takes, of what somebody else sends to the vehicles."""
         info = self.daemon.dialect.by_name["PARAM_REQUEST_READ"]
-        while True:
+        for index in itertools.count():
             for sim in self.sims:
-                values = {"target_system": sim.sysid, "target_component": 1, "param_id": b"SYSID", "param_index": -1}
+                values = {"target_system": sim.sysid, "target_component": 1, "param_index": index % PARAMETERS}
                 channel.send(_raw(info, values), Priority.FORWARDED)
             await asyncio.sleep(0.1)
 
