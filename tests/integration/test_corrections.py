@@ -90,6 +90,9 @@ async def test_two_bases_at_a_time_are_refused(tmp_path: Path) -> None:
         await send(gcs, STANDARD_1005[:10], source="field")  # the rest of roof's stream would be no part of this one
         assert (await send(gcs, STANDARD_1005[10:], source="field"))["messages"] == 1
         assert (await gcs("corrections.status"))["source"] == "field"
+        await send(gcs, b"", source="field", end=True)
+        assert (await gcs("corrections.status"))["source"] is None
+        assert (await send(gcs, STANDARD_1005, source="roof"))["messages"] == 1
 
 
 async def test_what_no_link_takes_is_told(tmp_path: Path) -> None:

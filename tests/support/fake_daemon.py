@@ -380,7 +380,7 @@ class FakeDaemon:
         self.sent: list[tuple[str, dict[str, Any], str | None, str | None]] = []
         self.links: dict[str, dict[str, Any]] = {"radio": {"type": "serial", "device": "/dev/ttyUSB0"}}
         self.link_states: dict[str, dict[str, Any]] = {}
-        self.corrections: list[tuple[str, bytes]] = []
+        self.corrections: list[tuple[str, bytes, bool]] = []
         self.corrections_fail: Exception | None = None
         self.corrections_taken: dict[str, Any] = {}
         self.corrections_told: dict[str, Any] = {}
@@ -409,10 +409,10 @@ class FakeDaemon:
     def select_vehicles(self, keys: set[int]) -> None:
         self.selected = keys
 
-    def send_corrections(self, source: str, data: bytes) -> dict[str, Any]:
+    def send_corrections(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
         if self.corrections_fail is not None:
             raise self.corrections_fail
-        self.corrections.append((source, data))
+        self.corrections.append((source, data, end))
         return dict(self.corrections_taken)
 
     def corrections_status(self) -> dict[str, Any]:

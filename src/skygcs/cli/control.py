@@ -31,6 +31,7 @@ from skygcs.cli import (
     table,
     track,
 )
+from skygcs.cli.corrections import corrections
 from skygcs.cli.link import link
 from skygcs.cli.missions import missions
 from skygcs.cli.params import params
@@ -135,6 +136,7 @@ app.add_typer(missions, name="mission")
 fences.add_to(app)
 app.add_typer(radios, name="radio")
 app.add_typer(link, name="link")
+app.add_typer(corrections, name="corrections")
 app.add_typer(params, name="param")
 gains.add_to(app)
 track.add_to(app)

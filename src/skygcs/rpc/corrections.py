@@ -26,8 +26,9 @@ class CorrectionsParams(m.Params):
         "rpc",
         min_length=1,
         max_length=64,
-        description="Whose stream it is. Another one is refused until this one was silent for 10 s.",
+        description="Whose stream it is. Another one is refused until this one has ended or was silent for 10 s.",
     )
+    end: bool = Field(False, description="This is its last piece: another source may follow at once.")
 
 
 class CorrectionsTaken(m.Result):
@@ -69,7 +70,7 @@ def corrections_send(context: Context, params: CorrectionsParams) -> JsonObject:
         data = base64.b64decode(params.data, validate=True)
     except ValueError as error:
         raise InvalidParams(("data", f"is not base64: {error}")) from None
-    return context.daemon.send_corrections(params.source, data)
+    return context.daemon.send_corrections(params.source, data, end=params.end)
 
 
 def corrections_status(context: Context, _: m.NoParams) -> JsonObject:

@@ -42,9 +42,10 @@ class CorrectionFeed:
         """Messages, bytes and time of the last one, by RTCM type."""
         self._recent: deque[tuple[float, int]] = deque(maxlen=MAX_RECENT)
 
-    def send(self, source: str, data: bytes) -> dict[str, Any]:
-        """The next piece of the stream of ``source``; what became of the messages that it completed. Raises
-        RefusedError while the stream of another one comes, and without GPS_RTCM_DATA in the dialect."""
+    def send(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
+        """The next piece of the stream of ``source`` (``end``: the last one); what became of the messages that it
+        completed. Raises RefusedError while the stream of another one comes, and without GPS_RTCM_DATA in the dialect.
+        """
         now = self._clock()
         self._follow(source, now)
         before = dict(self._sent)
@@ -62,6 +63,8 @@ class CorrectionFeed:
                 self._note(type_, len(message), now)
         self._sent["bad_crc"] += self._deframer.bad_crc - bad_crc
         self._sent["skipped_bytes"] += self._deframer.skipped_bytes - skipped
+        if end:
+            self._source = None
         return {
             **{name: count - before[name] for name, count in self._sent.items()},
             "types": {str(type_): count for type_, count in sorted(types.items())},

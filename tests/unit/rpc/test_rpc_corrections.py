@@ -25,8 +25,8 @@ def test_the_bytes_and_whose_they_are_reach_the_daemon() -> None:
     session = Session()
     session.daemon.corrections_taken = {"messages": 1}
     assert ask(session, data="0wAT", source="roof") == {"messages": 1}
-    assert ask(session, data="") == {"messages": 1}
-    assert session.daemon.corrections == [("roof", b"\xd3\x00\x13"), ("rpc", b"")]
+    assert ask(session, data="", end=True) == {"messages": 1}
+    assert session.daemon.corrections == [("roof", b"\xd3\x00\x13", False), ("rpc", b"", True)]
 
 
 @pytest.mark.parametrize("data", ["0wA", "0w A", "d3 00 13", "0wAT\n", "Ó"])
