@@ -135,6 +135,9 @@ class LinkHost(Protocol):
 class Channel(ABC):
     """One route target. ``peer`` is a person's name for the other end ("192.168.1.7:14550", "/dev/ttyUSB0")."""
 
+    in_datagrams = False
+    """Whether what comes from here comes in datagrams."""
+
     whole_datagrams = False
     """Whether frames that came in one datagram and all go the same way may be sent on in one (`send_whole`)."""
 

@@ -59,6 +59,8 @@ _TRANSIENT = frozenset(
 class UdpChannel(Channel):
     """One peer; ``address`` is where it is sent to. A datagram the kernel does not take is dropped and counted."""
 
+    in_datagrams = True
+
     def __init__(self, link: UdpLink, sock: socket.socket, address: Address) -> None:
         super().__init__(link, format_address(address))
         self.address = address

@@ -227,7 +227,7 @@ class Hub:
             self.after_lane()  # what came before is recorded before
         renumbering = self._renumbering
         together: list[tuple[Frame, tuple[int, ...]]] | None = None
-        if channel.whole_datagrams and len(frames) > 1:
+        if channel.in_datagrams and len(frames) > 1:
             together = []
         for frame in frames:
             raw = frame.raw
