@@ -1,6 +1,6 @@
 """From exec to the first forwarded frame, and to the answer of `skygcs-cli status`.
 
-Run by `make bench`; results also in build/bench/start.json. A frame is sent to the daemon's port every 5 ms until it comes
+Run by `make bench`; results also in build/bench/start.json. A frame is sent to the daemon every 5 ms until it comes
 out at the ground station's. CPU is the daemon's until then, which tells more than seconds on a busy machine. All
 modules are compiled already, as after any first start; "ours not compiled" is a checkout that is run with
 PYTHONDONTWRITEBYTECODE, or belongs to somebody else: skygcs from its source, everything below from bytecode.
