@@ -115,7 +115,7 @@ def skygcs(
 ) -> Router:
     """skygcs as a router between one port of vehicles (or a serial port) and ``gcs`` ground stations."""
     source = (
-        'type = "serial"\ndevice = "{serial}"'
+        'type = "serial"\ndevice = "{serial}"\nbaud = 921600'
         if serial
         else 'type = "udp_server"\nhost = "127.0.0.1"\nport = {vehicles}'
     )
@@ -127,7 +127,7 @@ record = {str(record).lower()}
 keep_vehicles = {str(keep_vehicles).lower()}
 [links.vehicles]
 {source}
-role = "radio"
+role = "{"vehicle" if serial else "radio"}"
 """
     for n in range(gcs):
         fleet += f'[links.gcs{n}]\ntype = "udp_client"\nhost = "127.0.0.1"\nport = {{gcs{n}}}\nrole = "gcs"\n'
@@ -141,11 +141,18 @@ def forwarder(folder: Path) -> Router | None:
     return Router("bare C forwarder", [str(built), "{vehicles}", "{gcs}"], two_way=False) if built else None
 
 
-def mavproxy(executable: str, folder: Path) -> Router:
+def mavproxy(executable: str, folder: Path, *, gcs: int = 1, serial: bool = False) -> Router:
     """MAVProxy with its output module only, as cheap as it gets."""
-    command = [executable, "--master=udpin:127.0.0.1:{vehicles}", "--out=udpout:127.0.0.1:{gcs}"]
+    command = [executable, "--master={serial},921600" if serial else "--master=udpin:127.0.0.1:{vehicles}"]
+    command += [f"--out=udpout:127.0.0.1:{{gcs{n}}}" for n in range(gcs)]
     command += ["--default-modules=output", "--no-state", "--daemon", "--nowait"]
     return Router("MAVProxy, output module only", command, environment={"HOME": str(folder)})
+
+
+def uvloop_echo() -> Router:
+    """What the event loop alone costs between a serial port and a UDP port."""
+    script = Path(__file__).with_name("uvloop_echo.py")
+    return Router("bare uvloop echo", [sys.executable, str(script), "{serial}", "{gcs0}"])
 
 
 @contextmanager
