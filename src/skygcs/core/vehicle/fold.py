@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from skygcs.core.geo import wrap_deg_180
 from skygcs.core.vehicle.decoder import Decoder, Values
@@ -76,20 +76,16 @@ def fold_gps(v: Values, decoder: Decoder) -> Folded | None:
     }
 
 
-class GlobalPosition(NamedTuple):
-    """Of GLOBAL_POSITION_INT what control looks at for every setpoint; None, both of them: not known."""
-
-    lat_deg: float | None
-    lon_deg: float | None
-    alt_amsl_m: float
-    vel_enu_mps: tuple[float, float, float]
+GlobalPosition = tuple[float | None, float | None, float, tuple[float, float, float]]
+"""lat_deg, lon_deg (None, both of them: not known), alt_amsl_m, vel_enu_mps."""
 
 
 def global_position(fields: tuple[Any, ...]) -> GlobalPosition:
-    """Its velocity is north, east, **down** (cm/s): turned to ENU here and nowhere else."""
+    """Of GLOBAL_POSITION_INT what control looks at for every setpoint. Its velocity is north, east, **down** (cm/s):
+    turned to ENU here and nowhere else."""
     _, lat, lon, alt, _, vx, vy, vz, _ = fields
     lat_deg, lon_deg = _lat_lon(lat, lon)
-    return GlobalPosition(lat_deg, lon_deg, alt / 1000, (vy / 100, vx / 100, -vz / 100))
+    return lat_deg, lon_deg, alt / 1000, (vy / 100, vx / 100, -vz / 100)
 
 
 def fold_position(v: Values, decoder: Decoder) -> Folded | None:

@@ -92,10 +92,10 @@ class Outlook:
             self._position = self._estimate = None
             if frame is not None and self.frame is not None and self._read_position is not None:
                 # Not `section`, which has more than is wanted here: 2.7 us against 5.8, for each position that comes.
-                self._position = position = global_position(self._read_position(frame.payload))
-                if position.lat_deg is not None and position.lon_deg is not None:
-                    enu = self.frame.from_geodetic(position.lat_deg, position.lon_deg, position.alt_amsl_m)
-                    self._estimate = Estimate(enu, position.vel_enu_mps)
+                self._position = global_position(self._read_position(frame.payload))
+                lat_deg, lon_deg, alt_amsl_m, vel_enu_mps = self._position
+                if lat_deg is not None and lon_deg is not None:
+                    self._estimate = Estimate(self.frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m), vel_enu_mps)
         return self._estimate
 
     def age_s(self, now: float) -> float | None:
@@ -149,10 +149,14 @@ class Outlook:
     def breach(self) -> str | None:
         """Why the vehicle, where `estimate` found it, is outside the fence; None: it is not."""
         fence, position = self._fence, self._position
-        if fence is None or position is None or position.lat_deg is None or position.lon_deg is None:
+        if fence is None or position is None:
             return None
         if self._breach[0] is not position:
-            self._breach = (position, fence.why_not(position.lat_deg, position.lon_deg, position.alt_amsl_m))
+            lat_deg, lon_deg, alt_amsl_m, _ = position
+            why = None
+            if lat_deg is not None and lon_deg is not None:
+                why = fence.why_not(lat_deg, lon_deg, alt_amsl_m)
+            self._breach = (position, why)
         return self._breach[1]
 
     def reference_breach(self, reference: Reference) -> str | None:

@@ -59,7 +59,8 @@ class Readings:
     def __init__(self, decoder: Decoder) -> None:
         self.decoder = decoder
         self.slots: dict[int, Slot] = {}
-        self._cache: dict[str, tuple[tuple[Frame, ...], Folded | None]] = {}
+        self._cache: dict[str, tuple[list[Frame], Folded | None]] = {}
+        self._ids = {s.name: tuple(map(decoder.msgid_of, s.messages)) for s in SECTIONS}
 
     def slot(self, message: str) -> Slot | None:
         """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
@@ -111,23 +112,20 @@ class Readings:
         return max(slots, key=lambda s: s.at) if slots else None
 
     def _sources(self, section: Section) -> list[Slot]:
-        slots = [s for s in map(self.slot, section.messages) if s is not None]
+        get = self.slots.get
+        slots = [s for i in self._ids[section.name] if (s := get(i)) is not None and s.frame is not None]
         if section.combine or len(slots) < 2:
             return slots
         newest = max(s.at for s in slots)
         return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
 
     def _folded(self, section: Section) -> tuple[Folded | None, float]:
-        known = self._cache.get(section.name)
-        if len(section.messages) == 1 and known is not None:  # control looks at a position for every setpoint
-            slot = self.slot(section.messages[0])
-            if slot is not None and slot.frame is known[0][0]:
-                return known[1], slot.at
         slots = self._sources(section)
         if not slots:
             return None, 0.0
-        at = max(s.at for s in slots)
-        frames = tuple(s.frame for s in slots if s.frame is not None)
+        at = slots[0].at if len(slots) == 1 else max(s.at for s in slots)
+        frames = [s.frame for s in slots if s.frame is not None]
+        known = self._cache.get(section.name)
         if known is not None and len(known[0]) == len(frames) and all(map(operator.is_, known[0], frames)):
             return known[1], at
         values = {slot.name: v for slot in slots if (v := self.values(slot))}

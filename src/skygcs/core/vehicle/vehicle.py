@@ -106,6 +106,7 @@ class Vehicle:
         self.readings = Readings(self._decoder)
         self.slots = self.readings.slots
         self._landed = "undefined"
+        self._landed_id = self._decoder.msgid_of("EXTENDED_SYS_STATE")
         self._high_latency_failures = 0
         self._heard_at: float | None = None
         self._heartbeat_payload = b""
@@ -191,8 +192,13 @@ class Vehicle:
 
     def landed(self, now: float) -> str:
         """on_ground, in_air, takeoff, landing; what cannot be known is "undefined"."""
-        slot = self.slot("EXTENDED_SYS_STATE")
-        if slot is not None and now - slot.at <= LANDED_FRESH_S and self._landed != "undefined":
+        slot = self.slots.get(self._landed_id)
+        if (
+            slot is not None
+            and slot.frame is not None
+            and now - slot.at <= LANDED_FRESH_S
+            and self._landed != "undefined"
+        ):
             return self._landed
         if not self.armed:
             return "on_ground"
