@@ -225,7 +225,8 @@ def message_line(message: Mapping[str, Any]) -> str:
 
 
 def links_table(links: Iterable[Mapping[str, Any]], width: int = PIPE_WIDTH) -> RenderableType:
-    """A row per channel; a link without channels has one row of its own. Below it, why links are down.
+    """A row per channel; a link without channels has one row of its own. Below it, why links are down, and
+    who behind a bound link reaches for vehicles that are not its own.
 
     ``width`` as in `status_table`.
     """
@@ -244,6 +245,10 @@ def links_table(links: Iterable[Mapping[str, Any]], width: int = PIPE_WIDTH) -> 
         if state not in ("up", "disabled") and link.get("last_error"):
             reasons.append(Text(f"{link['name']}: {' '.join(str(link['last_error']).split())}", style="red"))
         head = (str(link["name"]), str(link.get("type", "")), _role(link), state_text)
+        reached = sum(channel.get("out_of_bounds") or 0 for channel in link.get("channels") or ())
+        if reached:
+            text = f"{link['name']}: {reached} frames for others than the vehicles of this link were dropped"
+            reasons.append(Text(text, style="yellow"))
         channels = [_channel_cells(channel) for channel in link.get("channels") or ()] or [("",) * 8]
         rows += [(*(head if i == 0 else ("",) * 4), *cells) for i, cells in enumerate(channels)]
         styles += [{"down": "red", "disabled": "dim"}.get(state)] * len(channels)
@@ -257,10 +262,11 @@ def links_table(links: Iterable[Mapping[str, Any]], width: int = PIPE_WIDTH) -> 
 
 
 def _role(link: Mapping[str, Any]) -> str:
-    """ "radio"; of a link bound to vehicles whom it shows: "kite as 1"."""
-    vehicles = ", ".join(str(vehicle) for vehicle in link.get("vehicles") or ())
+    """ "radio"; of a link bound to vehicles also whom it shows: "gcs: kite as 1"."""
+    bound = [str(vehicle) for vehicle in link.get("vehicles") or ()]
+    vehicles = ", ".join(bound[:3]) + (f" +{len(bound) - 3}" if len(bound) > 3 else "")
     shown_as = f" as {link['present_as']}" if link.get("present_as") is not None else ""
-    return vehicles + shown_as or str(link.get("role", ""))
+    return f"{link.get('role', '')}{vehicles and ': '}{vehicles}{shown_as}"
 
 
 def _channel_cells(channel: Mapping[str, Any]) -> tuple[str, ...]:

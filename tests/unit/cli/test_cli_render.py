@@ -208,6 +208,17 @@ def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
     assert " ".join(lines[5:]).split() == ["lte:", *["refused"] * 40]
 
 
+def test_a_bound_link_shows_its_vehicles_and_who_reaches_for_others() -> None:
+    up = FakeDaemon().links_status()[0]
+    kite = {**up, "name": "p1", "role": "gcs", "vehicles": ["kite"], "present_as": 1}
+    many = {**up, "name": "p2", "role": "gcs", "vehicles": [1, 2, 3, 4, 5], "present_as": None}
+    many["channels"] = [{**up["channels"][0], "out_of_bounds": 7}]
+    lines = [line.rstrip() for line in text_of(render.links_table([kite, many])).splitlines()]
+    assert "gcs: kite as 1  " in lines[1]
+    assert "gcs: 1, 2, 3 +2  " in lines[2]
+    assert lines[3:] == ["p2: 7 frames for others than the vehicles of this link were dropped"]
+
+
 def test_an_event_names_its_vehicle_although_a_word_of_the_text_holds_the_name() -> None:
     event = {"time_unix_s": 0.0, "kind": "mission", "vehicle": "ac", "text": "reached item 1", "dropped": 0}
     assert render.event_line(event).endswith("ac: reached item 1")

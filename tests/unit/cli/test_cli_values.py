@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.cli.control import hoisted
-from skygcs.cli.values import name_or_id, parse_number, parse_pairs, parse_unset_number, parse_value
+from skygcs.cli.values import name_or_id, parse_link, parse_number, parse_pairs, parse_unset_number, parse_value
 
 
 @pytest.mark.parametrize(
@@ -70,6 +70,12 @@ def test_pairs_make_a_table_and_dots_nest_it() -> None:
 def test_pairs_that_are_none_are_usage_errors(pairs: list[str]) -> None:
     with pytest.raises(typer.BadParameter):
         parse_pairs(pairs)
+
+
+def test_filters_and_vehicles_of_a_link_are_lists_of_one_as_well() -> None:
+    pairs = ["port=14561", "vehicles=kite", "present_as=1", "allow_src_sys_in=5"]
+    assert parse_link(pairs) == {"port": 14561, "vehicles": ["kite"], "present_as": 1, "allow_src_sys_in": [5]}
+    assert parse_link(["vehicles=kite,6"]) == {"vehicles": ["kite", 6]}
 
 
 def test_numbers_are_finite_or_named_in_the_error() -> None:
