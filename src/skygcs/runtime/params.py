@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import defaultdict
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -103,7 +104,7 @@ class VehicleParams:
         self._running: dict[Exchange, asyncio.Future[None]] = {}
         self._taken: dict[Exchange, int] = {}
         """Messages of each that a link took."""
-        self._locks = [asyncio.Lock() for _ in range(LOCKS)]
+        self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._quiet_until: dict[str, float] = {}
         self._slots = asyncio.Semaphore(MAX_EXCHANGES)
         self._hashless = False
