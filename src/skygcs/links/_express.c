@@ -18,13 +18,13 @@
 #include <Python.h>
 #include <structmember.h>
 
-#include <arpa/inet.h>
 #include <errno.h>
-#include <netinet/in.h>
-#include <stdint.h>
-#include <string.h>
 #include <sys/socket.h>
 #include <time.h>
+
+#include "_express_map.h"
+#include "_express_seen.h"
+#include "_express_values.h"
 
 enum {
     BURST = 64,                 /* datagrams received at once, as links.udp.DATAGRAMS_PER_WAKEUP */
@@ -33,14 +33,11 @@ enum {
     SLOT_BYTES = 65536 + 4160,  /* not a power of two: slots must not share the sets of the CPU's caches */
     FRAMES = 256,               /* in one datagram; more go through Python */
     MAX_FLOWS = 16384,          /* 250 vehicles of some 20 messages, on three links; then all are learned anew */
-    MAX_REMEMBERED = 65536,     /* core.dedup */
-    SEEN_SLOTS = 2 * MAX_REMEMBERED,
     WHOLE_BYTES = 1472,         /* runtime.hub.WHOLE_DATAGRAM_BYTES */
     LATE_GAP = 250,             /* core.linkstats */
     TLOG_TIME_BYTES = 8,
     RECORDS_BYTES = 65536,      /* tlog records that wait for `Table.take`; with more it is asked for */
 };
-static const double WINDOW_S = 0.5; /* core.dedup */
 
 static uint16_t crc_table[256];
 static uint8_t *slots; /* BURST datagrams; one set for all lanes, as only one runs at a time */
@@ -50,84 +47,9 @@ static PyObject *s_rx_frames, *s_rx_bytes, *s_last_rx_at, *s_good, *s_frames, *s
 
 static PyTypeObject TableType, OutType, LaneType;
 
-/* -- a map from 64-bit keys; a value of NULL is no entry */
-
-typedef struct { uint64_t *keys; void **values; size_t mask, used; } Map;
-
-static size_t mixed(uint64_t key) {
-    key *= 0x9E3779B97F4A7C15u;
-    return (size_t)(key ^ key >> 32);
-}
-
-static void **map_slot(Map *map, uint64_t key) {
-    size_t i = mixed(key) & map->mask;
-    while (map->keys[i] != key && map->keys[i]) i = (i + 1) & map->mask;
-    map->keys[i] = key;
-    return &map->values[i];
-}
-
-static void *map_get(const Map *map, uint64_t key) {
-    if (!map->used) return NULL;
-    for (size_t i = mixed(key) & map->mask; map->keys[i]; i = (i + 1) & map->mask)
-        if (map->keys[i] == key) return map->values[i];
-    return NULL;
-}
-
-/* key must not be 0. False: no memory. */
-static int map_put(Map *map, uint64_t key, void *value) {
-    if (map->used * 2 >= map->mask) {
-        Map bigger = {.mask = map->mask ? map->mask * 2 + 1 : 255};
-        bigger.keys = PyMem_Calloc(bigger.mask + 1, sizeof *bigger.keys);
-        bigger.values = PyMem_Calloc(bigger.mask + 1, sizeof *bigger.values);
-        if (!bigger.keys || !bigger.values) {
-            PyMem_Free(bigger.keys), PyMem_Free(bigger.values);
-            PyErr_NoMemory();
-            return 0;
-        }
-        for (size_t i = 0; map->mask && i <= map->mask; i++)
-            if (map->values[i]) *map_slot(&bigger, map->keys[i]) = map->values[i], bigger.used++;
-        PyMem_Free(map->keys), PyMem_Free(map->values);
-        *map = bigger;
-    }
-    void **slot = map_slot(map, key);
-    if (!*slot) map->used++; /* a removed entry that comes back is counted twice: it grows a little early */
-    *slot = value;
-    return 1;
-}
-
-static void map_clear(Map *map, void (*free_value)(void *)) {
-    for (size_t i = 0; map->mask && i <= map->mask; i++)
-        if (map->values[i]) free_value(map->values[i]);
-    PyMem_Free(map->keys), PyMem_Free(map->values);
-    *map = (Map){0};
-}
-
-/* -- addresses: IPv4; a peer of IPv6 is no peer here and takes the Python way */
-
-static int address_from(PyObject *tuple, struct sockaddr_in *out) {
-    const char *host;
-    int port;
-    memset(out, 0, sizeof *out);
-    if (!PyArg_ParseTuple(tuple, "si;an IPv4 address is (host, port)", &host, &port)) return 0;
-    if (inet_pton(AF_INET, host, &out->sin_addr) != 1)
-        return PyErr_Format(PyExc_ValueError, "%s is no numeric IPv4 address", host), 0;
-    out->sin_family = AF_INET, out->sin_port = htons((uint16_t)port);
-    return 1;
-}
-
-static PyObject *address_tuple(const struct sockaddr_in *a) {
-    char host[INET_ADDRSTRLEN];
-    return Py_BuildValue("si", inet_ntop(AF_INET, &a->sin_addr, host, sizeof host), ntohs(a->sin_port));
-}
-
-static uint64_t address_key(const struct sockaddr_in *a) {
-    return (uint64_t)1 << 48 | (uint64_t)a->sin_port << 32 | a->sin_addr.s_addr;
-}
-
 /* -- the table all lanes of one hub share: messages, what was heard where, what has to be told */
 
 typedef struct { uint8_t crc_extra, min_length, length; int target_at; PyObject *info; } Message;
-typedef struct { uint64_t *at; size_t mask; int count; } Generation; /* key << 24 | channel id; 0: none */
 
 typedef struct Lane Lane;
 static int tell_counts(Lane *lanes);
@@ -136,9 +58,7 @@ typedef struct {
     PyObject_HEAD
     Lane *lanes;
     Map messages; /* by msgid + 1 */
-    Generation newer, older;
-    uint64_t *spare;
-    double turn_at;
+    Seen seen;
     uint64_t epoch;
     PyTypeObject *frame_type;
     Py_ssize_t frame_slots[6];
@@ -154,58 +74,14 @@ static void free_message(void *value) {
     PyMem_Free(message);
 }
 
-static int turn_is_due(const Table *table, double now) {
-    return now >= table->turn_at || table->newer.count >= MAX_REMEMBERED;
-}
-
-static void turn(Table *table, double now) {
-    Generation old = table->newer;
-    table->newer = table->older;
-    table->older = old;
-    /* Twice what the last one held, at half its room or less: the smaller, the less of it misses the CPU's caches. */
-    table->newer.mask = 1023;
-    while (table->newer.mask < (size_t)old.count * 4 && table->newer.mask < SEEN_SLOTS - 1)
-        table->newer.mask = table->newer.mask * 2 + 1;
-    table->newer.count = 0;
-    memset(table->newer.at, 0, (table->newer.mask + 1) * sizeof *table->newer.at);
-    if (now >= table->turn_at + WINDOW_S) memset(old.at, 0, (old.mask + 1) * sizeof *old.at);
-    table->turn_at = now + WINDOW_S;
-}
-
-static uint64_t *seen_slot(const Generation *g, uint64_t key) {
-    size_t i = mixed(key) & g->mask;
-    while (g->at[i] && g->at[i] >> 24 != key) i = (i + 1) & g->mask;
-    return &g->at[i];
-}
-
-/* The channel that a frame was heard on first, 0 if it is new. */
-static uint32_t first_heard(const Table *table, uint64_t key) {
-    uint64_t seen = *seen_slot(&table->newer, key);
-    if (!seen) seen = *seen_slot(&table->older, key);
-    return (uint32_t)(seen & 0xFFFFFF);
-}
-
-static void remember(Table *table, uint64_t key, uint32_t channel) {
-    Generation *g = &table->newer;
-    if ((size_t)++g->count * 2 > g->mask && g->mask < SEEN_SLOTS - 1) { /* more than the last one: into the room beside */
-        size_t wider = g->mask * 4 + 3 < SEEN_SLOTS - 1 ? g->mask * 4 + 3 : SEEN_SLOTS - 1, n = g->mask + 1;
-        uint64_t *kept = g->at;
-        g->at = table->spare, g->mask = wider, table->spare = kept;
-        memset(g->at, 0, (wider + 1) * sizeof *g->at);
-        for (size_t i = 0; i < n; i++)
-            if (kept[i]) *seen_slot(g, kept[i] >> 24) = kept[i];
-    }
-    *seen_slot(g, key) = key << 24 | (channel & 0xFFFFFF);
-}
-
 static PyObject *table_first_heard_on(Table *table, PyObject *args) {
     unsigned long long key;
     unsigned channel;
     double now;
     if (!PyArg_ParseTuple(args, "KId", &key, &channel, &now)) return NULL;
-    if (turn_is_due(table, now)) turn(table, now);
-    uint32_t first = first_heard(table, key);
-    if (!first) remember(table, key, first = channel);
+    if (turn_is_due(&table->seen, now)) turn(&table->seen, now);
+    uint32_t first = first_heard(&table->seen, key);
+    if (!first) remember(&table->seen, key, first = channel);
     return PyLong_FromUnsignedLong(first);
 }
 
@@ -220,7 +96,7 @@ static int table_init(Table *table, PyObject *args, PyObject *unused) {
     (void)unused;
     PyObject *messages, *msgid, *row;
     Py_ssize_t at = 0;
-    if (table->newer.at) return PyErr_SetString(PyExc_TypeError, "a table is made once"), -1;
+    if (table->seen.spare) return PyErr_SetString(PyExc_TypeError, "a table is made once"), -1;
     if (!PyArg_ParseTuple(args, "O!O!p", &PyDict_Type, &messages, &PyType_Type, &table->frame_type, &table->recording))
         return table->frame_type = NULL, -1;
     Py_INCREF(table->frame_type);
@@ -244,18 +120,13 @@ static int table_init(Table *table, PyObject *args, PyObject *unused) {
         Py_INCREF(message->info);
         if (!map_put(&table->messages, id + 1, message)) return free_message(message), -1;
     }
-    table->newer.at = PyMem_Calloc(SEEN_SLOTS, sizeof(uint64_t));
-    table->older.at = PyMem_Calloc(SEEN_SLOTS, sizeof(uint64_t));
-    table->spare = PyMem_Calloc(SEEN_SLOTS, sizeof(uint64_t));
-    if (!table->newer.at || !table->older.at || !table->spare) return PyErr_NoMemory(), -1;
-    table->newer.mask = table->older.mask = 1023;
-    return 0;
+    return seen_init(&table->seen) ? 0 : -1;
 }
 
 static void table_dealloc(Table *table) {
     Py_XDECREF(table->frame_type);
     map_clear(&table->messages, free_message);
-    PyMem_Free(table->newer.at), PyMem_Free(table->older.at), PyMem_Free(table->spare), PyMem_Free(table->records);
+    seen_free(&table->seen), PyMem_Free(table->records);
     Py_TYPE(table)->tp_free(table);
 }
 
@@ -283,34 +154,6 @@ static int record(Table *table, const uint8_t *raw, size_t size, uint64_t unix_u
     table->records_size = wanted;
     table->n_records++;
     return 1;
-}
-
-/* -- telling Python what was gathered */
-
-static int add(PyObject *object, PyObject *name, long delta) {
-    if (!delta) return 1;
-    PyObject *before = PyObject_GetAttr(object, name);
-    if (!before) return 0;
-    PyObject *after = PyLong_FromLong(PyLong_AsLong(before) + delta);
-    Py_DECREF(before);
-    int good = after && !PyErr_Occurred() && !PyObject_SetAttr(object, name, after);
-    Py_XDECREF(after);
-    return good;
-}
-
-static int set_long(PyObject *object, PyObject *name, long value) {
-    PyObject *number = PyLong_FromLong(value);
-    int good = number && !PyObject_SetAttr(object, name, number);
-    Py_XDECREF(number);
-    return good;
-}
-
-static int get_long(PyObject *object, PyObject *name, long *value) {
-    PyObject *number = PyObject_GetAttr(object, name);
-    if (!number) return 0;
-    *value = PyLong_AsLong(number);
-    Py_DECREF(number);
-    return !PyErr_Occurred();
 }
 
 /* -- where frames go to: one UDP peer */
@@ -529,8 +372,7 @@ static int find_frame(const Lane *lane, const Peer *peer, const uint8_t *data, i
     const uint8_t *sent = data + head + length;
     unsigned seq = data[v2 ? 4 : 2];
     uint64_t seen_key = (uint64_t)source << 24 | (uint64_t)seq << 16 | sent[0] | (uint64_t)sent[1] << 8;
-    __builtin_prefetch(&table->newer.at[mixed(seen_key) & table->newer.mask]); /* it comes while the CRC is worked out */
-    __builtin_prefetch(&table->older.at[mixed(seen_key) & table->older.mask]);
+    seen_prefetch(&table->seen, seen_key); /* it comes while the CRC is worked out */
     uint16_t crc = 0xFFFF;
     for (int i = 1; i < head + length; i++) crc = (uint16_t)(crc >> 8 ^ crc_table[(crc ^ data[i]) & 0xFF]);
     crc = (uint16_t)(crc >> 8 ^ crc_table[(crc ^ message->crc_extra) & 0xFF]);
@@ -575,21 +417,21 @@ static int pass(Lane *lane, Peer *peer, const uint8_t *data, int size, double no
     Table *table = lane->table;
     Found found[FRAMES];
     int n = 0, together = size <= WHOLE_BYTES;
-    if (turn_is_due(table, now)) return 0; /* twice a second; Python knows whether this datagram has it come */
+    if (turn_is_due(&table->seen, now)) return 0; /* twice a second; Python knows whether this datagram has it come */
     for (int at = 0; at < size; at += found[n++].size) {
         if (n == FRAMES || !find_frame(lane, peer, data + at, size - at, &found[n])) return 0;
-        uint32_t first = first_heard(table, found[n].seen_key);
+        uint32_t first = first_heard(&table->seen, found[n].seen_key);
         if (first && first != peer->channel_id) return 0;
         if (!same_outs(found[n].flow, found[0].flow)) together = 0;
     }
-    if (!n || table->newer.count + n > MAX_REMEMBERED) return 0;
+    if (!n || table->seen.newer.count + n > MAX_REMEMBERED) return 0;
     for (int i = 0; i < found[0].flow->n_outs; i++)
         if (!found[0].flow->outs[i]->whole) together = 0;
     for (int i = 0; i < n; i++) {
         Found *f = &found[i];
         Flow *flow = f->flow;
         Source *source = flow->source;
-        if (!first_heard(table, f->seen_key)) remember(table, f->seen_key, peer->channel_id);
+        if (!first_heard(&table->seen, f->seen_key)) remember(&table->seen, f->seen_key, peer->channel_id);
         if (!source->touched && !(get_long(source->stats, s_last_seq, &source->last_seq) && get_long(source->stats, s_lost, &source->lost) &&
                                   get_long(source->stats, s_counts_loss, &source->counts_loss))) return -1;
         TOUCH(lane->touched_sources, source);
