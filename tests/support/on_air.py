@@ -90,14 +90,19 @@ async def on_air(
     radio: Mapping[str, Any] | None = None,
     link: Mapping[str, Any] | None = None,
     defaults: Mapping[str, Any] | None = None,
+    stations: int = 0,
 ) -> AsyncIterator[OnAir]:
-    """From the moment at which the link is open; nobody has been heard yet."""
+    """From the moment at which the link is open; nobody has been heard yet. ``stations``: memory links "gcs0" and so on
+    for as many ground stations."""
     air = {"type": "simulated", "role": "radio", "px4": px4, "ardupilot": ardupilot, "dynamics": "kinematic"}
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
             "origin": FIELD,
-            "links": {"air": {**air, "radio": dict(radio or {}), **(link or {})}},
+            "links": {
+                "air": {**air, "radio": dict(radio or {}), **(link or {})},
+                **{f"gcs{number}": {"type": "memory", "role": "gcs"} for number in range(stations)},
+            },
             "defaults": dict(defaults or {}),
         }
     )

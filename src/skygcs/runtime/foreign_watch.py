@@ -139,4 +139,4 @@ def _down_bytes_per_s(air: AirBudget) -> float:
 
 def _progress(running: tuple[int, int, int]) -> str:
     system, seen, count = running
-    return f"{system}'s: {seen} of {count or 'some'}"
+    return f"{system}'s: {seen} of {count}" if count else f"{system}'s, of which nothing has come yet"

@@ -1,0 +1,261 @@
+"""Ground stations and programs beside the daemon, before one emulated radio with ten vehicles; in virtual time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.rtcm import RtcmDeframer, content_of, fragments_of
+from skygcs.core.sim.params import Param
+from skygcs.core.sim.vehicle import SimVehicle
+from support.gcs_flood import GroundStation
+from support.on_air import OnAir, on_air
+from support.rtcm import rtcm_frame
+
+pytestmark = pytest.mark.looptime
+
+VEHICLES = list(range(1, 11))
+AGE_S = 2.5
+ASK_INTERVAL = 510
+
+RADIO_FULL_S = 1.7
+"""An ArduPilot sends its list until half of its radio's 1850 bytes are full, which take so long at 553 B/s. Its
+positions and acknowledgements stand behind them, and nobody on the ground can help that."""
+
+
+def p95(values: list[float]) -> float:
+    return sorted(values)[int(0.95 * len(values))]
+
+
+class Field:
+    """Ten vehicles in service, and what becomes of them while others send."""
+
+    def __init__(self, air: OnAir) -> None:
+        self.air = air
+        self.ages_s: list[float] = []
+        self.acks_s: list[float] = []
+        self.listing_ages_s: list[float] = []
+        self.listing_acks_s: list[float] = []
+        """The same of a vehicle while its parameter list comes."""
+        self.unanswered = 0
+        self.ack_limit_s = 2 * air.air()["up"]["round_s"] + 0.5
+
+    async def watched(self, for_s: float) -> None:
+        """Look at every position five times a second and order something every half second."""
+        orders: list[asyncio.Task[None]] = []
+        for step in range(int(for_s * 5)):
+            for sim in self.air.link.vehicles:
+                slot = self.air.daemon.fleet.vehicles[sim.sysid << 8 | 1].vehicle.slot("GLOBAL_POSITION_INT")
+                assert slot is not None and slot.frame is not None
+                ages = self.listing_ages_s if sim.sysid == self.listed else self.ages_s
+                ages.append((sim.boot_ms - slot.frame.fields()["time_boot_ms"]) / 1000)
+            if step % 3 == 0:
+                orders.append(asyncio.create_task(self._order(step % 10 + 1)))
+            await asyncio.sleep(0.2)
+        await asyncio.gather(*orders)
+
+    async def _order(self, sysid: int) -> None:
+        listed = self.listed == sysid
+        outcome = await self.air.daemon.fleet.find(str(sysid)).command(ASK_INTERVAL, (33.0,))
+        if outcome.ok:
+            (self.listing_acks_s if listed else self.acks_s).append(outcome.elapsed_s)
+        else:
+            self.unanswered += 1
+
+    @property
+    def foreign(self) -> dict[str, Any]:
+        """What link.status tells of others' traffic."""
+        return dict(self.air.air()["up"]["foreign"])
+
+    @property
+    def listed(self) -> int | None:
+        """The vehicle whose list comes, if it is one at a time."""
+        running = self.foreign["param_lists"]["running"]
+        return None if running is None else int(running["sysid"])
+
+
+@contextlib.asynccontextmanager
+async def field(
+    tmp_path: Path, *, stations: int = 1, parameters: int = 0, foreign: Mapping[str, Any] | None = None
+) -> AsyncIterator[Field]:
+    """When the plan is followed. ``parameters``: what each vehicle has of them at least."""
+    link = {"stream_profile": "nav", "foreign": dict(foreign or {})}
+    async with on_air(
+        tmp_path, px4=5, ardupilot=5, radio={"air_kbps": 64, "loss": 0.01}, link=link, stations=stations
+    ) as air:
+        for sim in air.link.vehicles:
+            sim.params.take_in({f"X{n:04d}": Param(f"X{n:04d}", 1.0) for n in range(parameters - len(sim.params))})
+        await air.settled(10)
+        await asyncio.sleep(25)
+        yield Field(air)
+
+
+def stations_of(field: Field, number: int = 1) -> list[GroundStation]:
+    """The first is a QGroundControl, the others are programs of other systems."""
+    return [GroundStation(field.air.daemon, f"gcs{n}", 255 - n, 191 if n else 190) for n in range(number)]
+
+
+def listening(sim: SimVehicle, name: str, hear: Callable[[Frame, float], None]) -> None:
+    """Call ``hear`` with every message of this name that reaches the vehicle."""
+    before = sim.on_frame
+
+    def on_frame(frame: Frame, now: float) -> None:
+        if frame.name == name:
+            hear(frame, now)
+        before(frame, now)
+
+    sim.on_frame = on_frame  # type: ignore[method-assign]
+
+
+async def test_a_station_that_asks_ten_vehicles_for_everything_disturbs_nobody(tmp_path: Path) -> None:
+    async with field(tmp_path, parameters=900) as flown:
+        (station,) = stations_of(flown)
+        station.connect(VEHICLES)
+        await flown.watched(60)
+        station.disconnect()
+    assert p95(flown.ages_s) <= 1.5
+    assert p95(flown.listing_ages_s) <= 1.5 + RADIO_FULL_S, "of the one whose list comes"
+    assert p95(flown.acks_s) <= flown.ack_limit_s
+    assert max(flown.listing_acks_s) <= flown.ack_limit_s + RADIO_FULL_S
+    assert not flown.unanswered
+
+
+async def test_without_the_gate_it_disturbs_all(tmp_path: Path) -> None:
+    """What the rules are for: the same flood, let through."""
+    async with field(tmp_path, parameters=900, foreign={"param_lists": "allow"}) as flown:
+        (station,) = stations_of(flown)
+        station.connect(VEHICLES)
+        await flown.watched(60)
+        station.disconnect()
+    assert p95(flown.ages_s) > AGE_S
+    assert p95(flown.acks_s) > flown.ack_limit_s
+
+
+async def test_all_ten_lists_come_one_after_the_other_and_the_station_is_told_that_they_wait(tmp_path: Path) -> None:
+    async with field(tmp_path, parameters=100) as flown:
+        (station,) = stations_of(flown)
+        station.connect(VEHICLES)
+        await flown.air.until(lambda: all(station.has_list(v) for v in VEHICLES), 300)
+        station.disconnect()
+        told = flown.foreign
+    assert told["param_lists"]["waiting"] == []
+    ended = [station.listed_at[v] for v in VEHICLES]
+    assert ended == sorted(ended), "in the order in which they were asked for"
+    assert "parameters of 2 wait: one list at a time" in station.texts
+    (held,) = [text for text in flown.air.events("foreign") if "parameters of vehicle 2" in text]
+    assert "255/190 (memory)" in held
+    assert 'links.air.foreign.param_lists = "allow"' in held
+
+
+async def test_what_is_refused_is_counted_per_source_and_told_once_with_what_to_do(tmp_path: Path) -> None:
+    async with field(tmp_path) as flown:
+        (station,) = stations_of(flown)
+        before = flown.air.rates(6)
+        station.connect(VEHICLES)
+        await asyncio.sleep(20)
+        station.disconnect()
+        (source,) = flown.foreign["sources"]
+        assert flown.air.rates(6) == before, "nobody's streams have changed"
+    assert source["source"] == "255/190"
+    assert source["counts"]["refused_logs"] == 60
+    assert source["counts"]["refused_streams"] == 420
+    assert source["counts"]["needless"] >= 20, "its heartbeats, which are of our own system"
+    assert source["counts"]["thinned"] > 150
+    told = flown.air.events("foreign")
+    assert len([text for text in told if "LOG_REQUEST" in text]) == 1
+    assert any("553 B/s that one vehicle can send, 10 MB take 5.0 h" in text for text in told)
+    assert any("links.air.foreign.streams" in text for text in told)
+    assert any("TIMESYNC at 10 Hz, of which 0.2 Hz" in text for text in told)
+    assert {"no log downloads over this radio", "slowed down on this radio: TIMESYNC"} <= set(station.texts)
+
+
+async def test_eight_programs_that_flood_disturb_nobody_and_a_ninth_is_served(tmp_path: Path) -> None:
+    async with field(tmp_path, stations=9, parameters=100) as flown:
+        *flooding, quiet = stations_of(flown, 9)
+        for station in flooding:
+            station.connect(VEHICLES)
+        answered: list[float] = []
+        quiet.on_frame = lambda frame: answered.append(frame.sysid) if frame.name == "PARAM_VALUE" else None
+        await asyncio.sleep(5)
+        await flown.watched(40)
+        answered.clear()
+        asked = flown.air.daemon.now()
+        quiet.again(3.0, 10, "PARAM_REQUEST_READ", {"target_system": 9, "target_component": 1, "param_index": 7})
+        await flown.air.until(lambda: 9 in answered, 20)
+        assert flown.air.daemon.now() - asked < 20
+        for station in (*flooding, quiet):
+            station.disconnect()
+        assert flown.foreign["waiting"] <= 512
+        classes = flown.air.air()["up"]["classes"]
+    assert p95(flown.ages_s) <= AGE_S
+    assert p95(flown.acks_s) <= flown.ack_limit_s
+    assert not flown.unanswered
+    assert classes["command"]["dropped"] == classes["command"]["refused"] == 0
+
+
+async def test_a_stop_that_somebody_else_gives_goes_before_the_flood_of_others(tmp_path: Path) -> None:
+    async with field(tmp_path, stations=3) as flown:
+        *flooding, pilot = stations_of(flown, 3)
+        for station in flooding:
+            station.connect(VEHICLES)
+        await asyncio.sleep(10)
+        heard: dict[int, float] = {}
+
+        for sim in flown.air.link.vehicles:
+
+            def hear(frame: Frame, now: float, sysid: int = sim.sysid) -> None:
+                if frame.fields()["command"] == 400:
+                    heard.setdefault(sysid, now)
+
+            listening(sim, "COMMAND_LONG", hear)
+        stopped = flown.air.daemon.now()
+        for vehicle in VEHICLES:
+            target = {"target_system": vehicle, "target_component": 1}
+            pilot.again(0.5, 5, "COMMAND_LONG", {**target, "command": 400, "param2": 21196.0})
+        await flown.air.until(lambda: len(heard) == 10, 10)
+        for station in (*flooding, pilot):
+            station.disconnect()
+        round_s = flown.air.air()["up"]["round_s"]
+    assert max(heard.values()) - stopped <= 2 * round_s + 0.5
+
+
+async def send_corrections(base: GroundStation) -> None:
+    """One message of 700 bytes each second, numbered."""
+    for second in range(1000):
+        for values in fragments_of(rtcm_frame(1077, epoch=second, body_bytes=694), second):
+            base.send("GPS_RTCM_DATA", **values)
+        await asyncio.sleep(1.0)
+
+
+async def test_corrections_arrive_whole_and_new_and_leave_commands_alone(tmp_path: Path) -> None:
+    """756 bytes a second, of which the radio's share carries a quarter."""
+    async with field(tmp_path) as flown:
+        (base,) = stations_of(flown)
+        got: list[tuple[float, int]] = []
+        deframer = RtcmDeframer()
+
+        def hear(frame: Frame, now: float) -> None:
+            fields = frame.fields()
+            for message in deframer.feed(bytes(fields["data"][: fields["len"]])):
+                got.append((now, content_of(message).epoch or 0))
+
+        listening(flown.air.sim(4), "GPS_RTCM_DATA", hear)
+        began = flown.air.daemon.now()
+        sending = asyncio.create_task(send_corrections(base))
+        await flown.watched(60)
+        sending.cancel()
+        told = flown.air.air()["up"]["corrections"]
+        sent_bytes = flown.air.air()["up"]["classes"]["correction"]["sent_bytes"]
+    assert len(got) >= 0.8 * 60 * 0.4 * 497 / 756
+    assert p95([at - began - epoch for at, epoch in got]) <= 6, "new when it is begun, and four seconds on its way"
+    assert [epoch for _, epoch in got] == sorted({epoch for _, epoch in got}), "no older one after a newer"
+    assert told["messages"] >= len(got)
+    assert sent_bytes <= 0.4 * 553 * 62 + 756
+    assert p95(flown.acks_s) <= flown.ack_limit_s
+    assert p95(flown.ages_s) <= AGE_S
