@@ -1,6 +1,6 @@
 """`make bench-control`: what flight control does and what it costs. Tables on stdout, all in build/bench/control.json.
 
-python -m bench.control [--only steps|fleet] [--profile] [--realtime]
+python -m bench.control [--only steps|fleet|hundred] [--profile] [--realtime]
 """
 
 from __future__ import annotations
@@ -22,12 +22,14 @@ from bench.control.fleet_report import fleet_section
 LOADS = (Load(10, 50.0, 0.1), Load(50, 20.0, 0.5))
 """The second with a guard that bears the delays of a machine which also has to simulate fifty vehicles: it is about
 what fifty cost."""
+HUNDRED = Load(100, 50.0, 0.1, stand_ins=True)
 OUT = ROOT / "build" / "bench"
+WHAT = "steps: virtual time; fleet: processes and sockets; hundred: the same with 100 vehicles that are not simulated"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.control", description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=("steps", "fleet"), help="steps: virtual time; fleet: processes and sockets")
+    parser.add_argument("--only", choices=("steps", "fleet", "hundred"), help=WHAT)
     parser.add_argument("--profile", action="store_true", help="the daemon under cProfile, which makes it slower")
     parser.add_argument("--realtime", action="store_true", help="daemon and simulator before all others; needs root")
     options = parser.parse_args()
@@ -35,15 +37,15 @@ def main() -> int:
     told: dict[str, Any] = {"cpus": os.cpu_count(), "python": sys.version.split()[0]}
     missed: list[str] = []
     OUT.mkdir(parents=True, exist_ok=True)
-    if options.only != "fleet":
+    if options.only in (None, "steps"):
         for section in virtual_sections():
             _show(section, told, missed)
-    if options.only != "steps":
-        for load in LOADS:
-            profile = OUT / f"control-profile-{load.vehicles}.txt" if options.profile else None
-            with tempfile.TemporaryDirectory() as folder:
-                carried = carry(replace(load, realtime=options.realtime), Path(folder), profile)
-            _show(fleet_section(carried), told, missed)
+    loads = {None: (*LOADS, HUNDRED), "steps": (), "fleet": LOADS, "hundred": (HUNDRED,)}[options.only]
+    for load in loads:
+        profile = OUT / f"control-profile-{load.vehicles}.txt" if options.profile else None
+        with tempfile.TemporaryDirectory() as folder:
+            carried = carry(replace(load, realtime=options.realtime), Path(folder), profile)
+        _show(fleet_section(carried), told, missed)
     told["missed"] = missed
     told["seconds"] = round(time.monotonic() - began, 1)
     (OUT / "control.json").write_text(json.dumps(told, indent=2) + "\n")

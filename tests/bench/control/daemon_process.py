@@ -1,7 +1,7 @@
-"""`skygcs run FILE` as it is, whose control clocks also note when each tick was due and when it truly began.
+"""`skygcs run FILE` as it is, whose control clocks also note when each tick was due, truly began and ended.
 
-python -m bench.control.daemon_process FILE LATENESS [PROFILE]: writes LATENESS at its end, pairs of doubles (due,
-begun) on the machine's monotonic clock; with PROFILE it runs under cProfile and writes its table there.
+python -m bench.control.daemon_process FILE LATENESS [PROFILE]: writes LATENESS at its end, for each tick three doubles
+(due, begun, ended) on the machine's monotonic clock; with PROFILE it runs under cProfile and writes its table there.
 
 The daemon's own lateness counts by the loop's clock, which uvloop reads once per turn and in whole milliseconds: what
 one tick waits for another of the same turn is not in it. Here it is.
@@ -21,20 +21,20 @@ from skygcs.runtime import flight_control
 from skygcs.runtime.control_clock import ControlClock
 
 ROOM = 400_000
-"""Ticks noted, allocated beforehand so that the process does not seem to grow: 50 vehicles at 50 Hz for 160 s."""
+"""Ticks noted, allocated beforehand so that the process does not seem to grow: 100 vehicles at 50 Hz for 80 s."""
 
 
 class Notebook:
-    """Pairs in the order of the ticks."""
+    """Due, begun and ended of each, in the order of the ticks."""
 
     def __init__(self) -> None:
-        self.pairs = array("d", bytes(16 * ROOM))
+        self.times = array("d", bytes(24 * ROOM))
         self.count = 0
 
-    def add(self, due: float, begun: float) -> None:
+    def add(self, due: float, begun: float, ended: float) -> None:
         if self.count < ROOM:
-            self.pairs[2 * self.count] = due
-            self.pairs[2 * self.count + 1] = begun
+            at = 3 * self.count
+            self.times[at], self.times[at + 1], self.times[at + 2] = due, begun, ended
             self.count += 1
 
 
@@ -45,8 +45,9 @@ class NotedClock(ControlClock):
     """Otherwise the daemon's."""
 
     def _run(self) -> None:
-        NOTEBOOK.add(self._due, time.monotonic())
+        due, begun = self._due, time.monotonic()
         super()._run()
+        NOTEBOOK.add(due, begun, time.monotonic())
 
 
 def main() -> int:
@@ -58,7 +59,7 @@ def main() -> int:
             return serve.main(["run", "--quiet", file])
         return profile.runcall(serve.main, ["run", "--quiet", file])
     finally:
-        Path(lateness).write_bytes(NOTEBOOK.pairs[: 2 * NOTEBOOK.count].tobytes())
+        Path(lateness).write_bytes(NOTEBOOK.times[: 3 * NOTEBOOK.count].tobytes())
         if profile is not None:
             with Path(sys.argv[3]).open("w") as out:
                 pstats.Stats(profile, stream=out).sort_stats("tottime").print_stats(40)

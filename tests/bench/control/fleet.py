@@ -42,7 +42,7 @@ type = "udp_server"
 host = "127.0.0.1"
 port = {port}
 role = "vehicle"
-max_peers = 64
+max_peers = 128
 [defaults]
 takeoff_height_m = 6.0
 [defaults.control]
@@ -67,6 +67,8 @@ class Load:
     seconds: float = 20.0
     realtime: bool = False
     """Both processes before all others (SCHED_FIFO, root only): on a loaded machine what a quiet one would show."""
+    stand_ins: bool = False
+    """Vehicles of `stand_ins`, which hover where they are, instead of simulated ones, which fly to and fro."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,10 @@ class Carried:
     lateness_p99_median_ms: float
     """Median over windows of WINDOW_S."""
     lateness_max_ms: float
+    tick_us: float
+    """Median of what a tick took, from when it began to when the next one's timer was set, by the machine's clock: in
+    it are the setpoint's system call and whatever the CPU's caches had lost since the last tick."""
+    tick_p99_us: float
     loop_lateness_p99_ms: float
     """As the daemon says itself in control.status: the largest of the vehicles'."""
     cpu_percent: float
@@ -125,6 +131,8 @@ def carry(load: Load, folder: Path, profile: Path | None = None) -> Carried:
     ]
     sim_words = ["skygcs", "sim", "--px4", str(load.vehicles), "--ardupilot", "0"]
     sim_words += ["--udp", f"127.0.0.1:{port}", "--separate-ports", "--gps-noise", "0.05"]
+    if load.stand_ins:
+        sim_words = ["bench.control.stand_ins", str(load.vehicles), str(port)]
     with _process(words, load.realtime) as daemon:
         _wait(lambda: (folder / "s").exists(), "the daemon did not come up")
         with _process(sim_words, load.realtime) as simulator:
@@ -145,16 +153,18 @@ async def _fly(
     """Samples at the borders of the windows, and the control states at begin and end."""
     async with connect(address) as gcs:
         await _until(gcs, lambda states: sum(map(_knows_where, states)) == load.vehicles, "not all know where they are")
-        outcomes = await gcs.takeoff("all", wait_s=30.0)
-        assert all(outcome["ok"] for outcome in outcomes.values()), outcomes
-        await _until(gcs, lambda states: all(map(_hovers, states)), "not all vehicles came up")
+        if not load.stand_ins:
+            outcomes = await gcs.takeoff("all", wait_s=30.0)
+            assert all(outcome["ok"] for outcome in outcomes.values()), outcomes
+            await _until(gcs, lambda states: all(map(_hovers, states)), "not all vehicles came up")
         await _take_over(gcs)
         await asyncio.sleep(WARM_UP_S)
         before = await gcs.call("control.status", targets="all")
         samples = [_sample(daemon, simulator)]
         for n in range(round(load.seconds / WINDOW_S)):
             east_m = 2.0 if n % 2 == 0 else 0.0
-            await gcs.goto("all", enu_m=[east_m, -20.0, 8.0])  # the formation, and all of it moves
+            if not load.stand_ins:
+                await gcs.goto("all", enu_m=[east_m, -20.0, 8.0])  # the formation, and all of it moves
             await asyncio.sleep(max(0.0, samples[-1].at + WINDOW_S - time.monotonic()))
             samples.append(_sample(daemon, simulator))
         return samples, (before, await gcs.call("control.status", targets="all"))
@@ -176,13 +186,18 @@ def _summary(
     states: tuple[list[dict[str, Any]], list[dict[str, Any]]],
     noted: bytes,
 ) -> Carried:
-    pairs = array("d", noted)
-    ticks = [(begun, 1e3 * max(0.0, begun - due)) for due, begun in zip(pairs[::2], pairs[1::2], strict=True)]
+    times = array("d", noted)
+    ticks = [(begun, 1e3 * max(0.0, begun - due)) for due, begun in zip(times[::3], times[1::3], strict=True)]
     windows = [[late for begun, late in ticks if first.at <= begun < last.at] for first, last in pairwise(samples)]
     windows = [window for window in windows if window] or [[0.0]]  # none: nobody flew, as ``ticks`` tells
     every = [late for window in windows for late in window]
     first, last = samples[0], samples[-1]
     seconds = last.at - first.at
+    took_us = [
+        1e6 * (ended - begun)
+        for begun, ended in zip(times[1::3], times[2::3], strict=True)
+        if first.at <= begun < last.at
+    ] or [0.0]
     before, after = states
 
     def counted(key: str) -> int:
@@ -207,6 +222,8 @@ def _summary(
         lateness_p99_ms=round(percentile(every, 0.99), 2),
         lateness_p99_median_ms=round(median(percentile(window, 0.99) for window in windows), 2),
         lateness_max_ms=round(max(every), 2),
+        tick_us=round(percentile(took_us, 0.5), 1),
+        tick_p99_us=round(percentile(took_us, 0.99), 1),
         loop_lateness_p99_ms=round(1e3 * max(state["lateness_p99_s"] or 0.0 for state in after), 2),
         cpu_percent=percent(lambda sample: sample.daemon.cpu_s),
         cpu_percent_median=round(median(cpu), 1),
