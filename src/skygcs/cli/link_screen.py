@@ -11,6 +11,7 @@ import typer
 
 from skygcs.cli import render
 from skygcs.cli.connection import run
+from skygcs.cli.foreign_lines import foreign_lines
 from skygcs.cli.options import Json
 from skygcs.cli.values import finite
 from skygcs.rpc.client import Client
@@ -83,7 +84,8 @@ def drawn(radios: list[dict[str, Any]]) -> RenderableType:
     parts: list[RenderableType] = []
     for radio in radios:
         parts += [Text(line) for line in head_lines(radio)]
-        parts += [_classes(radio["up"]["classes"]), _vehicles(radio["vehicles"])]
+        parts += [_classes(radio["up"]["classes"]), *(Text(line) for line in foreign_lines(radio["up"]))]
+        parts.append(_vehicles(radio["vehicles"]))
     return Group(*parts)
 
 

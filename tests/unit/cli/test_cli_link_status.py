@@ -86,5 +86,28 @@ def test_a_radio_that_says_nothing_and_has_no_timeslots_is_shown_too() -> None:
     assert "MAVLink framing" in text and "a round" not in text
 
 
+def test_it_shows_who_else_sends_what_became_of_it_and_what_waits() -> None:
+    busy = radio()
+    counts = {"refused_streams": 420, "slowed": 85, "thinned": 1037}
+    sources: list[dict[str, Any]] = [
+        {"source": f"1/{n}", "age_s": 0.1, "waiting": 0, "sent": n, "sent_bytes": 20 * n, "counts": {}}
+        for n in range(9)
+    ]
+    sources.append(
+        {"source": "255/190", "age_s": 61.0, "waiting": 3, "sent": 264, "sent_bytes": 7497, "counts": counts}
+    )
+    lists = {"rule": "one", "running": {"sysid": 2, "seen": 34, "count": 900, "age_s": 5.0}, "waiting": [3, 4]}
+    busy["up"]["foreign"] = {"bytes_per_s": 248.7, "param_lists": lists, "sources": sources}
+    busy["up"]["corrections"] = {"source": 255 << 8 | 190, "bytes_per_s": 199.0, "messages": 15, "bytes": 11460}
+    busy["up"]["corrections"] |= {"replaced": 45, "expired": 0, "dropped": 1, "wait_p95_s": 0.9}
+    text = shown([busy])
+    assert "others may have 249 B/s; parameters of 2 come (34 of 900), those of 3, 4 wait" in text
+    first = next(line for line in text.splitlines() if "255/190" in line)
+    assert "sent 264 (7,497 B), 3 wait, streams refused 420, slowed 85, too often 1,037, silent for 61 s" in first
+    assert text.index("255/190") < text.index("1/8"), "who asks for most comes first"
+    assert "and 2 more" in text
+    assert "corrections of 255/190: 15 messages sent (11,460 B of 199 B/s), 46 left out for newer ones" in text
+
+
 def test_without_a_radio_it_says_what_to_do() -> None:
     assert 'role = "radio"' in NO_RADIO and NO_RADIO.split()[0] in shown([])

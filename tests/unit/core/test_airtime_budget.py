@@ -254,3 +254,28 @@ def test_the_status_names_every_class() -> None:
         "wait_p50_s": 0.25,
         "wait_p95_s": 0.25,
     }
+
+
+def test_the_last_class_keeps_to_its_part_and_holds_up_nobody() -> None:
+    queue: TxQueue[int] = TxQueue(ByteBudget(1000.0, 400.0))
+    queue.forwarded = ByteBudget(100.0, 100.0)
+    for number in range(10):
+        queue.offer(number, Priority.FORWARDED, 0.0, size=100)
+    assert queue.pop(0.0) == (0, Priority.FORWARDED)
+    assert queue.pop(0.0) is None
+    assert queue.next_send_time(0.0) == 1.0
+    queue.offer(99, Priority.EXCHANGE, 0.5, size=100)
+    assert queue.next_send_time(0.5) == 0.5
+    assert queue.pop(0.5) == (99, Priority.EXCHANGE)
+    assert queue.pop(0.99) is None
+    assert queue.pop(1.0) == (1, Priority.FORWARDED)
+
+
+def test_it_tells_what_would_be_replaced() -> None:
+    queue: TxQueue[int] = TxQueue()
+    queue.offer(1, Priority.COMMAND, 0.0, "key", flow=3)
+    assert queue.holds(Priority.COMMAND, 3, "key")
+    assert not queue.holds(Priority.COMMAND, 4, "key")
+    assert not queue.holds(Priority.FORWARDED, 3, "key")
+    queue.pop(0.0)
+    assert not queue.holds(Priority.COMMAND, 3, "key")

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from skygcs.config import models
+from skygcs.config.radio import ForeignKeys
 from skygcs.core.airtime import Priority, TxQueue
+from skygcs.core.foreign import ForeignRules
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.pacing import RadioRates
+from skygcs.core.rtcm import fragments_of
 from skygcs.links.base import Outgoing, OwnMessage
-from skygcs.links.paced import AirBudget, flow_of, wire_bytes
+from skygcs.links.paced import AirBudget, flow_of, foreign_rules, wire_bytes
 from skygcs.links.serial import SerialLink
 from support.frames import frame
 from support.hosts import RecordingHost, own, until
 from support.pseudo_tty import PtyRadio
 from support.routed import DIALECT
+from support.rtcm import rtcm_frame
 
 COMMAND = {"target_system": 7, "target_component": 1, "command": 400, "param1": 1.0, "confirmation": 1}
 
@@ -95,3 +100,125 @@ async def test_a_serial_radio_gets_no_more_than_its_budget_and_a_cable_all(tmp_p
         await link.close()
         radio.pull_out()
     assert channel.tx_dropped > 0, "what waited is counted"
+
+
+# -- what others send
+
+
+class Line:
+    """A channel's `AirBudget` and its time."""
+
+    def __init__(self, rules: ForeignRules | None = None) -> None:
+        self.queue: TxQueue[Outgoing] = TxQueue()
+        self.air = AirBudget(self.queue, RadioRates(57600, 64.0, 11), 0.0, rules, DIALECT)
+        self.now = 0.0
+
+    def offer(self, message: str, priority: Priority = Priority.FORWARDED, **values: Any) -> bool:
+        return self.air.offer(frame(message, values, sysid=255, compid=190), priority, self.now)
+
+    def run(self, for_s: float) -> list[tuple[float, Outgoing, Priority]]:
+        """What goes in this time."""
+        end = self.now + for_s
+        sent = []
+        while (at := self.air.next_send_time(self.now)) is not None and at <= end:
+            self.now = max(self.now, at)
+            if (popped := self.air.pop(self.now)) is not None:
+                sent.append((self.now, *popped))
+        self.now = end
+        return sent
+
+
+def test_what_is_forwarded_has_its_share_and_ours_the_rest() -> None:
+    line = Line()
+    for second in range(60):
+        for number in range(20):
+            line.offer("NAMED_VALUE_FLOAT", value=20.0 * second + number + 1, name=b"x")
+            line.air.offer(own_message("PARAM_REQUEST_READ", param_index=number + 1), Priority.EXCHANGE, line.now)
+        line.run(1.0)
+    line.run(30.0)
+    told = line.air.status(line.now)["classes"]
+    share = line.air.foreign.budget.bytes_per_s
+    assert told["forwarded"]["sent_bytes"] <= share * 90 + line.air.foreign.budget.burst_bytes
+    assert told["exchange"]["sent_bytes"] > told["forwarded"]["sent_bytes"]
+    assert line.air.take_lost() == told["forwarded"]["dropped"] + told["exchange"]["refused"]
+    assert line.air.take_lost() == 0
+
+
+def test_what_waits_for_its_turn_goes_by_itself_and_counts_as_waiting() -> None:
+    line = Line()
+    for index in range(12):
+        assert line.offer("PARAM_REQUEST_READ", target_system=3, param_index=index + 1)
+    assert len(line.air) == 12
+    assert len(line.queue) == 8
+    sent = line.run(5.0)
+    assert len(sent) == 12
+    assert len(line.air) == 0
+
+
+def test_a_list_is_followed_by_the_next_when_its_values_have_come() -> None:
+    line = Line()
+    for vehicle in (1, 2):
+        line.offer("PARAM_REQUEST_LIST", target_system=vehicle, target_component=1)
+    assert len(line.run(3.0)) == 1
+    values = [frame("PARAM_VALUE", {"param_count": 3, "param_index": index}, sysid=1) for index in range(3)]
+    line.air.heard([f for raw in values for f in FrameParser(DIALECT).feed_datagram(raw)], line.now)
+    (second,) = line.run(0.1)
+    assert isinstance(second[1], bytes)
+    assert second[1][10:12] == b"\x02\x01"
+
+
+def test_what_is_refused_is_no_loss_and_what_is_forgotten_is_counted() -> None:
+    line = Line()
+    assert not line.offer("LOG_REQUEST_LIST", target_system=3)
+    assert line.offer("NAMED_VALUE_FLOAT")
+    assert line.air.take_lost() == 0
+    for vehicle in (1, 2, 3):
+        line.offer("PARAM_REQUEST_LIST", target_system=vehicle)
+    assert line.air.clear() == 4
+    assert line.air.next_send_time(line.now) is None
+
+
+def test_a_stop_that_finds_its_class_full_goes_as_anything_else_does() -> None:
+    line = Line()
+    for number in range(300):
+        line.air.offer(own_message("COMMAND_LONG", param1=float(number)), Priority.EMERGENCY, line.now)
+    line.air.take_lost()
+    assert line.offer("COMMAND_LONG", target_system=3, command=400, param2=21196.0)
+    assert line.queue.waiting(Priority.FORWARDED) == 1
+    assert line.air.take_lost() == 0
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_corrections_go_whole_within_their_share_and_after_commands(ours: bool) -> None:
+    line = Line()
+    sent: list[tuple[float, Outgoing, Priority]] = []
+    for second in range(30):
+        for values in fragments_of(rtcm_frame(1077, epoch=second, body_bytes=694), second):
+            if ours:
+                assert line.air.offer(own_message("GPS_RTCM_DATA", **values), Priority.CORRECTION, line.now)
+            else:
+                assert line.offer("GPS_RTCM_DATA", **values)
+        sent += line.run(0.5)
+        line.air.offer(own_message("COMMAND_LONG", **COMMAND), Priority.COMMAND, line.now)
+        assert line.run(0.0)[0][2] is Priority.COMMAND
+        sent += line.run(0.5)
+    corrections = [entry for _, entry, priority in sent if priority is Priority.CORRECTION]
+    told = line.air.status(line.now)["corrections"]
+    assert told["messages"] * 4 <= len(corrections) <= told["messages"] * 4 + 3
+    size = sum(wire_bytes(entry, signed=False) for entry in corrections)
+    assert 0.9 * 0.4 * 497 * 30 <= size <= 0.4 * 498 * 30 + 207 + 200
+
+
+def test_a_fleet_file_may_give_corrections_nothing() -> None:
+    line = Line(ForeignRules(corrections_bytes_per_s=0.0))
+    for values in fragments_of(rtcm_frame(1077, body_bytes=100), 1):
+        assert not line.offer("GPS_RTCM_DATA", **values)
+    assert line.run(10.0) == []
+
+
+def test_the_rules_are_those_of_the_fleet_file() -> None:
+    keys = ForeignKeys(param_lists="deny", rates={"TIMESYNC": 0.5, "110": 0.0}, bytes_per_s=77)
+    rules = foreign_rules(keys, DIALECT)
+    assert rules == ForeignRules("deny", "deny", "deny", {111: 0.5, 110: 0.0}, 77, None)
+    with pytest.raises(KeyError):
+        foreign_rules(ForeignKeys(rates={"TIMESYNK": 1}), DIALECT)
