@@ -94,6 +94,73 @@ def test_a_port_in_use_by_another_program_is_left_alone(tmp_path: Path) -> None:
     assert radio.traffic == b""
 
 
+def test_a_wrong_rate_is_told_with_those_left_to_try(tmp_path: Path) -> None:
+    port = tmp_path / "ttyRADIO"
+    with on_a_pty(port, AtRadio(saved={1: 115})) as radio:
+        told = cli(tmp_path, "set", port, "NETID=7", "--baud", "57600", code=1)
+        assert "no answer to +++ (57600 baud: silence)" in told
+        assert "another rate? Not tried: 115200, 38400, 230400, 19200, 9600 (--baud)" in told
+        assert "nothing was changed" in told
+        assert "115200 baud" in cli(tmp_path, "show", port)  # left to itself it finds the rate
+    assert radio.saved[3] == 0
+
+
+def test_a_radio_without_power_is_told_from_a_wrong_rate(tmp_path: Path) -> None:
+    port = tmp_path / "ttyRADIO"
+    with on_a_pty(port, AtRadio(faults=Faults(silent=True))):
+        told = cli(tmp_path, "set", port, "NETID=7", code=1)
+    assert all(f"{rate} baud: silence" in told for rate in (57600, 115200, 9600))
+    assert "is it powered, is this its port, are TX and RX swapped?" in told
+    assert "another rate" not in told
+    assert "nothing was changed" in told
+
+
+@pytest.mark.parametrize(
+    ("faults", "said", "then"),
+    [
+        (
+            Faults(restarts_at="ATS2="),
+            "stopped answering at AIR_SPEED=125",
+            "nothing was saved; the radio was restarted",
+        ),
+        (Faults(restarts_at="AT&W"), "did not answer to the save", "nothing was saved; the radio was restarted"),
+        (Faults(dies_at="ATS2="), "stopped answering at AIR_SPEED=125", "written: NETID; perhaps written: AIR_SPEED"),
+    ],
+)
+def test_a_radio_that_resets_in_the_middle_is_told_with_how_it_stands(
+    faults: Faults, said: str, then: str, tmp_path: Path
+) -> None:
+    port = tmp_path / "ttyRADIO"
+    with on_a_pty(port, AtRadio(faults=faults)) as radio:
+        told = cli(tmp_path, "set", port, "NETID=7", "AIR_SPEED=125", code=1)
+        assert said in told and then in told
+        assert "was to be: NETID 0 -> 7" in told
+        assert radio.saved[3] == 0
+
+
+def test_a_value_that_the_radio_refuses_leaves_it_as_it_was(tmp_path: Path) -> None:
+    port = tmp_path / "ttyRADIO"
+    with on_a_pty(port, AtRadio(faults=Faults(refuses=frozenset({"TXPOWER"})))) as radio:
+        told = cli(tmp_path, "set", port, "NETID=7", "TXPOWER=20", code=1)
+        assert "the radio refused TXPOWER=20 (S4)" in told
+        assert "nothing was saved; the radio was restarted and is as it was" in told
+        assert (radio.saved[3], radio.live[3]) == (0, 0)
+
+
+def test_two_nodes_with_one_id_are_told_with_what_to_do(tmp_path: Path) -> None:
+    ground, first, second = (tmp_path / name for name in ("ttyGROUND", "ttyONE", "ttyTWO"))
+    radios = [AtRadio(unique_id=f"0x{node}") for node in range(3)]
+    for radio, node in zip(radios, (1, 2, 2), strict=True):
+        radio.renumber(node)
+    with on_a_pty(ground, radios[0]), on_a_pty(first, radios[1]), on_a_pty(second, radios[2]):
+        told = cli(tmp_path, "diff", ground, first, second, code=1)
+        assert f"node id 2 is in 2 radios ({first}, {second}): they send at the same time" in told
+        assert "skygcs-cli radio set PORT NODEID=N" in told
+        told = cli(tmp_path, "set", second, "NODEID=3")
+        assert "no other radio of this network may have node id 3" in told
+        assert [radio.saved[24] for radio in radios] == [1, 2, 3]
+
+
 def test_a_daemon_lends_its_radio_and_has_it_back(tmp_path: Path) -> None:
     port = tmp_path / "ttyRADIO"
     toml = f'heartbeat = false\n[links.radio]\ntype = "serial"\ndevice = "{port}"\nrole = "radio"\n'

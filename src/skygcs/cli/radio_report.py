@@ -58,11 +58,12 @@ def state_json(where: str, baud: int | None, state: RadioState) -> dict[str, Any
 
 def outcome(where: str, ledger: Ledger) -> None:
     """What became of a change, for a person; trouble goes to stderr."""
+    was_to_be = "" if ledger.ok else "was to be: "  # nobody is to read a wish for a deed
     for name, value in ledger.wanted.items():
         was = ledger.before.get(name)
-        typer.echo(f"{where}: {name} {was} -> {value}")
+        typer.echo(f"{where}: {was_to_be}{name} {was} -> {value}")
     if ledger.node_table is not None:
-        typer.echo(f"{where}: {ledger.node_table} (the master's node table; no firmware tells it back)")
+        typer.echo(f"{where}: {was_to_be}{ledger.node_table} (the master's node table; no firmware tells it back)")
     for i, text in enumerate(ledger.sentences()):
         typer.echo(f"{where}: {'' if ledger.ok else 'FAIL ' if i == 0 else '     '}{text}", err=not ledger.ok)
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import stat
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -110,6 +112,9 @@ def provision(
     force: bool,
     as_json: bool,
 ) -> int:
+    twice = [port for port, times in Counter(os.path.realpath(port) for port in ports).items() if times > 1]
+    if twice:
+        raise RefusedError(f"{', '.join(twice)} is given twice: each radio of the network is set up once, at its port")
     config = load_fleet(fleet)
     link = _radio_link(config)
     vehicles = [name for name, _ in sorted(config.vehicles.items(), key=lambda item: item[1].sysid)]
@@ -178,6 +183,12 @@ def _change_one(port: str, remote: int | None, rates: Sequence[int], wanted: Wan
         report.outcome(where, ledger)
     if "SERIAL_SPEED" in ledger.written and remote is None:
         typer.echo("the fleet file's baud of this link, and of the autopilot's port, must be the same", err=True)
+    if "NODEID" in ledger.written:
+        typer.echo(
+            f"no other radio of this network may have node id {ledger.wanted['NODEID']}; to compare them: "
+            "skygcs-cli radio diff PORT PORT …",
+            err=True,
+        )
     return Exit.DONE if ledger.ok else Exit.FAILED
 
 

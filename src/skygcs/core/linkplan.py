@@ -189,7 +189,10 @@ def _ways(demand: LinkDemand) -> tuple[Way, ...]:
 
 
 def _tight(way: Way) -> str:
-    return f"{way.name}: {way.needed:,.0f} of {way.capacity:,.0f} B/s are wanted, {way.usable:,.0f} may be planned with"
+    return (
+        f"{way.name} carries {way.capacity:,.0f} B/s, of which {way.usable:,.0f} may be planned with; "
+        f"{way.needed:,.0f} are wanted"
+    )
 
 
 def _too_slow_for_setpoints(demand: LinkDemand) -> list[str]:
@@ -199,8 +202,8 @@ def _too_slow_for_setpoints(demand: LinkDemand) -> list[str]:
     if duration > 1 / OFFBOARD_MIN_HZ:
         return [
             f"setpoints: the ground sends once a round, every {duration:.2f} s; PX4 wants {OFFBOARD_MIN_HZ:g} Hz, and "
-            f"{'even' if duration > OFFBOARD_LOSS_S else 'one lost slot makes'} "
-            f"{duration if duration > OFFBOARD_LOSS_S else 2 * duration:.2f} s of its {OFFBOARD_LOSS_S:g} s"
+            f"leaves OFFBOARD after {OFFBOARD_LOSS_S:g} s without: "
+            + ("a round is longer" if duration > OFFBOARD_LOSS_S else f"one lost slot makes {2 * duration:.2f} s")
         ]
     return []
 
@@ -225,22 +228,40 @@ def _scaled(demand: LinkDemand, factor: float) -> dict[str, float]:
     return {name: rate if name in kept else rate * scale for name, rate in demand.rates_hz.items()}
 
 
+GOTO = "one goto per vehicle (47 B each) instead of streaming setpoints"
+
+
 def _proposals(demand: LinkDemand) -> list[str]:
-    """Changes of one thing that make it fit, the one that costs least first."""
+    """What makes it fit, the one that costs least first; then how many vehicles fit as it is, and what gets more in."""
+    reach = {text: _most_vehicles(trial) for text, trial in _changes(demand)}
+    found = [text for text, most in reach.items() if most >= demand.vehicles]
+    if not found and demand.setpoint != "none":
+        singly = replace(demand, setpoint="none", setpoint_hz=0.0)
+        both = (text for text, trial in _changes(singly) if _most_vehicles(trial) >= demand.vehicles)
+        found = [f"{GOTO}, and {text}" for text in both]
+    best = _most_vehicles(demand)
+    if best:
+        found.append(f"{_vehicles(best)} instead of {demand.vehicles}, the others on a second radio or on Wi-Fi")
+    for text, most in reach.items():
+        if best < most < demand.vehicles:
+            found.append(f"{text} for up to {_vehicles(most)}")
+            best = most
+    return found or ["another way than this radio: Wi-Fi"]
+
+
+def _changes(demand: LinkDemand) -> list[tuple[str, LinkDemand]]:
+    """Changes of one thing."""
     tried: list[tuple[str, LinkDemand]] = []
     if demand.setpoint != "none":
-        once = "one goto per vehicle (47 B each) instead of streaming setpoints"
-        tried.append((once, replace(demand, setpoint="none", setpoint_hz=0.0)))
+        tried.append((GOTO, replace(demand, setpoint="none", setpoint_hz=0.0)))
     for name, rates in sorted(PROFILES.items(), key=lambda item: -profile_bytes_per_s(item[1])):
         if profile_bytes_per_s(rates) < demand.down_per_vehicle_bytes_per_s:
             tried.append((f"profile {name}", replace(demand, profile=name, rates_hz=rates)))
     if demand.air_kbps is not None:
         faster = (125.0, 250.0)
         tried += [(f"air speed {a:g} kbit/s", replace(demand, air_kbps=a)) for a in faster if a > demand.air_kbps]
-    tried += [(f"{baud} baud", replace(demand, baud=baud)) for baud in (115200, 230400) if baud > demand.baud]
-    found = [text for text, trial in tried if _most_vehicles(trial) >= demand.vehicles]
-    if found:
-        return found
-    if most := _most_vehicles(demand):
-        return [f"{most} vehicle{'s' if most > 1 else ''} on this radio, the others on a second one or on Wi-Fi"]
-    return ["several of these together, or another way than this radio: Wi-Fi"]
+    return tried + [(f"{baud} baud", replace(demand, baud=baud)) for baud in (115200, 230400) if baud > demand.baud]
+
+
+def _vehicles(count: int) -> str:
+    return f"{count} vehicle{'s' if count > 1 else ''}"

@@ -81,6 +81,7 @@ def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: P
         (("restore", "{}/none", "{}/file"), FAILED, "version: must be 1"),
         (("provision", "{}/fleet.toml", "--nodes", "2"), FAILED, "give --nodes 3"),
         (("provision", "{}/fleet.toml", "p", "--node", "4"), FAILED, "more than the plan's 3 radios"),
+        (("provision", "{}/fleet.toml", "{}/file", "{}/same"), FAILED, "is given twice"),
         (("emulate", "{}/file"), FAILED, "exists"),
         (("emulate", "{}/new", "--kind", "xbee"), USAGE, "--kind"),
         (("emulate", "{}/new", "--remotes", "a"), USAGE, "--remotes"),
@@ -89,6 +90,7 @@ def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: P
 def test_what_cannot_be_done_is_told(args: tuple[str, ...], code: int, said: str, tmp_path: Path) -> None:
     (tmp_path / "fleet.toml").write_text(FLEET)
     (tmp_path / "file").write_text("x = 1\n")
+    (tmp_path / "same").symlink_to(tmp_path / "file")
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
     assert said in run(*(arg.format(tmp_path) for arg in args), code=code)
     assert not (tmp_path / "new").exists()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from skygcs.config.dialects import load_dialect
 from skygcs.core.linkplan import (
     FRAME_BYTES,
+    GOTO,
     MAX_NODES,
     PROFILES,
     SETPOINTS,
@@ -63,28 +66,72 @@ def test_ten_vehicles_at_64_kbit_fit_with_their_positions_and_single_orders() ->
 def test_offboard_for_ten_is_refused_with_its_figures_and_goto_is_proposed() -> None:
     plan = plan_link(demand(10, setpoint="position", setpoint_hz=2.0))
     assert not plan.fits
-    assert plan.problems[0].startswith("up, the ground's slot: 1,321 of 553 B/s are wanted")
-    assert "every 0.91 s; PX4 wants 2 Hz" in plan.problems[1]
-    assert plan.proposals == ("one goto per vehicle (47 B each) instead of streaming setpoints",)
+    assert plan.problems == (
+        "up, the ground's slot carries 553 B/s, of which 276 may be planned with; 1,321 are wanted",
+        "setpoints: the ground sends once a round, every 0.91 s; PX4 wants 2 Hz, and leaves OFFBOARD after 1 s "
+        "without: one lost slot makes 1.82 s",
+    )
+    assert plan.proposals == (
+        GOTO,
+        "4 vehicles instead of 10, the others on a second radio or on Wi-Fi",
+        "air speed 125 kbit/s for up to 5 vehicles",
+        "air speed 250 kbit/s for up to 7 vehicles",
+    )
     assert plan.most_vehicles == 4
 
 
 def test_a_round_longer_than_a_second_cannot_hold_offboard_at_all() -> None:
     plan = plan_link(demand(15, "monitor", setpoint="attitude", setpoint_hz=1.0))
-    assert any("even 1.32 s of its 1 s" in problem for problem in plan.problems)
+    assert any(problem.endswith("after 1 s without: a round is longer") for problem in plan.problems)
 
 
 def test_more_nodes_than_the_firmware_has_ids_do_not_fit_however_little_they_send() -> None:
     plan = plan_link(demand(MAX_NODES, "monitor", air_kbps=250.0, baud=115200))
     assert plan.problems == ("17 nodes: RFD900x multipoint has 16 node ids, one of them the ground's",)
-    assert plan.proposals == ("15 vehicles on this radio, the others on a second one or on Wi-Fi",)
+    assert plan.proposals == ("15 vehicles instead of 16, the others on a second radio or on Wi-Fi",)
 
 
 def test_faster_serial_ports_and_smaller_profiles_are_proposed_where_they_help() -> None:
     plan = plan_link(demand(15, air_kbps=125.0))
-    assert plan.proposals == ("profile monitor", "115200 baud", "230400 baud")
+    assert plan.proposals == (
+        "profile monitor",
+        "115200 baud",
+        "230400 baud",
+        "14 vehicles instead of 15, the others on a second radio or on Wi-Fi",
+    )
     for baud in (115200, 230400):
         assert plan_link(demand(15, air_kbps=125.0, baud=baud)).fits
+
+
+def test_where_no_single_change_is_enough_one_is_proposed_beside_goto() -> None:
+    plan = plan_link(demand(10, "full", setpoint="position", setpoint_hz=2.0))
+    assert plan.proposals == (
+        f"{GOTO}, and profile control",
+        f"{GOTO}, and profile nav",
+        f"{GOTO}, and profile monitor",
+        "2 vehicles instead of 10, the others on a second radio or on Wi-Fi",
+        "profile control-10 for up to 4 vehicles",
+    )
+    assert plan_link(demand(10, "control")).fits
+
+
+@given(
+    st.integers(1, 40),
+    st.sampled_from(sorted(PROFILES)),
+    st.sampled_from([None, 64.0, 125.0]),
+    st.sampled_from([9600, 57600]),
+    st.sampled_from(sorted(SETPOINTS)),
+)
+def test_fewer_vehicles_are_proposed_only_where_they_fit(
+    vehicles: int, profile: str, air: float | None, baud: int, setpoint: str
+) -> None:
+    wish = demand(vehicles, profile, air_kbps=air, baud=baud, setpoint=setpoint, setpoint_hz=2.0)
+    plan = plan_link(wish)
+    told = [text for text in plan.proposals if "instead of" in text and text[0].isdigit()]
+    assert len(told) == (not plan.fits and plan.most_vehicles > 0)
+    for text in told:
+        assert plan_link(replace(wish, vehicles=int(text.split()[0]))).fits
+        assert not plan_link(replace(wish, vehicles=int(text.split()[0]) + 1)).fits
 
 
 @given(

@@ -124,7 +124,8 @@ def _check_nodes(radios: Mapping[str, RadioState]) -> list[str]:
         if times > 1:
             who = ", ".join(where for where, n in nodes.items() if n == node)
             found.append(
-                f"node id {node} is in {times} radios ({who}): they send at the same time and destroy each other"
+                f"node id {node} is in {times} radios ({who}): they send at the same time and destroy each other; give "
+                "each an id of its own, at its own port: skygcs-cli radio set PORT NODEID=N"
             )
     first = next(iter(radios.values())).firmware
     master = 1 if first is Firmware.RFD_MULTIPOINT else 0

@@ -110,12 +110,12 @@ def connect(bauds: Sequence[int]) -> Generator[Step, Reply, int]:
             return baud
         heard = "silence" if not reply.heard_bytes else f"{reply.heard_bytes} bytes that are no answer"
         told.append(f"{baud} baud: {heard}")
-    silent = all(text.endswith("silence") for text in told)
-    cause = (
-        "is it powered, is this its port, are TX and RX swapped?"
-        if silent
-        else "another rate (--baud), another program talking to it, or not a SiK or RFD900x radio?"
-    )
+    left = [str(baud) for baud in LIKELY_BAUD if baud not in bauds]
+    rates = f" Or has it another rate? Not tried: {', '.join(left)} (--baud)." if left else ""
+    if not all(text.endswith("silence") for text in told):
+        cause = "does another program talk to it, or is it no SiK or RFD900x radio?" + rates
+    else:
+        cause = "is it powered, is this its port, are TX and RX swapped?" + rates
     raise LinkError(f"no answer to +++ ({'; '.join(told)}); {cause}")
 
 

@@ -6,6 +6,7 @@ import pytest
 
 from skygcs.core.radio.dialogue import Dialogue
 from skygcs.core.radio.parameters import Firmware
+from skygcs.core.radio.reading import LIKELY_BAUD
 from skygcs.core.radio.setting import Fact, Ledger
 from skygcs.core.radio.visit import Visit, change, look
 from skygcs.core.sim.at_radio import AtRadio, Faults, Kind
@@ -69,6 +70,13 @@ def test_a_wrong_rate_is_told_from_silence() -> None:
         Cable(AtRadio(saved={1: 115}), TELEMETRY).run(look(Visit(), USUAL, None))
     with pytest.raises(LinkError, match=r"57600 baud: silence.*is it powered"):
         Cable(AtRadio(faults=Faults(silent=True))).run(look(Visit(), USUAL, None))
+
+
+def test_only_rates_that_were_not_tried_are_proposed() -> None:
+    with pytest.raises(LinkError, match=r"another rate\? Not tried: 115200, 38400, 230400, 9600 \(--baud\)"):
+        Cable(AtRadio(saved={1: 115})).run(look(Visit(), (57600, 19200), None))
+    with pytest.raises(LinkError, match=r"swapped\?$"):
+        Cable(AtRadio(faults=Faults(silent=True))).run(look(Visit(), LIKELY_BAUD, None))
 
 
 def test_a_radio_that_somebody_left_at_its_command_line_is_taken_up_there() -> None:
