@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import random
 import socket
+import termios
+import time
 from typing import Any
 
 import pytest
@@ -106,11 +109,13 @@ class Station:
         for number, step in enumerate(steps):
             for peer, datagram in step:
                 self.peers[peer].sendto(datagram, ("127.0.0.1", self.port))
+            _wait_delivered(self.peers)
             for link in self.links:
                 for _ in range(3):
                     link._lane.ready() if link._lane is not None else link._on_readable()
             for _ in range(3):
                 self.loop.run_until_complete(asyncio.sleep(0))
+            _wait_delivered([link._socket for link in self.links])
             got += [_drain(s) for s in (*self.sinks, *self.peers)]
             self.loop.now += 0.3
             self.fleet.tick(self.loop.now)
@@ -156,6 +161,13 @@ def _socket() -> socket.socket:
     sock.bind(("127.0.0.1", 0))
     sock.setblocking(False)
     return sock
+
+
+def _wait_delivered(socks: list[socket.socket]) -> None:
+    """Until nothing of what was sent is under way: a busy machine may take its time even on the loopback."""
+    for sock in socks:
+        while any(fcntl.ioctl(sock, termios.TIOCOUTQ, bytes(4))):
+            time.sleep(0.0005)
 
 
 def _drain(sock: socket.socket) -> list[bytes]:

@@ -261,6 +261,8 @@ class Router:
             return None  # a lane would remember its frames, and take equal ones of another program for copies
         if source == self._own_source or source not in port.heard or frame.sysid in self._parallel:
             return None
+        if len(self._by_source[source]) > 1:
+            return None  # which channel's frame is the newest only their order tells
         if source in self._anchored and port.policy.role == "gcs":
             return None
         if port.limiter_in is not None:
@@ -431,7 +433,10 @@ class Router:
             return
         port.heard[source] = now
         self._routes += 1
-        self._by_source.setdefault(source, []).append(port)
+        ports = self._by_source.setdefault(source, [])
+        if ports:
+            self.on_change()
+        ports.append(port)
         systems = self._by_system.setdefault(source >> 8, [])
         if port not in systems:
             systems.append(port)
