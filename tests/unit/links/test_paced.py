@@ -135,11 +135,11 @@ def test_what_is_forwarded_has_its_share_and_ours_the_rest() -> None:
             line.offer("NAMED_VALUE_FLOAT", value=20.0 * second + number + 1, name=b"x")
             line.air.offer(own_message("PARAM_REQUEST_READ", param_index=number + 1), Priority.EXCHANGE, line.now)
         line.run(1.0)
-    line.run(30.0)
     told = line.air.status(line.now)["classes"]
-    share = line.air.foreign.budget.bytes_per_s
-    assert told["forwarded"]["sent_bytes"] <= share * 90 + line.air.foreign.budget.burst_bytes
-    assert told["exchange"]["sent_bytes"] > told["forwarded"]["sent_bytes"]
+    share = line.air.foreign.budget
+    assert 0.9 * share.bytes_per_s * 60 <= told["forwarded"]["sent_bytes"] <= share.bytes_per_s * 60 + share.burst_bytes
+    assert told["forwarded"]["dropped"] > 0
+    assert told["exchange"]["sent"] >= 60 * 20 - 20, "half of the radio is ours, and what others send waits for us"
     assert line.air.take_lost() == told["forwarded"]["dropped"] + told["exchange"]["refused"]
     assert line.air.take_lost() == 0
 
