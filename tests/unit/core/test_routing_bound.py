@@ -72,6 +72,10 @@ def test_an_order_of_ours_for_a_component_met_behind_a_bound_channel_does_not_go
     net.datagram("P1", message("HEARTBEAT", 9, 191, type=18, autopilot=8, mavlink_version=3))
     assert net.router.channels_of(9 << 8 | 191) == (net.ids["P1"],)
     assert net.router.route_own(9, 191, net.now, everywhere=True) == ()
+    net.datagram("P3", message("HEARTBEAT", 9, 191, 1, type=18, autopilot=8, mavlink_version=3))
+    assert net.router.route_own(9, 191, net.now, everywhere=True) == ()
+    net.datagram("qgc", message("HEARTBEAT", 9, 191, 2, type=18, autopilot=8, mavlink_version=3))
+    assert net.router.route_own(9, 191, net.now, everywhere=True) == (net.ids["qgc"],)
 
 
 # -- from a bound channel
@@ -219,7 +223,7 @@ def test_a_program_that_starts_again_does_not_cost_the_others_their_routes() -> 
     assert net.ids["P3"] in net.router.channels_of(PROGRAM[0] << 8 | PROGRAM[1])
 
 
-def test_parallel_ground_stations_do_not_draw_in_bound_ones_of_their_id() -> None:
+def test_parallel_ground_stations_and_bound_programs_of_one_id_are_kept_apart() -> None:
     net = one_radio()
     net.open("qgc2", ChannelPolicy(role="gcs"))
     for seq in range(200):
@@ -227,9 +231,11 @@ def test_parallel_ground_stations_do_not_draw_in_bound_ones_of_their_id() -> Non
             net.datagram(name, heartbeat(*PROGRAM, seq % 256, gcs=True))
         net.now += 0.1
     answer = {"command": 400, "target_system": PROGRAM[0], "target_component": PROGRAM[1]}
+    for boot_ms in (900_000, 100):
+        net.datagram("P3", message("SYSTEM_TIME", *PROGRAM, time_boot_ms=boot_ms))
     reached = sent(net, "radio", message("COMMAND_ACK", 3, **answer))
     assert "P3" in reached
-    assert len(reached & {"qgc", "qgc2"}) == 1
+    assert len(reached & {"qgc", "qgc2"}) == 1, "parallel they stay, whatever a bound one's clock says"
 
 
 def test_filters_of_a_bound_channel_count_as_well() -> None:
@@ -252,7 +258,7 @@ def test_lanes_carry_a_vehicles_frames_to_its_own_programs_and_none_of_a_program
         assert standing is not None
         assert standing.destinations == decision.destinations
         assert {name for name, i in net.ids.items() if i in standing.destinations} == programs
-    (beat,) = net.parsers["P4"].feed_datagram(heartbeat(*PROGRAM, 3, gcs=True))
+    (beat,) = net.parsers["P4"].feed_datagram(heartbeat(245, 190, gcs=True))
     net.router.decide(net.ids["P4"], beat, net.now)
     assert net.router.standing(net.ids["P4"], beat) is None
 
