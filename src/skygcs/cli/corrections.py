@@ -135,10 +135,11 @@ def status_lines(told: dict[str, Any]) -> list[str]:
     flaws = (("not taken by any link", "refused"), ("too long", "too_long"), ("damaged", "bad_crc"))
     lines += [f"  {what}: {told[name]:,} messages" for what, name in flaws if told[name]]
     for radio in told["radios"]:
+        of = "" if radio["source"] is None else f" of {radio['source']}"
         waits = "" if radio.get("wait_p95_s") is None else f", waits p95 {radio['wait_p95_s']:.1f} s"
         lines.append(
             f"{radio['link']} ({radio['peer']}): {radio['bytes_per_s']:,.0f} B/s for corrections, "
-            f"{radio['messages']:,} messages sent, {radio['waiting']:,} fragments wait{waits}"
+            f"{radio['messages']:,} messages{of} sent, {radio['waiting']:,} fragments wait{waits}"
         )
         lost = [f"{radio[name]:,} {name}" for name in ("replaced", "expired", "dropped", "incomplete") if radio[name]]
         if radio["other_source"]:

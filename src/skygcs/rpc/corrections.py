@@ -58,8 +58,8 @@ class CorrectionsStatus(m.Result):
     skipped_bytes: int
     types: dict[str, Any] = Field(description="By RTCM type: messages, bytes, age_s (of the last one).")
     radios: list[dict[str, Any]] = Field(
-        description="Of each radio with a budget: link, peer, bytes_per_s (its share for corrections), source, what "
-        "waits and what was sent, replaced, dropped (docs/explanation/airtime.md). Ground stations' included."
+        description="Of each radio with a budget: link, peer, bytes_per_s (its share for corrections), source "
+        "(sysid/compid), what waits and what was sent, replaced, dropped. Ground stations' included."
     )
     vehicles: list[dict[str, Any]] = Field(description="name, fix (rtk_fixed, rtk_float, 3d, ...), satellites.")
 

@@ -86,9 +86,14 @@ class CorrectionFeed:
                 for type_, (count, size, at) in sorted(self._types.items())
             },
             "radios": [
-                {"link": channel.link.name, "peer": channel.peer, **told}
+                {
+                    "link": channel.link.name,
+                    "peer": channel.peer,
+                    **(told := channel.air.corrections.status()),
+                    "source": None if told["source"] is None else f"{told['source'] >> 8}/{told['source'] & 0xFF}",
+                }
                 for channel in self._hub.channels.values()
-                if channel.air is not None and (told := channel.air.status(now).get("corrections")) is not None
+                if channel.air is not None
             ],
             "vehicles": self._fixes(now),
         }

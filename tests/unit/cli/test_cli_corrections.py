@@ -248,10 +248,10 @@ def test_the_status_tells_what_each_radio_made_of_it() -> None:
     corrections.offer(1, bytes([0, 36]) + rtcm_frame(1087), None, 50, 0.0)
     corrections.offer(2, bytes([0, 36]) + rtcm_frame(1087), None, 50, 0.0)
     corrections.pop(0.0)
-    radio = {"link": "air", "peer": "/dev/ttyUSB0", **corrections.status()}
+    radio = {"link": "air", "peer": "/dev/ttyUSB0", **corrections.status(), "source": "255/25"}
     lines = status_lines({**STATUS, "radios": [radio], "vehicles": [], "types": {}, "too_long": 0, "age_s": None})
     assert lines == [
         "over this daemon's socket nothing was sent yet",
-        "air (/dev/ttyUSB0): 165 B/s for corrections, 1 messages sent, 0 fragments wait, waits p95 0.0 s",
+        "air (/dev/ttyUSB0): 165 B/s for corrections, 1 messages of 255/25 sent, 0 fragments wait, waits p95 0.0 s",
         "  1 fragments of a second base refused",
     ]

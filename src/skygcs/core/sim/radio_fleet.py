@@ -64,6 +64,8 @@ class RadioFleet:
         network.write(node, raw, now)
 
     def _hear(self, node: int, raw: bytes, now: float) -> None:
+        if node > len(self.fleet.vehicles):
+            return  # a spare radio, with nobody behind it
         if raw is not self._parsed[0]:  # what the ground sends comes to one vehicle after the other
             self._parsed = (raw, self._parser.feed_datagram(raw))
         vehicle = self.fleet.vehicles[node - 1]

@@ -216,13 +216,14 @@ def test_a_network_that_cannot_be_is_refused(bad: dict[str, float]) -> None:
         network(**{"nodes": 2, **bad})  # type: ignore[arg-type]
 
 
-def vehicles(px4: int, ardupilot: int) -> RadioFleet:
+def vehicles(px4: int, ardupilot: int, spare: int = 0) -> RadioFleet:
     sims = make_vehicles(DIALECT, px4=px4, ardupilot=ardupilot, first_sysid=1, home=FIELD)
-    return RadioFleet(sims, network(nodes=len(sims) + 1), DIALECT)
+    return RadioFleet(sims, network(nodes=len(sims) + 1 + spare), DIALECT)
 
 
-def test_vehicles_are_commanded_and_heard_over_their_radios() -> None:
-    fleet = vehicles(1, 1)
+@pytest.mark.parametrize("spare", [0, 3])
+def test_vehicles_are_commanded_and_heard_over_their_radios(spare: int) -> None:
+    fleet = vehicles(1, 1, spare)
     parser, acks = FrameParser(DIALECT), set()
     command = {"target_system": 2, "target_component": 1, "command": 176, "param1": 1, "param2": 0}
     for n in range(500):
