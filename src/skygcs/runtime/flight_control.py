@@ -276,7 +276,8 @@ class FlightControl:
             fault = f"flight control failed inside skygcs and ends: {error!r}"
             self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, fault, {}))
             tick = Tick(events=pilot.release(fault).events, hold=True)
-        self._apply(tick)
+        if tick.events or tick.row is not None or not pilot.active or tick.hold:
+            self._apply(tick)
         if pilot.active and pilot.delay.due_ping(now):
             self._ping(now)
 

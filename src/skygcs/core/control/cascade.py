@@ -38,21 +38,33 @@ LARGEST_INPUT = 1e6
 _SQRT_HALF = math.sqrt(0.5)
 
 
+class _Judged:
+    """What numbers were found to be when they were put together: an estimate is looked at by the guard and by the law,
+    a reference stays for many steps."""
+
+    __slots__ = ("usable",)
+
+    usable: bool
+    """None of them is NaN, infinite or above `LARGEST_INPUT`."""
+
+    def _judge(self, *vectors: Vector) -> None:
+        largest = LARGEST_INPUT
+        for x, y, z in vectors:
+            if not (-largest <= x <= largest and -largest <= y <= largest and -largest <= z <= largest):  # also for NaN
+                object.__setattr__(self, "usable", False)
+                return
+        object.__setattr__(self, "usable", True)  # immutable, and made of nothing but the fields
+
+
 @record
-class Estimate:
+class Estimate(_Judged):
     """Where the vehicle is and how it moves. How old that may be is the guard's business."""
 
     pos_enu_m: Vector
     vel_enu_mps: Vector
 
-
-class _Judged:
-    """What a reference was found to be when it was made: it stays for many steps, which need not look again."""
-
-    __slots__ = ("usable",)
-
-    usable: bool
-    """No number of it is NaN, infinite or above `LARGEST_INPUT`."""
+    def __post_init__(self) -> None:
+        self._judge(self.pos_enu_m, self.vel_enu_mps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +80,7 @@ class Reference(_Judged):
     velocity_only_z: bool = False
 
     def __post_init__(self) -> None:
-        numbers = (*self.pos_enu_m, *self.vel_enu_mps, *self.acc_enu_mps2, self.yaw_rad)
-        usable = all(-LARGEST_INPUT <= number <= LARGEST_INPUT for number in numbers)  # each false for NaN
-        object.__setattr__(self, "usable", usable)  # frozen, and made of nothing but the fields
+        self._judge(self.pos_enu_m, self.vel_enu_mps, self.acc_enu_mps2, (self.yaw_rad, 0.0, 0.0))
 
 
 @record
@@ -137,7 +147,7 @@ def step(
     A number that is NaN, infinite or above `LARGEST_INPUT` gives no output and leaves the memory as it was; what is
     to be sent then is for the caller to decide. With any other input all of the output is finite and within the limits.
     """
-    if not (reference.usable and usable_estimate(estimate) and -LARGEST_INPUT <= dt_s <= LARGEST_INPUT):
+    if not (reference.usable and estimate.usable and -LARGEST_INPUT <= dt_s <= LARGEST_INPUT):
         return None, memory
     dt = within(dt_s, config.dt_min_s, config.dt_max_s)
     integration_dt = dt if following else 0.0
@@ -163,7 +173,7 @@ def step(
 
 def velocity_setpoint(config: ControlConfig, estimate: Estimate, reference: Reference) -> Vector | None:
     """The outer loop alone, for an autopilot that closes the velocity loop itself; None as in `step`. ENU, m/s."""
-    if not (reference.usable and usable_estimate(estimate)):
+    if not (reference.usable and estimate.usable):
         return None
     return _velocity(config, estimate, reference)
 
@@ -251,15 +261,6 @@ def _slope(config: ControlConfig, memory: Memory, error: Vector, dt_s: float) ->
         filtered_slope(error[1], before[1], slope[1], dt_s, weight),
         filtered_slope(error[2], before[2], slope[2], dt_s, weight),
     )
-
-
-def usable_estimate(estimate: Estimate) -> bool:
-    """Whether no number of it is NaN, infinite or above `LARGEST_INPUT`: each comparison is false for NaN."""
-    x, y, z = estimate.pos_enu_m
-    vx, vy, vz = estimate.vel_enu_mps
-    largest = LARGEST_INPUT
-    at = -largest <= x <= largest and -largest <= y <= largest and -largest <= z <= largest
-    return at and -largest <= vx <= largest and -largest <= vy <= largest and -largest <= vz <= largest
 
 
 def _w_not_negative(w: float, x: float, y: float, z: float) -> Quaternion:

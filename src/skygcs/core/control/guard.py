@@ -33,7 +33,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal, NamedTuple
 
-from skygcs.core.control.cascade import LARGEST_INPUT, Estimate, usable_estimate
+from skygcs.core.control.cascade import LARGEST_INPUT, Estimate
 from skygcs.core.control.record import record
 from skygcs.errors import ConfigError
 
@@ -298,7 +298,7 @@ def all_well(config: GuardConfig, facts: Facts, wanted: Way) -> bool:
         or facts.refusing is not None
         or age_s is None
         or estimate is None
-        or not usable_estimate(estimate)
+        or not estimate.usable
     ):
         return False
     floor, battery = config.battery_min_percent, facts.battery_percent
@@ -353,7 +353,7 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
         yield Refusal("no_fix", "the vehicle has no usable position fix")
     if facts.estimate is None:
         yield Refusal("no_position", "the vehicle's position is not known")
-    elif not usable_estimate(facts.estimate):
+    elif not facts.estimate.usable:
         position = ", ".join(f"{value:g}" for value in (*facts.estimate.pos_enu_m, *facts.estimate.vel_enu_mps))
         yield Refusal(
             "estimate", f"position and velocity ({position}) are not all numbers up to {LARGEST_INPUT:g} m and m/s"

@@ -136,7 +136,7 @@ class Pilot:
     @property
     def period_s(self) -> float:
         """From one tick to the next, for the present way and the link's budget."""
-        way = self.way or self.wanted
+        way = self.wanted if self.way is None else self.way
         if way is ATTITUDE:
             return 1.0 / self.attitude_hz
         return 1.0 / (self.config.velocity_hz if way is VELOCITY else self.config.position_hz)
