@@ -325,7 +325,7 @@ class Router:
             return False
         if source.bound and not self._is_of_bound(source, port):
             return False
-        return not (kind & _RADIO_STATUS and (port.policy.carries_vehicles or port.vehicles))
+        return not (kind & _RADIO_STATUS and (port.policy.carries_vehicles or port.vehicles or port.bound))
 
     @staticmethod
     def _is_of_bound(source: _Port, port: _Port) -> bool:

@@ -180,7 +180,7 @@ class Hub:
                 stats.restart()  # what was sent while nobody listened is not a loss of the link
             channel.sources = parted
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
-        if sysids:
+        if channel.config.vehicles:  # which the fleet file's checks have found: an endpoint without any raises
             channel.endpoint = Endpoint(sysids, channel.config.present_as)
             if channel.endpoint.renumbers:
                 self._renumbering[channel.id] = channel.endpoint

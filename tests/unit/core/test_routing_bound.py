@@ -63,6 +63,9 @@ def test_no_ground_station_no_radio_and_nothing_of_ours_goes_there() -> None:
     assert sent(net, "qgc", heartbeat(250, 190, gcs=True)) == {"radio", "wire"}
     assert sent(net, "qgc", order(1)) == {"radio"}
     assert sent(net, "radio", message("RADIO_STATUS", 51, 68)) == {"qgc"}
+    net.open("P51", bound(51))
+    assert sent(net, "radio", message("RADIO_STATUS", 51, 68)) == {"qgc"}, "a radio is no vehicle of that id"
+    net.close("P51")
     ours = {name for name, i in net.ids.items() if i in net.router.route_own(0, 0, net.now)}
     assert ours == {"radio", "wire", "qgc"}
 
