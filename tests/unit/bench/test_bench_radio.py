@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from bench.radio.__main__ import _missed
-from bench.radio.cell import Measured, measure, percentile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.radio import report
+from bench.radio.cell import Column, Measured, measure, percentile
 
 
 def test_a_planned_cell_is_measured_whole() -> None:
@@ -26,11 +31,67 @@ def test_percentiles_of_nothing_are_none_and_of_one_are_that_one() -> None:
     assert percentile([1.0, 2.0, 3.0, 4.0], 0.5) == 3.0
 
 
-def test_what_misses_its_target_is_named_with_the_figures() -> None:
-    bad = Measured("skygcs", 10, 64.0, round_s=0.9, ages_s=[3.0], acks_s=[1.0], commands=5, lost_commands=1)
-    missed = _missed([bad.as_dict()])
-    assert any("position age p95 3.0 (target 2.50)" in text for text in missed)
-    assert any("lost commands 1" in text for text in missed)
-    assert any("reached 0 of them" in text for text in missed)
-    beyond = Measured("skygcs", 15, 64.0, round_s=1.3, ages_s=[9.0])
-    assert _missed([beyond.as_dict(), Measured("plain", 10, 64.0).as_dict()]) == []
+def cell(column: Column, vehicles: int, air_kbps: float, **figures: Any) -> dict[str, Any]:
+    """One that meets every target, but for ``figures``."""
+    good = {"round_s": 0.9, "ages_s": [1.0], "acks_s": [1.0], "commands": 5, "emergency_s": [0.5] * vehicles}
+    return Measured(column, vehicles, air_kbps, heard=vehicles, **{**good, **figures}).as_dict()
+
+
+def test_every_target_is_judged_on_every_cell_that_is_to_be_carried() -> None:
+    rows = [cell("skygcs", n, air) for air in (64.0, 125.0) for n in (2, 10, 15)]
+    told = report.verdicts(rows)
+    assert len(told) == 4 * 5 and all(v.met for v in told)
+    assert not any("15 vehicles at 64" in v.where for v in told)
+    summary = report.summary(told).splitlines()
+    assert summary[0].startswith("20 of 20 targets")
+    assert {line.split(": ")[0] for line in summary[1:]} == {
+        "met     10 vehicles at 64 kbit/s",
+        "met     15 vehicles at 125 kbit/s",
+    }
+
+
+@pytest.mark.parametrize(
+    ("figures", "said"),
+    [
+        ({"ages_s": [3.0]}, "position age p95 <= 2.5 s: 3.00 s"),
+        ({"acks_s": [2.4]}, "command ACK p95 <= 2.30 s (two rounds + 0.5 s): 2.40 s"),
+        ({"acks_s": []}, "command ACK p95 <= 2.30 s (two rounds + 0.5 s): - s"),
+        ({"lost_commands": 1}, "no command lost after its repeats: 1 of 5"),
+        ({"emergency_s": [0.5] * 9}, "9 of 10, the last after 0.50 s"),
+        ({"emergency_s": [0.5] * 9 + [2.4]}, "10 of 10, the last after 2.40 s"),
+    ],
+)
+def test_what_misses_its_target_is_named_with_the_figures_and_the_arithmetic(
+    figures: dict[str, Any], said: str
+) -> None:
+    (missed,) = [v.line() for v in report.verdicts([cell("skygcs", 10, 64.0, **figures)]) if not v.met]
+    assert missed.startswith("MISSED  10 vehicles at 64 kbit/s")
+    assert said in missed
+    assert missed in report.summary(report.verdicts([cell("skygcs", 10, 64.0, **figures), cell("skygcs", 10, 64.0)]))
+    assert "a round takes 0.90 s" in missed and "a vehicle's slot 200 of 553 B/s" in missed
+
+
+def test_a_plain_column_that_does_not_collapse_is_told() -> None:
+    rows = [cell("plain", 4, 64.0, ages_s=[9.0]), cell("plain", 8, 64.0, ages_s=[9.0]), cell("plain", 10, 64.0)]
+    assert [(v.where, v.met) for v in report.collapse(rows)] == [
+        ("8 vehicles at 64 kbit/s", True),
+        ("10 vehicles at 64 kbit/s", False),
+    ]
+
+
+def test_the_table_has_both_columns_of_each_number_side_by_side() -> None:
+    rows = [cell("plain", 4, 64.0, ages_s=[9.0], acks_s=[]), cell("skygcs", 4, 64.0, usable_s=5.04)]
+    lines = {line[:28].strip(): line[28:].split() for line in report.table(rows).splitlines()}
+    assert lines["64 kbit/s"] == ["4", "vehicles"]
+    assert lines[""] in ([], ["plain", "skygcs"])
+    assert lines["position age p95 (s)"] == ["9.00", "1.00"]
+    assert lines["command ACK p95 (s)"] == ["-", "1.00"]
+    assert lines["all usable after (s)"] == ["never", "5.0"]
+
+
+def test_the_picture_is_drawn_of_cells_with_gaps(tmp_path: Path) -> None:
+    rows = [cell(column, n, air) for air in (64.0, 125.0) for n in (4, 10) for column in ("plain", "skygcs")]
+    rows[0] |= {"age_p95_s": None, "emergency_max_s": None}
+    rows[1]["usable_s"] = 4.0
+    report.picture(rows, tmp_path / "radio.png")
+    assert (tmp_path / "radio.png").read_bytes().startswith(b"\x89PNG")
