@@ -112,11 +112,15 @@ class EnuFrame:
         self._sin_lat, self._cos_lat = math.sin(lat), math.cos(lat)
         self._sin_lon, self._cos_lon = math.sin(lon), math.cos(lon)
         self._x_east, self._x_north = _x_axis(origin)
-        self._ecef = _ecef(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
+        self._ecef = ecef(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
 
     def from_geodetic(self, lat_deg: float, lon_deg: float, alt_amsl_m: float) -> Vector:
         """See `enu_from_geodetic`."""
-        x, y, z = _ecef(lat_deg, lon_deg, alt_amsl_m)
+        return self.from_ecef(ecef(lat_deg, lon_deg, alt_amsl_m))
+
+    def from_ecef(self, point_m: Vector) -> Vector:
+        """The same of a point that several frames are asked about: half of it is `ecef`."""
+        x, y, z = point_m
         x0, y0, z0 = self._ecef
         x, y, z = x - x0, y - y0, z - z0
         outward = self._cos_lon * x + self._sin_lon * y
@@ -138,7 +142,8 @@ class EnuFrame:
         )
 
 
-def _ecef(lat_deg: float, lon_deg: float, alt_m: float) -> Vector:
+def ecef(lat_deg: float, lon_deg: float, alt_m: float) -> Vector:
+    """Earth-centred, earth-fixed (WGS84), metres; of a height above the ellipsoid, or for a frame above mean sea."""
     lat, lon = math.radians(lat_deg), math.radians(lon_deg)
     sin_lat = math.sin(lat)
     normal_m = WGS84_A_M / math.sqrt(1 - WGS84_E2 * sin_lat * sin_lat)

@@ -78,15 +78,17 @@ class DelayMeter:
 
     def on_tick(self, state_age_s: float | None, now: float) -> None:
         """To be called in every tick of the loop. No state, or an age that is NaN, is one infinitely old."""
-        if self._ages_at and now < self._ages_at[-1]:  # the clock ran backwards: what is remembered cannot be dated
-            self._ages_at.clear()
-            self._ages_s.clear()
-        age_s = math.inf if state_age_s is None or math.isnan(state_age_s) else max(0.0, state_age_s)
-        self._ages_at.append(now)
-        self._ages_s.append(age_s)
-        while now - self._ages_at[0] > WINDOW_S:
-            self._ages_at.popleft()
-            self._ages_s.popleft()
+        ages_at, ages_s = self._ages_at, self._ages_s
+        if ages_at and now < ages_at[-1]:  # the clock ran backwards: what is remembered cannot be dated
+            ages_at.clear()
+            ages_s.clear()
+        if state_age_s is None or math.isnan(state_age_s):
+            state_age_s = math.inf
+        ages_at.append(now)
+        ages_s.append(state_age_s if state_age_s > 0.0 else 0.0)
+        while now - ages_at[0] > WINDOW_S:
+            ages_at.popleft()
+            ages_s.popleft()
         if self._trips and not 0 <= now - self._last_pong <= ROUND_TRIP_VALID_S:
             self._trips.clear()
             self.rtt_p95_s = None

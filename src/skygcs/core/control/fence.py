@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.geo import EnuFrame, Origin, Vector
 from skygcs.errors import ConfigError
 
 Span = tuple[float, float]
@@ -62,6 +62,13 @@ class Fence:
     def contains(self, lat_deg: float, lon_deg: float, alt_amsl_m: float, *, reference: bool = False) -> bool:
         """Whether a vehicle may be there, or with ``reference`` be sent there."""
         return self.why_not(lat_deg, lon_deg, alt_amsl_m, reference=reference) is None
+
+    def holds(self, point_m: Vector) -> bool:
+        """Whether a vehicle may be there, for each position that comes: of a place on earth (`geo.ecef`) what
+        `contains` says, a third as long. False: ask `why_not`."""
+        x_m, y_m, up_m = self._frame.from_ecef(point_m)
+        (x_low, x_high), (y_low, y_high), (low, high) = self.x_m, self.y_m, self.up_m
+        return x_low <= x_m <= x_high and y_low <= y_m <= y_high and low - self.margin_m <= up_m <= high
 
     def why_not(
         self,

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-from skygcs.core.control.cascade import Estimate, Reference, Vector
+from skygcs.core.control.cascade import ZERO, Estimate, Reference, Vector
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.fence import Fence
-from skygcs.core.geo import EnuFrame, Origin, yaw_enu_from_heading_deg
+from skygcs.core.geo import EnuFrame, Origin, ecef, yaw_enu_from_heading_deg
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.fold import GlobalPosition, finite_angles, global_position
 from skygcs.core.vehicle.goals import Place
@@ -30,6 +30,9 @@ ATTITUDE_FRESH_S = 3.0
 
 JUDGE_S = 0.1
 """How often what moves slowly is looked at anew: the percentile of a window of seconds, fix and battery."""
+
+MAX_LAT_DEG = 90.0
+"""Beyond it a number is no latitude, though it would be some point."""
 
 _MESSAGES = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
 
@@ -55,6 +58,7 @@ class Outlook:
         """What the estimate below was made of."""
         self._position: GlobalPosition | None = None
         self._estimate: Estimate | None = None
+        self._point_m = ZERO
         self._at = 0.0
         self._attitude: tuple[Frame | None, bool] = (None, True)
         self._place: tuple[Reference | None, Place | None] = (None, None)
@@ -95,7 +99,8 @@ class Outlook:
                 self._position = global_position(self._read_position(frame.payload))
                 lat_deg, lon_deg, alt_amsl_m, vel_enu_mps = self._position
                 if lat_deg is not None and lon_deg is not None:
-                    self._estimate = Estimate(self.frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m), vel_enu_mps)
+                    self._point_m = ecef(lat_deg, lon_deg, alt_amsl_m)
+                    self._estimate = Estimate(self.frame.from_ecef(self._point_m), vel_enu_mps)
         return self._estimate
 
     def age_s(self, now: float) -> float | None:
@@ -152,12 +157,14 @@ class Outlook:
         if fence is None or position is None:
             return None
         if self._breach[0] is not position:
-            lat_deg, lon_deg, alt_amsl_m, _ = position
-            why = None
-            if lat_deg is not None and lon_deg is not None:
-                why = fence.why_not(lat_deg, lon_deg, alt_amsl_m)
-            self._breach = (position, why)
+            self._breach = (position, self._breach_at(fence, position))
         return self._breach[1]
+
+    def _breach_at(self, fence: Fence, position: GlobalPosition) -> str | None:
+        lat_deg, lon_deg, alt_amsl_m, _ = position
+        if lat_deg is None or lon_deg is None or (abs(lat_deg) <= MAX_LAT_DEG and fence.holds(self._point_m)):
+            return None
+        return fence.why_not(lat_deg, lon_deg, alt_amsl_m)
 
     def reference_breach(self, reference: Reference) -> str | None:
         """Why the place it is sent to is outside the fence; None: it is not.
