@@ -158,7 +158,7 @@ def commands_list(context: Context, _: m.NoParams) -> list[JsonObject]:
 
 
 def links_list(context: Context, _: m.NoParams) -> list[JsonObject]:
-    """Every link: its kind, state, channels, and counters per channel and source."""
+    """Every link: its kind, state, vehicles if it is bound to some, channels, and counters per channel and source."""
     return context.daemon.links_status()
 
 
