@@ -130,7 +130,7 @@ class Daemon:
         if self.watchman.watching:
             self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
         self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, self.on_event)
-        self.foreign = ForeignWatch(self.hub, own.sysid if own.heartbeat else None, dialect, self.on_event)
+        self.foreign = ForeignWatch(self.hub, own, dialect, self.on_event)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()

@@ -40,7 +40,7 @@ class GroundStation:
         self.listed_at: dict[int, float] = {}
         """... when the last of them came."""
         self.texts: list[str] = []
-        """STATUSTEXTs of the daemon."""
+        """STATUSTEXTs of the daemon, from whichever system."""
         self.heard: set[int] = set()
         self.on_frame: Callable[[Frame], None] | None = None
         self._peer = found.peer
@@ -120,7 +120,7 @@ class GroundStation:
                     self.parameters.setdefault(frame.sysid, set()).add(fields["param_index"])
                     self.counts[frame.sysid] = fields["param_count"]
                     self.listed_at[frame.sysid] = self._now()
-            elif frame.name == "STATUSTEXT" and frame.sysid == 255:
+            elif frame.name == "STATUSTEXT" and frame.compid == 25:
                 self.texts.append(frame.fields()["text"])
             if self.on_frame is not None:
                 self.on_frame(frame)

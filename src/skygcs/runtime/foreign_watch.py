@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from skygcs.config.models import DaemonConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.foreign import Note
 from skygcs.core.foreign_frames import BUILT_IN
@@ -11,7 +12,7 @@ from skygcs.core.linkplan import BITS_PER_BYTE, SLOT_BYTES
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.pacing import HALF_DUPLEX_SHARE
 from skygcs.core.vehicle.events import Event
-from skygcs.links.base import Channel
+from skygcs.links.base import Channel, OwnMessage
 from skygcs.links.paced import AirBudget
 from skygcs.runtime.hub import Hub
 
@@ -30,10 +31,9 @@ OnEvent = Callable[[Event], None]
 class ForeignWatch:
     """`tick` once a second."""
 
-    def __init__(self, hub: Hub, own_sysid: int | None, dialect: Dialect, on_event: OnEvent) -> None:
-        """``own_sysid``: under which our heartbeats go out; None if none do."""
+    def __init__(self, hub: Hub, own: DaemonConfig, dialect: Dialect, on_event: OnEvent) -> None:
         self._hub = hub
-        self._own_sysid = own_sysid
+        self._own = own
         self._dialect = dialect
         self._on_event = on_event
 
@@ -43,7 +43,7 @@ class ForeignWatch:
             air = channel.air
             if air is None:
                 continue
-            air.foreign.own_sysid = self._own_sysid
+            air.foreign.own_sysid = self._own.sysid if self._own.heartbeat else None
             while air.foreign.notes:
                 self._tell(air.foreign.notes.popleft(), channel, air)
 
@@ -100,10 +100,13 @@ class ForeignWatch:
                 )
 
     def _answer(self, clients: list[Channel], note: Note, name: str) -> None:
-        """A short text on the client's own channel; not where a client sees nothing but its vehicle."""
-        ids = [channel.id for channel in clients if channel.endpoint is None]
+        """A short text on the client's own channel; not where a client sees nothing but its vehicle.
+
+        It comes from the vehicle that was meant, as a component with our id: QGroundControl shows no text of a system
+        that is no vehicle. (MAVProxy shows an autopilot's alone, and we do not pretend to be one.)
+        """
         info = self._dialect.by_name.get("STATUSTEXT")
-        if info is None or not ids:
+        if info is None:
             return
         text, severity = {
             "streams": ("streams are planned here: request not sent", WARNING),
@@ -112,7 +115,11 @@ class ForeignWatch:
             "rate": (f"refused on this radio: {name}", WARNING),
             "thinned": (f"slowed down on this radio: {name}", INFO),
         }.get(note.kind, (f"parameters of {note.target} wait: one list at a time", INFO))
-        self._hub.send_on(ids, info, {"severity": severity, "text": text[:TEXT_BYTES]}, Priority.EXCHANGE)
+        payload = info.pack({"severity": severity, "text": text[:TEXT_BYTES]})
+        message = OwnMessage(info, payload, note.target or self._own.sysid, self._own.compid)
+        for channel in clients:
+            if channel.endpoint is None:
+                channel.send(message, Priority.EXCHANGE)
 
     def _clients(self, source: int) -> list[Channel]:
         """The channels on which a source is heard, if vehicles are none of theirs."""
