@@ -126,6 +126,39 @@ def test_a_suspended_process_skips_without_a_burst() -> None:
     assert ticked.loop.due()[0] - ticked.loop.now <= 0.02
 
 
+def test_each_tick_sets_one_timer_whatever_rounding_does_to_its_deadline() -> None:
+    ticked = Ticked(1 / 50)
+    ticked.loop.now = 13_941.719  # where now + period - now is above the period by a rounding
+    assert ticked.loop.now + 1 / 50 - ticked.loop.now > 1 / 50
+    ticked.clock.start()
+    set_at: list[float] = []
+    call_at = ticked.loop.call_at
+
+    def counted(when: float, callback: Callable[[], None]) -> Deadlines.Handle:
+        set_at.append(when)
+        return call_at(when, callback)
+
+    ticked.loop.call_at = counted  # type: ignore[method-assign]
+    for _ in range(100):
+        ticked.loop.run()
+    assert len(set_at) == 100
+
+
+def test_goes_on_after_a_tick_that_failed() -> None:
+    ticked = Ticked()
+    ticked.clock.start()
+
+    def fail() -> None:
+        raise RuntimeError("a tick must not")
+
+    ticked.on_tick = fail
+    with pytest.raises(RuntimeError):
+        ticked.loop.run()
+    ticked.on_tick = lambda: None
+    ticked.loop.run()
+    assert ticked.at == pytest.approx([0.0, 0.02])
+
+
 def test_a_slower_period_holds_from_the_next_tick_on_a_faster_one_at_once() -> None:
     ticked = Ticked(0.02)
     ticked.clock.start()

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from skygcs.core.control.fence import Fence
-from skygcs.core.geo import Origin, enu_from_geodetic, geodetic_from_enu
+from skygcs.core.geo import Origin, ecef, enu_from_geodetic, geodetic_from_enu
 from skygcs.errors import ConfigError
 
 ORIGIN = Origin(43.78, -79.46, 170.0)
@@ -80,6 +80,14 @@ def test_agrees_with_the_frame_of_its_origin_everywhere(x: float, y: float, up: 
     inside = abs(seen[0]) <= 50 and abs(seen[1]) <= 50 and -2 <= seen[2] <= 20
     if nearest > 1e-3:
         assert Fence(origin).contains(*place) is inside
+
+
+@given(st.floats(-60, 60), st.floats(-60, 60), st.floats(-4, 24), st.floats(0, 359))
+@example(0.0, 0.0, 0.0, 90.0)
+def test_holds_by_earth_fixed_coordinates_what_it_contains(x: float, y: float, up: float, heading: float) -> None:
+    fence = Fence(Origin(43.78, -79.46, 170.0, heading))
+    place = at(x, y, up)
+    assert fence.holds(ecef(*place)) is fence.contains(*place)
 
 
 @given(st.tuples(st.floats(), st.floats(), st.floats()))

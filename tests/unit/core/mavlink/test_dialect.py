@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
 from random import Random
@@ -198,6 +199,14 @@ def test_what_cannot_be_packed_is_told_by_its_field(values: dict[str, Any], comp
     with pytest.raises(ValueError) as caught:
         dialect().find("SET_ATTITUDE_TARGET").pack(values)
     assert complaint in str(caught.value)
+
+
+def test_more_sets_of_fields_than_have_a_packer_are_packed_all_the_same() -> None:
+    info = load_dialect("minimal").find("HEARTBEAT")
+    names = [f.name for f in info.fields]
+    for chosen in itertools.permutations(names, 3):
+        values = {name: 7 + at for at, name in enumerate(chosen)}
+        assert info.unpack(info.pack(values)) == {**dict.fromkeys(names, 0), **values}
 
 
 def test_one_array_does_not_run_over_into_the_next() -> None:

@@ -1,118 +1,101 @@
-"""What a pilot sees: of the newest message only, worked out once for each, and nothing that is too old to count."""
+"""What a pilot sees of its vehicle, read in short, is what the vehicle's sections say at length."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 
-import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.control.cascade import Reference
+from skygcs.core.control.cascade import Estimate
 from skygcs.core.control.fence import Fence
 from skygcs.core.geo import Origin
-from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.goals import Place
-from skygcs.core.vehicle.outlook import JUDGE_S, TOLD_FRESH_S, Outlook
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.outlook import ATTITUDE_FRESH_S, Outlook
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.errors import RefusedError
-from support.vehicles import HOME, PX4, PX4_LOITER, Voice, flight_dialect
+from support.vehicles import HOME, Voice, flight_dialect
 
-DECODER = Decoder(flight_dialect())
-NORTH_DEG = 9e-5
-"""10 m of latitude."""
-
-
-class Seen:
-    """A vehicle that has told where it is at time 0, and the outlook on it."""
-
-    def __init__(self, fence: Fence | None = None) -> None:
-        self.voice = Voice(1)
-        self.vehicle = Vehicle(1, 1, flight_dialect(), decoder=DECODER)
-        self.vehicle.on_frame(self.voice.beat(PX4, PX4_LOITER, armed=True, status=4), 0.0)
-        self.tell(0.0)
-        self.outlook = Outlook(self.vehicle)
-        self.outlook.anchor(fence)
-        self.outlook.estimate()
-
-    def tell(self, now: float, north_deg: float = 0.0) -> None:
-        frame = self.voice.position(HOME[0] + north_deg, HOME[1], HOME[2] + 10.0, 10.0)
-        self.vehicle.on_frame(frame, now)
+int32, int16 = st.integers(-(2**31), 2**31 - 1), st.integers(-(2**15), 2**15 - 1)
+anchored = st.tuples(st.integers(-9000, 9000), st.integers(-9000, 9000), st.integers(-9_000, 40_000))
+angles = st.floats(width=32) | st.sampled_from([0.0, 1.0, math.nan, math.inf, -math.inf, 3.4e38, -3.4e38])
 
 
-def test_without_a_position_there_is_no_anchor() -> None:
-    outlook = Outlook(Vehicle(1, 1, flight_dialect(), decoder=DECODER))
-    with pytest.raises(RefusedError, match="position is not known"):
-        outlook.anchor(None)
-    assert outlook.frame is None and outlook.estimate() is None and outlook.age_s(1.0) is None
+def told_position(voice: Voice, lat: int, lon: int, alt: int, velocity: tuple[int, int, int] = (0, 0, 0)) -> Frame:
+    return voice.say(mav.MAVLink_global_position_int_message(0, lat, lon, alt, 0, *velocity, 65535))
 
 
-def test_the_estimate_is_about_the_anchor_and_made_once_for_each_position() -> None:
-    seen = Seen()
-    first = seen.outlook.estimate()
-    assert first is not None and first.pos_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
-    assert seen.outlook.estimate() is first and seen.outlook.age_s(0.7) == pytest.approx(0.7)
-    seen.tell(1.0, NORTH_DEG)
-    second = seen.outlook.estimate()
-    assert second is not None and second.pos_enu_m == pytest.approx((0.0, 10.0, 0.0), abs=0.05)
-    seen.outlook.anchor(None)
-    here = seen.outlook.estimate()
-    assert here is not None and here.pos_enu_m == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
+def seen() -> tuple[Outlook, Vehicle, Voice]:
+    vehicle, voice = Vehicle(1, 1, flight_dialect()), Voice(1)
+    vehicle.on_frame(voice.position(), 100.0)
+    outlook = Outlook(vehicle)
+    outlook.anchor(Fence(Origin(*HOME)))
+    return outlook, vehicle, voice
 
 
-def test_a_reference_is_one_place_and_comes_back_to_where_it_is() -> None:
-    seen = Seen()
-    place = Place(HOME[0] + NORTH_DEG, HOME[1], HOME[2] + 12.0)
-    reference = Reference(seen.outlook.in_anchor(place))
-    told = seen.outlook.place_of(reference)
-    assert (told.lat_deg, told.lon_deg) == pytest.approx((place.lat_deg, place.lon_deg), abs=1e-9)
-    assert seen.outlook.place_of(reference) is told
-    assert seen.outlook.place_of(Reference((0.0, 0.0, 0.0))) is not told
-
-
-def test_the_vehicle_and_the_place_it_is_sent_to_are_outside_the_fence_apart_from_each_other() -> None:
-    seen = Seen(Fence(Origin(*HOME)))
-    near, far = Reference((0.0, 5.0, 0.0)), Reference((0.0, 80.0, 0.0))
-    assert seen.outlook.breach() is None and seen.outlook.reference_breach(near) is None
-    told = seen.outlook.reference_breach(far)
-    assert told is not None and "the place to go to" in told
-    assert seen.outlook.reference_breach(near) is None
-    seen.tell(1.0, 8 * NORTH_DEG)
-    seen.outlook.estimate()
-    assert seen.outlook.breach() is not None and seen.outlook.reference_breach(near) is None
-
-
-FIX_LOST = mav.MAVLink_gps_raw_int_message(0, 1, 0, 0, 0, 80, 120, 100, 9000, 12)
-BATTERY_LOW = mav.MAVLink_sys_status_message(0, 0, 0, 0, 15800, 1200, 7, 0, 0, 0, 0, 0, 0)
-
-
-@pytest.mark.parametrize(
-    ("message", "value", "seen_now", "otherwise"),
-    [
-        (FIX_LOST, lambda outlook: outlook.fix_ok, False, True),
-        (BATTERY_LOW, lambda outlook: outlook.battery_percent, 7, None),
-    ],
-    ids=["fix", "battery"],
-)
-def test_what_moves_slowly_is_looked_at_now_and_then_and_counts_while_it_is_fresh(
-    message: mav.MAVLink_message, value: Callable[[Outlook], object], seen_now: object, otherwise: object
+@given(int32, int32, int32, st.tuples(int16, int16, int16))
+def test_the_estimate_is_the_position_section_about_the_anchor(
+    lat: int, lon: int, alt: int, velocity: tuple[int, int, int]
 ) -> None:
-    seen = Seen()
-    outlook = seen.outlook
-    outlook.measure(0.0, 10.0)
-    seen.vehicle.on_frame(seen.voice.say(message), 10.0)
-    outlook.measure(0.0, 10.0 + 0.5 * JUDGE_S)
-    assert value(outlook) == otherwise
-    outlook.measure(0.0, 10.0 + 1.5 * JUDGE_S)
-    assert value(outlook) == seen_now
-    outlook.measure(0.0, 10.0 + TOLD_FRESH_S + 1.0)
-    assert value(outlook) == otherwise
+    outlook, vehicle, voice = seen()
+    vehicle.on_frame(told_position(voice, lat, lon, alt, velocity), 101.0)
+    section = vehicle.section("position")
+    assert section is not None and outlook.frame is not None
+    expected = None
+    if section["lat_deg"] is not None:
+        place = (section["lat_deg"], section["lon_deg"], section["alt_amsl_m"])
+        east, north, up = section["vel_enu_mps"]
+        expected = Estimate(outlook.frame.from_geodetic(*place), (east, north, up))
+    assert outlook.estimate() == expected
+    assert outlook.age_s(101.5) == (None if expected is None else 0.5)
 
 
-def test_a_new_anchor_forgets_what_was_measured() -> None:
-    seen = Seen()
-    outlook = seen.outlook
-    outlook.delay.on_pong(outlook.delay.ping(0.0), 0.02)
-    outlook.measure(0.1, 0.1)
-    assert outlook.delay_p95_s is not None and outlook.delay.rtt_p95_s is not None
-    outlook.anchor(None)
-    assert outlook.delay_p95_s is None and outlook.delay.rtt_p95_s is None
+@given(anchored)
+def test_the_breach_is_what_the_fence_says_of_where_it_is(off: tuple[int, int, int]) -> None:
+    outlook, vehicle, voice = seen()
+    lat, lon, alt = round(HOME[0] * 1e7) + off[0], round(HOME[1] * 1e7) + off[1], round(HOME[2] * 1e3) + off[2]
+    vehicle.on_frame(told_position(voice, lat, lon, alt), 101.0)
+    outlook.estimate()
+    assert outlook.breach() == Fence(Origin(*HOME)).why_not(lat / 1e7, lon / 1e7, alt / 1000)
+
+
+def test_a_latitude_beyond_the_pole_is_outside_any_fence() -> None:
+    """As a point it would be one on the other side, which the fence there holds."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect()), Voice(1)
+    vehicle.on_frame(told_position(voice, 899_999_000, 10_000_000, 100_000), 100.0)
+    outlook = Outlook(vehicle)
+    outlook.anchor(Fence(Origin(89.9999, 1.0, 100.0)))
+    vehicle.on_frame(told_position(voice, 900_001_000, -1_790_000_000, 100_000), 101.0)
+    outlook.estimate()
+    assert "no place on earth" in str(outlook.breach())
+
+
+@given(
+    st.lists(
+        st.tuples(st.booleans(), st.tuples(angles, angles, angles, angles), st.floats(0.0, 1.5 * ATTITUDE_FRESH_S)),
+        max_size=6,
+    )
+)
+def test_an_attitude_is_finite_where_its_section_is_known_or_it_is_old(
+    told: list[tuple[bool, tuple[float, float, float, float], float]],
+) -> None:
+    outlook, vehicle, voice = seen()
+    now = 100.0
+    assert outlook.attitude_is_finite(now)
+    for by_angles, parts, pause in told:
+        if by_angles:
+            vehicle.on_frame(voice.say(mav.MAVLink_attitude_message(0, *parts[:3], 0.0, 0.0, 0.0)), now)
+        else:
+            vehicle.on_frame(voice.say(mav.MAVLink_attitude_quaternion_message(0, *parts, 0.0, 0.0, 0.0)), now)
+        now += pause
+        slot = vehicle.slot("ATTITUDE") or vehicle.slot("ATTITUDE_QUATERNION")
+        assert slot is not None
+        old = now - slot.at > ATTITUDE_FRESH_S
+        assert outlook.attitude_is_finite(now) is (old or vehicle.section("attitude") is not None)
+
+
+def test_after_a_reboot_nothing_is_known() -> None:
+    outlook, vehicle, _ = seen()
+    assert outlook.estimate() is not None
+    vehicle.readings.forget_before(200.0, "HEARTBEAT")
+    assert outlook.estimate() is None and outlook.age_s(201.0) is None and outlook.breach() is None
