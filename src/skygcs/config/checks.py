@@ -51,7 +51,7 @@ def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Prob
     problems += _own_places(active)
     problems += _contradicting_filters(config.links)
     problems += _signing(active)
-    problems += endpoint_problems(config)
+    problems += endpoint_problems(config, wrong)
     socket = config.daemon.socket
     if socket is not None and len(os.fsencode(socket)) > MAX_SOCKET_PATH_BYTES:
         problems.append(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
+from skygcs.config.keylines import KeyPath
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.config.problem import Problem
 
@@ -18,12 +19,12 @@ def endpoint_text(link: LinkConfig) -> str:
     return shown if link.present_as is None else f"{shown} as {link.present_as}"
 
 
-def endpoint_problems(config: FleetConfig) -> Iterator[Problem]:
-    """Keys of bound links that do not go together, or name nobody."""
+def endpoint_problems(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> Iterator[Problem]:
+    """Keys of bound links that do not go together, or name nobody. ``wrong`` as in `checks.conflicts`."""
     for name, link in config.links.items():
         path = ("links", name)
         if not link.vehicles:
-            if link.present_as is not None:
+            if link.present_as is not None and not _is_wrong((*path, "vehicles"), wrong):
                 text = "says how one vehicle is shown, and there is no `vehicles`: name that vehicle"
                 yield Problem((*path, "present_as"), text)
             continue
@@ -33,13 +34,14 @@ def endpoint_problems(config: FleetConfig) -> Iterator[Problem]:
             )
             yield Problem((*path, "vehicles"), text)
             continue
-        if link.role != "gcs":
+        if link.role != "gcs" and (*path, "role") not in wrong:
             text = f'needs role = "gcs" (it is "{link.role}"): behind a bound link is a program that gives orders, and '
             yield Problem(
                 (*path, "vehicles"), text + "links of other roles are taken for vehicles and sent our own orders"
             )
-        yield from _vehicles(config, name, link)
-        yield from _present_as(config, name, link)
+        own_sysid = None if ("daemon", "sysid") in wrong else config.daemon.sysid
+        yield from _vehicles(config, name, link, own_sysid, wrong)
+        yield from _present_as(name, link, own_sysid)
 
 
 def endpoint_warnings(config: FleetConfig) -> dict[str, str]:
@@ -59,16 +61,25 @@ def endpoint_warnings(config: FleetConfig) -> dict[str, str]:
     return warnings
 
 
-def _vehicles(config: FleetConfig, name: str, link: LinkConfig) -> Iterator[Problem]:
+def _is_wrong(path: KeyPath, wrong: Collection[KeyPath]) -> bool:
+    """Whether this key, or one within it, was refused for its own value."""
+    return any(other[: len(path)] == path for other in wrong)
+
+
+def _vehicles(
+    config: FleetConfig, name: str, link: LinkConfig, own_sysid: int | None, wrong: Collection[KeyPath]
+) -> Iterator[Problem]:
     first: dict[int, str | int] = {}
     for index, (vehicle, sysid) in enumerate(config.bound_sysids(link).items()):
         path = ("links", name, "vehicles", index)
+        if sysid is None and _is_wrong(("vehicles", vehicle), wrong):
+            continue  # there is one, and what is wrong with it is told there
         if sysid is None:
             near = difflib.get_close_matches(str(vehicle), config.vehicles, n=1)
             known = ", ".join(config.vehicles) or "none is named in this file"
             hint = f"did you mean {near[0]}?" if near else f"there are: {known}; or a system id, 1 to 255"
             yield Problem(path, f"there is no vehicle {vehicle!r}; {hint}")
-        elif sysid == config.daemon.sysid:
+        elif sysid == own_sysid:
             yield Problem(path, f"{sysid} is skygcs's own system id (daemon.sysid), and no vehicle's")
         elif sysid in first:
             yield Problem(path, f"{vehicle!r} is system {sysid}, as {first[sysid]!r} is: name it once")
@@ -76,14 +87,14 @@ def _vehicles(config: FleetConfig, name: str, link: LinkConfig) -> Iterator[Prob
             first[sysid] = vehicle
 
 
-def _present_as(config: FleetConfig, name: str, link: LinkConfig) -> Iterator[Problem]:
+def _present_as(name: str, link: LinkConfig, own_sysid: int | None) -> Iterator[Problem]:
     path = ("links", name, "present_as")
     if link.present_as is None:
         return
     if len(link.vehicles) > 1:
         text = f"shows one vehicle under one id, and `vehicles` has {len(link.vehicles)}: make a link for each"
         yield Problem(path, text)
-    if link.present_as == config.daemon.sysid:
+    if link.present_as == own_sysid:
         yield Problem(path, f"{link.present_as} is skygcs's own system id (daemon.sysid); vehicles have 1 to 250")
     if link.signing is not None:
         text = "changes every frame, and a changed frame has no signature: take out `signing`, or `present_as`"

@@ -83,6 +83,14 @@ def test_what_does_not_go_together_is_told_with_what_to_do(tmp_path: Path, text:
     assert complaint in caught.value.problems[0]
 
 
+def test_what_is_wrong_by_itself_is_not_told_again_of_the_link(tmp_path: Path) -> None:
+    text = "[daemon]\nsysid = 300\n[vehicles.kite]\nsysid = 300\n" + LINK.replace("gcs", "gsc")
+    for keys, mistakes in (('vehicles = ["kite"]\npresent_as = 255', 3), ("vehicles = [1.5]\npresent_as = 1", 4)):
+        with pytest.raises(ConfigError) as caught:
+            load(tmp_path, text + keys)
+        assert len(caught.value.problems) == mistakes, caught.value.problems
+
+
 @pytest.mark.parametrize(
     ("keys", "warned"),
     [
