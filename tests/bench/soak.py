@@ -7,7 +7,7 @@ A real process between a UDP port of vehicles (the load generator of tests/bench
 fleet state, statistics and recording on, and one client of its socket that follows all vehicles at 2 Hz. It runs in
 legs of a minute: each has ports of its own, as clients that come and go have. Resident memory is sampled every 5 s;
 growth is the slope of a line through the samples after the warm-up. All in build/bench/soak.json and soak.png. Old logs
-are deleted under way: an hour is 1.7 GB (each frame in and out).
+are deleted under way: an hour is 0.9 GB.
 """
 
 from __future__ import annotations

@@ -38,6 +38,9 @@ OTHER_SOURCES = -1
 MAX_PARTED = 256
 """Closed channels whose counters per source are kept, in case the radio is plugged in again or the peer comes back."""
 
+MAX_PARTED_SOURCES = 2048
+"""Sources of them all together, 300 bytes each: programs that come and go beside a large fleet do not add up."""
+
 MAX_REPLAYED = 4096
 """As many sources of recordings are told from live ones as there may be routes."""
 
@@ -200,9 +203,11 @@ class Hub:
         if self.channels.pop(channel.id, None) is not None:
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
-            self._parted[channel.link.name, channel.peer] = channel.sources
-            if len(self._parted) > MAX_PARTED:
-                del self._parted[next(iter(self._parted))]
+            parted = self._parted
+            parted[channel.link.name, channel.peer] = channel.sources
+            kept = sum(map(len, parted.values()))
+            while len(parted) > MAX_PARTED or (kept > MAX_PARTED_SOURCES and len(parted) > 1):
+                kept -= len(parted.pop(next(iter(parted))))
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
         """The way of every frame. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""

@@ -14,7 +14,7 @@ from skygcs.core.airtime import Priority
 from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.frame import Frame
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
-from skygcs.runtime.hub import MAX_PARTED, OTHER_SOURCES, Hub, channel_policy
+from skygcs.runtime.hub import MAX_PARTED, MAX_PARTED_SOURCES, OTHER_SOURCES, Hub, channel_policy
 from support.routed import DIALECT, heartbeat, message
 
 
@@ -236,6 +236,17 @@ async def test_a_thousand_passing_peers_leave_a_bounded_memory() -> None:
         bench.hub.detach(channel, "gone")
     assert len(bench.hub._parted) == MAX_PARTED
     assert bench.hub.channels == {}
+
+
+async def test_passing_peers_that_carry_a_large_fleet_leave_a_bounded_memory_too() -> None:
+    bench = Bench()
+    for n in range(2 * MAX_PARTED_SOURCES // 200 + 2):
+        channel = bench.channel("udp", f"peer{n}")
+        bench.feed(channel, *(heartbeat(sysid) for sysid in range(1, 201)))
+        bench.hub.detach(channel, "gone")
+    kept = list(bench.hub._parted.values())
+    assert MAX_PARTED_SOURCES - 200 < sum(map(len, kept)) <= MAX_PARTED_SOURCES
+    assert kept[-1] is channel.sources, "who left last is who may come back"
 
 
 async def test_sources_beyond_the_bound_are_counted_together() -> None:
