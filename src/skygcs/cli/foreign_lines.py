@@ -15,6 +15,8 @@ WORDS = {
     "refused_streams": "streams refused",
     "refused_logs": "logs refused",
     "refused_param_lists": "lists refused",
+    "refused_files": "files refused",
+    "refused_turn": "files of others' turn",
     "refused_rate": "rate 0",
     "dropped": "dropped",
     "malformed": "malformed",

@@ -21,6 +21,8 @@ class ForeignKeys(BaseModel):
 
     param_lists: Literal["one", "deny", "allow"] = "one"
     """PARAM_REQUEST_LIST: one vehicle's at a time, none, or all at once."""
+    files: Literal["one", "deny", "allow"] = "one"
+    """FILE_TRANSFER_PROTOCOL: with one vehicle at a time, with none, or with all at once."""
     streams: Literal["deny", "allow"] = "deny"
     """REQUEST_DATA_STREAM, MESSAGE_INTERVAL and SET_MESSAGE_INTERVAL to vehicles whose streams are planned."""
     logs: Literal["deny", "allow"] = "deny"

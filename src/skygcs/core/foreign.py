@@ -4,7 +4,7 @@ They were made for links on which another request costs nothing. Each frame of t
 the radio's queue: it goes as what it is (an order, an emergency, anything else), takes the place of an older one,
 waits for its turn, or is refused. docs/explanation/airtime.md says which and why.
 
-Pure: the channel's sender asks `judge` about each frame, hands what comes down to `heard`, and sends what `poll` gives.
+Pure: the channel's sender asks `judge` about each frame, tells what comes down, and sends what `poll` gives.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from skygcs.core.airtime import ByteBudget, Priority
+from skygcs.core.file_turns import FileTurns
 from skygcs.core.foreign_frames import (
+    FILE_TRANSFER_PROTOCOL,
     GPS_RTCM_DATA,
     HEARTBEAT,
     LOGS,
@@ -81,6 +83,7 @@ class ForeignRules:
     """What a fleet file says of foreign traffic. None: the shares above."""
 
     param_lists: Literal["one", "deny", "allow"] = "one"
+    files: Literal["one", "deny", "allow"] = "one"
     streams: Literal["deny", "allow"] = "deny"
     logs: Literal["deny", "allow"] = "deny"
     rates_hz: Mapping[int, float] = field(default_factory=dict)
@@ -106,8 +109,8 @@ class Released(NamedTuple):
 
 
 class Note(NamedTuple):
-    """The first time that something became of a source's frames: ``kind`` is streams, logs, param_lists or rate
-    (refused), thinned (sent too often), or held (a list behind another)."""
+    """The first time that something became of a source's frames: ``kind`` is streams, logs, param_lists, files or rate
+    (refused), thinned (sent too often), held (a list behind another) or turn (a file while another vehicle's comes)."""
 
     kind: str
     source: int
@@ -134,6 +137,7 @@ class ForeignTraffic:
         self.unplanned: frozenset[int] = frozenset()
         """Systems whose streams nobody plans: others may set them."""
         self.lists = ParamLists()
+        self.files = FileTurns()
         self.notes: deque[Note] = deque(maxlen=MAX_NOTES)
         self.budget = ByteBudget(1.0, LEAST_BURST_BYTES, now)
         self._orders = ByteBudget(1.0, ORDERS_BURST_BYTES, now)
@@ -206,15 +210,20 @@ class ForeignTraffic:
 
     # -- down
 
-    def heard(self, system: int, component: int, index: int, count: int, now: float) -> None:
+    def on_param_value(self, system: int, component: int, index: int, count: int, now: float) -> None:
         """A PARAM_VALUE came from the radio."""
         self.lists.heard(system, component, index, count, now)
+
+    def on_file_part(self, system: int, now: float) -> None:
+        """A FILE_TRANSFER_PROTOCOL came from the radio."""
+        self.files.heard(system, now)
 
     def status(self, now: float) -> dict[str, Any]:
         """Rules, what waits, and what became of each source's frames; JSON-able."""
         return {
             "bytes_per_s": round(self.budget.bytes_per_s, 1),
             "param_lists": {"rule": self.rules.param_lists, **self.lists.status(now)},
+            "files": {"rule": self.rules.files, "running": self.files.running(now)},
             "streams": self.rules.streams,
             "logs": self.rules.logs,
             "waiting": self.waiting,
@@ -247,6 +256,11 @@ class ForeignTraffic:
             return self._refused("streams", frame, source)
         if msgid == PARAM_REQUEST_LIST and self.rules.param_lists != "allow":
             return self._listed(frame, source, now)
+        if msgid == FILE_TRANSFER_PROTOCOL and self.rules.files != "allow":
+            if self.rules.files == "deny":
+                return self._refused("files", frame, source)
+            if not self.files.may(frame, now):
+                return self._refused("turn", frame, source)
         if is_emergency(frame):
             return self._stopped(frame, source, now, still_waits)
         if is_order(frame) and msgid not in self.rules.rates_hz:

@@ -11,7 +11,7 @@ from skygcs.config.radio import ForeignKeys
 from skygcs.core.airtime import ByteBudget, Priority, TxQueue
 from skygcs.core.corrections import Corrections
 from skygcs.core.foreign import CORRECTIONS_SHARE, ForeignRules, ForeignTraffic, Ruling
-from skygcs.core.foreign_frames import PARAM_VALUE, parse
+from skygcs.core.foreign_frames import FILE_TRANSFER_PROTOCOL, PARAM_VALUE, parse
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.pacing import Pacer, RadioRates, report_of
@@ -138,7 +138,9 @@ class AirBudget:
                 payload = frame.payload.ljust(_PARAM_INDEX_AT + 2, b"\0")
                 count = int.from_bytes(payload[_PARAM_COUNT_AT:_PARAM_INDEX_AT], "little")
                 index = int.from_bytes(payload[_PARAM_INDEX_AT : _PARAM_INDEX_AT + 2], "little")
-                self.foreign.heard(frame.sysid, frame.compid, index, count, now)
+                self.foreign.on_param_value(frame.sysid, frame.compid, index, count, now)
+            elif frame.msgid == FILE_TRANSFER_PROTOCOL:
+                self.foreign.on_file_part(frame.sysid, now)
 
     def refresh(self, now: float) -> None:
         budget = self.queue.budget
@@ -194,6 +196,7 @@ def foreign_rules(keys: ForeignKeys, dialect: Dialect) -> ForeignRules:
 
     return ForeignRules(
         keys.param_lists,
+        keys.files,
         keys.streams,
         keys.logs,
         {msgid(name): hz for name, hz in keys.rates.items()},

@@ -45,14 +45,14 @@ class ForeignWatch:
                 continue
             air.foreign.own_sysid = self._own.sysid if self._own.heartbeat else None
             while air.foreign.notes:
-                self._tell(air.foreign.notes.popleft(), channel, air)
+                self._tell(air.foreign.notes.popleft(), channel, air, now)
 
-    def _tell(self, note: Note, channel: Channel, air: AirBudget) -> None:
+    def _tell(self, note: Note, channel: Channel, air: AirBudget, now: float) -> None:
         link = channel.link.name
         clients = self._clients(note.source)
         where = f" ({', '.join(c.peer for c in clients)})" if clients else ""
         who = f"{note.source >> 8}/{note.source & 0xFF}{where}"
-        text = f"radio {link}: {who} {self._sentence(note, link, air)}"
+        text = f"radio {link}: {who} {self._sentence(note, link, air, now)}"
         name = self._name(note.msgid)
         data = {
             "link": link,
@@ -64,7 +64,7 @@ class ForeignWatch:
         self._on_event(Event("foreign", None, note.target or None, text, data))
         self._answer(clients, note, name)
 
-    def _sentence(self, note: Note, link: str, air: AirBudget) -> str:
+    def _sentence(self, note: Note, link: str, air: AirBudget, now: float) -> str:
         name, key = self._name(note.msgid), f"links.{link}.foreign"
         whom = f"vehicle {note.target}" if note.target else "all vehicles"
         match note.kind:
@@ -83,6 +83,14 @@ class ForeignWatch:
             case "param_lists":
                 how = "name one vehicle after the other" if not note.target else "ask for single parameters"
                 return f'asks {whom} for all parameters: not sent; {how}, or set {key}.param_lists = "allow"'
+            case "files":
+                return f'asks {whom} for files: not sent, since {key}.files is "deny"'
+            case "turn":
+                other = air.foreign.files.running(now)
+                return (
+                    f"asks {whom} for files while those of {other or 'another'} come: not sent until it is asked again "
+                    f'then, as one vehicle at a time sends files; {key}.files = "allow" sends for all at once'
+                )
             case "rate":
                 return f"sends {name} to {whom}: not sent, since {key}.rates.{name} is 0"
             case "thinned":
@@ -113,6 +121,8 @@ class ForeignWatch:
             "logs": ("no log downloads over this radio", WARNING),
             "param_lists": ("parameter list refused on this radio", WARNING),
             "rate": (f"refused on this radio: {name}", WARNING),
+            "files": ("no file transfers over this radio", WARNING),
+            "turn": (f"files of {note.target} wait: one vehicle at a time", INFO),
             "thinned": (f"slowed down on this radio: {name}", INFO),
         }.get(note.kind, (f"parameters of {note.target} wait: one list at a time", INFO))
         payload = info.pack({"severity": severity, "text": text[:TEXT_BYTES]})

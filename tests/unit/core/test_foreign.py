@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from skygcs.core.airtime import Priority, TxQueue
+from skygcs.core.file_turns import LONGEST_S, QUIET_S
 from skygcs.core.foreign import (
     EMERGENCY_BURST,
     MAX_SOURCES,
@@ -277,6 +278,44 @@ def test_logs_are_not_downloaded_unless_the_fleet_file_says_so() -> None:
     assert Radio(ForeignRules(logs="allow")).offer("LOG_REQUEST_LIST", target_system=3).outcome == "send"
 
 
+def file_request(system: int, opcode: int = 15, seq: int = 0) -> dict[str, Any]:
+    return {"target_system": system, "target_component": 1, "payload": [seq, 0, 0, opcode, 0]}
+
+
+def test_one_vehicle_at_a_time_sends_files_for_as_long_as_something_of_them_passes() -> None:
+    radio = Radio()
+    assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(1)).outcome == "send"
+    for _ in range(20):  # a burst: nothing goes up, and parts come down
+        radio.now += 2.0
+        assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(2)).outcome == "refuse"
+        radio.traffic.on_file_part(2, radio.now)
+        radio.traffic.on_file_part(1, radio.now)
+    assert radio.traffic.status(radio.now)["files"]["running"] == 1
+    assert radio.counts()["refused_turn"] == 20
+    assert [(note.kind, note.target) for note in radio.traffic.notes] == [("turn", 2)]
+    assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(2, opcode=1)).outcome == "send", "it ends a session"
+    radio.now += QUIET_S + 0.1
+    radio.traffic.on_file_part(1, radio.now)
+    assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(2)).outcome == "send"
+    assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(1, seq=9)).outcome == "refuse"
+
+
+def test_a_file_without_end_gives_way_to_who_asks_after_a_while() -> None:
+    radio = Radio()
+    while radio.now < LONGEST_S:
+        assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(1)).outcome != "refuse"
+        radio.now += 2.0
+    assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(2)).outcome != "refuse"
+    assert radio.offer("FILE_TRANSFER_PROTOCOL", **file_request(1)).outcome == "refuse"
+
+
+def test_files_of_all_or_of_none() -> None:
+    allowed, denied = Radio(ForeignRules(files="allow")), Radio(ForeignRules(files="deny"))
+    assert [allowed.offer("FILE_TRANSFER_PROTOCOL", **file_request(v)).outcome for v in (1, 2)] == ["send", "send"]
+    assert denied.offer("FILE_TRANSFER_PROTOCOL", **file_request(1)).outcome == "refuse"
+    assert denied.counts() == {"sent": 0, "refused_files": 1}
+
+
 def test_corrections_are_somebody_elses() -> None:
     assert Radio().offer("GPS_RTCM_DATA", len=3, data=[1, 2, 3]).outcome == "correction"
 
@@ -294,7 +333,7 @@ def test_one_list_at_a_time_and_the_next_when_it_is_through() -> None:
     assert [(n.kind, n.source, n.target) for n in radio.traffic.notes] == [("held", QGC, 2)]
     for index in range(5):
         assert radio.poll() == []
-        radio.traffic.heard(1, 1, index, 5, radio.now)
+        radio.traffic.on_param_value(1, 1, index, 5, radio.now)
     (released,) = radio.poll()
     assert parse(released, dialect().messages).target == 2  # type: ignore[union-attr]
     assert radio.traffic.status(radio.now)["param_lists"]["finished"] == 1

@@ -46,6 +46,7 @@ VALUES = st.lists(st.tuples(*[st.integers(0, 255)] * 2, *[st.integers(0, 0xFFFF)
 RULES = st.builds(
     ForeignRules,
     st.sampled_from(["one", "deny", "allow"]),
+    st.sampled_from(["one", "deny", "allow"]),
     st.sampled_from(["deny", "allow"]),
     st.sampled_from(["deny", "allow"]),
     st.dictionaries(st.sampled_from(IDS), st.sampled_from([0.0, 0.001, 0.5, 100.0]), max_size=4),
@@ -62,7 +63,8 @@ def test_no_bytes_are_wrong_enough_to_raise(
     for number, raw in enumerate(frames):
         traffic.judge(raw, number / 10, queue.holds)
         for value in values:
-            traffic.heard(*value, number / 10)
+            traffic.on_param_value(*value, number / 10)
+            traffic.on_file_part(value[0], number / 10)
         traffic.poll(number / 10)
         traffic.next_poll(number / 10)
         traffic.status(number / 10)

@@ -219,6 +219,6 @@ def test_a_fleet_file_may_give_corrections_nothing() -> None:
 def test_the_rules_are_those_of_the_fleet_file() -> None:
     keys = ForeignKeys(param_lists="deny", rates={"TIMESYNC": 0.5, "110": 0.0}, bytes_per_s=77)
     rules = foreign_rules(keys, DIALECT)
-    assert rules == ForeignRules("deny", "deny", "deny", {111: 0.5, 110: 0.0}, 77, None)
+    assert rules == ForeignRules("deny", "one", "deny", "deny", {111: 0.5, 110: 0.0}, 77, None)
     with pytest.raises(KeyError):
         foreign_rules(ForeignKeys(rates={"TIMESYNK": 1}), DIALECT)
