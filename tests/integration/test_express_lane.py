@@ -250,7 +250,7 @@ _LINKS = st.fixed_dictionaries(
             {"role": st.sampled_from(["peer", "radio", "vehicle"])},
             optional={"block_msg_id_in": st.just(["GLOBAL_POSITION_INT"]), "whole_datagrams": st.booleans()},
         ),
-        "gcs1": st.just({"role": "gcs", "vehicles": [1]}),
+        "gcs1": st.sampled_from([{"role": "gcs", "vehicles": [1]}, {"role": "gcs", "vehicles": [2], "present_as": 1}]),
         "gcs0": st.fixed_dictionaries(
             {"role": st.sampled_from(["peer", "gcs"])},
             optional={

@@ -35,10 +35,11 @@ def endpoint_problems(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> I
             yield Problem((*path, "vehicles"), text)
             continue
         if link.role != "gcs" and (*path, "role") not in wrong:
-            text = f'needs role = "gcs" (it is "{link.role}"): behind a bound link is a program that gives orders, and '
-            yield Problem(
-                (*path, "vehicles"), text + "links of other roles are taken for vehicles and sent our own orders"
+            text = (
+                f'needs role = "gcs" (it is "{link.role}"): behind a bound link is a program that gives orders, and '
+                "links of other roles are taken for vehicles and sent our own orders"
             )
+            yield Problem((*path, "vehicles"), text)
         own_sysid = None if ("daemon", "sysid") in wrong else config.daemon.sysid
         yield from _vehicles(config, name, link, own_sysid, wrong)
         yield from _present_as(name, link, own_sysid)
