@@ -41,14 +41,16 @@ PARAMETERS = 900
 PACKET_LOSS = 0.01
 """On air, of every packet between the ground and a vehicle."""
 
-SETTLE_S, MEASURE_S = 40.0, 60.0
+SETTLE_S, MEASURE_S = 40.0, 120.0
 """Before and while it is measured."""
 
 USABLE_AGE_S = 2.5
 USABLE_S = 5.0
 """All vehicles are usable when for so long no position was older."""
 
-COMMAND_EVERY_S = 0.5
+COMMAND_EVERY_S = 5.0
+"""To each vehicle. Commands of one kind go to a vehicle one after the other: were the next one there before one that
+was lost has been repeated, its waiting would count as well, and the more so the fewer vehicles there are."""
 
 GET_MESSAGE_INTERVAL = 510
 """Asks and changes nothing, and is acknowledged by both firmwares."""
@@ -243,13 +245,13 @@ class _Cell:
         await commanding
 
     async def _command_until(self, end: float) -> None:
-        """One after the other, each to the next vehicle, without waiting for the one before."""
+        """To one vehicle after the other, without waiting for the answer of the one before."""
         under_way: list[asyncio.Task[None]] = []
         turn = 0
         while self.daemon.now() < end:
             under_way.append(asyncio.create_task(self._command(self.sims[turn % len(self.sims)])))
             turn += 1
-            await asyncio.sleep(COMMAND_EVERY_S)
+            await asyncio.sleep(COMMAND_EVERY_S / len(self.sims))
         await asyncio.gather(*under_way)
 
     async def _command(self, sim: SimVehicle) -> None:

@@ -16,7 +16,7 @@ def test_a_planned_cell_is_measured_whole() -> None:
     assert told["heard"] == told["emergency_reached"] == 2
     assert 0 < told["age_p50_s"] <= told["age_p95_s"] < 2.5
     assert 1.0 < told["positions_per_vehicle_per_s"] < 2.5
-    assert told["commands"] == 20 and told["lost_commands"] == 0
+    assert told["commands"] == 4 and told["lost_commands"] == 0
     assert told["usable_s"] < 10 and told["emergency_max_s"] < 1.0
 
 
