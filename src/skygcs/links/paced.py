@@ -3,7 +3,7 @@ of others' traffic may have a part of it."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -53,6 +53,8 @@ class AirBudget:
         self._messages: Mapping[int, MessageInfo] = {} if dialect is None else dialect.messages
         self.foreign = ForeignTraffic(self.rules, self._messages, rate, now)
         self.corrections: Corrections[Outgoing] = Corrections(self._corrections_rate(rate), now)
+        self.on_due: Callable[[], object] = lambda: None
+        """Called when what came down has made something due that `next_send_time` promised for later."""
         self._lost = 0
         queue.budget = ByteBudget(rate, self.pacer.burst_bytes(), now)
         queue.forwarded = self.foreign.budget
@@ -139,6 +141,8 @@ class AirBudget:
                 count = int.from_bytes(payload[_PARAM_COUNT_AT:_PARAM_INDEX_AT], "little")
                 index = int.from_bytes(payload[_PARAM_INDEX_AT : _PARAM_INDEX_AT + 2], "little")
                 self.foreign.on_param_value(frame.sysid, frame.compid, index, count, now)
+                if (at := self.foreign.next_poll(now)) is not None and at <= now:
+                    self.on_due()
             elif frame.msgid == FILE_TRANSFER_PROTOCOL:
                 self.foreign.on_file_part(frame.sysid, now)
 

@@ -71,6 +71,8 @@ class SimulatedRadioChannel(Channel):
         self._limit = SHALLOW_BYTES if rates is not None else KERNEL_BYTES
         self._loop = link.loop
         self._timer: asyncio.TimerHandle | None = None
+        if self.air is not None:
+            self.air.on_due = lambda: link.loop.call_soon(self._pump)  # not amid what came
 
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
         if self._radio is None:

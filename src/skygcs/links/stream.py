@@ -127,6 +127,8 @@ class StreamChannel(Channel):
         self._stuck: asyncio.TimerHandle | None = None
         self._closed = False
         self._readiness = Readiness(link.loop, fd, self._on_ready)
+        if self.air is not None:
+            self.air.on_due = lambda: link.loop.call_soon(self._on_early)  # not amid what came
 
     def send(self, outgoing: Outgoing, priority: Priority = Priority.FORWARDED, key: Hashable | None = None) -> bool:
         if self._closed:
@@ -233,6 +235,10 @@ class StreamChannel(Channel):
     def _on_due(self) -> None:
         self._due = None
         if not self._blocked and self._look is None:
+            self._pump()
+
+    def _on_early(self) -> None:
+        if not self._closed and not self._blocked and self._look is None:
             self._pump()
 
     def _on_look(self) -> None:

@@ -222,3 +222,31 @@ def test_the_rules_are_those_of_the_fleet_file() -> None:
     assert rules == ForeignRules("deny", "one", "deny", "deny", {111: 0.5, 110: 0.0}, 77, None)
     with pytest.raises(KeyError):
         foreign_rules(ForeignKeys(rates={"TIMESYNK": 1}), DIALECT)
+
+
+async def test_over_a_real_port_what_waits_goes_when_the_vehicle_before_has_answered(tmp_path: Path) -> None:
+    radio = PtyRadio(tmp_path / "ttyRADIO")
+    radio.plug_in()
+    host = RecordingHost()
+    config = models.SerialLink(name="radio", device=str(radio.path), role="radio")
+    link = SerialLink(config, host, asyncio.get_running_loop())
+    await link.open()
+    try:
+        (channel,) = link.channels
+        requests = [
+            frame("PARAM_REQUEST_LIST", {"target_system": vehicle, "target_component": 1}, sysid=255)
+            for vehicle in (1, 2)
+        ]
+        for raw in requests:
+            assert channel.send(raw)
+        assert channel.counters()["tx_waiting"] == 1
+        assert await radio.read_exactly(len(requests[0])) == requests[0]
+        radio.write(frame("PARAM_VALUE", {"param_count": 1, "param_index": 0}, sysid=1))
+        assert await asyncio.wait_for(radio.read_exactly(len(requests[1])), 30) == requests[1]
+        assert channel.counters()["tx_waiting"] == 0
+        assert not channel.send(frame("LOG_REQUEST_LIST", {"target_system": 1}, sysid=255))
+        assert channel.tx_dropped == 0, "what is refused by a rule was not lost"
+        assert channel.counters()["tx_frames"] == 2
+    finally:
+        await link.close()
+        radio.pull_out()
