@@ -44,8 +44,10 @@ from collections.abc import Callable
 from skygcs.core.decision import Decision, RouteNote, Standing, Verdict
 from skygcs.core.dedup import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.filters import ChannelPolicy
-from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V2, Frame
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import is_autopilots, shown_by
 from skygcs.core.rivals import RivalWatch
+from skygcs.core.route_port import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
 
 HEARTBEAT = 0
 SYSTEM_TIME = 2
@@ -65,76 +67,12 @@ BOOT_JITTER_MS = 3000
 JUST_BOOTED_MS = 10_000
 """... unless it shows a system that has only just started."""
 
-_MAV_TYPE_GCS = 6
-_MAV_AUTOPILOT_INVALID = 8
-
-
 _DUPLICATE = Decision(Verdict.DUPLICATE)
 _CONFLICT = Decision(Verdict.CONFLICT)
 _FILTERED_IN = Decision(Verdict.FILTERED_IN)
 _UNKNOWN_TARGET = Decision(Verdict.UNKNOWN_TARGET)
 _NOBODY = Decision(Verdict.NOBODY)
 _OUT_OF_BOUNDS = Decision(Verdict.OUT_OF_BOUNDS)
-
-# Kinds of broadcast, as bits: each has its own cached list of destinations per channel.
-_TELEMETRY = 1
-_UNKNOWN_ID = 2
-_RADIO_STATUS = 4
-_KIND_BITS = 3
-
-
-class _Port:
-    """One channel in the routing table."""
-
-    __slots__ = (
-        "boot_ms",
-        "bound",
-        "broadcast",
-        "conflict_at",
-        "echoes",
-        "filter_in",
-        "filter_out",
-        "filtered_in",
-        "filtered_out",
-        "heard",
-        "id",
-        "limited",
-        "limiter_in",
-        "limiter_out",
-        "out_of_bounds",
-        "policy",
-        "refused",
-        "vehicles",
-    )
-
-    def __init__(self, channel_id: int, policy: ChannelPolicy) -> None:
-        self.id = channel_id
-        self.policy = policy
-        self.bound = policy.vehicles
-        self.filter_in = policy.filter_in or None
-        self.filter_out = policy.filter_out or None
-        self.limiter_in = policy.limiter_in() or None
-        self.limiter_out = policy.limiter_out() or None
-        self.heard: dict[int, float] = {}
-        self.echoes: set[int] = set()
-        self.boot_ms: dict[int, int] = {}
-        self.vehicles: set[int] = set()
-        self.broadcast: dict[int, tuple[Decision, tuple[_Port, ...]]] = {}
-        self.conflict_at = float("-inf")
-        self.filtered_in = 0
-        self.filtered_out = 0
-        self.limited = 0
-        self.out_of_bounds = 0
-        self.refused: set[int] = set()
-        """Targets out of bounds that were noted."""
-
-    def may_hear(self, sysid: int) -> bool:
-        """Whether frames of this system may be sent there."""
-        return not self.bound or sysid in self.bound
-
-    @property
-    def restricts_out(self) -> bool:
-        return self.filter_out is not None or self.limiter_out is not None
 
 
 class Router:
@@ -153,9 +91,9 @@ class Router:
         self._own_source = own_sysid << 8 | own_compid
         self._own_compid = own_compid
         self._route_timeout_s = route_timeout_s
-        self._ports: dict[int, _Port] = {}
-        self._by_source: dict[int, list[_Port]] = {}
-        self._by_system: dict[int, list[_Port]] = {}
+        self._ports: dict[int, Port] = {}
+        self._by_source: dict[int, list[Port]] = {}
+        self._by_system: dict[int, list[Port]] = {}
         self._duplicates: FirstHeard = DuplicateFilter() if duplicates is None else duplicates
         self.on_change: Callable[[], None] = lambda: None
         """Called whenever what `standing` said, a None as well, may no longer be so."""
@@ -175,7 +113,7 @@ class Router:
         """A channel exists from now on. Raises ValueError if the id is taken."""
         if channel_id in self._ports:
             raise ValueError(f"channel {channel_id} is open already")
-        self._ports[channel_id] = _Port(channel_id, policy)
+        self._ports[channel_id] = Port(channel_id, policy)
         self._topology_changed()
 
     def close(self, channel_id: int) -> None:
@@ -218,7 +156,7 @@ class Router:
             return self._counted(_FILTERED_IN)
         if source in self._anchored and (port.policy.role == "gcs" or port.policy.replayed):
             return self._echo(port, source)
-        if port.bound and frame.msgid == HEARTBEAT and _is_autopilots(frame):
+        if port.bound and frame.msgid == HEARTBEAT and is_autopilots(frame):
             return self._echo(port, source)
         info = frame.info
         if info is not None:
@@ -277,7 +215,7 @@ class Router:
                 return None
         again = None
         if frame.msgid == HEARTBEAT and source in port.vehicles:
-            shown = _shown_by(frame)
+            shown = shown_by(frame)
 
             def again(now: float) -> None:
                 self._watch_rivals(port, source, shown, now)
@@ -288,54 +226,36 @@ class Router:
         self.counters[decision.verdict] += 1
         return decision
 
-    def _broadcast(self, port: _Port, frame: Frame, source: int, now: float) -> Decision:
+    def _broadcast(self, port: Port, frame: Frame, source: int, now: float) -> Decision:
         decision, checked = self._broadcast_to(port, frame, source)
         if not checked:
             return decision
         return self._restricted(decision, frame, source, False, now)
 
-    def _broadcast_to(self, port: _Port, frame: Frame, source: int) -> tuple[Decision, tuple[_Port, ...]]:
+    def _broadcast_to(self, port: Port, frame: Frame, source: int) -> tuple[Decision, tuple[Port, ...]]:
         kind = 0
         if frame.info is None:
-            kind = _UNKNOWN_ID
+            kind = UNKNOWN_ID
         elif frame.msgid == RADIO_STATUS or frame.msgid == RADIO:
-            kind = _RADIO_STATUS
+            kind = OF_RADIO
         if port.policy.carries_vehicles or source in port.vehicles:
-            kind |= _TELEMETRY
+            kind |= TELEMETRY
         if self._any_bound:
-            kind |= frame.sysid << _KIND_BITS
+            kind |= frame.sysid << KIND_BITS
         cached = port.broadcast.get(kind)
         if cached is None:
             cached = port.broadcast[kind] = self._broadcast_ports(port, kind, frame.sysid)
         return cached
 
-    def _broadcast_ports(self, port: _Port, kind: int, sysid: int) -> tuple[Decision, tuple[_Port, ...]]:
+    def _broadcast_ports(self, port: Port, kind: int, sysid: int) -> tuple[Decision, tuple[Port, ...]]:
         """The decision for this kind of broadcast of a system, and those of its destinations that filter or limit."""
-        ports = [p for p in self._ports.values() if p.may_hear(sysid) and self._takes_broadcast(port, p, kind)]
+        ports = [p for p in self._ports.values() if p.may_hear(sysid) and port.takes_broadcast(p, kind)]
         verdict = Verdict.FORWARDED if ports else Verdict.LOCAL
         decision = Decision(verdict, tuple(p.id for p in ports), local=True)
         return decision, tuple(p for p in ports if p.restricts_out)
 
-    def _takes_broadcast(self, source: _Port, port: _Port, kind: int) -> bool:
-        if not self._may_forward(source, port):
-            return False
-        if kind & _TELEMETRY and port.policy.carries_vehicles:
-            return False
-        if kind & _UNKNOWN_ID and not port.policy.forward_unknown:
-            return False
-        if source.bound and not self._is_of_bound(source, port):
-            return False
-        return not (kind & _RADIO_STATUS and (port.policy.carries_vehicles or port.vehicles or port.bound))
-
-    @staticmethod
-    def _is_of_bound(source: _Port, port: _Port) -> bool:
-        """Whether what a bound channel says to nobody by name reaches none but its own vehicles on this one."""
-        if port.bound or any(autopilot >> 8 not in source.bound for autopilot in port.vehicles):
-            return False
-        return bool(port.vehicles) or not port.policy.carries_vehicles
-
-    def _targeted(self, port: _Port, frame: Frame, system: int, component: int, now: float) -> Decision:
-        ports: list[_Port] | None
+    def _targeted(self, port: Port, frame: Frame, system: int, component: int, now: float) -> Decision:
+        ports: list[Port] | None
         local = False
         if system == self._own_sysid:
             local = component in (0, self._own_compid)
@@ -351,19 +271,13 @@ class Router:
             return Decision(Verdict.LOCAL, (), local=True) if local else _UNKNOWN_TARGET
         if len(ports) > 1 and system in self._parallel:
             ports = self._preferred(ports, system, now)
-        ids = tuple(p.id for p in ports if self._may_forward(port, p) and p.may_hear(frame.sysid))
+        ids = tuple(p.id for p in ports if port.may_forward(p) and p.may_hear(frame.sysid))
         if not ids:
             return Decision(Verdict.LOCAL, (), local=True) if local else _NOBODY
         decision = Decision(Verdict.FORWARDED, ids, local)
         if any(p.restricts_out for p in ports):
             return self._restricted(decision, frame, frame.sysid << 8 | frame.compid, True, now)
         return decision
-
-    @staticmethod
-    def _may_forward(source: _Port, port: _Port) -> bool:
-        if port is source or port.policy.replayed or (source.policy.replayed and port.policy.role != "gcs"):
-            return False
-        return source.policy.group is None or source.policy.group != port.policy.group
 
     def _restricted(self, decision: Decision, frame: Frame, source: int, targeted: bool, now: float) -> Decision:
         """The decision without the channels whose filters or limits keep this frame out."""
@@ -384,7 +298,7 @@ class Router:
             return Decision(Verdict.FORWARDED, tuple(passed), decision.local)
         return Decision(Verdict.LOCAL if decision.local else Verdict.NOBODY, (), decision.local)
 
-    def _preferred(self, ports: list[_Port], system: int, now: float) -> list[_Port]:
+    def _preferred(self, ports: list[Port], system: int, now: float) -> list[Port]:
         """Of parallel channels the better one; channels that are not parallel all stay."""
         parallel = self._parallel[system]
         heard = {p.id: self._last_heard(p, system) for p in ports}
@@ -395,7 +309,7 @@ class Router:
         return [p for p in ports if p.id == best or p.id not in same]
 
     @staticmethod
-    def _last_heard(port: _Port, system: int) -> float:
+    def _last_heard(port: Port, system: int) -> float:
         return max((at for source, at in port.heard.items() if source >> 8 == system), default=float("-inf"))
 
     # -- our own messages
@@ -425,7 +339,7 @@ class Router:
 
     # -- learning and forgetting
 
-    def _learn(self, port: _Port, source: int, now: float) -> None:
+    def _learn(self, port: Port, source: int, now: float) -> None:
         if source >> 8 == 0:
             return  # system 0 is "all" as a target: a route to it would catch every broadcast
         if self._routes >= MAX_ROUTES:
@@ -442,7 +356,7 @@ class Router:
             systems.append(port)
         self._note("learned", source, port)
 
-    def _forget(self, port: _Port, source: int) -> None:
+    def _forget(self, port: Port, source: int) -> None:
         self.on_change()
         del port.heard[source]
         self._routes -= 1
@@ -462,7 +376,7 @@ class Router:
                 self._forget(port, source)
                 self._note("expired", source, port)
 
-    def _check_reboot(self, port: _Port, frame: Frame, source: int) -> None:
+    def _check_reboot(self, port: Port, frame: Frame, source: int) -> None:
         """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears what is known of the system's routes."""
         boot_ms = struct.unpack_from("<I", frame.payload + bytes(12), 8)[0]
         before = port.boot_ms.get(source, 0)
@@ -480,18 +394,18 @@ class Router:
         if source in port.boot_ms or len(port.boot_ms) < MAX_ROUTES:
             port.boot_ms[source] = boot_ms
 
-    def _check_vehicle(self, port: _Port, frame: Frame, source: int, now: float) -> None:
+    def _check_vehicle(self, port: Port, frame: Frame, source: int, now: float) -> None:
         """A heartbeat of an autopilot: what this source broadcasts from here is telemetry of a vehicle."""
-        if source not in port.heard or not _is_autopilots(frame):
+        if source not in port.heard or not is_autopilots(frame):
             return
         if source not in port.vehicles:
             port.vehicles.add(source)
             self._topology_changed()
             self._drop_echo_routes(source)
         if source in port.heard and not port.policy.replayed:  # and not just found to be an echo
-            self._watch_rivals(port, source, _shown_by(frame), now)
+            self._watch_rivals(port, source, shown_by(frame), now)
 
-    def _watch_rivals(self, port: _Port, source: int, shown: bytes, now: float) -> None:
+    def _watch_rivals(self, port: Port, source: int, shown: bytes, now: float) -> None:
         copies = source >> 8 in self._parallel
         change = self._rivals.on_beat(source, port.id, port.policy.link, shown, copies=copies, now=now)
         if change is not None:
@@ -505,13 +419,13 @@ class Router:
             if source in port.heard and (port.policy.role == "gcs" or port.policy.replayed):
                 self._forget(port, source)
 
-    def _echo(self, port: _Port, source: int) -> Decision:
+    def _echo(self, port: Port, source: int) -> Decision:
         if source not in port.echoes and len(port.echoes) < MAX_NOTES:
             port.echoes.add(source)
             self._note("echo", source, port)
         return self._counted(_DUPLICATE)
 
-    def _is_copy(self, port: _Port, frame: Frame, source: int, now: float) -> bool:
+    def _is_copy(self, port: Port, frame: Frame, source: int, now: float) -> bool:
         # one int, as the compiled lane keeps it
         first = self._duplicates.first_heard_on(source << 24 | frame.seq << 16 | frame.crc, port.id, now)
         system = source >> 8
@@ -536,13 +450,13 @@ class Router:
                 for source in [s for s in port.heard if s >> 8 == system]:
                     self._forget(port, source)
 
-    def _conflict(self, port: _Port, frame: Frame, now: float) -> Decision:
+    def _conflict(self, port: Port, frame: Frame, now: float) -> Decision:
         if now - port.conflict_at > CONFLICT_QUIET_S:
             self._note("conflict", frame.sysid << 8 | frame.compid, port)
         port.conflict_at = now
         return self._counted(_CONFLICT)
 
-    def _beyond(self, port: _Port, source: int, target: int) -> Decision:
+    def _beyond(self, port: Port, source: int, target: int) -> Decision:
         """From a bound channel, for who is none of its vehicles."""
         port.out_of_bounds += 1
         if target not in port.refused:
@@ -550,7 +464,7 @@ class Router:
             self._note("out_of_bounds", source, port, target)
         return self._counted(_OUT_OF_BOUNDS)
 
-    def _note(self, kind: str, source: int, port: _Port, target: int = 0) -> None:
+    def _note(self, kind: str, source: int, port: Port, target: int = 0) -> None:
         self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id, target))
 
     # -- what a person asks
@@ -578,26 +492,12 @@ class Router:
         return kept | {"out_of_bounds": port.out_of_bounds} if port.bound else kept
 
 
-def _is_autopilots(heartbeat: Frame) -> bool:
-    """Whether this is the heartbeat of an autopilot."""
-    raw = heartbeat.raw
-    at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
-    return raw[1] >= 6 and raw[at + 5] != _MAV_AUTOPILOT_INVALID and raw[at + 4] != _MAV_TYPE_GCS
-
-
 def _has_target(frame: Frame) -> bool:
     """Whether the message has a field for its target, whatever stands there."""
     return frame.info is not None and frame.info.target_system_offset >= 0
 
 
-def _shown_by(heartbeat: Frame) -> bytes:
-    """Custom mode, type, autopilot and base mode, as sent."""
-    raw = heartbeat.raw
-    at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
-    return raw[at : at + 7]
-
-
-def _remove(table: dict[int, list[_Port]], key: int, port: _Port) -> None:
+def _remove(table: dict[int, list[Port]], key: int, port: Port) -> None:
     ports = table[key]
     ports.remove(port)
     if not ports:
