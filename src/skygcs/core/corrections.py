@@ -84,7 +84,7 @@ class CorrectionCounters:
     waits: Waits = field(default_factory=Waits)
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Message(Generic[T]):
     """A whole message that waits."""
 
@@ -274,8 +274,9 @@ class Corrections(Generic[T]):
         return True
 
     def _finish(self, sequence: int, now: float) -> None:
-        parts = self._assemblies.pop(sequence).parts
-        self._enqueue([parts[number] for number in sorted(parts)], now)
+        assembly = self._assemblies.pop(sequence)
+        count = len(assembly.parts) if assembly.count is None else assembly.count  # behind it: of an older message
+        self._enqueue([assembly.parts[number] for number in range(count)], now)
 
     def _give_up(self, sequence: int) -> None:
         del self._assemblies[sequence]

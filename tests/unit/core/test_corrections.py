@@ -127,6 +127,15 @@ def test_a_fragment_that_comes_twice_goes_once_and_another_message_of_its_sequen
     assert corrections.status()["incomplete"] == 1
 
 
+def test_a_stray_fragment_of_an_older_message_is_no_part_of_a_shorter_one_of_its_sequence() -> None:
+    corrections: Corrections[Fragment] = Corrections(PLENTY, 0.0)
+    old, new = (fragments(rtcm_frame(1077, epoch=e, body_bytes=b), e) for e, b in ((1, 500), (33, 300)))
+    for payload, fragment in (old[2], new[0], new[1]):
+        assert corrections.offer(BASE, payload, fragment, 194, 0.0)
+    sent = drained(corrections, 0.0)
+    assert [(f.message, f.number) for f in sent] == [(33, 0), (33, 1)]
+
+
 @pytest.mark.parametrize("payload", [b"", b"\x08", b"\x01\x00", b"\x08\xb5" + b"x" * 180, b"\x08\xff" + b"x" * 180])
 def test_what_is_no_fragment_is_refused(payload: bytes) -> None:
     corrections: Corrections[Fragment] = Corrections(PLENTY, 0.0)
