@@ -12,10 +12,9 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from skygcs.config.models import FleetConfig, LinkConfig, MessageName
+from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.airtime import Priority
 from skygcs.core.decision import RouteNote, Verdict
-from skygcs.core.filters import ChannelPolicy, MessageFilter
 from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
@@ -25,12 +24,12 @@ from skygcs.core.presented import Endpoint
 from skygcs.core.routing import HEARTBEAT, Router
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Noted, OwnMessage, Way
 from skygcs.links.express import new_table
+from skygcs.runtime.channel_policy import channel_policy
 from skygcs.runtime.signing import Signing
+from skygcs.runtime.taps import FrameTap, Taps
 
 if TYPE_CHECKING:
     from skygcs.links._express import Table
-
-FrameTap = Callable[[Frame, Channel, float], None]
 
 OTHER_SOURCES = -1
 """Key under which one channel's further sources are counted together once its table is full."""
@@ -51,54 +50,6 @@ WHOLE_DATAGRAM_BYTES = 1472
 """Frames that came in one datagram are sent on in one up to this size, what one Ethernet packet carries."""
 
 _DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN, Verdict.OUT_OF_BOUNDS)
-
-
-def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int] = frozenset()) -> ChannelPolicy:
-    """The routing policy of a link's channels; ``vehicles``: the system ids it is bound to. Raises KeyError for a
-    message name the dialect does not have."""
-
-    def msgid(name: MessageName) -> int:
-        if isinstance(name, int) or name.isdecimal():
-            return int(name)  # an id the dialect does not have may be filtered, too
-        return dialect.find(name).msgid
-
-    def msgids(names: tuple[MessageName, ...]) -> frozenset[int]:
-        return frozenset(msgid(n) for n in names)
-
-    def rates(named: Mapping[str, float]) -> dict[int, float]:
-        return {msgid(n): hz for n, hz in named.items() if n != "*"}
-
-    unknown = config.forward_unknown
-    return ChannelPolicy(
-        role=config.role,
-        link=config.name,
-        replayed=config.type == "replay",
-        group=config.group,
-        vehicles=vehicles,
-        forward_unknown=config.role != "radio" if unknown is None else unknown,
-        filter_in=MessageFilter(
-            msgids(config.allow_msg_id_in),
-            msgids(config.block_msg_id_in),
-            frozenset(config.allow_src_sys_in),
-            frozenset(config.block_src_sys_in),
-            frozenset(config.allow_src_comp_in),
-            frozenset(config.block_src_comp_in),
-        ),
-        filter_out=MessageFilter(
-            msgids(config.allow_msg_id_out),
-            msgids(config.block_msg_id_out),
-            frozenset(config.allow_src_sys_out),
-            frozenset(config.block_src_sys_out),
-            frozenset(config.allow_src_comp_out),
-            frozenset(config.block_src_comp_out),
-        ),
-        rates_in=rates(config.rate_in.messages),
-        rates_out=rates(config.rate_out.messages),
-        default_hz_in=config.rate_in.messages.get("*"),
-        default_hz_out=config.rate_out.messages.get("*"),
-        bytes_per_s_in=config.rate_in.bytes_per_s,
-        bytes_per_s_out=config.rate_out.bytes_per_s,
-    )
 
 
 class Hub:
@@ -162,9 +113,7 @@ class Hub:
         self._fault_kinds: set[str] = set()
         self._next_id = 1
         self._parted: dict[tuple[str, str], dict[int, SourceStats]] = {}
-        self._taps: list[tuple[set[int] | None, set[int] | None, FrameTap]] = []
-        self._tapped: frozenset[int] | None = frozenset()
-        """Ids of which some tap wants frames; None: of all."""
+        self._taps = Taps(self.forget_lanes)
 
     # -- what links call
 
@@ -231,6 +180,7 @@ class Hub:
         if self.express is not None and self.express.records_waiting:
             self.after_lane()  # what came before is recorded before
         renumbering = self._renumbering
+        taps = self._taps
         together: list[tuple[Frame, tuple[int, ...]]] | None = None
         if channel.in_datagrams and len(frames) > 1:
             together = []
@@ -263,8 +213,8 @@ class Hub:
                     self._record(raw, unix_us)
                 if frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
                     on_vehicle_frame(key, frame, label, now)
-                if self._tapped is None or frame.msgid in self._tapped:
-                    self._tap(frame, channel, key, now)
+                if taps.msgids is None or frame.msgid in taps.msgids:
+                    taps.show(frame, channel, key, now)
                 if channel.lane is not None:
                     self._let_through(channel, frame, key, stats)
             except Exception as error:
@@ -338,7 +288,7 @@ class Hub:
         standing = self.router.standing(channel.id, frame)
         if standing is None or channel.sources.get(key) is not stats or self._shown_of(channel) is not None:
             return None
-        if any((m is None or frame.msgid in m) and (k is None or key in k) for m, k, _ in self._taps):
+        if self._taps.watch(frame.msgid, key):
             return None
         if any(d in self._renumbering for d in standing.destinations):
             return None  # each frame has to be changed on its way there
@@ -453,28 +403,7 @@ class Hub:
 
     def add_tap(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameTap) -> Callable[[], None]:
         """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
-        entry = (msgids, keys, tap)
-        self._taps.append(entry)
-        self._taps_changed()
-
-        def remove() -> None:
-            if entry in self._taps:
-                self._taps.remove(entry)
-                self._taps_changed()
-
-        return remove
-
-    def _taps_changed(self) -> None:
-        wanted: set[int] | None = set()
-        for msgids, _, _ in self._taps:
-            wanted = None if wanted is None or msgids is None else wanted | msgids
-        self._tapped = None if wanted is None else frozenset(wanted)
-        self.forget_lanes()
-
-    def _tap(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
-        for msgids, keys, tap in tuple(self._taps):
-            if (msgids is None or frame.msgid in msgids) and (keys is None or key in keys):
-                tap(frame, channel, now)
+        return self._taps.add(msgids, keys, tap)
 
     # -- once a second
 

@@ -14,7 +14,8 @@ from skygcs.core.airtime import Priority
 from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.frame import Frame
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
-from skygcs.runtime.hub import MAX_PARTED, MAX_PARTED_SOURCES, OTHER_SOURCES, Hub, channel_policy
+from skygcs.runtime.channel_policy import channel_policy
+from skygcs.runtime.hub import MAX_PARTED, MAX_PARTED_SOURCES, OTHER_SOURCES, Hub
 from support.routed import DIALECT, heartbeat, message
 
 

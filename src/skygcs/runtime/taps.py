@@ -1,0 +1,52 @@
+"""Who watches frames that pass the hub: some messages of some sources, or all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from skygcs.core.mavlink.frame import Frame
+from skygcs.links.base import Channel
+
+FrameTap = Callable[[Frame, Channel, float], None]
+
+_Entry = tuple[set[int] | None, set[int] | None, FrameTap]
+
+
+class Taps:
+    """``on_change()`` is called whenever what is watched changes."""
+
+    def __init__(self, on_change: Callable[[], None]) -> None:
+        self.msgids: frozenset[int] | None = frozenset()
+        """Of which some tap wants frames; None: of all. To be looked at before `show`: most frames nobody watches."""
+        self._entries: list[_Entry] = []
+        self._on_change = on_change
+
+    def add(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameTap) -> Callable[[], None]:
+        """Hand frames of these ids and sources (sysid<<8|compid; None: all) to ``tap``; returns how to stop it."""
+        entry = (msgids, keys, tap)
+        self._entries.append(entry)
+        self._changed()
+
+        def remove() -> None:
+            if entry in self._entries:
+                self._entries.remove(entry)
+                self._changed()
+
+        return remove
+
+    def watch(self, msgid: int, key: int) -> bool:
+        """Whether somebody wants frames of this message and source."""
+        return any((m is None or msgid in m) and (k is None or key in k) for m, k, _ in self._entries)
+
+    def show(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
+        """Hand it to whoever wants it."""
+        for msgids, keys, tap in tuple(self._entries):
+            if (msgids is None or frame.msgid in msgids) and (keys is None or key in keys):
+                tap(frame, channel, now)
+
+    def _changed(self) -> None:
+        wanted: set[int] | None = set()
+        for msgids, _, _ in self._entries:
+            wanted = None if wanted is None or msgids is None else wanted | msgids
+        self.msgids = None if wanted is None else frozenset(wanted)
+        self._on_change()
