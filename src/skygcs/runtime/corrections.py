@@ -31,7 +31,7 @@ class CorrectionFeed:
         self._hub = hub
         self._fleet = fleet
         self._clock = clock
-        self._info = hub.dialect.messages.get(233)
+        self._info = hub.dialect.by_name.get("GPS_RTCM_DATA")
         self._source: str | None = None
         self._offered_at = 0.0
         self._deframer = RtcmDeframer()
