@@ -183,7 +183,7 @@ async def test_eight_programs_that_flood_disturb_nobody_and_a_ninth_is_served(tm
         answered: list[float] = []
         quiet.on_frame = lambda frame: answered.append(frame.sysid) if frame.name == "PARAM_VALUE" else None
         await asyncio.sleep(5)
-        await flown.watched(40)
+        await flown.watched(90)
         answered.clear()
         asked = flown.air.daemon.now()
         quiet.again(3.0, 10, "PARAM_REQUEST_READ", {"target_system": 9, "target_component": 1, "param_index": 7})

@@ -32,7 +32,7 @@ from skygcs.core.foreign_frames import (
     is_order,
     parse,
 )
-from skygcs.core.foreign_sources import Bucket, Line, Source
+from skygcs.core.foreign_sources import OTHERS, Bucket, Line, Source
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.param_lists import Asked, ParamLists
 
@@ -55,14 +55,11 @@ ORDERS_BURST_BYTES = 900.0
 
 EMERGENCY_HZ, EMERGENCY_BURST = 2.0, 3.0
 EMERGENCIES_BURST_BYTES = 64 * 45.0
-"""The same of emergencies, with as many bytes a second as everything foreign. Those beyond it go all the same, as
-anything forwarded does."""
+"""The same of emergencies, with as many bytes a second as everything foreign. Those beyond it go all the same: as
+orders or, beyond what those have, as anything forwarded does."""
 
 MAX_SOURCES = 64
 """Sources told apart; what further ones send counts as that of one."""
-
-OTHERS = -1
-"""That one."""
 
 SOURCE_GONE_S = 30.0
 """A source silent for so long is not waited for: a ground station's heartbeats come every second."""
@@ -227,16 +224,7 @@ class ForeignTraffic:
             "streams": self.rules.streams,
             "logs": self.rules.logs,
             "waiting": self.waiting,
-            "sources": [
-                {
-                    "source": "others" if key == OTHERS else f"{key >> 8}/{key & 0xFF}",
-                    "age_s": round(now - source.heard_at, 1),
-                    "waiting": source.waiting,
-                    **{name: source.counts.get(name, 0) for name in ("sent", "sent_bytes")},
-                    "counts": {n: c for n, c in sorted(source.counts.items()) if n not in ("sent", "sent_bytes")},
-                }
-                for key, source in self._sources.items()
-            ],
+            "sources": [source.status(now) for source in self._sources.values()],
         }
 
     # -- the rules
@@ -325,12 +313,13 @@ class ForeignTraffic:
             source.count("repeated")
             return urgent
         bucket = source.stops.setdefault(frame.target, Bucket(EMERGENCY_HZ, EMERGENCY_BURST, now))
-        if self._stops.saved(now) >= len(frame.raw) and bucket.take(now):
-            self._stops.spend(len(frame.raw), now)
-            self.budget.spend(len(frame.raw), now)
+        if bucket.take(now) and self._charged(self._stops, frame, now):
             return urgent
         source.count("slowed")
-        return Ruling("send", key=(*key, frame.target), flow=source.key)
+        if self._charged(self._orders, frame, now):
+            return Ruling("send", Priority.COMMAND, key, frame.target)  # before the orders that follow it
+        source.late[frame.target] = late = (*key, frame.target)
+        return Ruling("send", key=late, flow=source.key)
 
     def _ordered(self, frame: ForeignFrame, source: Source, now: float, still_waits: StillWaits) -> Ruling:
         key = source.key_of(frame)
@@ -342,13 +331,20 @@ class ForeignTraffic:
                 return known
         bucket = source.orders.setdefault(frame.target, Bucket(ORDER_HZ, ORDER_BURST, now))
         overtakes = still_waits(Priority.FORWARDED, source.key, source.late.get(frame.target))
-        if not overtakes and self._orders.saved(now) >= len(frame.raw) and bucket.take(now):
-            self._orders.spend(len(frame.raw), now)
-            self.budget.spend(len(frame.raw), now)
+        if not overtakes and bucket.take(now) and self._charged(self._orders, frame, now):
             return order
         source.late[frame.target] = key
         source.count("slowed")
         return later
+
+    def _charged(self, part: ByteBudget, frame: ForeignFrame, now: float) -> bool:
+        """Whether the frame goes at the cost of this part, and so of everything foreign."""
+        size = len(frame.raw)
+        if part.saved(now) < size:
+            return False
+        part.spend(size, now)
+        self.budget.spend(size, now)
+        return True
 
     def _refused(self, kind: str, frame: ForeignFrame, source: Source) -> Ruling:
         source.count(f"refused_{kind}")

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from typing import Any
 
 from skygcs.core.foreign_frames import ForeignFrame, is_change
+
+
+OTHERS = -1
+"""Key of all those who are more than are told apart."""
 
 
 class Bucket:
@@ -91,3 +96,15 @@ class Source:
     @property
     def waiting(self) -> int:
         return sum(len(line.frames) for line in self.lines.values())
+
+    def status(self, now: float) -> dict[str, Any]:
+        """What became of its frames; JSON-able."""
+        counts = dict(sorted(self.counts.items()))
+        return {
+            "source": "others" if self.key == OTHERS else f"{self.key >> 8}/{self.key & 0xFF}",
+            "age_s": round(now - self.heard_at, 1),
+            "waiting": self.waiting,
+            "sent": counts.pop("sent", 0),
+            "sent_bytes": counts.pop("sent_bytes", 0),
+            "counts": counts,
+        }

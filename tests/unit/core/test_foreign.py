@@ -134,13 +134,26 @@ def test_who_stops_motors_in_the_air_goes_before_all_and_is_never_refused(name: 
     radio = Radio(rules)
     stops = [radio.offer(name, target_system=3, **FORCED_DISARM)]
     assert radio.offer(name, target_system=3, command=185, param1=1.0).priority is Priority.EMERGENCY
-    for number in range(20):
+    for number in range(40):
         radio.sent()
         stops.append(radio.offer(name, target_system=3, **FORCED_DISARM))
         assert radio.offer(name, target_system=10 + number, **FORCED_DISARM).priority is Priority.EMERGENCY
     assert {stop.outcome for stop in stops} == {"send"}
-    assert [stop.priority for stop in stops].count(Priority.EMERGENCY) == EMERGENCY_BURST - 1
+    given = [stop.priority for stop in stops]
+    assert given.count(Priority.EMERGENCY) == EMERGENCY_BURST - 1
+    assert given == sorted(given), "further ones go as orders, and as anything else when those are used up"
+    assert set(given) == {Priority.EMERGENCY, Priority.COMMAND, Priority.FORWARDED}
     assert radio.offer(name, target_system=3, command=400, param1=1.0, param2=21196.0).outcome == "refuse", "it arms"
+
+
+def test_an_order_after_a_stop_does_not_overtake_it() -> None:
+    radio = Radio()
+    for _ in range(30):  # each finds the one before gone
+        last = radio.offer("COMMAND_LONG", **{**command(), **FORCED_DISARM})
+        if last.priority is not Priority.FORWARDED:
+            radio.sent()
+    assert last.priority is Priority.FORWARDED
+    assert radio.offer("COMMAND_LONG", **command(command=400, param1=1.0)).priority is Priority.FORWARDED
 
 
 # -- streams, heartbeats
