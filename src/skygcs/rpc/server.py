@@ -57,11 +57,12 @@ class RpcServer:
         self._servers: list[asyncio.AbstractServer] = []
         self._socket_inode: tuple[int, int] | None = None
         self._lock_fd = -1
+        self._tcp_listener: socket.socket | None = None
 
     def claim(self) -> None:
-        """Make sure of the socket's path before anything else is begun; `start` listens there.
+        """Make sure of the socket's path and the TCP port before anything else is begun; `start` listens there.
 
-        Raises LinkError if another daemon has it, or it cannot be had. `close` gives it back.
+        Raises LinkError if another daemon has one of them, or it cannot be had. `close` gives them back.
         """
         if self._lock_fd >= 0:
             return
@@ -72,6 +73,8 @@ class RpcServer:
             self._make_directory()
             self._take_lock(path)
             self._remove_stale(path)
+            if self._tcp_port is not None:
+                self._tcp_listener = _bound_tcp(self._tcp_port)
         except OSError as error:
             self._release()
             raise LinkError(f"cannot make the socket {path}: {error.strerror or error}") from None
@@ -95,10 +98,8 @@ class RpcServer:
             listener = self._bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener)
             self._servers.append(server)
-            if self._tcp_port is not None:
-                token = self._token
-                assert token is not None
-                await self._listen_tcp(loop, lambda: Session(hub, token))
+            if self._tcp_listener is not None:
+                await self._listen_tcp(self._tcp_listener, lambda: Session(hub, self._token))
         except BaseException:
             await self.close()
             raise
@@ -119,15 +120,15 @@ class RpcServer:
         """Counters: sessions now and ever, requests, errors, drops."""
         return self._hub.stats() if self._hub is not None else {}
 
-    async def _listen_tcp(
-        self, loop: asyncio.AbstractEventLoop, new_session: Callable[[], asyncio.BaseProtocol]
-    ) -> None:
+    async def _listen_tcp(self, listener: socket.socket, new_session: Callable[[], asyncio.BaseProtocol]) -> None:
+        address = listener.getsockname()
         try:
-            server = await loop.create_server(new_session, "127.0.0.1", self._tcp_port)
-        except OSError as error:
-            raise LinkError(f"cannot listen on 127.0.0.1:{self._tcp_port}: {error.strerror or error}") from None
+            server = await asyncio.get_running_loop().create_server(new_session, sock=listener)
+        except OSError as error:  # two that had bound it: the second to listen is told
+            raise LinkError(f"cannot listen on 127.0.0.1:{address[1]}: {error.strerror or error}") from None
+        self._tcp_listener = None  # the server's now
         self._servers.append(server)
-        self.tcp_address = server.sockets[0].getsockname()
+        self.tcp_address = address
 
     def _bind(self) -> socket.socket:
         """A bound Unix socket of mode 0600. Nobody can connect before it listens, and it does so only after this."""
@@ -166,6 +167,9 @@ class RpcServer:
             raise LinkError(_in_use(path)) from None
 
     def _release(self) -> None:
+        if self._tcp_listener is not None:
+            self._tcp_listener.close()
+            self._tcp_listener = None
         if self._lock_fd >= 0:
             os.close(self._lock_fd)
             self._lock_fd = -1
@@ -205,6 +209,19 @@ async def _import_beside(module: str) -> None:
     """Import it in a thread: the loop goes on with what flies."""
     if module not in sys.modules:
         await asyncio.to_thread(importlib.import_module, module)
+
+
+def _bound_tcp(port: int) -> socket.socket:
+    """A socket that nobody can connect to before it listens. Raises LinkError."""
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", port))
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        raise LinkError(f"cannot listen on 127.0.0.1:{port}: {error.strerror or error}") from None
+    return listener
 
 
 def _in_use(path: str) -> str:

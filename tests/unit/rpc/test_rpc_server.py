@@ -498,6 +498,18 @@ async def test_a_claimed_path_is_nobody_elses_before_anybody_listens(tmp_path: P
     await second.close()
 
 
+async def test_a_tcp_port_that_another_has_is_told_before_anything_is_begun(bench: Bench, tmp_path: Path) -> None:
+    assert bench.server.tcp_address is not None
+    port = bench.server.tcp_address[1]
+    late = RpcServer(FakeDaemon(), tmp_path / "other.sock", tcp_port=port, token="open sesame")
+    with pytest.raises(LinkError, match=f"cannot listen on 127.0.0.1:{port}"):
+        late.claim()
+    await bench.server.close()
+    await late.start()
+    assert late.tcp_address == ("127.0.0.1", port)
+    await late.close()
+
+
 async def test_another_programs_listening_socket_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "s.sock"
     with socket.socket(socket.AF_UNIX) as other:
