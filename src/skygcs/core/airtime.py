@@ -8,7 +8,7 @@ Pure: the sender (shell) offers, asks when the next may go and what it is, and w
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Generic, TypeVar
@@ -211,6 +211,18 @@ class _Class(Generic[T]):
             del lines[flow]
             self._leave(flow, self._used.pop(flow))
 
+    def drop(self, unwanted: Callable[[T], bool]) -> int:
+        """How many of them waited."""
+        before = self.length
+        for flow, line in list(self.lines.items()):
+            for slot in [slot for slot, (entry, _, _) in line.items() if unwanted(entry)]:
+                del line[slot]
+                self.length -= 1
+            if not line:
+                del self.lines[flow]
+                self._leave(flow, self._used.pop(flow))
+        return before - self.length
+
     def clear(self) -> int:
         gone, self.length = self.length, 0
         self.lines.clear()
@@ -344,6 +356,15 @@ class TxQueue(Generic[T]):
             beat = self._classes[Priority.HEARTBEAT].head()[1]  # is overdue by then, and next
             return max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(beat, 0.0, now))
         return at
+
+    def drop(self, priority: Priority, unwanted: Callable[[T], bool]) -> int:
+        """Forget what waits of one class and is no longer wanted; how many that were. Counted as dropped."""
+        gone = self._classes[priority].drop(unwanted)
+        self._length -= gone
+        self.counters[priority].dropped += gone
+        if priority is Priority.HEARTBEAT and not self._classes[priority].length:
+            self._heartbeat_since = None
+        return gone
 
     def clear(self) -> int:
         """Forget everything that waits (the link went down); how many that were. Counted as dropped."""

@@ -7,7 +7,6 @@ from typing import Any
 
 from skygcs.core.foreign_frames import ForeignFrame, is_change
 
-
 OTHERS = -1
 """Key of all those who are more than are told apart."""
 

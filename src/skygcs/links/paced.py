@@ -11,7 +11,7 @@ from skygcs.config.radio import ForeignKeys
 from skygcs.core.airtime import ByteBudget, Priority, TxQueue
 from skygcs.core.corrections import Corrections
 from skygcs.core.foreign import CORRECTIONS_SHARE, ForeignRules, ForeignTraffic, Ruling
-from skygcs.core.foreign_frames import FILE_TRANSFER_PROTOCOL, PARAM_VALUE, parse
+from skygcs.core.foreign_frames import FILE_TRANSFER_PROTOCOL, PARAM_VALUE, is_emergency, is_order, parse
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.pacing import Pacer, RadioRates, report_of
@@ -176,11 +176,25 @@ class AirBudget:
 
     def _put_foreign(self, raw: bytes, ruling: Ruling, now: float) -> bool:
         size = len(raw)
+        if ruling.priority is Priority.EMERGENCY:
+            self._drop_orders_before(raw)
         if ruling.priority is not Priority.FORWARDED:
             if self.queue.offer(raw, ruling.priority, now, ruling.key, size=size, flow=ruling.flow):
                 return True
             ruling = ruling._replace(priority=Priority.FORWARDED)  # its class is full, and nobody here repeats it
         return self._put(raw, Priority.FORWARDED, now, ruling.key, size, ruling.flow)
+
+    def _drop_orders_before(self, stop: bytes) -> None:
+        """What others ordered of a vehicle before it was stopped must not reach it afterwards."""
+        stopped = parse(stop, self._messages)
+        if stopped is None:
+            return
+
+        def is_outdated(entry: Outgoing) -> bool:
+            frame = parse(entry, self._messages) if type(entry) is bytes else None
+            return frame is not None and frame.target == stopped.target and is_order(frame) and not is_emergency(frame)
+
+        self._lost += self.queue.drop(Priority.COMMAND, is_outdated) + self.queue.drop(Priority.FORWARDED, is_outdated)
 
     def _put(
         self, entry: Outgoing, priority: Priority, now: float, key: Hashable | None, size: int, flow: Hashable

@@ -279,3 +279,23 @@ def test_it_tells_what_would_be_replaced() -> None:
     assert not queue.holds(Priority.FORWARDED, 3, "key")
     queue.pop(0.0)
     assert not queue.holds(Priority.COMMAND, 3, "key")
+
+
+def test_what_is_no_longer_wanted_is_taken_out_of_its_class() -> None:
+    queue: TxQueue[int] = TxQueue()
+    for number in range(6):
+        queue.offer(number, Priority.COMMAND, 0.0, size=10, flow=number % 3)
+    queue.offer(3, Priority.FORWARDED, 0.0)
+    assert queue.drop(Priority.COMMAND, lambda entry: entry % 3 == 0 or entry == 5) == 3
+    assert len(queue) == 4
+    assert queue.counters[Priority.COMMAND].dropped == 3
+    assert [queue.pop(0.0) for _ in range(5)] == [
+        (1, Priority.COMMAND),
+        (2, Priority.COMMAND),
+        (4, Priority.COMMAND),
+        (3, Priority.FORWARDED),
+        None,
+    ]
+    queue.offer(1, Priority.HEARTBEAT, 0.0, "beat")
+    assert queue.drop(Priority.HEARTBEAT, lambda entry: True) == 1
+    assert queue.next_send_time(5.0) is None

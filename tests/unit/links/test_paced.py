@@ -188,6 +188,24 @@ def test_a_stop_that_finds_its_class_full_goes_as_anything_else_does() -> None:
     assert line.air.take_lost() == 0
 
 
+def test_what_was_ordered_before_a_stop_does_not_reach_the_vehicle_after_it() -> None:
+    line = Line()
+    for number in range(6):  # three go as orders, the others behind everything else
+        for vehicle in (3, 4):
+            line.offer("COMMAND_LONG", target_system=vehicle, command=22, param7=float(number))
+    line.offer("PARAM_SET", target_system=3, param_value=1.0)
+    line.air.offer(own_message("COMMAND_LONG", target_system=3, command=20), Priority.COMMAND, line.now)
+    line.run(0.0)
+    before = len(line.queue)
+    assert line.offer("COMMAND_LONG", target_system=3, command=400, param2=21196.0)
+    sent = [entry for _, entry, _ in line.run(10.0)]
+    assert line.air.take_lost() == before + 1 - len(sent) > 0
+    names = [FrameParser(DIALECT).feed_datagram(raw)[0] for raw in sent if isinstance(raw, bytes)]
+    assert names[0].fields()["command"] == 400
+    assert {f.target()[0] for f in names[1:] if f.name == "COMMAND_LONG"} == {4}
+    assert "PARAM_SET" in {f.name for f in names}
+
+
 @pytest.mark.parametrize("ours", [True, False])
 def test_corrections_go_whole_within_their_share_and_after_commands(ours: bool) -> None:
     line = Line()
