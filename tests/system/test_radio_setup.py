@@ -161,6 +161,20 @@ def test_two_nodes_with_one_id_are_told_with_what_to_do(tmp_path: Path) -> None:
         assert [radio.saved[24] for radio in radios] == [1, 2, 3]
 
 
+def test_the_radio_before_simulated_vehicles_is_set_up_as_a_real_one(tmp_path: Path) -> None:
+    port = tmp_path / "ttyRADIO"
+    skygcs = str(Path(CLI).with_name("skygcs"))
+    words = ("sim", "--pty", str(port), "--px4", "2", "--ardupilot", "0", "--radio", "64,nodes=5")
+    with subprocess.Popen([skygcs, *words], stdout=subprocess.DEVNULL) as sim:
+        try:
+            wait_until(port.exists, "the port is there")
+            told = cli(tmp_path, "show", port, "--remote", "3")
+            assert "RFD900x multipoint), answers at 57600 baud" in told
+            assert "S24  NODEID             3" in told
+        finally:
+            sim.terminate()
+
+
 def test_a_daemon_lends_its_radio_and_has_it_back(tmp_path: Path) -> None:
     port = tmp_path / "ttyRADIO"
     toml = f'heartbeat = false\n[links.radio]\ntype = "serial"\ndevice = "{port}"\nrole = "radio"\n'

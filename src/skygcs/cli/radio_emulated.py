@@ -26,6 +26,19 @@ _BAUD = {
 }
 
 
+def port_rate(descriptor: int) -> int:
+    """The rate that whoever has a pty open has set; 0: one that no radio has."""
+    return _BAUD.get(termios.tcgetattr(descriptor)[5], 0)
+
+
+def set_port_rate(descriptor: int, baud: int) -> None:
+    """What the port is at before anybody sets it."""
+    attributes = termios.tcgetattr(descriptor)
+    code = next(code for code, rate in _BAUD.items() if rate == baud)
+    attributes[4] = attributes[5] = code
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+
+
 class EmulatedPort:
     """A radio's serial port at ``path``, a symlink to a pty, and the radio behind it. `serve` until `stop`."""
 
@@ -66,8 +79,7 @@ class EmulatedPort:
                 os.write(self._master, output)
 
     def _rate(self) -> int:
-        """What whoever has the port open has set."""
-        return _BAUD.get(termios.tcgetattr(self._master)[5], 0)
+        return port_rate(self._master)
 
 
 def emulate_radio(link: Path, kind: str, node: int | None, remotes: str) -> int:

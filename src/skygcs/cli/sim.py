@@ -99,7 +99,10 @@ def run_sim(
             ports.append(TcpPort(group, dialect, clock, (host, number + i if number else 0)))
         elif pty is not None:
             behind = None if emulated_radio is None else _behind(emulated_radio, group, dialect, seed)
-            ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind))
+            try:
+                ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind))
+            except ValueError as error:
+                raise LinkError(f"--radio: {error}") from None
     return run_loop(_serve(ports, clock, speedup))
 
 

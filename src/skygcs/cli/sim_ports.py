@@ -17,10 +17,12 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import cast
 
+from skygcs.cli.radio_emulated import port_rate, set_port_rate
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.sim.fleet import SimFleet
+from skygcs.core.sim.ground_radio import GroundRadio
 from skygcs.core.sim.radio import SimRadio
 from skygcs.core.sim.radio_fleet import RadioFleet
 from skygcs.core.sim.tdm import GROUND
@@ -190,7 +192,8 @@ class _TcpConnection(asyncio.Protocol):
 
 class PtyPort(SimPort):
     """A pseudo-terminal with a symlink to it: opened by others as a serial port with a radio. With ``air`` it is the
-    ground's port of an emulated network, slow and lossy as that is."""
+    ground's port of an emulated network, slow and lossy as that is, whose radio has a command line. Raises ValueError
+    if no radio has that network's serial rate."""
 
     def __init__(
         self,
@@ -203,6 +206,7 @@ class PtyPort(SimPort):
     ) -> None:
         super().__init__(vehicles, dialect, clock, radio)
         self._air = air
+        self._ground = None if air is None else GroundRadio(air)
         self._full = False
         self._path = Path(path)
         self._parser = FrameParser(dialect)
@@ -217,6 +221,8 @@ class PtyPort(SimPort):
             self._master, self._slave = pty.openpty()
             tty.setraw(self._slave)
             os.set_blocking(self._master, False)
+            if self._ground is not None:
+                set_port_rate(self._slave, self._ground.baud)
             self._device = os.ttyname(self._slave)
             # made beside and renamed: whoever waits for the path never sees it half made
             beside = self._path.with_name(f".{self._path.name}.{os.getpid()}")
@@ -254,9 +260,9 @@ class PtyPort(SimPort):
             super().pump()
             return
         now = self._clock.now()
-        frames = self._air.step(now)
-        if frames:
-            self.write(frames)
+        assert self._ground is not None
+        if output := self._ground.step(self._air.step(now), now, port_rate(self._master)):
+            self.write([output])
         if self._full and self._air.network.backlog_bytes(GROUND, now) < DRIVER_BYTES / 2:
             self._full = False
             asyncio.get_running_loop().add_reader(self._master, self._on_readable)
@@ -275,6 +281,8 @@ class PtyPort(SimPort):
             data = os.read(self._master, READ_BYTES if self._air is None else DRIVER_BYTES)
         except (BlockingIOError, OSError):
             return
+        if self._ground is not None:
+            data = self._ground.hear(data, self._clock.now(), port_rate(self._master))
         self.hear(self._parser.feed(data))
         if self._air is not None and self._air.network.backlog_bytes(GROUND, self._clock.now()) >= DRIVER_BYTES:
             self._full = True

@@ -154,6 +154,11 @@ class AtRadio:
         if not self.command_mode and not self.faults.silent:
             self._output += data
 
+    def take_traffic(self) -> bytes:
+        """What was heard as data since the last call."""
+        traffic, self.traffic = self.traffic, b""
+        return traffic
+
     def advance(self, now: float) -> None:
         """Let time pass: the guard time after "+++", and answers of remote radios."""
         if self._plus == 3 and now - self._last_heard >= GUARD_S:
@@ -280,7 +285,7 @@ class AtRadio:
             return
         for radio in self.remotes:
             mine, other = self._value("NODEID"), radio._value("NODEID")
-            if not self._hears(radio) or (mine is not None and comma and node != str(other)):
+            if not self.hears(radio) or (mine is not None and comma and node != str(other)):
                 continue
             if body == "Z":
                 radio._restart(now)
@@ -292,7 +297,8 @@ class AtRadio:
             self._later.append((now + REMOTE_DELAY_S, text.encode()))
             return
 
-    def _hears(self, other: AtRadio) -> bool:
+    def hears(self, other: AtRadio) -> bool:
+        """Whether what one sends reaches the other: that one is on, and their settings since they started agree."""
         alike = ("NETID", "AIR_SPEED", "ECC", "MIN_FREQ", "MAX_FREQ", "NUM_CHANNELS")
         return not other.faults.silent and all(
             self._value(name, self._in_force) == other._value(name, other._in_force) for name in alike

@@ -29,6 +29,8 @@ class RadioFleet:
     def __init__(self, vehicles: list[SimVehicle], network: TdmNetwork, dialect: Dialect) -> None:
         self.fleet = SimFleet(vehicles)
         self.network = network
+        self.cut_off: frozenset[int] = frozenset()
+        """Nodes whose radios have other settings than the ground's: neither hears the other."""
         self.not_sent = 0
         """Frames that an autopilot had no room for."""
         self._parser = FrameParser(dialect)
@@ -58,14 +60,16 @@ class RadioFleet:
 
     def _send(self, node: int, raw: bytes, now: float) -> None:
         network = self.network
+        if node in self.cut_off:
+            return
         if network.backlog_bytes(node, now) + len(raw) > UART_BYTES or not network.has_room(node, len(raw)):
             self.not_sent += 1
             return
         network.write(node, raw, now)
 
     def _hear(self, node: int, raw: bytes, now: float) -> None:
-        if node > len(self.fleet.vehicles):
-            return  # a spare radio, with nobody behind it
+        if node > len(self.fleet.vehicles) or node in self.cut_off:
+            return  # a spare radio, with nobody behind it, or one of another network
         if raw is not self._parsed[0]:  # what the ground sends comes to one vehicle after the other
             self._parsed = (raw, self._parser.feed_datagram(raw))
         vehicle = self.fleet.vehicles[node - 1]
