@@ -64,8 +64,8 @@ class Fence:
         return self.why_not(lat_deg, lon_deg, alt_amsl_m, reference=reference) is None
 
     def holds(self, point_m: Vector) -> bool:
-        """Whether a vehicle may be there: of a place on earth, by its `geo.ecef`, what `contains` says. For each position
-        that comes; `why_not` tells why it does not."""
+        """Whether a vehicle may be there: of a place on earth, by its `geo.ecef`, what `contains` says. `why_not` tells
+        why not."""
         x_m, y_m, up_m = self._frame.from_ecef(point_m)
         (x_low, x_high), (y_low, y_high), (low, high) = self.x_m, self.y_m, self.up_m
         return x_low <= x_m <= x_high and y_low <= y_m <= y_high and low - self.margin_m <= up_m <= high
