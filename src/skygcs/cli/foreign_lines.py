@@ -8,6 +8,7 @@ SHOWN_SOURCES = 8
 """Of the most who send; the rest is counted."""
 
 WORDS = {
+    "corrections": "corrections",
     "slowed": "slowed",
     "thinned": "too often",
     "repeated": "repeated",

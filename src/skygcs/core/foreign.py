@@ -234,6 +234,7 @@ class ForeignTraffic:
         if self.rules.rates_hz.get(msgid, 1.0) <= 0 and not is_emergency(frame):
             return self._refused("rate", frame, source)
         if msgid == GPS_RTCM_DATA:
+            source.count("corrections")
             return Ruling("correction")
         if msgid == HEARTBEAT and frame.source >> 8 == self.own_sysid:
             source.count("needless")  # ours goes anyway, and vehicles tell stations apart by system (airtime.md)

@@ -109,7 +109,8 @@ BUILT_IN: dict[int, Allotment] = {
 }
 """By message id, for each source."""
 
-_ORDER_BYTES = 33
+_CONFIRMATION_AT = 32
+"""Last byte of a COMMAND_LONG's payload."""
 _PARAM12 = struct.Struct("<ff")
 
 
@@ -129,7 +130,7 @@ class ForeignFrame(NamedTuple):
         """What a repeat has in common with it. Sequence numbers and a COMMAND_LONG's count of repeats differ."""
         payload = self.payload
         if self.msgid == COMMAND_LONG:
-            payload = payload[: _ORDER_BYTES - 1].rstrip(b"\0")
+            payload = payload[:_CONFIRMATION_AT].rstrip(b"\0")
         return self.source, self.msgid, payload
 
 

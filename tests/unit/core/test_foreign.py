@@ -330,7 +330,9 @@ def test_files_of_all_or_of_none() -> None:
 
 
 def test_corrections_are_somebody_elses() -> None:
-    assert Radio().offer("GPS_RTCM_DATA", len=3, data=[1, 2, 3]).outcome == "correction"
+    radio = Radio()
+    assert radio.offer("GPS_RTCM_DATA", len=3, data=[1, 2, 3]).outcome == "correction"
+    assert radio.counts() == {"sent": 0, "corrections": 1}
 
 
 # -- parameter lists
