@@ -228,7 +228,8 @@ def _scaled(demand: LinkDemand, factor: float) -> dict[str, float]:
     return {name: rate if name in kept else rate * scale for name, rate in demand.rates_hz.items()}
 
 
-GOTO = "one goto per vehicle (47 B each) instead of streaming setpoints"
+GOTO = "one goto per vehicle (47 B each; land and rtl for all of them in one frame) instead of streaming setpoints"
+"""A goto is a COMMAND_INT; what all are told alike goes out as one broadcast COMMAND_LONG (`runtime.fleet`)."""
 
 
 def _proposals(demand: LinkDemand) -> list[str]:
