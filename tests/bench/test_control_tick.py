@@ -16,7 +16,6 @@ import socket
 import statistics
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -134,10 +133,10 @@ class TimeOfItsOwn:
     def time(self) -> float:
         return self.now
 
-    def call_at(self, when: float, callback: Callable[..., object], *args: object) -> asyncio.TimerHandle:
-        timer = self._loop.call_later(3600.0, callback, *args)
+    def call_at(self, when: float, callback: Callable[[], object]) -> asyncio.TimerHandle:
+        timer = self._loop.call_later(3600.0, callback)
         self._timers.append(timer)
-        self.fire = partial(callback, *args)
+        self.fire = callback
         return timer
 
     def __getattr__(self, name: str) -> Any:
