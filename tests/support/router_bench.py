@@ -255,12 +255,16 @@ def spread(values: list[float]) -> dict[str, float]:
 
 
 def interleaved(rounds: int, cases: Mapping[str, Callable[[], dict[str, float]]]) -> dict[str, dict[str, list[float]]]:
-    """Run every case once per round, in turn; all figures of each by name."""
-    rows: dict[str, dict[str, list[float]]] = {}
-    for _ in range(rounds):
-        for name, case in cases.items():
-            for key, value in case().items():
-                rows.setdefault(name, {}).setdefault(key, []).append(value)
+    """Run every case once per round, in turn; all figures of each by name, in the order of the rounds.
+
+    Each round begins with another one: of two equal routers the one that always came first cost 3 % more (40 rounds).
+    """
+    rows: dict[str, dict[str, list[float]]] = {name: {} for name in cases}
+    names = list(cases)
+    for n in range(rounds):
+        for name in names[n % len(names) :] + names[: n % len(names)]:
+            for key, value in cases[name]().items():
+                rows[name].setdefault(key, []).append(value)
     return rows
 
 
