@@ -223,7 +223,8 @@ typedef struct Flow {
     Out **outs;
     int n_outs, newest_size, touched;
     uint32_t msgid;
-    PyObject *info, *slot, *watches; /* slot, watches: or None */
+    const Message *message;
+    PyObject *slot, *watches; /* or None */
     PyObject *steady, *again;        /* steady: None, or the payload it has to have; again(now): once a burst */
     const uint8_t *newest;           /* in the burst's slots */
     long count;
@@ -263,7 +264,7 @@ static void free_source(void *value) {
 static void free_flow(void *value) {
     Flow *flow = value;
     for (int i = 0; i < flow->n_outs; i++) Py_DECREF(flow->outs[i]);
-    Py_DECREF(flow->info), Py_DECREF(flow->slot), Py_DECREF(flow->watches), Py_DECREF(flow->steady), Py_DECREF(flow->again);
+    Py_DECREF(flow->slot), Py_DECREF(flow->watches), Py_DECREF(flow->steady), Py_DECREF(flow->again);
     PyMem_Free(flow->outs);
     PyMem_Free(flow);
 }
@@ -336,7 +337,7 @@ static PyObject *lane_let_through(Lane *lane, PyObject *args) {
     for (; flow->n_outs < PyTuple_GET_SIZE(outs); flow->n_outs++)
         flow->outs[flow->n_outs] = (Out *)Py_NewRef(PyTuple_GET_ITEM(outs, flow->n_outs));
     flow->source = known, flow->msgid = (uint32_t)msgid;
-    flow->info = Py_NewRef(message->info), flow->slot = Py_NewRef(slot), flow->watches = Py_NewRef(watches);
+    flow->message = message, flow->slot = Py_NewRef(slot), flow->watches = Py_NewRef(watches);
     flow->steady = Py_NewRef(steady), flow->again = Py_NewRef(again);
     if (!map_put(&lane->flows, flow_key(peer, source, flow->msgid), flow)) return free_flow(flow), NULL;
     Py_RETURN_NONE;
@@ -361,8 +362,7 @@ static int find_frame(const Lane *lane, const Peer *peer, const uint8_t *data, i
     unsigned source = (unsigned)ids[0] << 8 | ids[1];
     Flow *flow = size <= left ? map_get(&lane->flows, flow_key(peer, source, msgid)) : NULL;
     if (!flow || (flow->watches != Py_None && PyList_GET_SIZE(flow->watches))) return 0;
-    const Table *table = lane->table;
-    const Message *message = map_get(&table->messages, msgid + 1);
+    const Message *message = flow->message;
     if (!v2 && (length < message->min_length || length > message->length)) return 0;
     if (message->target_at >= 0 && message->target_at < length && data[head + message->target_at]) return 0;
     if (flow->steady != Py_None && (PyBytes_GET_SIZE(flow->steady) != length ||
@@ -459,7 +459,7 @@ static int tell_slot(Lane *lane, Flow *flow, long count, PyObject *now) {
         *(PyObject **)((char *)frame + at[2]) = PyLong_FromLong(raw[v2 ? 5 : 3]);
         *(PyObject **)((char *)frame + at[3]) = PyLong_FromLong(raw[v2 ? 6 : 4]);
         *(PyObject **)((char *)frame + at[4]) = PyLong_FromLong((long)flow->msgid);
-        *(PyObject **)((char *)frame + at[5]) = Py_NewRef(flow->info);
+        *(PyObject **)((char *)frame + at[5]) = Py_NewRef(flow->message->info);
     }
     int good = frame && !PyErr_Occurred() && !PyObject_SetAttr(flow->slot, s_frame, frame) && !PyObject_SetAttr(flow->slot, s_at, now) &&
                add(flow->slot, s_count, count);
