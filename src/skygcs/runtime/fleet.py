@@ -24,9 +24,10 @@ from skygcs.errors import RefusedError, TargetError
 from skygcs.links.base import Noted
 from skygcs.runtime.commander import Carrier, SendFn
 from skygcs.runtime.errands import Errands
+from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_all import examine_all, meant
-from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
+from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.world import World
 
 __all__ = ["Fleet", "OnEvent", "SendFn"]

@@ -1,4 +1,4 @@
-"""The asyncio side of one vehicle: it is given orders, carries out their plans and tells how each ended.
+"""What one vehicle can be ordered: it is given orders, carries out their plans and tells how each ended.
 
 Every order answers with one Outcome and never raises for what the vehicle or skygcs refuses. Orders are safe to cancel.
 A newer order that moves the vehicle takes the place of an older one that is still in the making: a takeoff that waits
@@ -7,253 +7,32 @@ for its arming goes no further once a landing is ordered.
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Unpack
 
-from skygcs.config.models import VehicleConfig
 from skygcs.core.control.guard import Way
 from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
-from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.vehicle import mission_orders, orders
 from skygcs.core.vehicle import stop as stopping
-from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
-from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.goals import Place
-from skygcs.core.vehicle.pilot import PilotState
 from skygcs.core.vehicle.plan import Plan
-from skygcs.core.vehicle.snapshot import latest_message
 from skygcs.core.vehicle.stop import Action
-from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.core.vehicle.worldview import setpoint_from_world, shown
+from skygcs.core.vehicle.worldview import setpoint_from_world
 from skygcs.errors import RefusedError
-from skygcs.links.base import Noted
-from skygcs.runtime.commander import Commander, SendFn
-from skygcs.runtime.fence import FenceOutcome, VehicleFence
-from skygcs.runtime.flight_control import FlightControl
-from skygcs.runtime.missions import MESSAGES as MISSION_MESSAGES
-from skygcs.runtime.missions import Missions
-from skygcs.runtime.order_runner import OrderRunner
+from skygcs.runtime.fence import FenceOutcome
+from skygcs.runtime.live_vehicle import LiveVehicle
 from skygcs.runtime.origin_push import both, home_at, push_origin
-from skygcs.runtime.param_cache import ParamCache
-from skygcs.runtime.params import VehicleParams
 from skygcs.runtime.plan_runner import two_of_one_id
-from skygcs.runtime.planned_streams import PlannedStreams
-from skygcs.runtime.preflight import Preflight
-from skygcs.runtime.upkeep import Upkeep
-
-HEARTBEAT = 0
-COMMAND_ACK = 77
-TIMESYNC = 111
-
-OnEvent = Callable[[Event], None]
 
 
-class VehicleActor:
-    """One vehicle of the fleet. `on_frame` and `tick` are the fleet's; the coroutines are orders."""
-
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        config: VehicleConfig,
-        own: tuple[int, int],
-        dialect: Dialect,
-        send: SendFn,
-        loop: asyncio.AbstractEventLoop,
-        on_event: OnEvent,
-        *,
-        log_dir: Path = Path("logs"),
-        uplink_bytes_per_s: Callable[[], float] = lambda: math.inf,
-        stream_refusal: Callable[[bool], str | None] = lambda px4: None,
-        param_cache: ParamCache | None = None,
-        configured: bool | None = None,
-        preflight_valid_s: float = math.inf,
-        heard: Callable[[], Mapping[str, LinkFacts]] = dict,
-    ) -> None:
-        """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints;
-        ``stream_refusal`` (whether it is a PX4): why it bears no stream of them.
-
-        ``param_cache``: where its parameters are kept; None: nowhere. ``configured``, ``preflight_valid_s``, ``heard``
-        (how, by link): see `Preflight`.
-        """
-        self.vehicle = vehicle
-        self.config = config
-        self.commander = Commander((vehicle.sysid, vehicle.compid), own, dialect, send, loop)
-        self.channel = ""
-        """Label of the channel its last heartbeat came over."""
-        self._dialect = dialect
-        self._loop = loop
-        self._on_event = on_event
-        self.planned = PlannedStreams(vehicle, self.commander, dialect, own)
-        self._orders = OrderRunner(
-            vehicle, self.commander, dialect, loop, on_event, release=lambda reason: self.flight.release(reason)
-        )
-        self.flight = FlightControl(
-            vehicle,
-            config.control,
-            self.commander,
-            dialect,
-            loop,
-            execute=self._orders.plans.execute,
-            attempt=self._orders.attempt_kept,
-            position_hz=config.streams.get("GLOBAL_POSITION_INT"),
-            plan_position=self.planned.want_position,
-            on_event=on_event,
-            log_dir=log_dir,
-            uplink_bytes_per_s=uplink_bytes_per_s,
-            stream_refusal=stream_refusal,
-        )
-        self.params = VehicleParams(
-            vehicle,
-            dialect,
-            send,
-            loop,
-            on_event,
-            param_cache or ParamCache(None),
-            own=own,
-            link_bytes_per_s=uplink_bytes_per_s,
-        )
-        self.missions = Missions(vehicle, self.commander, dialect, loop, self._orders.report, on_event)
-
-        async def ask(message: str) -> Outcome:
-            return await self._orders.attempt(lambda now: orders.request_message(vehicle, now, dialect, message))
-
-        self.fence = VehicleFence(vehicle, self.params, dialect, loop, on_event, ask, log_dir=log_dir)
-        self.preflight = Preflight(
-            vehicle,
-            config,
-            self.params,
-            dialect,
-            lambda message: self._orders.attempt(lambda now: orders.request_message(vehicle, now, dialect, message)),
-            loop,
-            gcs_sysid=own[0],
-            configured=configured,
-            valid_s=preflight_valid_s,
-            links=heard,
-        )
-        self._upkeep = Upkeep(
-            vehicle, self.commander, dialect, config.streams, self._orders.attempt, self._on_fault, loop
-        )
-        self._read: dict[int, Callable[[Frame, float], None]] = {
-            COMMAND_ACK: self._on_ack,
-            TIMESYNC: self.flight.on_timesync,
-            **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
-            **dict.fromkeys(self.params.messages, self.params.on_frame),
-        }
-        """Messages of which every one counts, and who reads them."""
-
-    @property
-    def name(self) -> str:
-        return self.vehicle.name
-
-    @property
-    def sysid(self) -> int:
-        return self.vehicle.sysid
-
-    @property
-    def compid(self) -> int:
-        return self.vehicle.compid
-
-    @property
-    def groups(self) -> tuple[str, ...]:
-        return self.vehicle.groups
-
-    def state(self, now: float) -> dict[str, Any]:
-        """Snapshot for people and programs (`core.vehicle.state`)."""
-        state = dict(self.vehicle.snapshot(now, time.time()))
-        if self.flight.pilot.state is not PilotState.OFF:
-            state["control"] = self.control_state(now)
-        if self.planned.active:
-            self.planned.add_to(state)
-        return state
-
-    def latest(self, message: str | int) -> dict[str, Any] | None:
-        """The last one of a message, whole: its fields, age, rate and count; None if none has come.
-
-        Raises RefusedError for a name the dialect lacks.
-        """
-        msgid, _ = orders.find_message(self._dialect, message)
-        return latest_message(self.vehicle, msgid, self._loop.time())
-
-    @property
-    def duplicate(self) -> bool:
-        """Whether two vehicles speak under this system id: nobody can say which of them an order would reach."""
-        return self.vehicle.duplicate
-
-    @duplicate.setter
-    def duplicate(self, value: bool) -> None:
-        self.vehicle.duplicate = value
-        if value:  # what is told is of two vehicles, and both would hear what is sent to one
-            self.flight.release(f"two vehicles with system id {self.sysid} are on the air")
-            self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air")
-
-    def set_origin(self, origin: Origin | None, generation: int) -> None:
-        """The fleet's world frame from now on, and its number; see `World`."""
-        self.vehicle.origin = origin
-        self.vehicle.origin_generation = generation
-        self.flight.origin_changed()
-
-    def on_frame(self, frame: Frame, channel: str, now: float) -> None:
-        """One frame of this vehicle. Hot; never raises."""
-        events = self.vehicle.on_frame(frame, now)
-        commander = self.commander
-        if events:
-            self._publish(events, now)
-        if frame.msgid == HEARTBEAT:
-            self.channel = channel
-        elif (read := self._read.get(frame.msgid)) is not None:
-            read(frame, now)
-        if commander.busy:
-            commander.wake()
-
-    def _on_ack(self, frame: Frame, now: float) -> None:
-        if self.vehicle.last_ack is not None:
-            self.commander.on_ack(self.vehicle.last_ack, now)
-            self.planned.on_ack(self.vehicle.last_ack, now)
-
-    def only_noted(self, frame: Frame, channel: str) -> Noted | None:
-        """How frames like this one are noted, if not each has to be given to `on_frame`."""
-        if frame.msgid in self._read:
-            return None
-        if frame.msgid == HEARTBEAT:
-            payload = frame.payload
-
-            def again(now: float) -> None:
-                events = self.vehicle.on_beat(payload, now)
-                if events:
-                    self._publish(events, now)
-                self.channel = channel
-
-            return Noted(self.vehicle.slots.get(HEARTBEAT), self.commander.watches, again)
-        slot = self.vehicle.only_noted(frame.msgid)
-        return None if slot is None else Noted(slot, self.commander.watches)
-
-    def tick(self, now: float) -> None:
-        """Once to ten times a second."""
-        events = self.vehicle.tick(now)
-        if events:
-            self._publish(events, now)
-        self._upkeep.planned, self._upkeep.busy = self.planned.active, not self.planned.settled
-        self._upkeep.tick(now)
-        if self.flight.pilot.active:
-            self.flight.refresh_budget()
-
-    def close(self) -> None:
-        self.flight.close()
-        self.missions.close()
-        self.params.close()
-        self._upkeep.close()
-        self.commander.close()
+class VehicleActor(LiveVehicle):
+    """One vehicle of the fleet and its orders, which are the coroutines."""
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
         """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over.
@@ -491,10 +270,6 @@ class VehicleActor:
         """Gains and limits of its control law."""
         return self.flight.gains()
 
-    def control_state(self, now: float) -> dict[str, Any]:
-        """How it is flown, in the fleet's world frame."""
-        return shown(self.flight.status(now), self.flight.pilot.frame, self.vehicle.origin)
-
     def plan(self, order: str) -> Plan | None:
         """What one of the orders land and rtl would do now; None if it would be refused."""
         now = self._loop.time()
@@ -518,29 +293,3 @@ class VehicleActor:
     async def _switched_off(self) -> Outcome:
         outcome = await self._orders.attempt(lambda now: orders.hold(self.vehicle, now))
         return replace(outcome, message=f"control is off; {outcome.message}")
-
-    def _publish(self, events: tuple[Event, ...], now: float) -> None:
-        for event in events:
-            if event.kind == "statustext":
-                self.commander.on_text(event.text)
-                self.missions.on_text(event.text)
-                self.fence.on_text(event.text)
-                self.params.on_text(event.text)
-                self.flight.on_text(event.text)
-            elif event.kind == "vehicle_lost":
-                self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
-                self.missions.stop("lost", f"the vehicle was lost: {event.text}")
-                self.params.stop_all("lost", f"the vehicle was lost: {event.text}")
-            elif event.kind == "reboot":
-                self.commander.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
-                self.commander.stop_all("lost", "the vehicle rebooted")
-                self.missions.stop("lost", "the vehicle rebooted")
-                self.params.stop_all("lost", "the vehicle rebooted")
-                self.flight.release("the vehicle rebooted")
-                self.preflight.forget()
-                self._upkeep.restart(now)
-                self.planned.restart()
-            self._on_event(event)
-
-    def _on_fault(self, text: str) -> None:
-        self._on_event(Event("fault", self.name, self.sysid, text, {}))

@@ -9,7 +9,8 @@ from skygcs.core.geo import EAST_DEG, Origin
 from skygcs.core.vehicle import origin as origins
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import RefusedError
-from skygcs.runtime.vehicle_actor import OnEvent, VehicleActor
+from skygcs.runtime.live_vehicle import OnEvent
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 
 class World:
