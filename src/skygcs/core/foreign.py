@@ -67,8 +67,9 @@ SOURCE_GONE_S = 30.0
 MAX_WAITING, MAX_WAITING_OF_ONE = 512, 64
 """Frames that wait for their source's turn. More are dropped, the oldest first: whoever asked has asked again."""
 
-TELL_AFTER = 5
-"""Frames left out before it is told that somebody sends too many: a station that connects sends two of something."""
+TELL_AFTER, TELL_AFTER_S = 5, 2.0
+"""Frames left out, and over how long, before it is told that somebody sends too many: a station that connects sends
+some of everything at once, which is no rate."""
 
 MAX_NOTES = 64
 
@@ -275,7 +276,7 @@ class ForeignTraffic:
             return ruling
         if not allotment.waits:
             source.count("thinned")
-            self._note_thinned(frame, source, now)
+            self._note_thinned(frame, source, allotment.hz, now)
             return Ruling("refuse")
         if ruling.key in line.frames:
             source.count("repeated")
@@ -354,11 +355,14 @@ class ForeignTraffic:
 
     # -- telling
 
-    def _note_thinned(self, frame: ForeignFrame, source: Source, now: float) -> None:
+    def _note_thinned(self, frame: ForeignFrame, source: Source, hz: float, now: float) -> None:
+        """``hz``: how many of them go; those are not among the ones left out, which are counted here."""
+        if frame.msgid == HEARTBEAT:
+            return  # every station sends one a second, and nobody is to change that
         number, since = source.thinned.get(frame.msgid, (0, now))
         source.thinned[frame.msgid] = number + 1, since
-        if number + 1 >= TELL_AFTER and now > since:
-            self._note("thinned", frame, source, number / (now - since))
+        if number + 1 >= TELL_AFTER and now - since >= TELL_AFTER_S:
+            self._note("thinned", frame, source, hz + number / (now - since))
 
     def _note(self, kind: str, frame: ForeignFrame, source: Source, hz: float) -> None:
         mark = (kind, frame.msgid if kind in ("rate", "thinned") else 0)

@@ -209,10 +209,30 @@ def test_clock_messages_are_thinned_per_source_and_it_is_told_how_fast_they_came
     assert radio.counts(MAVROS)["thinned"] > TELL_AFTER
 
 
-def test_two_of_something_at_once_are_no_reason_to_tell() -> None:
+@pytest.mark.parametrize("number", [3, 50])
+def test_some_at_once_are_no_rate_to_tell_of(number: int) -> None:
     radio = Radio()
-    for _ in range(3):
-        radio.offer("TIMESYNC", tc1=1)
+    for n in range(number):
+        radio.now += 0.001
+        radio.offer("TIMESYNC", tc1=n + 1)
+    assert not radio.traffic.notes
+
+
+def test_a_rate_that_is_told_counts_those_that_go_too() -> None:
+    radio = Radio()
+    for n in range(20):
+        radio.now += 1.0
+        radio.offer("PING", time_usec=n + 1)
+    (note,) = radio.traffic.notes
+    assert note.hz == pytest.approx(1.0, rel=0.2)
+
+
+def test_a_stations_usual_heartbeat_is_thinned_without_a_word() -> None:
+    radio = Radio()
+    for _ in range(30):
+        radio.now += 1.0
+        radio.offer("HEARTBEAT", QGC, type=6)
+    assert radio.counts(QGC)["thinned"] >= 14
     assert not radio.traffic.notes
 
 
