@@ -154,17 +154,26 @@ def draw(table: dict[str, Any]) -> None:
     matplotlib.use("svg")
     matplotlib.rcParams["svg.fonttype"] = "none"
     from matplotlib import pyplot
+    from matplotlib.ticker import NullFormatter, NullLocator
 
     cases = [case for case in table if case != "lossless"]
-    figure, panels = pyplot.subplots(1, len(cases), figsize=(4 * len(cases), 3), sharey=True, layout="constrained")
+    figure, panels = pyplot.subplots(1, len(cases), figsize=(3.4 * len(cases), 2.8), sharey=True, layout="constrained")
     for panel, case in zip(panels, cases, strict=True):
         names = list(table[case])[::-1]
         costs = [table[case][n]["cpu_us"] for n in names]
         middle = [c["median"] for c in costs]
         errors = [[c["median"] - c["min"] for c in costs], [c["max"] - c["median"] for c in costs]]
-        panel.barh(names, middle, xerr=errors, color="#4477aa")
+        colors = ["#4477aa" if name.startswith("skygcs") else "#bbbbbb" for name in names]
+        panel.barh(names, middle, xerr=errors, color=colors, ecolor="#333333")
+        for y, cost in enumerate(costs):
+            panel.text(cost["max"] * 1.12, y, f"{cost['median']:.3g}", va="center", fontsize=8)
         panel.set_xscale("log")
-        panel.set_title(case)
-        panel.set_xlabel("CPU per frame [µs]")
+        panel.set_xlim(min(middle) / 2, max(middle) * 3)
+        ticks = [t for t in (1, 2, 5, 10, 20, 50, 100, 200, 500) if min(middle) / 2 < t < max(middle) * 3]
+        panel.set_xticks(ticks, [str(t) for t in ticks])
+        panel.xaxis.set_minor_locator(NullLocator())
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.set_title(case, fontsize=10)
+        panel.set_xlabel("CPU per frame, µs (log)")
     figure.savefig(OUT / "router.svg", metadata={"Date": None})
     pyplot.close(figure)
