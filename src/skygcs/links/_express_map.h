@@ -3,7 +3,8 @@
 #include <stdint.h>
 
 /* A value of NULL is no entry. */
-typedef struct { uint64_t *keys; void **values; size_t mask, used; } Map;
+typedef struct { uint64_t key; void *value; } Cell;
+typedef struct { Cell *cells; size_t mask, used; } Map;
 
 static size_t mixed(uint64_t key) {
     key *= 0x9E3779B97F4A7C15u;
@@ -12,15 +13,15 @@ static size_t mixed(uint64_t key) {
 
 static void **map_slot(Map *map, uint64_t key) {
     size_t i = mixed(key) & map->mask;
-    while (map->keys[i] != key && map->keys[i]) i = (i + 1) & map->mask;
-    map->keys[i] = key;
-    return &map->values[i];
+    while (map->cells[i].key != key && map->cells[i].key) i = (i + 1) & map->mask;
+    map->cells[i].key = key;
+    return &map->cells[i].value;
 }
 
 static void *map_get(const Map *map, uint64_t key) {
     if (!map->used) return NULL;
-    for (size_t i = mixed(key) & map->mask; map->keys[i]; i = (i + 1) & map->mask)
-        if (map->keys[i] == key) return map->values[i];
+    for (size_t i = mixed(key) & map->mask; map->cells[i].key; i = (i + 1) & map->mask)
+        if (map->cells[i].key == key) return map->cells[i].value;
     return NULL;
 }
 
@@ -28,16 +29,10 @@ static void *map_get(const Map *map, uint64_t key) {
 static int map_put(Map *map, uint64_t key, void *value) {
     if (map->used * 2 >= map->mask) {
         Map bigger = {.mask = map->mask ? map->mask * 2 + 1 : 255};
-        bigger.keys = PyMem_Calloc(bigger.mask + 1, sizeof *bigger.keys);
-        bigger.values = PyMem_Calloc(bigger.mask + 1, sizeof *bigger.values);
-        if (!bigger.keys || !bigger.values) {
-            PyMem_Free(bigger.keys), PyMem_Free(bigger.values);
-            PyErr_NoMemory();
-            return 0;
-        }
+        if (!(bigger.cells = PyMem_Calloc(bigger.mask + 1, sizeof *bigger.cells))) return PyErr_NoMemory(), 0;
         for (size_t i = 0; map->mask && i <= map->mask; i++)
-            if (map->values[i]) *map_slot(&bigger, map->keys[i]) = map->values[i], bigger.used++;
-        PyMem_Free(map->keys), PyMem_Free(map->values);
+            if (map->cells[i].value) *map_slot(&bigger, map->cells[i].key) = map->cells[i].value, bigger.used++;
+        PyMem_Free(map->cells);
         *map = bigger;
     }
     void **slot = map_slot(map, key);
@@ -48,7 +43,7 @@ static int map_put(Map *map, uint64_t key, void *value) {
 
 static void map_clear(Map *map, void (*free_value)(void *)) {
     for (size_t i = 0; map->mask && i <= map->mask; i++)
-        if (map->values[i]) free_value(map->values[i]);
-    PyMem_Free(map->keys), PyMem_Free(map->values);
+        if (map->cells[i].value) free_value(map->cells[i].value);
+    PyMem_Free(map->cells);
     *map = (Map){0};
 }
