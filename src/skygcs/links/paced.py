@@ -192,7 +192,9 @@ class AirBudget:
 
         def is_outdated(entry: Outgoing) -> bool:
             frame = parse(entry, self._messages) if type(entry) is bytes else None
-            return frame is not None and frame.target == stopped.target and is_order(frame) and not is_emergency(frame)
+            if frame is None or stopped.target not in (0, frame.target):
+                return False
+            return is_order(frame) and not is_emergency(frame)
 
         self._lost += self.queue.drop(Priority.COMMAND, is_outdated) + self.queue.drop(Priority.FORWARDED, is_outdated)
 

@@ -206,6 +206,17 @@ def test_what_was_ordered_before_a_stop_does_not_reach_the_vehicle_after_it() ->
     assert "PARAM_SET" in {f.name for f in names}
 
 
+def test_a_stop_for_all_overtakes_what_was_ordered_of_anyone() -> None:
+    line = Line()
+    for number in range(6):
+        for vehicle in (3, 4):
+            line.offer("COMMAND_LONG", target_system=vehicle, command=22, param7=float(number))
+    assert line.offer("COMMAND_LONG", target_system=0, command=400, param2=21196.0)
+    names = [FrameParser(DIALECT).feed_datagram(raw)[0] for _, raw, _ in line.run(10.0) if isinstance(raw, bytes)]
+    stop = next(n for n, f in enumerate(names) if f.fields()["command"] == 400)
+    assert not names[stop + 1 :]
+
+
 @pytest.mark.parametrize("ours", [True, False])
 def test_corrections_go_whole_within_their_share_and_after_commands(ours: bool) -> None:
     line = Line()
