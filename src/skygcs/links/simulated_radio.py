@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Hashable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from skygcs.config.radio import EmulatedRadio, RadioKeys
-from skygcs.core.airtime import Priority, TxQueue
+from skygcs.core.airtime import Priority
 from skygcs.core.linkplan import BITS_PER_BYTE
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.pacing import RadioRates
@@ -15,8 +15,9 @@ from skygcs.core.sim.chance import Chance
 from skygcs.core.sim.radio_fleet import RadioFleet
 from skygcs.core.sim.tdm import GROUND, TdmConfig, TdmNetwork
 from skygcs.core.sim.vehicle import SimVehicle
-from skygcs.links.base import Channel, Link, Outgoing
-from skygcs.links.paced import AirBudget, foreign_rules
+from skygcs.links.base import Link, Outgoing
+from skygcs.links.paced import foreign_rules
+from skygcs.links.queued import QueuedChannel
 
 if TYPE_CHECKING:
     from skygcs.config import models
@@ -55,17 +56,13 @@ def rates_of(link: models.SimulatedLink) -> RadioRates:
     return RadioRates(link.radio.baud, air, link.nodes or link.radio.nodes, link.duty_cycle, link.uplink_share)
 
 
-class SimulatedRadioChannel(Channel):
+class SimulatedRadioChannel(QueuedChannel):
     """The port of the ground's radio. Of role "radio" it is paced; else it is written to as fast as it takes."""
 
     def __init__(self, link: Link, peer: str, air: RadioFleet, baud: int, rates: RadioRates | None) -> None:
-        super().__init__(link, peer)
-        self.queue: TxQueue[Outgoing] = TxQueue()
-        if rates is not None:
-            dialect = link.host.dialect
-            rules = foreign_rules(link.config.foreign, dialect) if isinstance(link.config, RadioKeys) else None
-            self.air = AirBudget(self.queue, rates, link.loop.time(), rules, dialect)
-        self._line: TxQueue[Outgoing] | AirBudget = self.queue if self.air is None else self.air
+        keys = link.config if rates is not None and isinstance(link.config, RadioKeys) else None
+        foreign = None if keys is None else foreign_rules(keys.foreign, link.host.dialect)
+        super().__init__(link, peer, rates, foreign)
         self._radio: RadioFleet | None = air
         self._byte_s = BITS_PER_BYTE / baud
         self._limit = SHALLOW_BYTES if rates is not None else KERNEL_BYTES
@@ -78,14 +75,7 @@ class SimulatedRadioChannel(Channel):
         if self._radio is None:
             self.tx_dropped += 1
             return False
-        if self.air is None:
-            counters = self.queue.counters[priority]
-            lost = counters.dropped + counters.refused
-            taken = self.queue.offer(outgoing, priority, self._loop.time(), key)
-            self.tx_dropped += counters.dropped + counters.refused - lost
-        else:
-            taken = self.air.offer(outgoing, priority, self._loop.time(), key, signed=self.signing is not None)
-            self.tx_dropped += self.air.take_lost()
+        taken = self._offer(outgoing, priority, self._loop.time(), key)
         self._pump()
         return taken
 
@@ -96,9 +86,6 @@ class SimulatedRadioChannel(Channel):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-
-    def counters(self) -> dict[str, Any]:
-        return {**super().counters(), "tx_waiting": len(self._line)}
 
     def _pump(self) -> None:
         if self._timer is not None:
@@ -111,9 +98,7 @@ class SimulatedRadioChannel(Channel):
                 if self._line:
                     self._later(now + max(self._limit / 2 * self._byte_s, 0.002))
                 return
-            popped = self._line.pop(now)
-            if self.air is not None:
-                self.tx_dropped += self.air.take_lost()
+            popped = self._pop(now)
             if popped is None:
                 at = self._line.next_send_time(now)
                 if at is not None:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable, Hashable
-from typing import Any
 
-from skygcs.core.airtime import Priority, TxQueue
+from skygcs.core.airtime import Priority
 from skygcs.core.foreign import ForeignRules
 from skygcs.core.pacing import RadioRates
 from skygcs.links.base import Channel, Link, Outgoing
-from skygcs.links.paced import AirBudget
+from skygcs.links.queued import QueuedChannel
 from skygcs.links.readiness import Readiness
 
 RESCUE_AFTER_S = 0.1
@@ -84,7 +83,7 @@ class StreamIntake:
         self.rescue()
 
 
-class StreamChannel(Channel):
+class StreamChannel(QueuedChannel):
     """A channel over a non-blocking descriptor, which stays its owner's to close (after `close`).
 
     ``on_broken(channel, reason)`` is called once, from the loop, after the descriptor reported its end or an error or,
@@ -107,11 +106,7 @@ class StreamChannel(Channel):
         radio: RadioRates | None = None,
         foreign: ForeignRules | None = None,
     ) -> None:
-        super().__init__(link, peer)
-        self.queue: TxQueue[Outgoing] = TxQueue()
-        if radio is not None:
-            self.air = AirBudget(self.queue, radio, link.loop.time(), foreign, link.host.dialect)
-        self._line: TxQueue[Outgoing] | AirBudget = self.queue if self.air is None else self.air
+        super().__init__(link, peer, radio, foreign)
         self.bytes_per_s = bytes_per_s
         self.intake = StreamIntake(self)
         self._fd = fd
@@ -134,14 +129,7 @@ class StreamChannel(Channel):
         if self._closed:
             self.tx_dropped += 1
             return False
-        if self.air is None:
-            counters = self.queue.counters[priority]
-            lost = counters.dropped + counters.refused
-            taken = self.queue.offer(outgoing, priority, self._loop.time(), key)
-            self.tx_dropped += counters.dropped + counters.refused - lost
-        else:
-            taken = self.air.offer(outgoing, priority, self._loop.time(), key, signed=self.signing is not None)
-            self.tx_dropped += self.air.take_lost()
+        taken = self._offer(outgoing, priority, self._loop.time(), key)
         if not self._blocked and self._look is None:
             self._pump()
         return taken
@@ -159,9 +147,6 @@ class StreamChannel(Channel):
         self._look = self._due = self._stuck = None
         self.tx_dropped += self._line.clear() + bool(self._rest)
         self._rest = b""
-
-    def counters(self) -> dict[str, Any]:
-        return {**super().counters(), "tx_waiting": len(self._line)}
 
     def _on_ready(self) -> None:
         try:
@@ -186,9 +171,7 @@ class StreamChannel(Channel):
             if not rest:
                 if not self._has_room():
                     break
-                popped = self._line.pop(self._loop.time())
-                if self.air is not None:
-                    self.tx_dropped += self.air.take_lost()
+                popped = self._pop(self._loop.time())
                 if popped is None:
                     self._wait_for_budget()
                     break
