@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
-from skygcs.core.control.config import SEED_XY, SEED_Z, ControlConfig
+from skygcs.core.control.config import UTIAS_XY, UTIAS_Z, ControlConfig
 from skygcs.core.control.guard import Facts, GuardConfig, Way
 from skygcs.core.tlog import iter_records
 from skygcs.core.vehicle.goals import Place
@@ -49,7 +49,7 @@ class Replay:
         self.leanings: list[tuple[float, ...]] = []
         self._dialect = load_dialect("ardupilotmega")
         self._vehicle = Vehicle(sysid, 1, self._dialect)
-        law = ControlConfig(xy=SEED_XY, z=SEED_Z, hover_thrust=0.45)
+        law = ControlConfig(xy=UTIAS_XY, z=UTIAS_Z, hover_thrust=0.45)
         self._pilot = Obeyed(self._vehicle, PilotConfig(law, TOLERANT))
         self._next_step_at = 0.0
         self._run(capture, sysid, seconds)

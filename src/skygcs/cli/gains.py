@@ -21,16 +21,24 @@ PLOT_SUFFIXES = (".svg", ".png")
 
 def gains(
     xy: Annotated[
-        str | None, typer.Option("--xy", metavar="KP,KV,KI", help="Gains of x and y. [default: the seed's]")
+        str | None,
+        typer.Option(
+            "--xy", metavar="KP,KV,KI", help="Gains of x and y. [default: those of the UTIAS outdoor experiment]"
+        ),
     ] = None,
-    z: Annotated[str | None, typer.Option("--z", metavar="KP,KV,KI", help="Gains of z. [default: the seed's]")] = None,
+    z: Annotated[
+        str | None,
+        typer.Option("--z", metavar="KP,KV,KI", help="Gains of z. [default: those of the UTIAS outdoor experiment]"),
+    ] = None,
     hover: Annotated[
         float,
         typer.Option("--hover", metavar="THRUST", help="Normalised thrust that hovers: the plant gain is g/hover."),
     ] = 0.45,
     plant_gain: Annotated[
         str | None,
-        typer.Option("--plant-gain", metavar="G|XY,Z", help="Only this plant gain, instead of the seed's and g/hover."),
+        typer.Option(
+            "--plant-gain", metavar="G|XY,Z", help="Only this plant gain, instead of tilt's (g and 1) and g/hover."
+        ),
     ] = None,
     delay_s: Annotated[
         float | None,
@@ -45,9 +53,15 @@ def gains(
     ] = None,
     duration_s: Annotated[float, typer.Option("--duration", metavar="S", help="Of the step responses.")] = 30.0,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE", help="Draw them, as .svg or .png.")] = None,
+    full: Annotated[
+        bool, typer.Option("--full", help="Every table of the analysis, also for the default gains.")
+    ] = False,
     json_output: Json = False,
 ) -> None:
-    """Tell how stable control gains are, how much delay they bear, and which gains a link's delay asks for."""
+    """Show how stable control gains are, how much delay they bear, and which gains a link's delay asks for.
+
+    Without options: the default gains in short; any option, or --full, prints the whole analysis.
+    """
     _check("--hover", hover, 0.01, 1)
     _check("--reserve", reserve, 1, 100)
     _check("--duration", duration_s, 1, 600)
@@ -64,12 +78,12 @@ def gains(
     def command() -> int:
         from skygcs.cli.gains_report import gains_report
         from skygcs.cli.gains_study import Question
-        from skygcs.core.control.config import SEED_XY, SEED_Z, AxisGains
+        from skygcs.core.control.config import UTIAS_XY, UTIAS_Z, AxisGains
 
         try:
             question = Question(
-                xy=SEED_XY if xy_gains is None else AxisGains(*xy_gains),
-                z=SEED_Z if z_gains is None else AxisGains(*z_gains),
+                xy=UTIAS_XY if xy_gains is None else AxisGains(*xy_gains),
+                z=UTIAS_Z if z_gains is None else AxisGains(*z_gains),
                 hover=hover,
                 plant_gains=None if plant is None else (plant[0], plant[-1]),
                 delay_s=delay_s,
@@ -79,7 +93,8 @@ def gains(
             )
         except ValueError as error:
             raise typer.BadParameter(str(error)) from None
-        return gains_report(question, plot, json_output)
+        brief = question == Question() and not (full or json_output or plot)
+        return gains_report(question, plot, json_output, brief=brief)
 
     run_offline(command)
 

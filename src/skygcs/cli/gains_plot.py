@@ -18,7 +18,7 @@ LOWEST, HIGHEST = -0.5, 2.2
 
 CALM = 1.4
 
-PLANT_TEXTS = {"seed": "seed's analysis", "thrust": "normalised thrust", "given": "plant gain"}
+PLANT_TEXTS = {"tilt": "tilt angle and vertical acceleration", "thrust": "normalised thrust", "given": "plant gain"}
 
 
 def draw(answer: Answer, path: Path) -> None:

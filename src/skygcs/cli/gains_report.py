@@ -17,8 +17,10 @@ if TYPE_CHECKING:
 TABLE_TIMES_S = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 30.0)
 
 
-def gains_report(question: Question, plot: Path | None = None, json_output: bool = False) -> int:
-    """Compute, draw, print; 0. Raises SkygcsError if it cannot be drawn."""
+def gains_report(
+    question: Question, plot: Path | None = None, json_output: bool = False, *, brief: bool = False
+) -> int:
+    """Compute, draw, print; 0. ``brief`` prints a line per axis only. Raises SkygcsError if it cannot be drawn."""
     if plot is not None:
         from skygcs.cli.figure import require_matplotlib
 
@@ -30,11 +32,33 @@ def gains_report(question: Question, plot: Path | None = None, json_output: bool
         draw(answer, plot)
     if json_output:
         print(json.dumps(answer))
+    elif brief:
+        show_brief(answer)
     else:
         show(answer)
         if plot is not None:
             print(f"step responses drawn in {plot}")
     return 0
+
+
+HINT = """\
+Delay is telemetry age plus the setpoint's way up plus attitude lag; skygcs-cli track NAME measures the first two.
+Gains for your delay: skygcs-cli gains --delay 0.2     Every table: skygcs-cli gains --full"""
+
+
+def show_brief(answer: Answer) -> None:
+    """A line per axis for normalised thrust, which is what a vehicle flies by, and a hint."""
+    console = render.console()
+    console.print(f"default gains, hover thrust {answer['hover']:g}, step responses without delay")
+    for loop in answer["loops"]:
+        if loop["plant"] == "thrust":
+            found, step = loop["margins"], loop["steps"][0]
+            console.print(
+                f"{loop['axis']:<3} {gains_text(answer['gains'][loop['axis']]):<28} stable with up to "
+                f"{found['delay_margin_s']:.3f} s of delay, overshoot {100 * step['overshoot']:.0f} %, "
+                f"settles in {_settling(step)}"
+            )
+    console.print(HINT, style="dim")
 
 
 def show(answer: Answer) -> None:
@@ -54,10 +78,10 @@ def show(answer: Answer) -> None:
     console.print(_positions_table(answer))
     if any(loop["plant"] == "thrust" for loop in answer["loops"]):
         console.print(
-            "\nPlant thrust (G = g/hover) is what normalised thrust does: fly by it. Plant seed is the seed's analysis."
+            "\nPlant thrust (G = g/hover) is what normalised thrust does: fly by it. Plant tilt is the UTIAS report's analysis."
         )
-    if answer["seed_eq16"] is not None:
-        _show_eq16(console, answer["seed_eq16"])
+    if answer["utias_eq16"] is not None:
+        _show_eq16(console, answer["utias_eq16"])
 
 
 def gains_text(gains: Answer) -> str:
@@ -197,7 +221,7 @@ def _position(step: Answer, time_s: float) -> str:
 
 
 def _show_eq16(console: Console, rows: Answer) -> None:
-    console.print("\n[bold]The seed's Eq. 16[/bold]: the polynomial as (s + K'Px) (s² + K'Pv s + K'Iv)")
+    console.print("\n[bold]Eq. 16 of the UTIAS report[/bold]: the polynomial as (s + K'Px) (s² + K'Pv s + K'Iv)")
     table = _table("row", "", "G", "K'Px", "K'Iv", "K'Pv")
     for axis, row in rows.items():
         numbers = (f"{row[key]:.3f}" for key in ("kpx", "kiv", "kpv"))

@@ -10,7 +10,6 @@ from typing import Any
 from skygcs.core.control.analysis import (
     CONTINUOUS_PERIOD_S,
     DEFAULT_RESERVE,
-    SEED_HOVER,
     Loop,
     Margins,
     Suggestion,
@@ -21,7 +20,7 @@ from skygcs.core.control.analysis import (
     step_response,
     suggest,
 )
-from skygcs.core.control.config import GRAVITY_MPS2, SEED_XY, SEED_Z, AxisGains
+from skygcs.core.control.config import GRAVITY_MPS2, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains
 
 Answer = dict[str, Any]
 
@@ -42,12 +41,12 @@ PERIODS_PER_DELAY_MARGIN = 200
 class Question:
     """What is asked. Raises ValueError for gains that no loop can have.
 
-    ``plant_gains`` (xy, z) are looked at instead of the seed's and g/hover.
+    ``plant_gains`` (xy, z) replace those of tilt and of normalised thrust.
     """
 
-    xy: AxisGains = SEED_XY
-    z: AxisGains = SEED_Z
-    hover: float = SEED_HOVER
+    xy: AxisGains = UTIAS_XY
+    z: AxisGains = UTIAS_Z
+    hover: float = UTIAS_HOVER_THRUST
     plant_gains: tuple[float, float] | None = None
     delay_s: float | None = None
     reserve: float = DEFAULT_RESERVE
@@ -60,11 +59,12 @@ class Question:
 
     @property
     def plants(self) -> Mapping[str, tuple[float, float]]:
-        """Plant gains of xy and z: of the seed's analysis, and of normalised thrust."""
+        """Plant gains of xy and z. ``tilt``: the input is a tilt angle (xy) and a vertical acceleration (z), as in the UTIAS
+        report's Eqs. 7 to 16. ``thrust``: the input is normalised thrust."""
         if self.plant_gains is not None:
             return {"given": self.plant_gains}
         thrust = GRAVITY_MPS2 / self.hover
-        return {"seed": (GRAVITY_MPS2, 1.0), "thrust": (thrust, thrust)}
+        return {"tilt": (GRAVITY_MPS2, 1.0), "thrust": (thrust, thrust)}
 
     def loops(self) -> Iterator[tuple[str, str, Loop]]:
         """(axis, plant, loop) of each."""
@@ -73,9 +73,9 @@ class Question:
             yield "z", plant, Loop(self.z, z)
 
     @property
-    def of_seed(self) -> bool:
-        """Whether its Eq. 16 is about this."""
-        return (self.xy, self.z, self.plant_gains) == (SEED_XY, SEED_Z, None)
+    def of_utias(self) -> bool:
+        """True for the gains that Eq. 16 of the UTIAS report is about."""
+        return (self.xy, self.z, self.plant_gains) == (UTIAS_XY, UTIAS_Z, None)
 
 
 def study(question: Question) -> Answer:
@@ -87,7 +87,7 @@ def study(question: Question) -> Answer:
         "reserve": question.reserve,
         "rate_hz": question.rate_hz,
         "loops": [_loop(question, axis, plant, loop) for axis, plant, loop in question.loops()],
-        "seed_eq16": _seed_eq16() if question.of_seed else None,
+        "utias_eq16": _utias_eq16() if question.of_utias else None,
     }
 
 
@@ -164,9 +164,9 @@ def _step(question: Question, gains: str, loop: Loop, delay_s: float) -> Answer:
     }
 
 
-def _seed_eq16() -> Answer:
-    """Per row of the seed's Eq. 16 the factoring it comes from. G = -g in the y row is the seed's own."""
-    rows = {"x": Loop(SEED_XY, GRAVITY_MPS2), "y": Loop(SEED_XY, -GRAVITY_MPS2), "z": Loop(SEED_Z, 1.0)}
+def _utias_eq16() -> Answer:
+    """The factoring behind each row of the UTIAS report's Eq. 16. G = -g in the y row is the report's own."""
+    rows = {"x": Loop(UTIAS_XY, GRAVITY_MPS2), "y": Loop(UTIAS_XY, -GRAVITY_MPS2), "z": Loop(UTIAS_Z, 1.0)}
     return {
         axis: {
             "plant_gain": loop.plant_gain,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from skygcs.cli.table_flight import Flight
 
 DEFAULT_ARRIVE_M = 0.5
-"""A vehicle that holds by GPS in some wind moves within it; the seed's ground station had 0.25 m."""
+"""A vehicle that holds by GPS in some wind moves within it; the UTIAS ground station had 0.25 m."""
 
 DEFAULT_SEPARATION_M = 2.0
 """About four F450 airframes (0.45 m) with the error of two GPS receivers between them."""

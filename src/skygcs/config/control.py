@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skygcs.core.control.config import LARGEST_GAIN, SEED_XY, SEED_Z, AxisGains, ControlConfig
+from skygcs.core.control.config import LARGEST_GAIN, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import GuardConfig
 from skygcs.core.geo import Origin
@@ -24,9 +24,6 @@ Span = Annotated[tuple[float, float], Field(description="[least, most] in metres
 ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, 20.0
 VELOCITY_HZ, POSITION_HZ = 10.0, 5.0
 """Of `core.vehicle.pilot.PilotConfig`; a test compares them."""
-
-SEED_HOVER_THRUST = 0.45
-"""Of the seed's F450 (field-notes 2.3), for a vehicle that neither the file nor its own parameters tell of."""
 
 
 class Model(BaseModel):
@@ -98,7 +95,7 @@ class ControlSettings(Model):
 
     def law(self, hover_thrust: float | None = None) -> ControlConfig:
         """The law's gains and limits; ``hover_thrust`` is what the autopilot says. Raises ConfigError."""
-        hover = self.hover_thrust or hover_thrust or SEED_HOVER_THRUST
+        hover = self.hover_thrust or hover_thrust or UTIAS_HOVER_THRUST
         limits = {
             key: value
             for key in ("thrust_min", "thrust_max", "vel_xy_max_mps", "vel_z_max_mps")
@@ -107,8 +104,8 @@ class ControlSettings(Model):
         if self.tilt_max_deg is not None:
             limits["tilt_max_rad"] = math.radians(self.tilt_max_deg)
         return ControlConfig(
-            xy=_gains(SEED_XY, self.xy),
-            z=_gains(SEED_Z, self.z),
+            xy=_gains(UTIAS_XY, self.xy),
+            z=_gains(UTIAS_Z, self.z),
             hover_thrust=hover,
             period_s=self.attitude_period_s,
             **limits,

@@ -275,7 +275,7 @@ class VehicleConfig(Model):
     groups: tuple[str, ...] = ()
     autopilot: Autopilot | None = None
     takeoff_height_m: float = 2.5
-    """The seed's take-off height."""
+    """The take-off height of the UTIAS outdoor experiment."""
     goto_limit_m: float = 1000.0
     streams: dict[str, float] = Field(default_factory=lambda: dict(DEFAULT_RATES_HZ))
     control: ControlSettings = ControlSettings()

@@ -13,7 +13,7 @@ from bench.control.steps import ATTITUDE_LAG, EAST, UP, Flight, axis, fly
 from bench.control.wire import BEAR_ALL, Flown, WiredPilot
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control import ControlConfig
-from skygcs.core.control.config import SEED_XY, SEED_Z
+from skygcs.core.control.config import UTIAS_XY, UTIAS_Z
 from skygcs.core.control.guard import GuardConfig, Way
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.sim.conditions import Conditions
@@ -64,7 +64,7 @@ def virtual_sections() -> Iterator[Section]:
 
 def east_steps() -> Section:
     """Overshoot (and settling) of 3 m to the east."""
-    section = Section("east_3m", "3 m east, seed's gains, 50 Hz: overshoot %, within 5 % after s (- : swings on)")
+    section = Section("east_3m", "3 m east, default gains, 50 Hz: overshoot %, within 5 % after s (- : swings on)")
     section.header = ("delay s", "note", "at once", "note I=0", "at once I=0", "lag 0.15 s", "F450")
     section.data = []
     for delay_s in DELAYS_S:
@@ -131,8 +131,8 @@ def margins() -> Section:
     period_s = ControlConfig().period_s
     for name, frame in steps.AIRFRAMES.items():
         (lags_x, lags_z), drag_per_s = steps.LAGS_S[name], frame.drag_linear_n_per_mps / frame.mass_kg
-        expected_z = steps.bearable_delay_s(SEED_Z, lags_z, drag_per_s, period_s)
-        expected_x = steps.bearable_delay_s(SEED_XY, lags_x, drag_per_s, period_s)
+        expected_z = steps.bearable_delay_s(UTIAS_Z, lags_z, drag_per_s, period_s)
+        expected_x = steps.bearable_delay_s(UTIAS_XY, lags_x, drag_per_s, period_s)
         found_z = steps.first_swinging_s(Flight(frame), UP, expected_z)
         found_x = steps.first_swinging_s(Flight(frame, config=steps.SLOW_Z), EAST, expected_x)
         section.rows.append((name, _seconds(found_z), f"{expected_z:.3f}", _seconds(found_x), f"{expected_x:.3f}"))
@@ -150,7 +150,7 @@ def margins() -> Section:
                 section.missed.append(f"{name}: {what} swings from {found} s on, the linear loop says {expected:.3f} s")
     section.remarks = [
         "z is the first to swing on each airframe: it sets the delay attitude may have (guard: 0.1 s).",
-        "x with z at the seed's own gains is worse than its margin from there on: a swinging z takes its thrust away.",
+        "x with z at the default gains is worse than its margin from there on: a swinging z takes its thrust away.",
     ]
     return section
 

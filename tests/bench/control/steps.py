@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from bench.control.measures import swing_m
 from skygcs.core.control import ControlConfig, Estimate, Memory, Reference, step
 from skygcs.core.control.analysis import slowed
-from skygcs.core.control.config import GRAVITY_MPS2, SEED_XY, SEED_Z, AxisGains
+from skygcs.core.control.config import GRAVITY_MPS2, UTIAS_XY, UTIAS_Z, AxisGains
 from skygcs.core.sim.quad import F450, IDEAL, Airframe, Quad
 from skygcs.core.sim.wind import Wind
 
@@ -32,7 +32,7 @@ EAST, UP = 0, 2
 ATTITUDE_LAG = replace(IDEAL, attitude_lag_s=0.15)
 """Ideal but for the lag of the attitude."""
 SEED = ControlConfig()
-SLOW_Z = ControlConfig(z=slowed(SEED_Z, 4.0))
+SLOW_Z = ControlConfig(z=slowed(UTIAS_Z, 4.0))
 """For the horizontal loop alone: at its own gains z swings first, and takes the thrust from x and y."""
 
 LAST_S = 20.0
@@ -144,7 +144,7 @@ class WindArithmetic:
         return max(0.0, math.log(self.most_m / off_m) / self.slow_pole_per_s)
 
 
-def wind_arithmetic(frame: Airframe, wind_mps: float, gains: AxisGains = SEED_XY) -> WindArithmetic:
+def wind_arithmetic(frame: Airframe, wind_mps: float, gains: AxisGains = UTIAS_XY) -> WindArithmetic:
     """Small angles; the drag as it is for a vehicle at rest."""
     push, plant = drag_mps2(frame, wind_mps), GRAVITY_MPS2 / frame.hover_thrust
     stiff = gains.vel_p * gains.pos_p_per_s

@@ -197,7 +197,7 @@ class _Cell:
         sim.params.take_in(more)
 
     def _on_event(self, event: Event | Any) -> None:
-        """The seed's ground station downloads the parameters of whomever it meets."""
+        """The UTIAS lab's ground station downloaded the parameters of whomever it meets."""
         if event["kind"] == "vehicle_discovered":
             info = self.daemon.dialect.by_name["PARAM_REQUEST_LIST"]
             values = {"target_system": event["sysid"], "target_component": 1}

@@ -14,7 +14,7 @@ from bench.control.steps import EAST, UP, Flight, axis, bearable_delay_s, fly, s
 from bench.control.wire import BEAR_ALL, WiredPilot
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control.analysis import Loop, margins
-from skygcs.core.control.config import SEED_XY, SEED_Z
+from skygcs.core.control.config import UTIAS_XY, UTIAS_Z
 from skygcs.core.control.guard import GuardConfig, Way
 from skygcs.core.sim.conditions import Conditions
 from skygcs.core.sim.quad import F450, IDEAL
@@ -106,12 +106,12 @@ def test_a_growing_swing_and_one_that_stays_swing_on_a_dying_one_does_not() -> N
 
 
 def test_without_lags_and_drag_the_margin_is_that_of_the_analysis() -> None:
-    for gains in (SEED_XY, SEED_Z):
+    for gains in (UTIAS_XY, UTIAS_Z):
         known = margins(Loop(gains, 21.8))
         assert known is not None
         assert bearable_delay_s(gains, (), 0.0, 0.0) == pytest.approx(known.delay_margin_s, abs=1e-6)
-    assert bearable_delay_s(SEED_Z, (), 0.0, 0.02) == pytest.approx(0.213 - 0.01, abs=5e-4)
-    assert bearable_delay_s(SEED_XY, (0.15,), 0.0, 0.02) < bearable_delay_s(SEED_XY, (), 0.0, 0.02) - 0.1
+    assert bearable_delay_s(UTIAS_Z, (), 0.0, 0.02) == pytest.approx(0.213 - 0.01, abs=5e-4)
+    assert bearable_delay_s(UTIAS_XY, (0.15,), 0.0, 0.02) < bearable_delay_s(UTIAS_XY, (), 0.0, 0.02) - 0.1
 
 
 def test_wind_blows_it_as_far_as_the_arithmetic_says_and_for_as_long() -> None:

@@ -21,7 +21,7 @@ DONE, FAILED, USAGE = 0, 1, 2
 SHORT = ("--duration", "2")
 """Where the responses do not matter."""
 
-SEED = ("--xy", "0.95,0.08,0.02", "--z", "1,0.3,0.02")
+UTIAS = ("--xy", "0.95,0.08,0.02", "--z", "1,0.3,0.02")
 
 
 def run(*args: str, code: int = DONE) -> str:
@@ -45,12 +45,12 @@ def loop(found: dict[str, Any], axis: str, plant: str) -> dict[str, Any]:
     return dict(one)
 
 
-def test_without_arguments_it_is_about_the_seeds_gains_on_both_plants() -> None:
+def test_without_gains_it_is_about_the_default_gains_on_both_plants() -> None:
     found = answer()
-    assert found == answer(*SEED, "--hover", "0.45")
+    assert found == answer(*UTIAS, "--hover", "0.45")
     assert {(x["axis"], x["plant"]): round(x["plant_gain"], 3) for x in found["loops"]} == {
-        ("xy", "seed"): 9.81,
-        ("z", "seed"): 1.0,
+        ("xy", "tilt"): 9.81,
+        ("z", "tilt"): 1.0,
         ("xy", "thrust"): 21.8,
         ("z", "thrust"): 21.8,
     }
@@ -64,22 +64,30 @@ def test_without_arguments_it_is_about_the_seeds_gains_on_both_plants() -> None:
     assert all(x["stable"] and x["suggestion"] is None and x["margins_with_delay"] is None for x in found["loops"])
 
 
+def test_without_options_it_prints_three_lines_and_a_hint() -> None:
+    lines = run().splitlines()
+    assert [line.split()[0] for line in lines[:3]] == ["default", "xy", "z"]
+    assert "Kp 0.95  Kv 0.08  Ki 0.02" in lines[1] and "0.507 s" in lines[1] and "0.213 s" in lines[2]
+    assert len(lines) == 5 and "--delay" in lines[-1] and "--full" in lines[-1]
+    assert len(run("--hover", "0.4", *SHORT).splitlines()) > 20
+
+
 def test_eq_16_is_told_row_by_row_and_y_as_unstable() -> None:
-    rows = answer()["seed_eq16"]
+    rows = answer()["utias_eq16"]
     numbers = {axis: (round(row["kiv"], 3), round(row["kpv"], 3)) for axis, row in rows.items()}
     assert {axis: n for axis, n in numbers.items() if axis != "x"} == {"y": (0.125, 0.712), "z": (0.305, 0.234)}
     assert numbers["x"] == (pytest.approx(0.815, abs=6e-4), 0.556)
     assert round(rows["y"]["kpx"], 3) == -1.497
     assert [round(pole, 3) for pole in rows["y"]["unstable_poles"]] == [1.497]
     assert rows["x"]["unstable_poles"] == rows["z"]["unstable_poles"] == []
-    text = run()
+    text = run("--full")
     for word in ("0.815", "0.556", "0.125", "0.712", "0.305", "0.234", "K'Px = -1.497", "unstable pole at +1.497"):
         assert word in text
 
 
 @pytest.mark.parametrize("args", [("--xy", "0.95,0.09,0.02"), ("--z", "1,0.2,0.02"), ("--plant-gain", "9.81,1")])
 def test_eq_16_is_not_told_of_other_gains(args: tuple[str, str]) -> None:
-    assert answer(*args)["seed_eq16"] is None
+    assert answer(*args)["utias_eq16"] is None
     assert "Eq. 16" not in run(*args, *SHORT)
 
 
@@ -210,7 +218,10 @@ def test_svg_is_a_figure_with_every_loop_and_its_margin(tmp_path: Path) -> None:
     root = ElementTree.parse(file).getroot()
     assert root.tag == "{http://www.w3.org/2000/svg}svg"
     text = "\n".join(root.itertext())
-    for word in ("xy, normalised thrust, G = 21.8: delay margin 0.507 s", "z, seed's analysis, G = 1"):
+    for word in (
+        "xy, normalised thrust, G = 21.8: delay margin 0.507 s",
+        "z, tilt angle and vertical acceleration, G = 1",
+    ):
         assert word in text
     assert "0.3 s delay: unstable" in text and "suggested: Kp 0.3554" in text
     again = tmp_path / "again.svg"
@@ -275,7 +286,7 @@ def test_the_reference_names_every_key_of_the_answer() -> None:
         one["suggestion"],
         one["steps"][0],
         found["gains"]["xy"],
-        found["seed_eq16"]["y"],
+        found["utias_eq16"]["y"],
     )
     missing = {key for part in parts for key in part if f"`{key}`" not in text}
     assert not missing

@@ -1,4 +1,4 @@
-"""`tlog csv`: against pymavlink's decoding, value by value; the seed's table; Parquet."""
+"""`tlog csv`: against pymavlink's decoding, value by value; the UTIAS scripts' table; Parquet."""
 
 from __future__ import annotations
 

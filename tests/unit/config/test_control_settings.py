@@ -21,7 +21,7 @@ from skygcs.config.control import (
 )
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
-from skygcs.core.control.config import SEED_XY, SEED_Z, ControlConfig
+from skygcs.core.control.config import UTIAS_XY, UTIAS_Z, ControlConfig
 from skygcs.core.control.fence import Fence
 from skygcs.core.control.guard import GuardConfig
 from skygcs.core.geo import Origin
@@ -69,7 +69,7 @@ def test_every_key_reaches_what_it_is_for() -> None:
     law = settings.law(0.7)  # the file's word counts more than the vehicle's
     assert (law.period_s, law.hover_thrust, law.thrust_min, law.thrust_max) == (1 / 40, 0.4, 0.2, 0.8)
     assert law.xy.pos_p_per_s == 0.5 and law.xy.vel_d == 0.001
-    assert law.z.vel_p == 0.2 and law.z.vel_i == SEED_Z.vel_i
+    assert law.z.vel_p == 0.2 and law.z.vel_i == UTIAS_Z.vel_i
     assert law.tilt_max_rad == pytest.approx(0.349066, abs=1e-6)
     assert (law.vel_xy_max_mps, law.vel_z_max_mps) == (4, 2)
     assert settings.guard() == GuardConfig(0.05, 0.3, 0.4, 1.5, 30, 5)
@@ -106,7 +106,7 @@ def test_levels_are_laid_over_each_other_key_by_key_also_within_gains_and_fence(
     assert a.xy == GainSettings(pos_p_per_s=0.5, vel_p=0.1, vel_i=0.03)
     assert a.fence == FenceSettings(x_m=(-10, 10), up_m=(0, 30), margin_m=1)
     law = a.law()
-    assert (law.xy.vel_p, law.xy.vel_d) == (0.1, SEED_XY.vel_d)
+    assert (law.xy.vel_p, law.xy.vel_d) == (0.1, UTIAS_XY.vel_d)
     assert (b.hover_thrust, b.xy) == (0.4, GainSettings(pos_p_per_s=0.5, vel_p=0.06))
     assert config.default_vehicle(9).control == config.defaults.control
 

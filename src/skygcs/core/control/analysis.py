@@ -1,6 +1,6 @@
 """The linear position loop of one axis: poles, stability, margins, step response, and gains for a given delay.
 
-The law of one axis (seed, Eqs 1 to 3), for a reference r, position x and velocity v:
+The law of one axis (UTIAS report, Eqs 1 to 3), for a reference r, position x and velocity v:
 
     outer P       v_sp = Kp (r - x)
     inner PI      e = v_sp - v,   u = Kv e + Ki ∫e dt
@@ -18,7 +18,7 @@ and 1 + L(s) = 0, times s³, is the characteristic polynomial
 A pure delay τ anywhere in the loop (telemetry down, setpoint up) multiplies L by exp(-s τ), nothing else.
 
 What u is decides G. The law's u is normalised thrust: hovering needs ``hover`` of it and balances g, so G = g/hover on
-every axis. The seed's own analysis has u as tilt angle with G = g for x and y, and as vertical acceleration with G = 1.
+every axis. The UTIAS report's analysis has u as tilt angle with G = g for x and y, and as vertical acceleration with G = 1.
 
 Facts the functions below rest on, for a loop that is stable without delay (G Kv > 0, Kp > 0, G Ki >= 0):
 
@@ -54,10 +54,6 @@ DIVERGED = 1e6
 """Steps. Beyond this nothing is learned, and floats would overflow in the end."""
 
 _BISECTIONS = 100
-
-
-SEED_HOVER = 0.45
-"""Normalised thrust; from the configuration of the seed's flights, not from its text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +110,7 @@ class Margins:
 
 @dataclass(frozen=True, slots=True)
 class Factoring:
-    """The polynomial as (s + kpx) (s² + kpv s + kiv): the primed gains of the seed's Eqs 8 to 16, for one axis."""
+    """The polynomial as (s + kpx) (s² + kpv s + kiv): the primed gains of the UTIAS report's Eqs 8 to 16, for one axis."""
 
     kpx: float
     kpv: float

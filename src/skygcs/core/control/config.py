@@ -1,4 +1,4 @@
-"""Gains and limits of the cascade. The defaults are those of the seed's flights (docs/explanation/control-law.md).
+"""Gains and limits of the cascade. The defaults are those of the UTIAS outdoor experiment (docs/explanation/control-law.md).
 
 Thrust here is normalised: 0 is none, 1 is all the vehicle has, `hover_thrust` carries its weight.
 """
@@ -34,8 +34,11 @@ class AxisGains:
     """Thrust per m/s² of filtered change of the velocity error."""
 
 
-SEED_XY = AxisGains(pos_p_per_s=0.95, vel_p=0.08, vel_i=0.02)
-SEED_Z = AxisGains(pos_p_per_s=1.0, vel_p=0.3, vel_i=0.02)
+UTIAS_HOVER_THRUST = 0.45
+"""Normalised hover thrust of the UTIAS experiment's F450: from its configuration, its report does not print it."""
+
+UTIAS_XY = AxisGains(pos_p_per_s=0.95, vel_p=0.08, vel_i=0.02)
+UTIAS_Z = AxisGains(pos_p_per_s=1.0, vel_p=0.3, vel_i=0.02)
 
 
 class _Derived:
@@ -60,9 +63,9 @@ class ControlConfig(_Derived):
     makes no jump in what has already been integrated.
     """
 
-    xy: AxisGains = SEED_XY
-    z: AxisGains = SEED_Z
-    hover_thrust: float = 0.45
+    xy: AxisGains = UTIAS_XY
+    z: AxisGains = UTIAS_Z
+    hover_thrust: float = UTIAS_HOVER_THRUST
     thrust_min: float = 0.1
     """Of the vertical part; never zero in the air, so that the attitude keeps a direction."""
     thrust_max: float = 0.9

@@ -33,7 +33,7 @@ LARGEST_M = 100_000.0
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """Box about ``origin`` along its axes; the default is the outdoor fence of the seed's flights.
+    """Box about ``origin`` along its axes; the default is 100 m square and 20 m high.
 
     Raises ConfigError, with every problem at once.
     """

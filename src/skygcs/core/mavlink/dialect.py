@@ -271,7 +271,7 @@ class Dialect:
             info = self.messages.get(int(name_or_id))
         else:
             info = self.by_name.get(name_or_id) or self.by_name.get(name_or_id.upper())
-            if info is None:  # XML may use another case than upper: the seed's message is called "utias"
+            if info is None:  # XML may use another case than upper: the UTIAS lab's message is called "utias"
                 folded = name_or_id.upper()
                 info = next((m for n, m in self.by_name.items() if n.upper() == folded), None)
         if info is None:

@@ -1,7 +1,7 @@
 """Flight modes by name: what HEARTBEAT.custom_mode means for PX4 and for each ArduPilot vehicle.
 
 PX4 packs a main and a sub mode (px4_custom_mode.h: main << 16 | sub << 24); ArduPilot numbers its modes per vehicle
-type. Names are those operators know: PX4's as MAVROS and the seed write them (AUTO.LOITER), ArduPilot's as in its
+type. Names are those operators know: PX4's as MAVROS writes them (AUTO.LOITER), ArduPilot's as in its
 parameters. Names are looked up in any case and with any of ``. _ -`` or nothing between the words.
 """
 

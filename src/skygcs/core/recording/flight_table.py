@@ -1,4 +1,4 @@
-"""The seed's table of a flight: time, mode, lat, lon, alt, vx, vy, vz, roll, pitch, yaw; one table for each vehicle."""
+"""The UTIAS scripts' table of a flight: time, mode, lat, lon, alt, vx, vy, vz, roll, pitch, yaw; one table for each vehicle."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ COLUMNS: tuple[tuple[str, Kind], ...] = (
     ("mode", TEXT),
     *((name, NUMBER) for name in ("lat", "lon", "alt", "vx", "vy", "vz", "roll", "pitch", "yaw")),
 )
-"""Degrees; ``alt`` metres above home; ``vx``, ``vy``, ``vz`` m/s to the north, east and **down**, the axes of the
-seed; roll, pitch and compass heading (-180..180) in degrees."""
+"""Degrees; ``alt`` metres above home; ``vx``, ``vy``, ``vz`` m/s to the north, east and **down**, the axes of
+GLOBAL_POSITION_INT; roll, pitch and compass heading (-180..180) in degrees."""
 
 STALE_S = 5.0
 """What was told longer ago is no part of a row any more; thin links send attitude once a second and lose some."""

@@ -6,7 +6,7 @@ IDLE_A = 0.4
 """Electronics of an F450-sized quadrotor."""
 
 HOVER_A = 15.0
-"""Hover current of a 1.5 kg quadrotor on 4S: some 15 minutes from 5.2 Ah, what the seed's F450s fly."""
+"""Hover current of a 1.5 kg quadrotor on 4S: some 15 minutes from 5.2 Ah, what the UTIAS F450s flew."""
 
 CELL_EMPTY_V = 3.3
 CELL_FULL_V = 4.2

@@ -124,6 +124,8 @@ _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("RTL_LOIT_TIME", 5000, _32),
     ("SERIAL1_BAUD", 57, _32),
     ("SERIAL1_PROTOCOL", 2, _8),
+    ("SERIAL2_BAUD", 57, _32),
+    ("SERIAL2_PROTOCOL", 2, _8),
     ("SR1_EXTRA1", 2, _16),
     ("SR1_EXTRA2", 1, _16),
     ("SR1_EXTRA3", 1, _16),

@@ -24,10 +24,10 @@ SUB_STEPS = 2
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """What a quadrotor is made of. The defaults are the seed's F450; lags of 0 and no drag make it ideal."""
+    """What a quadrotor is made of. The defaults are the UTIAS experiment's F450; lags of 0 and no drag make it ideal."""
 
     mass_kg: float = 1.2
-    """Take-off weight in the seed's section 2.1."""
+    """Take-off weight in section 2.1 of the UTIAS report."""
     hover_thrust: float = 0.45
     """Normalised thrust that carries the weight at ``nominal_v``; px4_command's Hover_throttle for the F450."""
     attitude_lag_s: float = 0.15

@@ -402,7 +402,7 @@ def is_place(lat_deg: float, lon_deg: float) -> bool:
 
 
 def check_coordinate(lat_deg: float, lon_deg: float) -> None:
-    """Raises RefusedError. A coordinate of exactly 0 is a forgotten one: the seed's script would have flown to 0, 0."""
+    """Raises RefusedError. A coordinate of exactly 0 is a forgotten one: an unset variable sends a vehicle to 0, 0."""
     if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180):  # also false for NaN
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} is no place on earth (latitude -90..90, longitude -180..180)")
     if lat_deg == 0 or lon_deg == 0:

@@ -1,4 +1,4 @@
-"""Linear analysis of the position loop: the seed's numbers, and every margin against an independent computation."""
+"""Linear analysis of the position loop: the UTIAS report's numbers, and every margin against an independent computation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.control.analysis import (
-    SEED_HOVER,
     Loop,
     Margins,
     factorings,
@@ -21,18 +20,18 @@ from skygcs.core.control.analysis import (
     step_response,
     suggest,
 )
-from skygcs.core.control.config import GRAVITY_MPS2, SEED_XY, SEED_Z, AxisGains, ControlConfig
+from skygcs.core.control.config import GRAVITY_MPS2, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 
-THRUST = GRAVITY_MPS2 / SEED_HOVER
+THRUST = GRAVITY_MPS2 / UTIAS_HOVER_THRUST
 LOOPS = {
-    "xy seed": Loop(SEED_XY, GRAVITY_MPS2),
-    "z seed": Loop(SEED_Z, 1.0),
-    "xy thrust": Loop(SEED_XY, THRUST),
-    "z thrust": Loop(SEED_Z, THRUST),
+    "xy tilt": Loop(UTIAS_XY, GRAVITY_MPS2),
+    "z tilt": Loop(UTIAS_Z, 1.0),
+    "xy thrust": Loop(UTIAS_XY, THRUST),
+    "z thrust": Loop(UTIAS_Z, THRUST),
     "xy without integrator": Loop(AxisGains(0.95, 0.08, 0.0), THRUST),
     "y with both signs turned": Loop(AxisGains(0.95, -0.08, -0.02), -GRAVITY_MPS2),
 }
-Y_OF_SEED = Loop(SEED_XY, -GRAVITY_MPS2)
+UTIAS_Y = Loop(UTIAS_XY, -GRAVITY_MPS2)
 
 every_loop = pytest.mark.parametrize("loop", LOOPS.values(), ids=LOOPS.keys())
 sizes = st.floats(0.01, 10.0)
@@ -93,21 +92,21 @@ def swings(loop: Loop, delay_s: float) -> tuple[float, float]:
 @pytest.mark.parametrize(
     ("name", "wanted"),
     [
-        ("xy seed", [-0.229, -0.278 - 0.859j, -0.278 + 0.859j]),
+        ("xy tilt", [-0.229, -0.278 - 0.859j, -0.278 + 0.859j]),
         ("xy thrust", [-0.239, -0.753 - 1.08j, -0.753 + 1.08j]),
-        ("z seed", [-0.066, -0.117 - 0.539j, -0.117 + 0.539j]),
+        ("z tilt", [-0.066, -0.117 - 0.539j, -0.117 + 0.539j]),
         ("z thrust", [-0.067, -1.254, -5.219]),
     ],
 )
-def test_poles_are_those_known_for_the_seed(name: str, wanted: list[complex]) -> None:
+def test_poles_are_those_known_for_the_default_gains(name: str, wanted: list[complex]) -> None:
     assert poles(LOOPS[name]) == pytest.approx(wanted, abs=6e-4)
 
 
 @pytest.mark.parametrize(
     ("gains", "crossover", "phase_deg", "delay"),
     [
-        (SEED_XY, 1.955, 56.8, 0.507),
-        (SEED_Z, 6.615, 80.8, 0.213),
+        (UTIAS_XY, 1.955, 56.8, 0.507),
+        (UTIAS_Z, 6.615, 80.8, 0.213),
         (AxisGains(0.95, 0.09, 0.02), 2.155, 60.3, 0.488),
         (AxisGains(1.0, 0.2, 0.02), 4.469, 76.1, 0.297),
     ],
@@ -121,7 +120,7 @@ def test_margins_are_those_known_for_normalised_thrust(
     assert found.delay_margin_s == pytest.approx(delay, abs=6e-4)
 
 
-@pytest.mark.parametrize(("name", "kiv", "kpv"), [("xy seed", 0.815, 0.556), ("z seed", 0.305, 0.234)])
+@pytest.mark.parametrize(("name", "kiv", "kpv"), [("xy tilt", 0.815, 0.556), ("z tilt", 0.305, 0.234)])
 def test_rows_x_and_z_of_eq_16_come_out_and_are_the_only_factoring(name: str, kiv: float, kpv: float) -> None:
     (row,) = factorings(LOOPS[name])
     assert (row.kiv, row.kpv) == pytest.approx((kiv, kpv), abs=6e-4)
@@ -129,13 +128,13 @@ def test_rows_x_and_z_of_eq_16_come_out_and_are_the_only_factoring(name: str, ki
 
 
 def test_row_y_of_eq_16_comes_from_an_unstable_pole() -> None:
-    row = factorings(Y_OF_SEED)[0]
+    row = factorings(UTIAS_Y)[0]
     assert (row.kiv, row.kpv) == pytest.approx((0.125, 0.712), abs=6e-4)
     assert row.kpx == pytest.approx(-1.497, abs=1e-4)
-    assert poles(Y_OF_SEED)[0] == pytest.approx(1.497, abs=1e-4)
-    assert not routh(Y_OF_SEED).stable
-    assert margins(Y_OF_SEED) is None
-    assert suggest(Y_OF_SEED, 0.1) is None
+    assert poles(UTIAS_Y)[0] == pytest.approx(1.497, abs=1e-4)
+    assert not routh(UTIAS_Y).stable
+    assert margins(UTIAS_Y) is None
+    assert suggest(UTIAS_Y, 0.1) is None
 
 
 @given(any_loops)
@@ -186,7 +185,7 @@ def test_at_the_delay_margin_a_pole_crosses_the_imaginary_axis_at_the_crossover(
     assert root_near(loop, crossing, 1.02 * found.delay_margin_s).real > 1e-4
 
 
-@pytest.mark.parametrize("name", ["xy seed", "z seed", "xy thrust", "z thrust"])
+@pytest.mark.parametrize("name", ["xy tilt", "z tilt", "xy thrust", "z thrust"])
 def test_simulated_2_percent_below_the_delay_margin_it_calms_down_and_2_percent_above_it_does_not(name: str) -> None:
     loop = LOOPS[name]
     delay_s = margins_of(loop).delay_margin_s
@@ -269,7 +268,7 @@ def test_half_a_second_of_radio_delay_asks_z_to_be_4_7_times_slower() -> None:
 
 def test_gains_that_bear_the_delay_are_left_alone() -> None:
     found = suggest(LOOPS["xy thrust"], 0.25)
-    assert found is not None and (found.factor, found.gains) == (1.0, SEED_XY)
+    assert found is not None and (found.factor, found.gains) == (1.0, UTIAS_XY)
     with_more = suggest(LOOPS["xy thrust"], 0.25, reserve=3)
     assert with_more is not None and with_more.factor == pytest.approx(0.75 / 0.50707, rel=1e-4)
 
@@ -313,7 +312,7 @@ def test_a_slow_rate_costs_z_as_much_as_a_delay(rate_hz: float, delay_s: float, 
 
 
 def test_a_diverging_simulation_ends_early_and_finite() -> None:
-    response = step_response(Y_OF_SEED, duration_s=500)
+    response = step_response(UTIAS_Y, duration_s=500)
     assert len(response.positions) < 20_000
     assert all(map(math.isfinite, response.positions))
     assert response.settling_s is None
@@ -321,7 +320,7 @@ def test_a_diverging_simulation_ends_early_and_finite() -> None:
 
 def test_a_free_step_is_the_sum_of_its_poles() -> None:
     """Partial fractions of G Kp (Kv s + Ki) / (s p(s)) against the simulation."""
-    for name in ("xy seed", "z seed", "xy thrust", "z thrust"):
+    for name in ("xy tilt", "z tilt", "xy thrust", "z thrust"):
         loop = LOOPS[name]
         response = step_response(loop, duration_s=10)
         for time_s in (0.3, 1.0, 2.5, 7.0):
@@ -374,15 +373,15 @@ def test_rise_and_settling_are_counted_from_the_response() -> None:
 
 
 def test_a_response_cut_short_has_neither_risen_nor_settled() -> None:
-    response = step_response(LOOPS["z seed"], duration_s=1.0)
+    response = step_response(LOOPS["z tilt"], duration_s=1.0)
     assert (response.rise_s, response.settling_s, response.overshoot) == (None, None, 0.0)
 
 
 def test_a_response_that_swings_through_the_band_at_the_end_has_not_settled() -> None:
-    response = step_response(LOOPS["z seed"], delay_s=0.3, duration_s=30)
+    response = step_response(LOOPS["z tilt"], delay_s=0.3, duration_s=30)
     assert abs(response.positions[-1] - 1) < 0.05
     assert response.settling_s is None
-    assert step_response(LOOPS["z seed"], delay_s=0.3, duration_s=80).settling_s == pytest.approx(39.3, abs=0.1)
+    assert step_response(LOOPS["z tilt"], delay_s=0.3, duration_s=80).settling_s == pytest.approx(39.3, abs=0.1)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e7, 1e-13])
@@ -400,12 +399,12 @@ def test_a_derivative_gain_is_refused_because_its_filter_is_not_modelled() -> No
 
 
 def test_hover_is_that_of_the_control_law() -> None:
-    assert ControlConfig().hover_thrust == SEED_HOVER
+    assert ControlConfig().hover_thrust == UTIAS_HOVER_THRUST
 
 
 def test_a_plant_without_gain_is_refused() -> None:
     with pytest.raises(ValueError, match="not 0"):
-        Loop(SEED_XY, 0.0)
+        Loop(UTIAS_XY, 0.0)
 
 
 @given(

@@ -184,14 +184,14 @@ def test_turning_while_it_flies_does_not_turn_its_way():
     assert abs(flight.track_enu_m[:, 1]).max() < 1e-6
 
 
-# --- the seed's Eq. 16 -----------------------------------------------------------------------------------------------
+# --- the report's Eq. 16 ---------------------------------------------------------------------------------------------
 
-SEED_P, SEED_V, SEED_I = 0.95, 0.08, 0.02
+UTIAS_P, UTIAS_V, UTIAS_I = 0.95, 0.08, 0.02
 
 
 def seed_factors(plant: float) -> tuple[float, float, float]:
     """K'Px, K'Pv, K'Iv of Eq. 12: the real root of the closed loop, and the second-order rest (the rows of Eq. 16)."""
-    loop = np.array([1.0, plant * SEED_V, plant * (SEED_P * SEED_V + SEED_I), plant * SEED_P * SEED_I])
+    loop = np.array([1.0, plant * UTIAS_V, plant * (UTIAS_P * UTIAS_V + UTIAS_I), plant * UTIAS_P * UTIAS_I])
     root = next(float(r.real) for r in np.roots(loop) if abs(r.imag) < 1e-9)
     rest, remainder = np.polydiv(loop, [1.0, -root])
     assert abs(remainder).max() < 1e-9
@@ -206,7 +206,7 @@ def test_the_x_row_of_eq_16_is_that_of_a_stable_loop():
 
 def test_the_y_row_of_eq_16_hides_an_unstable_pole():
     """Its two numbers come of G = -g with gains of the same sign as x; the third factor, not shown, grows."""
-    loop = [1.0] + [-GRAVITY_MPS2 * k for k in (SEED_V, SEED_P * SEED_V + SEED_I, SEED_P * SEED_I)]
+    loop = [1.0] + [-GRAVITY_MPS2 * k for k in (UTIAS_V, UTIAS_P * UTIAS_V + UTIAS_I, UTIAS_P * UTIAS_I)]
     assert max(np.roots(loop).real) == pytest.approx(1.497, abs=5e-4)
     rest, _ = np.polydiv(loop, [1.0, -max(np.roots(loop).real)])
     assert (rest[2], rest[1]) == pytest.approx((0.125, 0.712), abs=6e-4)
@@ -218,9 +218,9 @@ def test_the_y_row_flown_as_written_runs_away_at_that_rate():
     at: dict[int, float] = {}
     for tick in range(12001):
         at[tick] = y
-        e = SEED_P * y + v
+        e = UTIAS_P * y + v
         integral += e * dt_s
-        roll = -(SEED_V * e + SEED_I * integral)
+        roll = -(UTIAS_V * e + UTIAS_I * integral)
         v += -GRAVITY_MPS2 * roll * dt_s
         y += v * dt_s
     assert math.log(at[12000] / at[10000]) / 2.0 == pytest.approx(1.497, abs=0.005)

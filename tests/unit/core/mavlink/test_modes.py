@@ -6,7 +6,7 @@ from pymavlink import mavutil
 from skygcs.core.mavlink import modes
 from support.vehicles import flight_dialect
 
-SEED_MODES = (
+PX4_MODES = (
     "AUTO.PRECLAND",
     "AUTO.FOLLOW_TARGET",
     "AUTO.RTGS",
@@ -26,7 +26,7 @@ SEED_MODES = (
 )
 
 
-@pytest.mark.parametrize("name", SEED_MODES)
+@pytest.mark.parametrize("name", PX4_MODES)
 def test_every_mode_of_the_seed_goes_to_a_number_and_back(name: str) -> None:
     assert modes.px4_mode_name(modes.px4_custom_mode(name)) == name
 

@@ -1,4 +1,4 @@
-"""Rows from entries: a message's fields, and the seed's table of a flight."""
+"""Rows from entries: a message's fields, and the UTIAS scripts' table of a flight."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ def test_guided_flies_to_position_targets_in_each_frame() -> None:
 def test_the_seeds_null_island_mask_flies_to_null_island() -> None:
     pilot = Pilot(copter())
     pilot.hovering()
-    # the seed's script: velocity mask one bit short, which leaves position 0, 0, 0 active
+    # a mistake in the UTIAS scripts: velocity mask one bit short, which leaves position 0, 0, 0 active
     pilot.send(mav.MAVLink_set_position_target_global_int_message(0, 1, 1, 6, 0b010111000000, *[0] * 11))
     pilot.run(30)
     motion = pilot.vehicles[0].motion

@@ -1,4 +1,4 @@
-"""docs/reference/seed-parity.md, run as it is written: every command of its tables, in their order, is one flight."""
+"""docs/reference/ros-parity.md, run as it is written: every command of its tables, in their order, is one flight."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from support.process import ROOT, DaemonProcess, wait_until
 
 pytestmark = pytest.mark.system
 
-PAGE = (ROOT / "docs" / "reference" / "seed-parity.md").read_text(encoding="utf-8")
-HEADER = "| seed | skygcs-cli | RPC | then | different, and why |"
+PAGE = (ROOT / "docs" / "reference" / "ros-parity.md").read_text(encoding="utf-8")
+HEADER = "| experiment | skygcs-cli | RPC | then | different, and why |"
 VEHICLES = ("alpha", "bravo", "charlie")
 SHOWN_PATIENCE_S = 30.0
 """How long a vehicle may take to show what it was ordered: most of it is its landing from 3 m."""
 
-SEED = re.findall(
+EXPERIMENT = re.findall(
     r"\S+",
     """
 /mavlink/from /mavros/state /mavros/imu/data /mavros/gpsstatus/gps1/raw /mavros/global_position/local
@@ -45,9 +45,12 @@ POSITION_TARGET_GLOBAL_INT POSITION_TARGET_LOCAL_NED SERVO_OUTPUT_RAW LOCAL_POSI
 arducopter_disarm MAVWPLoader waypoint_clear_all_send waypoint_count_send MISSION_REQUEST NAV_TAKEOFF MISSION_START
 0b10011111000 0b010111000000 0b110000111111 write_csv
 DigiMeshDevice read_data send_data_broadcast tmux
+COM_RC_IN_MODE NAV_RCL_ACT Odroid AT&M0 SiK SERIAL2_PROTOCOL set_stream_rate Autotune calibration
+K_Px K_Pv K_Iv Eqs. (§4.5.1) §4.5.2 px4_sitl_default multi_uav_mavros_sitl.launch px4_multidrone_pos_controller_outdoor
+utias.xml mavgenerate uORB mavlink_messages.cpp
 """,
 )
-"""What the experiment's sections 4.1, 5.1 and 7.1 to 7.4 call, publish, subscribe to and read."""
+"""What the experiment's sections 2, 3, 4.1, 4.5, 5.1, 6 and 7.1 to 7.5 call, publish, subscribe to, set and read."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ class Check:
 class Row:
     """One row of the page's tables, with its cells taken apart."""
 
-    seed: str
+    experiment: str
     commands: list[str]
     methods: list[str]
     checks: list[Check]
@@ -97,11 +100,11 @@ class Row:
 
     @classmethod
     def of(cls, line: str) -> Row:
-        seed, commands, methods, then, _ = (cell.strip() for cell in line.strip()[1:-1].split("|"))
+        experiment, commands, methods, then, _ = (cell.strip() for cell in line.strip()[1:-1].split("|"))
         prints, refused = (re.search(rf"{word} `([^`]+)`", then) for word in ("prints", "refused:"))
         state = re.sub(r"(prints|refused:) `[^`]+`", "", then)
         return cls(
-            seed,
+            experiment,
             re.findall(r"`([^`]+)`", commands),
             re.findall(r"`([^`]+)`", methods),
             [Check.of(text) for text in re.findall(r"`([^`]+)`", state)],
@@ -183,7 +186,7 @@ def test_every_command_of_the_page_does_what_the_page_says(tmp_path: Path, monke
 
 def fly(row: Row, daemon: DaemonProcess) -> None:
     """Run a row's commands, and look whether what it says came true."""
-    label = f"{row.seed}: {row.commands}"
+    label = f"{row.experiment}: {row.commands}"
     told = ""
     for command in row.commands:
         code, output = run(command)
@@ -202,12 +205,12 @@ def test_every_method_of_the_page_exists() -> None:
 
 def test_every_row_has_a_command_and_something_to_see_it_by() -> None:
     assert len(ROWS) > 50
-    assert [row.seed for row in ROWS if not row.commands] == []
+    assert [row.experiment for row in ROWS if not row.commands] == []
     dumb = [row.commands[0] for row in ROWS if not (row.checks or row.prints or row.refused)]
     assert len(dumb) <= 2, dumb
 
 
-@pytest.mark.parametrize("name", SEED)
+@pytest.mark.parametrize("name", EXPERIMENT)
 def test_everything_the_experiment_called_is_on_the_page(name: str) -> None:
     cells = [line.split(" | ")[0] for line in PAGE.splitlines() if line.startswith("| ")]
     assert any(name in cell for cell in cells)
