@@ -78,7 +78,8 @@ def show(answer: Answer) -> None:
     console.print(_positions_table(answer))
     if any(loop["plant"] == "thrust" for loop in answer["loops"]):
         console.print(
-            "\nPlant thrust (G = g/hover) is what normalised thrust does: fly by it. Plant tilt is the UTIAS report's analysis."
+            "\nPlant thrust (G = g/hover) is what normalised thrust does: fly by it. "
+            "Plant tilt is the UTIAS report's analysis."
         )
     if answer["utias_eq16"] is not None:
         _show_eq16(console, answer["utias_eq16"])

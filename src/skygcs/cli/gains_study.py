@@ -59,8 +59,11 @@ class Question:
 
     @property
     def plants(self) -> Mapping[str, tuple[float, float]]:
-        """Plant gains of xy and z. ``tilt``: the input is a tilt angle (xy) and a vertical acceleration (z), as in the UTIAS
-        report's Eqs. 7 to 16. ``thrust``: the input is normalised thrust."""
+        """Plant gains of xy and z by plant.
+
+        ``tilt``: the input is a tilt angle (xy) and a vertical acceleration (z), as in Eqs. 7 to 16 of the UTIAS
+        report. ``thrust``: the input is normalised thrust.
+        """
         if self.plant_gains is not None:
             return {"given": self.plant_gains}
         thrust = GRAVITY_MPS2 / self.hover

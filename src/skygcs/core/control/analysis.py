@@ -18,7 +18,8 @@ and 1 + L(s) = 0, times s³, is the characteristic polynomial
 A pure delay τ anywhere in the loop (telemetry down, setpoint up) multiplies L by exp(-s τ), nothing else.
 
 What u is decides G. The law's u is normalised thrust: hovering needs ``hover`` of it and balances g, so G = g/hover on
-every axis. The UTIAS report's analysis has u as tilt angle with G = g for x and y, and as vertical acceleration with G = 1.
+every axis. The UTIAS report's analysis has u as tilt angle with G = g for x and y, and as vertical acceleration with
+G = 1.
 
 Facts the functions below rest on, for a loop that is stable without delay (G Kv > 0, Kp > 0, G Ki >= 0):
 
@@ -110,7 +111,7 @@ class Margins:
 
 @dataclass(frozen=True, slots=True)
 class Factoring:
-    """The polynomial as (s + kpx) (s² + kpv s + kiv): the primed gains of the UTIAS report's Eqs 8 to 16, for one axis."""
+    """The polynomial as (s + kpx) (s² + kpv s + kiv): the primed gains of Eqs 8 to 16 of the UTIAS report."""
 
     kpx: float
     kpv: float

@@ -1,4 +1,4 @@
-"""Gains and limits of the cascade. The defaults are those of the UTIAS outdoor experiment (docs/explanation/control-law.md).
+"""Gains and limits of the cascade. The defaults are the UTIAS experiment's (docs/explanation/control-law.md).
 
 Thrust here is normalised: 0 is none, 1 is all the vehicle has, `hover_thrust` carries its weight.
 """

@@ -1,4 +1,4 @@
-"""The UTIAS scripts' table of a flight: time, mode, lat, lon, alt, vx, vy, vz, roll, pitch, yaw; one table for each vehicle."""
+"""The UTIAS scripts' flight table, one per vehicle: time, mode, lat, lon, alt, vx, vy, vz, roll, pitch, yaw."""
 
 from __future__ import annotations
 

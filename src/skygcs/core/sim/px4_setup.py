@@ -81,7 +81,7 @@ _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("SDLOG_MODE", 0, _I),
     ("SYS_AUTOSTART", 4001, _I),
 )
-"""RTL heights are the lab's, not PX4's 60 and 30 m: the UTIAS report warns of a vehicle that "would rush toward space"."""
+"""RTL heights are the lab's, not PX4's 60 and 30 m: the report warns of a vehicle that "would rush toward space"."""
 
 PX4_RATES_HZ: Mapping[str, float] = {
     "HEARTBEAT": 1,

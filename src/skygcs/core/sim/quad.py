@@ -24,7 +24,7 @@ SUB_STEPS = 2
 
 @dataclass(frozen=True, slots=True)
 class Airframe:
-    """What a quadrotor is made of. The defaults are the UTIAS experiment's F450; lags of 0 and no drag make it ideal."""
+    """What a quadrotor is made of. The defaults are the UTIAS lab's F450; lags of 0 and no drag make it ideal."""
 
     mass_kg: float = 1.2
     """Take-off weight in section 2.1 of the UTIAS report."""

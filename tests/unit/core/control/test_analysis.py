@@ -1,4 +1,4 @@
-"""Linear analysis of the position loop: the UTIAS report's numbers, and every margin against an independent computation."""
+"""Linear analysis of the position loop: the report's numbers, and every margin against an independent computation."""
 
 from __future__ import annotations
 
