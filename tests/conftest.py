@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import os
+import signal
 import tempfile
 
 import pytest
@@ -34,8 +35,11 @@ _cache = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One cache for all of this run, its workers and the daemons they start, and not that of whoever runs it: dialects
+    """Signals as at a terminal: a shell starts a background job with SIGINT ignored, every process that a test starts
+    would inherit that, and Ctrl-C would not be what is tested. One cache for all of this run, its workers and the daemons they start, and not that of whoever runs it: dialects
     are read once, and parameters of simulated vehicles do not stay behind."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if not hasattr(config, "workerinput"):
         config.stash[_cache] = tempfile.TemporaryDirectory(prefix="skygcs-tests-")
         os.environ["XDG_CACHE_HOME"] = config.stash[_cache].name

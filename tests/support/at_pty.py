@@ -20,5 +20,5 @@ def on_a_pty(path: Path, radio: AtRadio) -> Iterator[AtRadio]:
         yield radio
     finally:
         port.stop()
-        server.join(timeout=5)
+        server.join(timeout=60)
         port.close()

@@ -84,7 +84,7 @@ class TcpPeer(PymavPeer):
 
     def __init__(self, sysid: int, compid: int, port: int) -> None:
         super().__init__(sysid, compid)
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=5)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=60)
         self.socket.setblocking(False)
 
     def send(self, data: bytes) -> None:

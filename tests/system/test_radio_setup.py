@@ -30,7 +30,7 @@ def cli(folder: Path, *words: str | Path, code: int = 0) -> str:
         env={**os.environ, "SKYGCS_SOCKET": str(folder / "nobody.sock")},
         capture_output=True,
         text=True,
-        timeout=50,
+        timeout=120,
         check=False,
     )
     assert done.returncode == code, done.stdout + done.stderr
@@ -79,7 +79,7 @@ def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_cam
         radio.faults.silent = False
         time.sleep(0.1)
         work.send_signal(signal.SIGINT)
-        _, told = work.communicate(timeout=20)
+        _, told = work.communicate(timeout=120)
         assert work.returncode == 130
         assert "interrupted" in told
         assert "written: NETID; perhaps written: AIR_SPEED" in " ".join(told.split())

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.system
 
 TESTS = Path(__file__).parents[1]
 CLI = [sys.executable, "-c", "from skygcs.cli.control import main; main()"]
-PATIENCE_S = 20
+PATIENCE_S = 60
 
 
 class Served:

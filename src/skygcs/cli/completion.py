@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from typing import Any
 
 import typer
@@ -10,8 +11,22 @@ import typer
 from skygcs.cli.connection import client
 from skygcs.errors import SkygcsError
 
-PATIENCE_S = 0.5
-"""A person waits at the prompt."""
+WAIT_VARIABLE = "SKYGCS_COMPLETION_WAIT_S"
+"""Environment variable: how long to wait for the daemon, for a daemon on another computer or a slow machine."""
+
+DEFAULT_WAIT_S = 1.0
+"""A person waits at the prompt; the daemon answers within 10 ms on an idle machine."""
+
+MAX_WAIT_S = 600.0
+
+
+def wait_s() -> float:
+    """How long to wait for the daemon; what is no number of seconds counts as not set."""
+    try:
+        value = float(os.environ.get(WAIT_VARIABLE, ""))
+    except ValueError:
+        return DEFAULT_WAIT_S
+    return min(value, MAX_WAIT_S) if value >= 0 else DEFAULT_WAIT_S
 
 
 def targets(ctx: typer.Context, incomplete: str) -> list[str]:
@@ -76,7 +91,7 @@ COMMON_MODES = (
 
 def _ask(ctx: typer.Context, method: str) -> Any:
     async def ask() -> Any:
-        async with asyncio.timeout(PATIENCE_S), client(ctx.find_root().params.get("socket")) as gcs:
+        async with asyncio.timeout(wait_s()), client(ctx.find_root().params.get("socket")) as gcs:
             return await gcs.call(method)
 
     try:

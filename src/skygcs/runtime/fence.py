@@ -1,7 +1,8 @@
 """The fence of a vehicle's parameters: set, read, and tested on foot.
 
 The test (as in the UTIAS report, section 2.2.1): a small fence is set, somebody carries the vehicle out of it, and what
-it says and does is recorded. What it held before is put back whatever happens: also when the test is cancelled or the caller goes.
+it says and does is recorded. What it held before is put back whatever happens: also when the test is
+cancelled or the caller goes.
 """
 
 from __future__ import annotations

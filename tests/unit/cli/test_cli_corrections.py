@@ -208,7 +208,7 @@ def test_a_pipe_is_sent_as_it_comes_until_its_end_or_ctrl_c(fleet: Commanded, en
     if end == "ctrl-c":
         process.send_signal(signal.SIGINT)
         process.wait(20)
-    out, err = process.communicate(timeout=20)
+    out, err = process.communicate(timeout=120)
     assert process.returncode == (INTERRUPTED if end == "ctrl-c" else 0)
     assert json.loads(out.splitlines()[-1])["read_bytes"] == 9
     assert err == b""

@@ -18,7 +18,7 @@ from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 class Served:
