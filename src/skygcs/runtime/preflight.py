@@ -17,6 +17,7 @@ from skygcs.config.models import VehicleConfig
 from skygcs.core.exchange.command import Outcome
 from skygcs.core.exchange.param import ParamOutcome
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.modes import is_copter
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
@@ -171,6 +172,7 @@ class Preflight:
             expected_autopilot=self._config.autopilot,
             links=self._links(),
             answers=answers,
+            copter=is_copter(self._vehicle.type),
         )
 
     async def _ask_params(self, wanted: Expectations) -> dict[str, Answer]:
@@ -195,7 +197,7 @@ class Preflight:
                         self._absent.add(name)
 
         async with asyncio.TaskGroup() as group:
-            for names in needed_params(self._vehicle.family, wanted):
+            for names in needed_params(self._vehicle.family, wanted, self._vehicle.mode):
                 group.create_task(ask(names), name=f"preflight of {self._vehicle.name}: {names[0]}")
         return answers
 

@@ -95,6 +95,16 @@ _COPTER = {
 }
 """8 and 10 are of ArduCopter 3.x; they are shown, and refused by newer firmware itself."""
 
+COPTER_NOT_ARMABLE = frozenset(
+    {"RTL", "CIRCLE", "LAND", "FLIP", "AUTOTUNE", "BRAKE", "AVOID_ADSB", "SMART_RTL", "FOLLOW", "SYSTEMID"}
+    | {"AUTOROTATE", "AUTO_RTL"}
+)
+"""Modes in which ArduCopter refuses every unforced arming by a ground station ("… mode not armable"), whatever its
+pre-arm checks say: `allows_arming` of ArduCopter/mode.h and mode_auto.cpp, the same in 4.6.3 and 4.7-dev."""
+
+COPTER_AUTO_ARMABLE = 1
+"""Bit of AUTO_OPTIONS: only with it ArduCopter arms in AUTO (ModeAuto::allows_arming, since 4.1)."""
+
 _PLANE = {
     0: "MANUAL",
     1: "CIRCLE",

@@ -42,6 +42,7 @@ class Facts:
     """``state``: a `VehicleState`. ``configured``: it is named in the fleet file; None: that file names none.
 
     ``links`` by name. ``answers`` by parameter's name, for all that `table.needed_params` names. ``gcs_sysid``: ours.
+    ``copter``: ArduPilot's copter firmware flies it, if ArduPilot does.
     """
 
     state: Mapping[str, Any]
@@ -50,6 +51,7 @@ class Facts:
     expected_autopilot: str | None = None
     links: Mapping[str, LinkFacts] | None = None
     answers: Mapping[str, Answer] | None = None
+    copter: bool = False
 
     @property
     def family(self) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from skygcs.core.geo import distance_m
+from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE, COPTER_NOT_ARMABLE
 from skygcs.core.preflight.expectations import FIXES, Expectations
 from skygcs.core.preflight.facts import Facts
 from skygcs.core.preflight.report import Finding, failed, passed, skipped, unknown
@@ -176,6 +177,29 @@ def sensors(facts: Facts, wanted: Expectations) -> Finding:
     return failed("sensors " + "; ".join(told) + _because(_texts(facts, PREARM_TEXTS)), todo)
 
 
+def arming_mode(facts: Facts, wanted: Expectations) -> Finding:
+    """Whether its mode lets it arm: an ArduCopter's pre-arm checks, and the bit that reports them, leave it out."""
+    mode = facts.state["mode"]
+    if not wanted.prearm:
+        return skipped("prearm = false")
+    if facts.state["armed"]:
+        return skipped("it is armed already")
+    if not facts.copter or facts.family != "ardupilot":
+        return skipped("its own arming checks cover its mode")
+    todo = f"skygcs-cli mode {facts.state['name']} GUIDED; takeoff and mission start set it by themselves"
+    if mode in COPTER_NOT_ARMABLE:
+        return failed(f"would not arm in {mode}: ArduCopter arms in no such mode", todo)
+    if mode != "AUTO":
+        return passed(f"arms in {mode}")
+    answer = facts.answer("AUTO_OPTIONS")
+    if answer.param is None and not answer.absent:
+        return unknown(f"whether it arms in AUTO is not known: AUTO_OPTIONS: {answer.why}", todo)
+    options = 0 if answer.param is None else int(answer.param.value)
+    if options & COPTER_AUTO_ARMABLE:
+        return passed("arms in AUTO (AUTO_OPTIONS)")
+    return failed("would not arm in AUTO: AUTO_OPTIONS has no bit 0 (allow arming)", todo)
+
+
 def prearm(facts: Facts, wanted: Expectations) -> Finding:
     if not wanted.prearm:
         return skipped("prearm = false")
@@ -185,7 +209,7 @@ def prearm(facts: Facts, wanted: Expectations) -> Finding:
     if part is None or not (PREARM_SENSOR in part["present"] or _px4_tells(facts)):
         return skipped("it does not tell whether it would arm")
     if PREARM_SENSOR in part["health"]:
-        return passed("would arm")
+        return passed("its own arming checks pass")
     text = f"its own arming checks fail in {facts.state['mode']}" + _because(_texts(facts, PREARM_TEXTS))
     return failed(text, "put right what its status texts name; the last ones: skygcs-cli status --json")
 

@@ -12,6 +12,7 @@ from math import isfinite, radians
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
 from skygcs.core.sim import copter_failsafe, copter_guided, copter_mission
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
@@ -353,15 +354,17 @@ class CopterVehicle(SimVehicle):
             return m.MAV_RESULT_ACCEPTED
         if self.armed:
             return m.MAV_RESULT_ACCEPTED
-        refusal = "Mode not armable" if self.mode in NO_ARMING_MODES else None
-        if not forced:
-            refusal = refusal or self.arming_refusal()
+        refusal = None if forced else self._mode_refusal() or self.arming_refusal()
         if refusal is not None:
             self.tx.say(m.MAV_SEVERITY_CRITICAL, f"Arm: {refusal}")
             return m.MAV_RESULT_FAILED
         self.arm(now)
         self.tx.say(m.MAV_SEVERITY_INFO, "Arming motors")
         return m.MAV_RESULT_ACCEPTED
+
+    def _mode_refusal(self) -> str | None:
+        auto = self.mode == CopterMode.AUTO and not int(self.params["AUTO_OPTIONS"]) & COPTER_AUTO_ARMABLE
+        return f"{CopterMode(self.mode).name} mode not armable" if auto or self.mode in NO_ARMING_MODES else None
 
     def _command_takeoff(self, c: Command) -> int:
         if c.frame not in (None, m.MAV_FRAME_GLOBAL_RELATIVE_ALT):

@@ -58,7 +58,6 @@ NEEDS_POSITION = frozenset(
 )
 NO_ARMING_MODES = frozenset(
     {
-        CopterMode.AUTO,
         CopterMode.RTL,
         CopterMode.LAND,
         CopterMode.CIRCLE,
@@ -68,6 +67,8 @@ NO_ARMING_MODES = frozenset(
         CopterMode.AVOID_ADSB,
         CopterMode.SMART_RTL,
         CopterMode.FOLLOW,
+        CopterMode.SYSTEMID,
+        CopterMode.AUTOROTATE,
         CopterMode.AUTO_RTL,
     }
 )
@@ -113,6 +114,7 @@ _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("FS_GCS_TIMEOUT", 5.0, _F),
     ("FS_THR_ENABLE", 0, _8),
     ("GPS_TYPE", 1, _8),
+    ("AUTO_OPTIONS", 0, _32),
     ("GUID_OPTIONS", 0, _32),
     ("GUID_TIMEOUT", 3.0, _F),
     ("LAND_SPEED", 50, _16),

@@ -233,6 +233,51 @@ def test_arming_checks(autopilot: str, firmware: str | None, present: bool, heal
     assert health.prearm(told, WANTED).verdict is verdict
 
 
+def copter_in(mode: str, options: Answer | None = None, **state: Any) -> Facts:
+    answers = {} if options is None else {"AUTO_OPTIONS": options}
+    return Facts(state={**STATE, "mode": mode, **state}, answers=answers, copter=True)
+
+
+FIRMWARE_ARMS = {
+    **dict.fromkeys(("STABILIZE", "ACRO", "ALT_HOLD", "GUIDED", "LOITER", "DRIFT", "SPORT", "POSHOLD", "THROW"), True),
+    **dict.fromkeys(("GUIDED_NOGPS", "FLOWHOLD", "ZIGZAG", "TURTLE"), True),
+    **dict.fromkeys(("RTL", "CIRCLE", "LAND", "FLIP", "AUTOTUNE", "BRAKE", "AVOID_ADSB", "SMART_RTL", "FOLLOW"), False),
+    **dict.fromkeys(("SYSTEMID", "AUTOROTATE", "AUTO_RTL"), False),
+}
+"""What `Mode::allows_arming` answers to an arming by a ground station, read from ArduCopter 4.6.3 (mode.h)."""
+
+
+@pytest.mark.parametrize("mode", FIRMWARE_ARMS)
+def test_modes_in_which_arducopter_does_not_arm(mode: str) -> None:
+    finding = health.arming_mode(copter_in(mode), WANTED)
+    assert finding.verdict is (Verdict.PASS if FIRMWARE_ARMS[mode] else Verdict.FAIL)
+    if not FIRMWARE_ARMS[mode]:
+        assert mode in finding.text and "skygcs-cli mode alpha GUIDED" in finding.todo
+
+
+@pytest.mark.parametrize(
+    ("answer", "verdict"),
+    [
+        (Answer(Param("AUTO_OPTIONS", 0)), Verdict.FAIL),
+        (Answer(Param("AUTO_OPTIONS", 0x86)), Verdict.FAIL),
+        (Answer(Param("AUTO_OPTIONS", 0x81)), Verdict.PASS),
+        (Answer(absent=True), Verdict.FAIL),  # before 4.1 no AUTO armed
+        (Answer(why="no answer"), Verdict.UNKNOWN),
+    ],
+)
+def test_auto_arms_only_with_its_option(answer: Answer, verdict: Verdict) -> None:
+    assert health.arming_mode(copter_in("AUTO", answer), WANTED).verdict is verdict
+    assert ("AUTO_OPTIONS",) in needed_params("ardupilot", WANTED, "AUTO")
+    assert ("AUTO_OPTIONS",) not in needed_params("ardupilot", WANTED, "GUIDED")
+
+
+def test_the_mode_is_judged_of_a_disarmed_copter_only() -> None:
+    assert health.arming_mode(copter_in("RTL", armed=True), WANTED).verdict is Verdict.SKIPPED
+    assert health.arming_mode(facts(mode="RTL"), WANTED).verdict is Verdict.SKIPPED, "no copter"
+    assert health.arming_mode(copter_in("AUTO.RTL", autopilot="px4"), WANTED).verdict is Verdict.SKIPPED
+    assert health.arming_mode(copter_in("RTL"), Expectations(prearm=False)).verdict is Verdict.SKIPPED
+
+
 def test_a_fleet_indoors() -> None:
     inside = Expectations(gps_fix_min="no_gps", estimator=False, home_max_m=0, clock_max_s=0)
     gone = {"estimator", "position", "gps fix", "satellites", "hdop", "home", "clock"}

@@ -8,6 +8,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.core.sim.ardupilot import FORCE
 from skygcs.core.sim.copter_setup import CopterMode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter
 
@@ -79,7 +80,17 @@ def test_modes_that_are_not_for_arming_refuse_it(mode: str) -> None:
     pilot.get_ready()
     assert set_mode(pilot, CopterMode[mode]) == ACCEPTED
     assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == FAILED
-    assert pilot.texts()[-1] == "Arm: Mode not armable"
+    assert pilot.texts()[-1] == f"Arm: {mode} mode not armable"
+    assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1, FORCE) == ACCEPTED, "allows_arming is not asked then"
+
+
+def test_auto_arms_with_the_bit_of_auto_options() -> None:
+    vehicle = copter()
+    pilot = Pilot(vehicle)
+    pilot.get_ready()
+    vehicle.params.set("AUTO_OPTIONS", 1)
+    assert set_mode(pilot, CopterMode.AUTO) == ACCEPTED
+    assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
 
 
 def test_take_off_is_relative_and_only_armed_in_guided_on_the_ground() -> None:
