@@ -25,6 +25,7 @@ from skygcs.core.control.deadman import DeadMan
 from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.route_room import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
 from skygcs.core.vehicle.discovery import HEARTBEAT
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
@@ -69,6 +70,8 @@ _NOTE_KINDS = {
     "duplicate": "duplicate",
     "duplicate_over": "duplicate",
     "out_of_bounds": "warning",
+    "crowded": "warning",
+    "crowded_over": "warning",
 }
 
 
@@ -291,6 +294,10 @@ class Daemon:
             "learned": f"{who} heard on {where}",
             "expired": f"{who} not heard on {where} for {self.config.daemon.route_timeout_s:g} s, route forgotten",
             "cleared": f"{who} restarted (SYSTEM_TIME went back), its routes are learned anew",
+            "crowded": f"{where} has no room for a route to {who}: more sources were heard there, or on its link, than "
+            f"the {MAX_CHANNEL_ROUTES} ({MAX_LINK_ROUTES}) that are kept; only autopilots find room, in place "
+            "of others; other links are not affected; allow_from or signing keep strangers out",
+            "crowded_over": f"{where} has room for further routes again",
             "conflict": f"{where} sends frames with our own id {who}: they are dropped; "
             "give one of the two another daemon.sysid or daemon.compid",
             "echo": f"{who} in the recording {where} is heard live as well: the recorded one is not shown"
@@ -437,7 +444,9 @@ class Daemon:
         now = self.now()
         return {
             "counters": {verdict.value: count for verdict, count in router.counters.items()},
-            "overflowed_routes": router.overflowed_routes,
+            "refused_routes": router.refused_routes,
+            "evicted_routes": router.evicted_routes,
+            "unnoted_routes": router.unnoted_routes,
             "routes": [
                 {
                     "sysid": sysid,

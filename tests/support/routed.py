@@ -32,13 +32,15 @@ class RoutedNet:
     def __init__(self, own: tuple[int, int] = (255, 25), route_timeout_s: float = 60.0) -> None:
         self.router = Router(*own, route_timeout_s=route_timeout_s)
         self.now = 100.0
+        self._opened = 0
         self.ids: dict[str, int] = {}
         self.parsers: dict[str, FrameParser] = {}
         self.got: dict[str, list[bytes]] = defaultdict(list)
         self.decisions: list[Decision] = []
 
     def open(self, name: str, policy: ChannelPolicy | None = None) -> None:
-        self.ids[name] = len(self.ids) + 1
+        self._opened += 1
+        self.ids[name] = self._opened
         self.parsers[name] = FrameParser(DIALECT)
         self.router.open(self.ids[name], policy or ChannelPolicy())
 

@@ -43,8 +43,8 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class RouteNote:
-    """A change worth a log line: learned, expired, cleared, conflict, echo, duplicate, duplicate_over, or a target that
-    was out_of_bounds."""
+    """A change worth a log line: learned, expired, cleared, crowded (and over), conflict, echo, duplicate,
+    duplicate_over, or a target that was out_of_bounds."""
 
     kind: str
     sysid: int

@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from skygcs.core.decision import Decision, RouteNote, Standing, Verdict
 from skygcs.core.dedup import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
@@ -48,16 +48,19 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import is_autopilots, shown_by
 from skygcs.core.rivals import RivalWatch
 from skygcs.core.route_port import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
+from skygcs.core.route_room import RouteRoom
 
 HEARTBEAT = 0
 SYSTEM_TIME = 2
 RADIO_STATUS = 109
 RADIO = 166
 
-MAX_ROUTES = 4096
-"""Bound of the route table: 250 vehicles have some 1,000 components; a flood of forged sources ends here."""
-
 MAX_NOTES = 256
+ROUTE_NOTES = 64
+ROUTE_NOTES_PER_S = 1.0
+"""Routes of one channel that are noted as learned or expired: the start of a large fleet, then one a second. A flood
+of forged sources would push everything else out of the daemon's events; what is left out is counted."""
+
 CONFLICT_QUIET_S = 60.0
 """A conflict is noted again only after so long without one on the same channel."""
 
@@ -102,9 +105,10 @@ class Router:
         self._parallel: dict[int, ParallelChannels] = {}
         self._anchored: set[int] = set()
         self._rivals = RivalWatch()
-        self._routes = 0
+        self._room = RouteRoom()
         self.counters: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
-        self.overflowed_routes = 0
+        self.unnoted_routes = 0
+        """Routes learned or expired that were not noted."""
         self.notes: deque[RouteNote] = deque(maxlen=MAX_NOTES)
 
     # -- channels
@@ -165,7 +169,7 @@ class Router:
             if source in port.heard:
                 port.heard[source] = now
             else:
-                self._learn(port, source, now)
+                self._learn(port, source, frame, now)
             if frame.msgid == HEARTBEAT:
                 self._check_vehicle(port, frame, source, now)
         if self._dedup and not port.bound and self._is_copy(port, frame, source, now):
@@ -310,7 +314,7 @@ class Router:
 
     @staticmethod
     def _last_heard(port: Port, system: int) -> float:
-        return max((at for source, at in port.heard.items() if source >> 8 == system), default=float("-inf"))
+        return max((port.heard[source] for source in port.of_system.get(system, ())), default=float("-inf"))
 
     # -- our own messages
 
@@ -339,14 +343,14 @@ class Router:
 
     # -- learning and forgetting
 
-    def _learn(self, port: Port, source: int, now: float) -> None:
+    def _learn(self, port: Port, source: int, frame: Frame, now: float) -> None:
         if source >> 8 == 0:
             return  # system 0 is "all" as a target: a route to it would catch every broadcast
-        if self._routes >= MAX_ROUTES:
-            self.overflowed_routes += 1
+        if not self._room.is_free(port) and not self._make_room(port, source, frame):
             return
         port.heard[source] = now
-        self._routes += 1
+        port.of_system.setdefault(source >> 8, set()).add(source)
+        self._room.added(port)
         ports = self._by_source.setdefault(source, [])
         if ports:
             self.on_change()
@@ -354,15 +358,36 @@ class Router:
         systems = self._by_system.setdefault(source >> 8, [])
         if port not in systems:
             systems.append(port)
-        self._note("learned", source, port)
+        self._note_route("learned", source, port, now)
+
+    def _make_room(self, port: Port, source: int, frame: Frame) -> bool:
+        """Whether a new source may be kept on a channel that is full: an autopilot, if another source gives way."""
+        if not port.crowded:
+            port.crowded = True
+            self._note("crowded", source, port)
+        place = None
+        if frame.msgid == HEARTBEAT and is_autopilots(frame):
+            place = self._room.gives_way(port, self._ports.values())
+        if place is None:
+            self._room.refused += 1
+            port.routes_refused += 1
+            return False
+        crowded, silent = place
+        self._room.evicted += 1
+        crowded.routes_evicted += 1
+        self._forget(crowded, silent)
+        return True
 
     def _forget(self, port: Port, source: int) -> None:
         self.on_change()
         del port.heard[source]
-        self._routes -= 1
+        port.boot_ms.pop(source, None)
+        self._room.removed(port)
         _remove(self._by_source, source, port)
         system = source >> 8
-        if not any(s >> 8 == system for s in port.heard):
+        port.of_system[system].discard(source)
+        if not port.of_system[system]:
+            del port.of_system[system]
             _remove(self._by_system, system, port)
         if source in port.vehicles:
             port.vehicles.discard(source)
@@ -374,7 +399,10 @@ class Router:
         for port in self._ports.values():
             for source in [s for s, at in port.heard.items() if at < limit]:
                 self._forget(port, source)
-                self._note("expired", source, port)
+                self._note_route("expired", source, port, now)
+            if port.crowded and self._room.is_ample(port):
+                port.crowded = False
+                self._note("crowded_over", 0, port)
 
     def _check_reboot(self, port: Port, frame: Frame, source: int) -> None:
         """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears what is known of the system's routes."""
@@ -384,14 +412,13 @@ class Router:
             system = source >> 8
             # of programs with one id behind bound channels each has a clock of its own
             for other in [port] if port.bound else [p for p in self._ports.values() if not p.bound]:
-                for known in [s for s in other.heard if s >> 8 == system]:
+                for known in sorted(other.of_system.get(system, ())):
                     self._forget(other, known)
-                    other.boot_ms.pop(known, None)
             if not port.bound:
                 self._parallel.pop(system, None)
             self.on_change()
             self._note("cleared", source, port)
-        if source in port.boot_ms or len(port.boot_ms) < MAX_ROUTES:
+        if source in port.heard:
             port.boot_ms[source] = boot_ms
 
     def _check_vehicle(self, port: Port, frame: Frame, source: int, now: float) -> None:
@@ -447,7 +474,7 @@ class Router:
         self.on_change()
         for port in list(self._by_system.get(system, ())):
             if port.id in parallel.channel_ids and now - self._last_heard(port, system) > SILENT_S / 2:
-                for source in [s for s in port.heard if s >> 8 == system]:
+                for source in sorted(port.of_system.get(system, ())):
                     self._forget(port, source)
 
     def _conflict(self, port: Port, frame: Frame, now: float) -> Decision:
@@ -464,10 +491,30 @@ class Router:
             self._note("out_of_bounds", source, port, target)
         return self._counted(_OUT_OF_BOUNDS)
 
+    def _note_route(self, kind: str, source: int, port: Port, now: float) -> None:
+        """Note a route that came or went, up to the channel's rate of such notes."""
+        port.note_tokens = min(ROUTE_NOTES, port.note_tokens + (now - port.noted_at) * ROUTE_NOTES_PER_S)
+        port.noted_at = now
+        if port.note_tokens < 1.0:
+            self.unnoted_routes += 1
+            return
+        port.note_tokens -= 1.0
+        self._note(kind, source, port)
+
     def _note(self, kind: str, source: int, port: Port, target: int = 0) -> None:
         self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id, target))
 
     # -- what a person asks
+
+    @property
+    def refused_routes(self) -> int:
+        """Frames of sources that found no room in the table (`core.route_room`)."""
+        return self._room.refused
+
+    @property
+    def evicted_routes(self) -> int:
+        """Sources that gave way to an autopilot."""
+        return self._room.evicted
 
     @property
     def duplicates(self) -> set[int]:
@@ -477,6 +524,11 @@ class Router:
     def channels_of(self, source: int) -> tuple[int, ...]:
         """Ids of the channels on which this sysid<<8|compid is heard."""
         return tuple(p.id for p in self._by_source.get(source, ()))
+
+    def autopilots_on(self, channel_id: int) -> Collection[int]:
+        """The autopilots (sysid<<8|compid) that are heard on a channel."""
+        port = self._ports.get(channel_id)
+        return () if port is None else port.vehicles
 
     def routes(self) -> list[tuple[int, int, int, float]]:
         """(sysid, compid, channel id, last heard at), sorted."""
@@ -489,6 +541,7 @@ class Router:
         if port is None:
             return {}
         kept = {"filtered_in": port.filtered_in, "filtered_out": port.filtered_out, "rate_limited": port.limited}
+        kept |= {"routes_refused": port.routes_refused, "routes_evicted": port.routes_evicted}
         return kept | {"out_of_bounds": port.out_of_bounds} if port.bound else kept
 
 

@@ -32,8 +32,11 @@ from skygcs.runtime.world import World
 
 __all__ = ["Fleet", "OnEvent", "SendFn"]
 
-MAX_VEHICLES = 250
-"""System ids 1..250 by convention; more can only be noise or a forged stream of heartbeats."""
+MAX_VEHICLES_OF_LINK = 250
+"""System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats ..."""
+
+MAX_VEHICLES = 300
+"""... which leaves room for vehicles of other links. One that the fleet file names always has its place."""
 
 ORDERS = frozenset(
     {
@@ -117,6 +120,8 @@ class Fleet:
         self._param_cache = param_cache
         self._heard = heard
         self._kept = Errands(loop, on_event)
+        self._met_on: dict[int, str] = {}
+        """By key, the link on which a vehicle was first heard."""
         self._duplicates: set[int] = set()
         self._replayed: set[int] = set()
         self._decoder = Decoder(dialect)
@@ -172,10 +177,8 @@ class Fleet:
             self._replayed.add(key)
         else:
             self._replayed.discard(key)
-        actor = self.vehicles.pop(key, None)
-        if actor is not None:
-            actor.close()
-            self.on_roster()
+        if key in self.vehicles:
+            self._drop(key)
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
@@ -374,11 +377,16 @@ class Fleet:
         self._send(info, carrier.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
     def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
-        if len(self.vehicles) >= MAX_VEHICLES:
+        if not self._has_place(frame.sysid, channel_label):
             self.refused_vehicles += 1
             if self.refused_vehicles == 1:
-                text = f"more than {MAX_VEHICLES} vehicles: {frame.sysid}/{frame.compid} and later ones are ignored"
-                self._on_event(Event("conflict", None, frame.sysid, text, {"limit": MAX_VEHICLES}))
+                text = (
+                    f"more than {MAX_VEHICLES} vehicles, or {MAX_VEHICLES_OF_LINK} on one link: "
+                    f"{frame.sysid}/{frame.compid} on {channel_label} and later ones are ignored, but for those that "
+                    "the fleet file names"
+                )
+                data = {"limit": MAX_VEHICLES, "limit_of_link": MAX_VEHICLES_OF_LINK, "link": channel_label}
+                self._on_event(Event("conflict", None, frame.sysid, text, data))
             return
         config = self._config_of(frame.sysid, frame.compid)
         daemon = self.config.daemon
@@ -410,6 +418,7 @@ class Fleet:
             heard=lambda: self._heard(key),
         )
         self.vehicles[key] = actor
+        self._met_on[key] = channel_label
         self.on_roster()
         self.world.join(actor)
         actor.on_frame(frame, channel_label, now)
@@ -421,6 +430,33 @@ class Fleet:
             text = f"the fleet file says {config.autopilot}, its heartbeat says {vehicle.family}"
             data = {"expected": config.autopilot, "autopilot": vehicle.family}
             self._on_event(Event("conflict", config.name, frame.sysid, text, data))
+
+    def _has_place(self, sysid: int, link: str) -> bool:
+        """Whether a vehicle that was not met before may be kept. The one that was lost first gives way, if any was."""
+        if sysid in self._configs and not any(key >> 8 == sysid for key in self.vehicles):
+            return True
+        unnamed = [key for key in self.vehicles if key >> 8 not in self._configs]
+        on_link = [key for key in unnamed if self._met_on[key] == link]
+        if len(on_link) >= MAX_VEHICLES_OF_LINK:
+            return self._drop_lost(on_link)
+        return len(self.vehicles) < MAX_VEHICLES or self._drop_lost(unnamed)
+
+    def _drop_lost(self, keys: list[int]) -> bool:
+        """Forget one of these vehicles that is lost, a disarmed one before an armed one. False if all are heard."""
+        lost = [key for key in keys if not self.vehicles[key].vehicle.connected]
+        if not lost:
+            return False
+        actor = self._drop(min(lost, key=lambda key: bool(self.vehicles[key].vehicle.armed)))
+        text = f"{actor.name}, which is lost, gives its place among {MAX_VEHICLES} vehicles to another"
+        self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"forgotten": True}))
+        return True
+
+    def _drop(self, key: int) -> VehicleActor:
+        actor = self.vehicles.pop(key)
+        del self._met_on[key]
+        actor.close()
+        self.on_roster()
+        return actor
 
     def _config_of(self, sysid: int, compid: int) -> VehicleConfig:
         """Names are unique: a second autopilot of one system gets its component id behind the name."""

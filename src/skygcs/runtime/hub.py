@@ -18,6 +18,7 @@ from skygcs.core.decision import RouteNote, Verdict
 from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import is_autopilots
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.core.presented import Endpoint
@@ -425,7 +426,7 @@ class Hub:
                 stats.restart()
 
     def _new_source(self, channel: Channel, key: int, frame: Frame) -> SourceStats:
-        if len(channel.sources) >= MAX_SOURCES_PER_CHANNEL:
+        if len(channel.sources) >= MAX_SOURCES_PER_CHANNEL and not self._drop_source(channel, frame):
             key = OTHER_SOURCES
             known = channel.sources.get(key)
             if known is not None:
@@ -434,6 +435,18 @@ class Hub:
         if key == OTHER_SOURCES:
             stats.counts_loss = False
         return stats
+
+    def _drop_source(self, channel: Channel, frame: Frame) -> bool:
+        """Whether an autopilot finds a place in a full table: that of the source, no autopilot, silent for longest."""
+        if frame.msgid != HEARTBEAT or not is_autopilots(frame):
+            return False
+        autopilots = self.router.autopilots_on(channel.id)
+        others = [key for key in channel.sources if key not in autopilots and key != OTHER_SOURCES]
+        if not others:
+            return False
+        del channel.sources[min(others, key=lambda key: channel.sources[key].last_at)]
+        self.forget_lanes()  # one may count for it
+        return True
 
     def _drain_notes(self) -> None:
         notes = self.router.notes

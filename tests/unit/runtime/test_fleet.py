@@ -19,7 +19,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import RefusedError, TargetError
-from skygcs.runtime.fleet import MAX_KEPT, MAX_VEHICLES, Fleet
+from skygcs.runtime.fleet import MAX_KEPT, MAX_VEHICLES, MAX_VEHICLES_OF_LINK, Fleet
 from support.vehicles import (
     ARDUPILOT,
     CAPTURE,
@@ -64,8 +64,8 @@ class Listening:
         self.sent += 1
         return True
 
-    def hear(self, frame: Frame, now: float = 1.0) -> None:
-        self.fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "here", now)
+    def hear(self, frame: Frame, now: float = 1.0, link: str = "here") -> None:
+        self.fleet.on_frame(frame.sysid << 8 | frame.compid, frame, link, now)
 
     def story(self, vehicle: str, kind: str, key: str) -> list[object]:
         return [e.data[key] for e in self.events if e.vehicle == vehicle and e.kind == kind]
@@ -232,9 +232,42 @@ async def test_forged_heartbeats_cannot_fill_the_memory() -> None:
     for sysid in range(1, 255):
         for compid in (1, 2):
             listening.hear(Voice(sysid, compid).beat())
-    assert len(listening.fleet.vehicles) == MAX_VEHICLES
-    assert listening.fleet.refused_vehicles == 254 * 2 - MAX_VEHICLES
+    assert len(listening.fleet.vehicles) == MAX_VEHICLES_OF_LINK
+    assert listening.fleet.refused_vehicles == 254 * 2 - MAX_VEHICLES_OF_LINK
     assert [e.kind for e in listening.events].count("conflict") == 1
+
+
+async def test_forged_vehicles_leave_room_for_those_of_another_link_and_of_the_fleet_file() -> None:
+    listening = Listening({"vehicles": {"alpha": {"sysid": 254}}})
+    for sysid in range(1, 254):
+        listening.hear(Voice(sysid).beat())
+        listening.hear(Voice(sysid, 2).beat())
+    assert len(listening.fleet.vehicles) == MAX_VEHICLES_OF_LINK
+    listening.hear(Voice(201, 77).beat(), link="radio")
+    assert listening.fleet.find(201).vehicle.connected
+    for compid in range(100, 200):
+        listening.hear(Voice(202, compid).beat(), link="other")
+    assert len(listening.fleet.vehicles) == MAX_VEHICLES
+    listening.hear(Voice(254).beat())
+    assert listening.fleet.find("alpha").sysid == 254
+    listening.hear(Voice(254, 2).beat())
+    assert len(listening.fleet.vehicles) == MAX_VEHICLES + 1, "one place for each vehicle of the file"
+
+
+async def test_a_lost_vehicle_gives_its_place_to_one_that_is_heard() -> None:
+    listening = Listening()
+    for compid in (1, 2):
+        for sysid in range(1, 126):
+            listening.hear(Voice(sysid, compid).beat())
+    assert len(listening.fleet.vehicles) == MAX_VEHICLES_OF_LINK
+    listening.fleet.tick(60.0)
+    listening.hear(Voice(1).beat(), 60.0)
+    listening.hear(Voice(250).beat(), 60.0)
+    assert len(listening.fleet.vehicles) == MAX_VEHICLES_OF_LINK
+    assert listening.fleet.find(250).vehicle.connected
+    assert 1 << 8 | 1 in listening.fleet.vehicles, "which is heard"
+    assert 2 << 8 | 1 not in listening.fleet.vehicles, "which was lost, and met before all others"
+    assert [e.vehicle for e in listening.events if e.data.get("forgotten")] == ["v2"]
 
 
 @given(st.lists(st.binary(max_size=40), max_size=5))

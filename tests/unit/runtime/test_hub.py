@@ -255,9 +255,23 @@ async def test_sources_beyond_the_bound_are_counted_together() -> None:
     channel = bench.channel("bad")
     wanted = MAX_SOURCES_PER_CHANNEL + 50
     for n in range(wanted):
-        bench.feed(channel, heartbeat(1 + n % 200, 1 + n // 200))
+        bench.feed(channel, heartbeat(1 + n % 200, 1 + n // 200, gcs=True))
     assert len(channel.sources) == MAX_SOURCES_PER_CHANNEL + 1
     assert channel.sources[OTHER_SOURCES].frames == 50
+
+
+async def test_an_autopilot_is_counted_by_itself_though_the_channels_table_is_full() -> None:
+    bench = Bench()
+    channel = bench.channel("bad")
+    for n in range(MAX_SOURCES_PER_CHANNEL + 50):
+        bench.feed(channel, heartbeat(1 + n % 200, 1 + n // 200, gcs=True), now=1.0 + n)
+    bench.feed(channel, heartbeat(1, 1, gcs=True), now=900.0)
+    bench.feed(channel, heartbeat(250, 1), heartbeat(250, 1, seq=1), now=901.0)
+    assert channel.sources[250 << 8 | 1].frames == 2
+    assert 1 << 8 | 1 in channel.sources
+    assert 2 << 8 | 1 not in channel.sources, "which was silent for longest"
+    assert len(channel.sources) == MAX_SOURCES_PER_CHANNEL + 1
+    assert bench.faults == []
 
 
 async def test_a_tap_hears_what_it_asked_for_until_it_is_removed() -> None:
