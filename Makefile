@@ -33,7 +33,8 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-$(STAMP): pyproject.toml
+# Anew when the package list, the build or the C changes: a stale fast path would be tested instead.
+$(STAMP): pyproject.toml hatch_build.py $(wildcard src/skygcs/links/_express*.[ch])
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@

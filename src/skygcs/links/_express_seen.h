@@ -9,6 +9,10 @@ enum {
 };
 static const double WINDOW_S = 0.5; /* core.dedup */
 
+/* Sysid, compid, seq and CRC, and the id of a channel (`Hub.attach` gives no greater one), are one number. */
+static const uint64_t GREATEST_KEY = ((uint64_t)1 << 40) - 1;
+static const uint32_t GREATEST_CHANNEL = 0xFFFFFF;
+
 typedef struct { uint64_t *at; int count; } Generation; /* key << 24 | channel id; 0: none */
 typedef struct { Generation newer, older; double turn_at; } Seen;
 
@@ -49,5 +53,5 @@ static uint32_t first_heard(const Seen *seen, uint64_t key) {
 
 static void remember(Seen *seen, uint64_t key, uint32_t channel) {
     seen->newer.count++;
-    *seen_slot(&seen->newer, key) = key << 24 | (channel & 0xFFFFFF);
+    *seen_slot(&seen->newer, key) = key << 24 | channel;
 }

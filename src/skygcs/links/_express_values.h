@@ -27,28 +27,65 @@ static uint64_t address_key(const struct sockaddr_in *a) {
     return (uint64_t)1 << 48 | (uint64_t)a->sin_port << 32 | a->sin_addr.s_addr;
 }
 
-static int add(PyObject *object, PyObject *name, long delta) {
-    if (!delta) return 1;
-    PyObject *before = PyObject_GetAttr(object, name);
-    if (!before) return 0;
-    PyObject *after = PyLong_FromLong(PyLong_AsLong(before) + delta);
-    Py_DECREF(before);
-    int good = after && !PyErr_Occurred() && !PyObject_SetAttr(object, name, after);
-    Py_XDECREF(after);
-    return good;
+/* Counters have 64 bits: a `long` of a 32-bit machine would end at 2 GB. */
+
+static int get_number(PyObject *object, PyObject *name, long long *value) {
+    PyObject *number = PyObject_GetAttr(object, name);
+    if (!number) return 0;
+    *value = PyLong_AsLongLong(number);
+    Py_DECREF(number);
+    return *value != -1 || !PyErr_Occurred();
 }
 
-static int set_long(PyObject *object, PyObject *name, long value) {
-    PyObject *number = PyLong_FromLong(value);
+static int set_number(PyObject *object, PyObject *name, long long value) {
+    PyObject *number = PyLong_FromLongLong(value);
     int good = number && !PyObject_SetAttr(object, name, number);
     Py_XDECREF(number);
     return good;
 }
 
-static int get_long(PyObject *object, PyObject *name, long *value) {
-    PyObject *number = PyObject_GetAttr(object, name);
-    if (!number) return 0;
-    *value = PyLong_AsLong(number);
-    Py_DECREF(number);
-    return !PyErr_Occurred();
+static int add(PyObject *object, PyObject *name, long long delta) {
+    long long before;
+    return !delta || (get_number(object, name, &before) && set_number(object, name, before + delta));
+}
+
+/* Exceptions as objects, whatever the version of Python; NULL if none is set. */
+
+static PyObject *take_exception(void) {
+#if PY_VERSION_HEX >= 0x030C0000
+    return PyErr_GetRaisedException();
+#else
+    PyObject *type, *value, *trace;
+    PyErr_Fetch(&type, &value, &trace);
+    if (!type) return NULL;
+    PyErr_NormalizeException(&type, &value, &trace);
+    if (trace) PyException_SetTraceback(value, trace);
+    Py_DECREF(type), Py_XDECREF(trace);
+    return value;
+#endif
+}
+
+static void raise_exception(PyObject *exception) {
+#if PY_VERSION_HEX >= 0x030C0000
+    PyErr_SetRaisedException(exception);
+#else
+    PyErr_Restore(Py_NewRef((PyObject *)Py_TYPE(exception)), exception, PyException_GetTraceback(exception));
+#endif
+}
+
+/* What went wrong first in work that goes on nevertheless. */
+typedef struct { PyObject *first; } Faults;
+
+/* Put the exception that is set aside. Of several the first will be raised; the others go to sys.unraisablehook. */
+static void set_aside(Faults *faults, PyObject *where) {
+    if (faults->first) PyErr_WriteUnraisable(where);
+    else faults->first = take_exception();
+}
+
+/* True if there were none; else the first is raised. */
+static int none_of(Faults *faults) {
+    if (!faults->first) return 1;
+    raise_exception(faults->first);
+    faults->first = NULL;
+    return 0;
 }

@@ -47,6 +47,10 @@ MAX_REPLAYED = 4096
 MAX_HOPELESS = 16384
 """Sources and messages known not to pass a lane; then all are asked about anew."""
 
+MAX_CHANNEL_ID = (1 << 24) - 1
+"""What the compiled lane's memory of frames has room for; then ids of closed channels are given again. A peer that
+comes under ever new addresses gets there in hours."""
+
 WHOLE_DATAGRAM_BYTES = 1472
 """Frames that came in one datagram are sent on in one up to this size, what one Ethernet packet carries."""
 
@@ -124,8 +128,7 @@ class Hub:
 
     def attach(self, channel: Channel) -> None:
         """The channel may be routed to from now on; gives it its id."""
-        channel.id = self._next_id
-        self._next_id += 1
+        channel.id = self._free_id()
         self.channels[channel.id] = channel
         parted = self._parted.pop((channel.link.name, channel.peer), None)
         if parted is not None:
@@ -143,6 +146,13 @@ class Hub:
         if self._heartbeat is not None:
             # not from within the link's own opening: it may not be ready to send yet
             self._loop.call_soon(self._greet, channel, self._heartbeat)
+
+    def _free_id(self) -> int:
+        """The id after the last one that no open channel has."""
+        while True:
+            found, self._next_id = self._next_id, self._next_id % MAX_CHANNEL_ID + 1
+            if found not in self.channels:
+                return found
 
     def _greet(self, channel: Channel, heartbeat: OwnMessage) -> None:
         if self.channels.get(channel.id) is channel:
@@ -221,7 +231,10 @@ class Hub:
             except Exception as error:
                 self.fault(error)
         if together:
-            self._send_together(together)
+            try:
+                self._send_together(together)
+            except Exception as error:
+                self.fault(error)
         if self.router.notes:
             self._drain_notes()
 
@@ -420,6 +433,7 @@ class Hub:
 
     def restart_source(self, key: int) -> None:
         """A system rebooted: its sequence numbers start anew on every channel."""
+        self.after_lane()  # which would overwrite them with what it has gathered
         for channel in self.channels.values():
             stats = channel.sources.get(key)
             if stats is not None:
