@@ -7,7 +7,8 @@ from dataclasses import asdict
 from typing import Any
 
 from skygcs.core.mavlink.param import NAME_CHARS, float32, short_float
-from skygcs.core.params.compare import ApplyPlan, Difference
+from skygcs.core.params.compare import ApplyPlan, Change, Difference
+from skygcs.core.params.file import Rounding
 
 BAR_CELLS = 30
 MAX_NAMED = 10
@@ -46,9 +47,34 @@ def differences(first: str, second: str, found: Sequence[Difference]) -> Iterato
         yield f"{d.name:<{NAME_CHARS}}  {_side(d.first)}  ->  {_side(d.second)}{other}{note}"
 
 
+WRITERS: Mapping[Rounding, str] = {
+    "6 decimals": "rounded to 6 decimals, as MAVProxy writes them",
+    "7 digits": "rounded to 7 digits, as Mission Planner writes them",
+}
+"""QGroundControl's 18 decimals hide nothing that matters to anybody."""
+
+
+def rounded(name: str, rounding: Rounding) -> Iterator[str]:
+    """Says what a comparison with this file cannot show."""
+    if rounding in WRITERS:
+        yield f"{name}: its values are {WRITERS[rounding]}; smaller differences do not show"
+
+
+def after_lines(vehicle: str, left: Sequence[Change]) -> Iterator[str]:
+    """What differs from the file when all is done and read again."""
+    if not left:
+        yield f"{vehicle}: read again, nothing differs from the file"
+        return
+    yield f"{vehicle}: read again, {len(left)} still {'differs' if len(left) == 1 else 'differ'} from the file:"
+    for change in left:
+        yield f"  {change.name:<{NAME_CHARS}}  {_value(change.before)} instead of {_value(change.value)}"
+
+
 def plan_lines(vehicle: str, made: ApplyPlan) -> Iterator[str]:
     """What applying a file would do."""
     yield f"{vehicle}: {len(made.changes)} to set, {made.same} as they are, {len(made.skipped)} left alone"
+    for note in rounded("the file", made.rounding):
+        yield f"  {note}"
     for warning in made.warnings:
         yield f"  WARNING: {warning}"
     for problem in made.problems:

@@ -8,7 +8,8 @@ import fnmatch
 import json
 import os
 import sys
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Iterable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,7 +24,7 @@ from skygcs.rpc.client import Client
 if TYPE_CHECKING:  # every command line registers every command: what only these need is imported when they run
     from skygcs.cli.param_file import Held
     from skygcs.core.params.compare import ApplyPlan, Difference
-    from skygcs.core.params.file import Entry
+    from skygcs.core.params.file import Entry, ParamFile
 
 params = typer.Typer(
     help="Read, set, save, compare and apply parameters; `diff` of two files needs no daemon.", no_args_is_help=True
@@ -144,7 +145,7 @@ def apply(
     burst: Burst = False,
     json_output: Json = False,
 ) -> None:
-    """Set what a file has otherwise, and nothing else; every value is read back.
+    """Set what a file has otherwise, and nothing else; every value is read back, and what differs then is listed.
 
     Calibration, statistics and system ids are left alone unless asked for with --include. Nothing is sent if the file
     has a value that the vehicle cannot hold, or seems to be another vehicle's.
@@ -155,20 +156,49 @@ def apply(
 
     sorts = include_of(include)
 
+    def planned(contents: ParamFile, held: Held) -> ApplyPlan:
+        return plan(
+            contents,
+            {p.name: p for p in held.params},
+            sysid=held.sysid,
+            compid=held.compid,
+            stack=held.autopilot,
+            include=sorts,
+        )
+
+    async def applied(gcs: Client, contents: ParamFile, held: Held, made: ApplyPlan) -> dict[str, Any]:
+        """Sets, reads again and reports; what JSON says of it."""
+
+        def tell(lines: Iterable[str]) -> None:
+            for line in () if json_output else lines:
+                typer.echo(line)
+
+        done: dict[str, Any] = {"outcomes": {}, "differs": []}
+        if not made.changes:
+            return done
+        outcomes = (await _set(gcs, str(held.sysid), {c.name: c.value for c in made.changes}))[held.name]
+        done["outcomes"] = outcomes
+        tell(param_lines.outcomes({held.name: outcomes}))
+        why = "its identity has been changed" if any(c.sort == "identity" for c in made.changes) else ""
+        try:
+            left = () if why else planned(contents, await _reread(gcs, held, list(outcomes))).changes
+        except RefusedError as error:
+            why, left = str(error), ()
+        if why:
+            done["differs"] = None
+            tell([f"{held.name}: not read again: {why}"])
+        else:
+            done["differs"] = [asdict(change) for change in left]
+            tell(param_lines.after_lines(held.name, left))
+        return done
+
     async def command(gcs: Client) -> int:
         contents = read_file(file)
         exit_code = Exit.DONE
         answers: dict[str, Any] = {}
         for entry in (await _lists(gcs, targets, refresh=refresh, burst=burst, sure=True)).values():
             held = held_of(entry)
-            made = plan(
-                contents,
-                {p.name: p for p in held.params},
-                sysid=held.sysid,
-                compid=held.compid,
-                stack=held.autopilot,
-                include=sorts,
-            )
+            made = planned(contents, held)
             answers[held.name] = param_lines.plan_data(made)
             if not json_output:
                 for line in param_lines.plan_lines(held.name, made):
@@ -176,11 +206,9 @@ def apply(
             if dry_run:
                 continue
             _refuse(held.name, made, force=force)
-            outcomes = await _set(gcs, str(held.sysid), {c.name: c.value for c in made.changes}) if made.changes else {}
-            answers[held.name]["outcomes"] = outcomes.get(held.name, {})
-            if not json_output:
-                _tell(outcomes, json_output=False)
-            if not all(o["ok"] for o in answers[held.name]["outcomes"].values()):
+            done = await applied(gcs, contents, held, made)
+            answers[held.name] |= done
+            if done["differs"] or not all(o["ok"] for o in done["outcomes"].values()):
                 exit_code = Exit.FAILED
         if json_output:
             typer.echo(json.dumps(answers, indent=2))
@@ -197,31 +225,41 @@ def diff_(
     refresh: Refresh = False,
     json_output: Json = False,
 ) -> None:
-    """Where two sets of parameters differ; exit 1 if they do. Each is a file or a vehicle."""
+    """Where two sets of parameters differ; exit 1 if they do. Each is a file or a vehicle.
+
+    Values are compared as the 32-bit floats that vehicles hold, exactly. Only of a file whose writer rounds (MAVProxy,
+    Mission Planner) a value stands for all that it would have rounded to it.
+    """
     from skygcs.cli import param_lines
     from skygcs.cli.param_file import include_of, read_file
     from skygcs.core.params.compare import diff
     from skygcs.core.params.file import Entry
 
     sorts = include_of(include)
+    notes: list[str] = []
+
+    def from_file(name: str) -> tuple[Entry, ...]:
+        contents = read_file(Path(name))
+        notes.extend(param_lines.rounded(name, contents.rounding))
+        return contents.entries
 
     def tell(left: tuple[Entry, ...], right: tuple[Entry, ...]) -> int:
         found = [d for d in diff(left, right) if d.sort in sorts]
         if json_output:
             typer.echo(json.dumps([_difference(d) for d in found], indent=2))
         else:
-            for line in param_lines.differences(first, second, found):
+            for line in (*param_lines.differences(first, second, found), *notes):
                 typer.echo(line)
         return Exit.FAILED if found else Exit.DONE
 
     if all(_is_file(name) for name in (first, second)):
-        run_offline(lambda: tell(read_file(Path(first)).entries, read_file(Path(second)).entries))
+        run_offline(lambda: tell(from_file(first), from_file(second)))
 
     async def command(gcs: Client) -> int:
         sides = []
         for name in (first, second):
             if _is_file(name):
-                sides.append(read_file(Path(name)).entries)
+                sides.append(from_file(name))
             else:
                 held = await _held(gcs, name, refresh=refresh, burst=False)
                 sides.append(tuple(Entry(p.name, p.value) for p in held.params))
@@ -274,6 +312,19 @@ async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[s
         answer = await gcs.call("params.set", targets=targets, params=dict(values))
     outcomes: dict[str, dict[str, dict[str, Any]]] = answer["outcomes"]
     return outcomes
+
+
+async def _reread(gcs: Client, before: Held, names: list[str]) -> Held:
+    """What a vehicle holds after these were set: those read again one by one, and what the daemon has heard since of
+    all others. Raises RefusedError without an answer."""
+    held = await _held(gcs, str(before.sysid), refresh=False, burst=False)
+    async with _progress(gcs, before.name):
+        answer = await gcs.call("params.get", targets=str(before.sysid), names=names)
+    told = {
+        o["name"]: o["value"] for o in answer["outcomes"][before.name].values() if o["ok"] and o["value"] is not None
+    }
+    params = tuple(replace(p, value=type(p.value)(told.get(p.name, p.value))) for p in held.params)
+    return replace(held, params=params)
 
 
 async def _lists(

@@ -36,6 +36,8 @@ class FakeParams:
     def __init__(self) -> None:
         self.held = {p.name: p for p in HELD}
         self.set_calls: list[dict[str, float]] = []
+        self.deaf: set[str] = set()
+        """Names that it says it has set, and has not."""
         self.complete = True
         self.vouched = "read"
         self.refreshed = 0
@@ -52,6 +54,8 @@ class FakeParams:
         outcomes = {}
         for name, value in values.items():
             ok = name in self.held and not (name == "WPNAV_SPEED" and value > 1000)
+            if ok and name not in self.deaf:
+                self.held[name] = replace(self.held[name], value=value)
             outcomes[name] = ParamOutcome(ok, "accepted" if ok else "denied", f"-> {value:g}" if ok else "no", name)
         return outcomes
 
@@ -164,12 +168,33 @@ def test_apply_sets_what_differs_and_a_dry_run_only_says_so(served: Served, tmp_
     text = served.run("apply", "alpha", str(path), "--dry-run")
     assert "WPNAV_SPEED       500 -> 600" in text and "left alone (see --include)" in text
     assert served.params.set_calls == []
-    served.run("apply", "alpha", str(path))
-    served.run("apply", "alpha", str(path), "--include", "identity")
-    assert [list(call) for call in served.params.set_calls] == [
-        ["FENCE_ENABLE", "WPNAV_SPEED"],
-        ["FENCE_ENABLE", "WPNAV_SPEED", "SYSID_THISMAV"],
-    ]
+    assert "alpha: read again, nothing differs from the file" in served.run("apply", "alpha", str(path))
+    text = served.run("apply", "alpha", str(path), "--include", "identity")
+    assert "not read again: its identity has been changed" in text
+    assert [list(call) for call in served.params.set_calls] == [["FENCE_ENABLE", "WPNAV_SPEED"], ["SYSID_THISMAV"]]
+
+
+def test_apply_lists_what_differs_when_it_has_read_again(served: Served, tmp_path: Path) -> None:
+    """A PX4 changes some parameters right after it has taken them."""
+    path = tmp_path / "a.param"
+    path.write_text("WPNAV_SPEED,600\nFENCE_ENABLE,1\n")
+    served.params.deaf.add("WPNAV_SPEED")
+    text = served.run("apply", "alpha", str(path), code=1)
+    assert "ok   alpha  WPNAV_SPEED       -> 600" in text
+    assert "alpha: read again, 1 still differs from the file:\n  WPNAV_SPEED       500 instead of 600" in text
+    told = json.loads(served.run("apply", "alpha", str(path), "--json", code=1))["alpha"]
+    assert [(d["name"], d["before"], d["value"]) for d in told["differs"]] == [("WPNAV_SPEED", 500.0, 600.0)]
+
+
+def test_diff_and_apply_see_the_second_digit(served: Served, tmp_path: Path) -> None:
+    """The attack: half a unit of the last digit counted as equal, so 0.5 was 0.48 and apply said "0 to set"."""
+    path = tmp_path / "a.param"
+    path.write_text("COMPASS_OFS_X,4.4\n")  # it holds 4.5
+    assert "COMPASS_OFS_X" in served.run("diff", "alpha", str(path), code=1).split("[calibration]")[0]
+    assert "1 to set" in served.run("apply", "alpha", str(path), "--include", "all", "--dry-run")
+    path.write_text("COMPASS_OFS_X    4.500000\n")
+    text = served.run("diff", "alpha", str(path), code=1)  # it has more
+    assert "COMPASS_OFS_X" not in text and "rounded to 6 decimals, as MAVProxy writes them" in text
 
 
 @pytest.mark.parametrize(

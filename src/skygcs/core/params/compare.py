@@ -6,12 +6,12 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from skygcs.core.mavlink.param import Param, Value, held_as, value_text
-from skygcs.core.params.file import Entry, ParamFile
+from skygcs.core.mavlink.param import Param, Value, float32, held_as, value_text
+from skygcs.core.params.file import Entry, ParamFile, Rounding
 from skygcs.core.params.names import Sort, other_name, sort_of, turns_on
 
-RELATIVE_TOLERANCE = 1e-6
-"""Files are written with six to nine digits; a 32-bit float has seven."""
+SLACK_ERROR = 1e-6
+"""Relative: a value that lies just between two roundings counts for both, as a decimal has no exact binary form."""
 
 FOREIGN_RATIO = 0.2
 """A file of which more than this a vehicle does not know is of another firmware or type of vehicle."""
@@ -67,18 +67,22 @@ class ApplyPlan:
     unknown: tuple[str, ...]
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
+    rounding: Rounding = "exact"
+    """Of the file's values: what differs by less than that counts as the same."""
 
 
-def equal(first: Value, second: Value, step: float = 0.0) -> bool:
-    """Whether two values are one, as far as texts can tell; ``step``: the unit of the last digit of either.
-
-    Whole numbers are compared exactly where both are written as such.
-    """
-    if isinstance(first, int) and isinstance(second, int):
-        return first == second
+def equal(first: Value, second: Value, slack: float = 0.0) -> bool:
+    """Whether two values are one to a vehicle, which holds 32-bit floats: exactly, but for ``slack``, by which a
+    file's writer is known to have rounded (`Entry.slack`). Whole numbers are compared exactly."""
     if first == second:
         return True
-    return abs(first - second) <= max(step / 2 * 1.001, RELATIVE_TOLERANCE * max(abs(first), abs(second)))
+    if isinstance(first, int) and isinstance(second, int):
+        return False
+    try:
+        near = abs(first - second) <= slack * (1 + SLACK_ERROR)
+        return near or float32(first) == float32(second)
+    except OverflowError:
+        return False
 
 
 def diff(first: Iterable[Entry], second: Iterable[Entry]) -> list[Difference]:
@@ -93,7 +97,7 @@ def diff(first: Iterable[Entry], second: Iterable[Entry]) -> list[Difference]:
             continue
         matched.add(there)
         other = right[there]
-        if not equal(entry.value, other.value, max(entry.step, other.step)):
+        if not equal(entry.value, other.value, entry.slack + other.slack):
             renamed = there if there != name else None
             found.append(Difference(name, entry.value, other.value, renamed, sort_of(name)))
     found += [Difference(n, None, e.value, sort=sort_of(n)) for n, e in right.items() if n not in matched]
@@ -130,7 +134,7 @@ def plan(
             unknown.append(entry.name)
             continue
         present = held[name]
-        if equal(present.value, entry.value, entry.step):
+        if equal(present.value, entry.value, entry.slack):
             same += 1
             continue
         try:
@@ -142,7 +146,7 @@ def plan(
     changes.sort(key=_turn)
     skipped += [(e.name, f"component {e.compid}") for e in file.entries if e.compid not in (None, compid)]
     warnings = _warnings(file, held, unknown, len(entries), sysid, stack)
-    return ApplyPlan(tuple(changes), same, tuple(skipped), tuple(unknown), tuple(problems), warnings)
+    return ApplyPlan(tuple(changes), same, tuple(skipped), tuple(unknown), tuple(problems), warnings, file.rounding)
 
 
 def _turn(change: Change) -> int:
@@ -175,7 +179,7 @@ def _warnings(
         )
     for entry in file.entries:
         present = held.get(entry.name)
-        if entry.name in FRAME_NAMES and present is not None and not equal(present.value, entry.value, entry.step):
+        if entry.name in FRAME_NAMES and present is not None and not equal(present.value, entry.value, entry.slack):
             here = value_text(present.value)
             told.append(f"{entry.name} is {value_text(entry.value)} in the file and {here} here: another airframe")
     return tuple(told)

@@ -5,6 +5,11 @@
 
 Which it is shows in the first parameter, not in the name of the file. Comments and their places are kept: a file under
 version control can be written again.
+
+Some writers round. MAVProxy and pymavlink write `%f`, which makes 0.000123 of 0.00012345; Mission Planner writes seven
+significant digits, where a 32-bit float can need nine; QGroundControl writes 18 decimals, which is exact but for values
+below 1e-9. Which writer it was shows in the digits of the whole file (`Rounding`); only then a value of the file stands
+for all that would have been rounded to it (`Entry.slack`). Everything else is the number that is written.
 """
 
 from __future__ import annotations
@@ -13,13 +18,15 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from decimal import Decimal
 from typing import Literal
 
 from skygcs.core.mavlink.param import NAME_CHARS, Param, ParamType, Value, float32, held_as, is_name, short_float
 from skygcs.errors import ConfigError
 
 Kind = Literal["qgc", "plain"]
+
+Rounding = Literal["exact", "6 decimals", "7 digits", "18 decimals"]
+"""How the writer of a file rounds values that are no whole numbers."""
 
 MAX_CHARS = 4_000_000
 """Of one file: fifty times the largest set there is."""
@@ -32,15 +39,22 @@ _HEX = re.compile(r"0[xX][0-9a-fA-F]{1,8}", re.ASCII)
 _PLAIN = re.compile(r"([^\s,=]+)\s*[\s,=]\s*([^\s,#]+)\s*(.*)")
 _HEAD = re.compile(r"#\s*(Stack|Vehicle|Version|Git Revision)\s*:\s*(.+)")
 _FOR_VEHICLE = re.compile(r"#\s*Onboard parameters for Vehicle (\d+)")
-_FLOAT_DECIMALS = 18
-"""As QGroundControl writes them."""
+
+QGC_DECIMALS = 18
+"""Of every value that is no whole number (`QString::number(value, 'f', 18)`)."""
+
+MAVPROXY_DECIMALS = 6
+"""`%f` of pymavlink's mavparm.py, with which MAVProxy writes, too."""
+
+MISSION_PLANNER_DIGITS = 7
+"""Significant ones: .NET's default for a float, which Mission Planner reads a parameter as. Trailing zeros are cut."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
     """One line with a parameter. ``type``, ``sysid`` and ``compid`` are what a QGroundControl file says, else None.
 
-    ``step``: the unit of the last digit written, 0 for a whole number: the value may have been rounded to it.
+    ``slack``: half a unit of the digit that the file's writer rounds to; 0 if it is not known to round.
     ``comment`` stands behind the value, ``above`` are comment lines before it, both as they were written.
     """
 
@@ -49,7 +63,7 @@ class Entry:
     type: ParamType | None = None
     sysid: int | None = None
     compid: int | None = None
-    step: float = field(default=0.0, compare=False)
+    slack: float = field(default=0.0, compare=False)
     comment: str = ""
     above: tuple[str, ...] = ()
     line: int = field(default=0, compare=False)
@@ -64,6 +78,7 @@ class ParamFile:
     separator: str = ","
     header: tuple[str, ...] = ()
     footer: tuple[str, ...] = ()
+    rounding: Rounding = field(default="exact", compare=False)
 
     @property
     def about(self) -> dict[str, str]:
@@ -105,6 +120,8 @@ class _Reader:
     def __init__(self) -> None:
         self.problems: list[str] = []
         self.entries: list[Entry] = []
+        self._texts: list[str] = []
+        """What was written for the value of each entry."""
         self._kind: Kind | None = None
         self._separator = ","
         self._comments: list[str] = []
@@ -124,7 +141,7 @@ class _Reader:
         if first:
             words = line.split()
             self._kind = "qgc" if len(words) >= 4 and words[0].isdigit() and words[1].isdigit() else "plain"
-        entry = _qgc_entry(number, line) if self._kind == "qgc" else self._plain_entry(number, line)
+        entry, text = _qgc_entry(number, line) if self._kind == "qgc" else self._plain_entry(number, line)
         if first:
             self._header, self._comments = tuple(self._comments), []
         key = (entry.sysid, entry.compid, entry.name)
@@ -136,27 +153,34 @@ class _Reader:
                 )
             return
         self.entries.append(replace(entry, above=tuple(self._comments)))
+        self._texts.append(text)
         self._comments = []
 
     def result(self) -> ParamFile:
         assert self._kind is not None
-        return ParamFile(self._kind, tuple(self.entries), self._separator, self._header, tuple(self._comments))
+        own = any(_FOR_VEHICLE.match(line) for line in self._header)  # ours: as many digits as a float needs
+        rounding: Rounding = "exact" if own and self._kind == "plain" else _rounding(self._kind, self._texts)
+        entries = tuple(
+            replace(entry, slack=_slack(rounding, entry.value, text))
+            for entry, text in zip(self.entries, self._texts, strict=True)
+        )
+        return ParamFile(self._kind, entries, self._separator, self._header, tuple(self._comments), rounding)
 
-    def _plain_entry(self, number: int, line: str) -> Entry:
+    def _plain_entry(self, number: int, line: str) -> tuple[Entry, str]:
         match = _PLAIN.fullmatch(line)
         if match is None:
             raise ValueError(f"{_clip(line)} is not of the form NAME,VALUE or NAME VALUE")
         name, written, rest = match.groups()
         _check_name(name)
-        value, step = _number(written)
+        value = _number(written)
         if rest and not rest.startswith(("#", "@READONLY")):
             raise ValueError(f"{_clip(rest)} stands behind the value; a comment begins with #")
         if not self.entries and not self._seen:
             self._separator = "," if "," in line[: line.index(written, len(name))] else " "
-        return Entry(name, value, step=step, comment=rest, line=number)
+        return Entry(name, value, comment=rest, line=number), written
 
 
-def _qgc_entry(number: int, line: str) -> Entry:
+def _qgc_entry(number: int, line: str) -> tuple[Entry, str]:
     words = line.split("\t") if "\t" in line else line.split()
     if len(words) != 5:
         raise ValueError(f"has {len(words)} columns instead of 5 (vehicle, component, name, value, type)")
@@ -167,7 +191,7 @@ def _qgc_entry(number: int, line: str) -> Entry:
     if not kind.isdigit() or not 1 <= int(kind) <= ParamType.REAL64:
         raise ValueError(f"{name}: type {_clip(kind)} is no MAV_PARAM_TYPE (6 is a whole number, 9 a float)")
     type_ = ParamType(int(kind))
-    value, step = _number(written)
+    value = _number(written)
     if not type_.integer:
         value = float(value)
     try:
@@ -175,7 +199,7 @@ def _qgc_entry(number: int, line: str) -> Entry:
             value = held_as(value, type_)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
-    return Entry(name, value, type_, int(vehicle), int(component), step=step, line=number)
+    return Entry(name, value, type_, int(vehicle), int(component), line=number), written
 
 
 def _check_name(name: str) -> None:
@@ -184,22 +208,51 @@ def _check_name(name: str) -> None:
         raise ValueError(f"{_clip(name)} is no parameter's name (letters, digits and _{long})")
 
 
-def _number(text: str) -> tuple[Value, float]:
-    """The value and the unit of its last digit. Raises ValueError."""
+def _number(text: str) -> Value:
+    """Raises ValueError."""
     if _HEX.fullmatch(text):
-        return int(text, 16), 0.0
+        return int(text, 16)
     if not _NUMBER.fullmatch(text):
         raise ValueError(f"{_clip(text)} is no number")
-    exponent = Decimal(text).as_tuple().exponent
-    assert isinstance(exponent, int)
     if not any(c in text for c in ".eE"):
-        return int(text), 0.0
+        return int(text)
     value = float(text)
     try:
         float32(value)
     except OverflowError:
         raise ValueError(f"{_clip(text)} is too large for a 32-bit float") from None
-    return value, math.pow(10.0, exponent) if exponent < 0 else 0.0
+    return value
+
+
+def _rounding(kind: Kind, texts: Iterable[str]) -> Rounding:
+    """How the writer of a file with these values rounds, as far as its digits show it beyond doubt."""
+    floats = [text for text in texts if any(c in text for c in ".eE") and not _HEX.fullmatch(text)]
+    decimals = {-1 if "e" in text.lower() else len(text.partition(".")[2]) for text in floats}
+    if decimals == {QGC_DECIMALS} and kind == "qgc":
+        return "18 decimals"
+    if decimals == {MAVPROXY_DECIMALS} and kind == "plain":
+        return "6 decimals"
+    if kind == "plain" and max(map(_digits, floats), default=0) == MISSION_PLANNER_DIGITS:
+        return "7 digits"
+    return "exact"
+
+
+def _digits(text: str) -> int:
+    """Significant digits of a number that has a point or an exponent."""
+    mantissa = re.split("[eE]", text.lstrip("+-"), maxsplit=1)[0]
+    return len(mantissa.replace(".", "").lstrip("0"))
+
+
+def _slack(rounding: Rounding, value: Value, text: str) -> float:
+    fraction = "." in text or "e" in text.lower()
+    match rounding:
+        case "6 decimals" if fraction:
+            return 0.5 * 10.0**-MAVPROXY_DECIMALS
+        case "18 decimals" if fraction:
+            return 0.5 * 10.0**-QGC_DECIMALS
+        case "7 digits" if value and (fraction or abs(value) < 10**MISSION_PLANNER_DIGITS):
+            return 0.5 * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - MISSION_PLANNER_DIGITS)
+    return 0.0
 
 
 def _clip(text: str) -> str:
@@ -228,7 +281,7 @@ def _qgc_line(entry: Entry) -> str:
 def _qgc_value(value: Value) -> str:
     if isinstance(value, int):
         return str(value)
-    fixed = f"{value:.{_FLOAT_DECIMALS}f}"
+    fixed = f"{value:.{QGC_DECIMALS}f}"
     return fixed if float(fixed) == value else repr(value)
 
 

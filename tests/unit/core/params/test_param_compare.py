@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import pytest
+import math
 
-from skygcs.core.mavlink.param import Param, ParamType, float32
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from skygcs.core.mavlink.param import Param, ParamType, float32, short_float
 from skygcs.core.params.compare import diff, equal, plan
 from skygcs.core.params.file import Entry, parse
 from skygcs.core.params.names import other_name, sort_of
@@ -62,12 +66,69 @@ def test_names_tell_what_belongs_to_one_vehicle(name: str, sort: str) -> None:
     assert sort_of(name) == sort
 
 
-def test_values_are_compared_as_far_as_their_texts_go() -> None:
+def test_values_are_compared_as_vehicles_hold_them() -> None:
     assert equal(float32(0.1), 0.1)
-    assert equal(0.000120, 0.00012034, 1e-6)
-    assert not equal(0.000120, 0.00012134, 1e-6)
+    assert not equal(0.5, 0.48) and not equal(0.1, 0.15) and not equal(float32(0.45), 0.4)
+    assert not equal(0.1, math.nextafter(float32(0.1), 1) + 2e-8)
+    assert equal(0.000120, 0.00012034, 0.5e-6)
+    assert not equal(0.000120, 0.00012054, 0.5e-6)
     assert not equal(16777216, 16777217)
+    assert equal(16777217, 16777216.0), "a vehicle that is sent floats holds no other"
     assert equal(3, 3.0) and not equal(3, 3.1)
+    assert not equal(1e39, 1.0) and not equal(10**400, 1.0), "no 32-bit float, and no traceback"
+
+
+def written_by(writer: str, values: list[float]) -> str:
+    """A file of these values P0, P1, … as this program writes it. The last two show how it rounds."""
+    values = [*values, float32(0.1234567), float32(1.5)]
+    lines = {
+        "MAVProxy": [f"{f'P{n}':<16} {v:f}" for n, v in enumerate(values)],
+        "Mission Planner": [f"P{n},{format(v, '.7g')}" for n, v in enumerate(values)],
+        "QGroundControl": [f"1\t1\tP{n}\t{v:.18f}\t9" for n, v in enumerate(values)],
+        "by hand": [f"P{n},{short_float(v)}" for n, v in enumerate([*values, float32(0.12345679)])],
+    }
+    return "\n".join(lines[writer]) + "\n"
+
+
+WRITERS = ("MAVProxy", "Mission Planner", "QGroundControl", "by hand")
+FLOATS = st.floats(-1e7, 1e7, width=32) | st.floats(-1, 1, width=32)
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+@given(first=FLOATS, second=FLOATS)
+@example(first=float32(0.4), second=float32(0.45))
+@example(first=float32(0.1), second=float32(0.10000001))
+@example(first=float32(8388607.5), second=float32(8388607.0))
+@example(first=float32(1e-7), second=float32(2e-7))
+def test_a_file_hides_what_its_writer_rounds_and_nothing_else(writer: str, first: float, second: float) -> None:
+    text = written_by(writer, [first])
+    (entry, *_), other = parse(text, "a").entries, parse(written_by(writer, [second]), "b").entries[0]
+    holds = Param("P0", second, F32)
+    same_text = text.splitlines()[0] == written_by(writer, [second]).splitlines()[0]
+    differs = bool(diff([entry], [Entry("P0", second)]))
+    assert not differs or not same_text, "a vehicle that would give the same file differs from it"
+    grain = {"MAVProxy": 1e-6, "Mission Planner": 1.001e-6 * max(abs(first), abs(second)), "QGroundControl": 1e-18}
+    if abs(first - second) > grain.get(writer, 0.0):
+        assert differs, "more than any rounding"
+        assert diff([entry], [other]), "two files of the same writer"
+        made = plan(parse(text, "a"), {"P0": holds}, sysid=1, compid=1, stack="px4")
+        assert [c.name for c in made.changes] == ["P0"]
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+@given(values=st.lists(FLOATS, min_size=1, max_size=5))
+def test_a_vehicles_own_file_differs_in_nothing(writer: str, values: list[float]) -> None:
+    held = [Entry(f"P{n}", value) for n, value in enumerate(values)]
+    file = parse(written_by(writer, values), "a")
+    assert diff(file.entries[: len(values)], held) == []
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+def test_files_of_different_writers_agree_on_one_vehicle(writer: str) -> None:
+    values = [float32(v) for v in (0.1, 1 / 3, 2e-5, 123456.789, -0.0087654321, 4.0)]
+    for other in WRITERS:
+        mine, theirs = (parse(written_by(w, values), w).entries[: len(values)] for w in (writer, other))
+        assert diff(mine, theirs) == [], (writer, other)
 
 
 def test_differences_tell_each_side() -> None:

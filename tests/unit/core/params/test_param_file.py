@@ -142,3 +142,40 @@ def test_a_value_that_is_no_number_is_left_out() -> None:
 def test_other_components_entries_are_told_apart() -> None:
     file = ParamFile("qgc", (Entry("A", 1, ParamType.INT32, 1, 1), Entry("CAM", 1, ParamType.INT32, 1, 100)))
     assert [e.name for e in file.of_component(1)] == ["A"]
+
+
+@pytest.mark.parametrize(
+    ("text", "rounding"),
+    [
+        ("A                0.123457\nB                4\nC                0.000100\n", "6 decimals"),
+        ("A 0.123457\nB 0.5\n", "exact"),
+        ("A,0.1234568\nB,0.5\nC,1E-05\n", "7 digits"),
+        ("A,0.12345679\nB,0.1234568\n", "exact"),
+        ("A,0.4\nB,7\n", "exact"),
+        ("A,4\nB,0x10\n", "exact"),
+        ("# Onboard parameters for Vehicle 1\nA,0.1234568\n", "exact"),  # our own has the digits that it needs
+        ("1\t1\tA\t0.500000000000000000\t9\n1\t1\tB\t4\t6\n", "18 decimals"),
+        ("1\t1\tA\t0.5\t9\n", "exact"),
+    ],
+)
+def test_who_rounds_shows_in_the_digits(text: str, rounding: str) -> None:
+    file = parse(text, "a")
+    assert file.rounding == rounding
+    assert any(entry.slack for entry in file.entries) == (rounding != "exact")
+
+
+PUBLIC_ROUNDING = {
+    "apcopter-4.5-eagle-mavproxy.parm": "6 decimals",
+    "px4-mavproxy.parm": "6 decimals",
+    "apcopter-x500v2-comments.param": "7 digits",
+    "apcopter-methodic-11_battery.param": "exact",
+    "px4-amovlab-f410-v1.15.4.params": "18 decimals",
+}
+
+
+@pytest.mark.parametrize("name", PUBLIC_ROUNDING)
+def test_who_rounds_in_public_files(name: str) -> None:
+    path = next((p for p in FILES if p.name == name), None)
+    if path is None:
+        pytest.skip("the public files are not here")
+    assert parse(path.read_text(encoding="utf-8"), name).rounding == PUBLIC_ROUNDING[name]
