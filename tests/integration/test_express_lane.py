@@ -313,3 +313,17 @@ def test_steady_telemetry_takes_the_lane(monkeypatch: pytest.MonkeyPatch) -> Non
         station.close()
     assert result["channels"][-1][0]["rx_frames"] == 200
     assert 0 < len(seen) < 20
+
+
+@native
+def test_frames_that_come_late_through_the_lane_are_no_loss() -> None:
+    """As PX4 sends them: one of twenty comes twelve places late. And more frames than the lane notes of one source."""
+    order = sorted(range(1200), key=lambda n: n + (12.5 if n % 20 == 7 else 0))
+    datagrams = [(0, frame("ATTITUDE", sysid=1, seq=n & 0xFF)) for n in order if n % 300 != 299]
+    station = Station(False, {"air": {"role": "radio"}, "gcs0": {"role": "gcs"}}, True, False)
+    try:
+        result = station.play([[(0, heartbeat(1, seq=255))], *(datagrams[at : at + 100] for at in range(0, 1200, 100))])
+    finally:
+        station.close()
+    stats = next(sources[1 << 8 | 1] for sources in result["sources"] if 1 << 8 | 1 in sources)
+    assert (stats["frames"], stats["lost"]) == (1197, 3)

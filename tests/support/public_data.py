@@ -11,7 +11,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLIC = ROOT.parent / "shared" / "data" / "public"
-CAPTURE = ROOT / "tests" / "data" / "sitl-3ardupilot-2px4.tlog"
+OWN = ROOT / "tests" / "data"
+CAPTURE = OWN / "sitl-3ardupilot-2px4.tlog"
 """Our own: three ArduCopter and two PX4, 75 s, 8144 records, both directions."""
 
 
@@ -21,6 +22,11 @@ def public_file(relative: str) -> Path:
     if not path.is_file():
         pytest.skip(f"no public data: {relative}")
     return path
+
+
+def own_capture(name: str) -> bytes:
+    """Content of one of our own captures (tests/data), which are always there."""
+    return (OWN / f"{name}.tlog").read_bytes()
 
 
 def public_folder(relative: str) -> list[Path]:

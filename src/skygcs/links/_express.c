@@ -34,18 +34,20 @@ enum {
     FRAMES = 256,               /* in one datagram; more go through Python */
     MAX_FLOWS = 16384,          /* 250 vehicles of some 20 messages, on three links; then all are learned anew */
     WHOLE_BYTES = 1472,         /* runtime.hub.WHOLE_DATAGRAM_BYTES */
-    LATE_GAP = 250,             /* core.linkstats */
+    SEQUENCE = 512,             /* core.linkstats.BURST_MAX */
     TLOG_TIME_BYTES = 8,
     RECORDS_BYTES = 65536,      /* tlog records that wait for `Table.take`; with more it is asked for */
     RECORDS_KEPT_BYTES = 4 * RECORDS_BYTES, /* room for records that is kept; a burst of full datagrams takes 8 MB */
     PEER_NUMBERS = 1 << 24,     /* a flow's key is peer number, source and msgid: 24 + 16 + 24 bits */
 };
 
+static const double PAUSE_S = 0.5; /* core.linkstats */
+
 static uint16_t crc_table[256];
 static uint8_t *slots; /* BURST datagrams; one set for all lanes, as only one runs at a time */
 static int lane_is_running;
-static PyObject *s_rx_frames, *s_rx_bytes, *s_last_rx_at, *s_good, *s_frames, *s_bytes, *s_lost, *s_last_seq, *s_last_at,
-    *s_counts_loss, *s_tx_frames, *s_tx_bytes, *s_tx_dropped, *s_frame, *s_at, *s_count;
+static PyObject *s_rx_frames, *s_rx_bytes, *s_last_rx_at, *s_good, *s_on_burst,
+    *s_tx_frames, *s_tx_bytes, *s_tx_dropped, *s_frame, *s_at, *s_count;
 
 static PyTypeObject TableType, OutType, LaneType;
 
@@ -259,9 +261,10 @@ typedef struct Peer {
 
 typedef struct Source {
     PyObject *stats, *heard, *key;
-    double at;
-    long long last_seq, lost, counts_loss, frames, bytes;
-    int touched;
+    double first_at, at;
+    long long bytes;
+    int n, touched;
+    uint8_t seqs[SEQUENCE]; /* since the last `tell_source`: core.linkstats counts what was lost */
     struct Source *next;
 } Source;
 
@@ -475,20 +478,14 @@ static int find_frame(const Lane *lane, const Peer *peer, const uint8_t *data, i
     return 1;
 }
 
-/* core.linkstats.SourceStats.on_frame */
-static void count_source(Source *s, unsigned seq, int size) {
-    long long last = s->last_seq;
-    s->frames++;
+/* Whether a datagram's frames of this source fit into its sequence, in which there is no pause. */
+static int has_room(const Source *s, double now) { return !s->n || (s->n <= SEQUENCE - FRAMES && now - s->at < PAUSE_S); }
+
+static void note_seq(Source *s, unsigned seq, int size, double now) {
+    if (!s->n) s->first_at = now;
+    s->seqs[s->n++] = (uint8_t)seq;
     s->bytes += size;
-    if (last >= 0 && s->counts_loss && seq != (unsigned)(last + 1) % 256) {
-        int gap = (int)((seq - (unsigned)last - 1) % 256);
-        if (gap >= LATE_GAP) {
-            if (gap != 255 && s->lost) s->lost--;
-            return;
-        }
-        s->lost += gap;
-    }
-    s->last_seq = seq;
+    s->at = now;
 }
 
 static void send_to(Lane *lane, const Flow *flow, const uint8_t *data, int size, int frames) {
@@ -506,12 +503,6 @@ static int same_outs(const Flow *a, const Flow *b) {
     return a->n_outs == b->n_outs && !memcmp(a->outs, b->outs, (size_t)a->n_outs * sizeof *a->outs);
 }
 
-/* What is to be known of a source before it counts. */
-static int load_source(Source *s) {
-    return s->touched || (get_number(s->stats, s_last_seq, &s->last_seq) && get_number(s->stats, s_lost, &s->lost) &&
-                          get_number(s->stats, s_counts_loss, &s->counts_loss));
-}
-
 /* 1: done with. 0: for Python, untouched. -1: an exception, untouched as well. */
 static int pass(Lane *lane, Peer *peer, const uint8_t *data, int size, double now, uint64_t unix_us) {
     Table *table = lane->table;
@@ -526,7 +517,7 @@ static int pass(Lane *lane, Peer *peer, const uint8_t *data, int size, double no
     }
     if (!n || table->seen.newer.count + n > MAX_REMEMBERED) return 0;
     for (int i = 0; i < n; i++)
-        if (!load_source(found[i].flow->source)) return -1;
+        if (!has_room(found[i].flow->source, now)) return 0;
     if (table->recording && !reserve(table, (size_t)size + (size_t)n * TLOG_TIME_BYTES)) return -1;
     for (int i = 0; i < found[0].flow->n_outs; i++)
         if (!found[0].flow->outs[i]->whole) together = 0;
@@ -537,8 +528,7 @@ static int pass(Lane *lane, Peer *peer, const uint8_t *data, int size, double no
         if (!first_heard(&table->seen, f->seen_key)) remember(&table->seen, f->seen_key, peer->channel_id);
         TOUCH(lane->touched_sources, source);
         TOUCH(lane->touched_flows, flow);
-        count_source(source, f->seq, f->size);
-        source->at = now;
+        note_seq(source, f->seq, f->size, now);
         flow->newest = f->raw, flow->newest_size = f->size, flow->count++;
         *(flow->n_outs ? &table->forwarded : &table->local) += 1;
         if (table->recording) record(table, f->raw, (size_t)f->size, unix_us);
@@ -582,13 +572,15 @@ static int tell_flow(Lane *lane, Flow *flow, PyObject *now) {
 }
 
 static int tell_source(Source *s) {
-    PyObject *at = PyFloat_FromDouble(s->at);
-    int good = at && add(s->stats, s_frames, s->frames) && add(s->stats, s_bytes, s->bytes) && set_number(s->stats, s_lost, s->lost) &&
-               set_number(s->stats, s_last_seq, s->last_seq) && !PyObject_SetAttr(s->stats, s_last_at, at) &&
-               !PyDict_SetItem(s->heard, s->key, at);
-    Py_XDECREF(at);
-    s->frames = s->bytes = 0;
-    return good;
+    PyObject *at = PyFloat_FromDouble(s->at), *stats = Py_NewRef(s->stats), *done = NULL;
+    PyObject *seqs = PyBytes_FromStringAndSize((const char *)s->seqs, s->n);
+    PyObject *size = PyLong_FromLongLong(s->bytes), *first_at = PyFloat_FromDouble(s->first_at);
+    s->n = 0, s->bytes = 0;
+    if (at && seqs && size && first_at && !PyDict_SetItem(s->heard, s->key, at))
+        done = PyObject_CallMethodObjArgs(stats, s_on_burst, seqs, size, first_at, at, NULL);
+    Py_XDECREF(done), Py_XDECREF(first_at), Py_XDECREF(size), Py_XDECREF(seqs), Py_XDECREF(at);
+    Py_DECREF(stats);
+    return done != NULL;
 }
 
 static int tell_peer(Peer *peer) {
@@ -607,7 +599,8 @@ static int tell_peer(Peer *peer) {
         if (!(tell)) set_aside(faults, where); \
     }
 
-/* Make Python's objects say what they would have been made to say frame by frame. Sets attributes, calls nothing. */
+/* Make Python's objects say what they would have been made to say frame by frame. Calls nothing but `SourceStats.on_burst`,
+   which only counts. */
 static int tell_counts(Lane *lanes) {
     Faults faults = {0};
     for (Lane *lane = lanes; lane; lane = lane->next) {
@@ -805,8 +798,7 @@ static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_express", "The expr
 PyMODINIT_FUNC PyInit__express(void) {
     static const struct { PyObject **at; const char *name; } names[] = {
         {&s_rx_frames, "rx_frames"}, {&s_rx_bytes, "rx_bytes"}, {&s_last_rx_at, "last_rx_at"}, {&s_good, "good"},
-        {&s_frames, "frames"}, {&s_bytes, "bytes"}, {&s_lost, "lost"}, {&s_last_seq, "last_seq"}, {&s_last_at, "last_at"},
-        {&s_counts_loss, "counts_loss"}, {&s_tx_frames, "tx_frames"}, {&s_tx_bytes, "tx_bytes"},
+        {&s_on_burst, "on_burst"}, {&s_tx_frames, "tx_frames"}, {&s_tx_bytes, "tx_bytes"},
         {&s_tx_dropped, "tx_dropped"}, {&s_frame, "frame"}, {&s_at, "at"}, {&s_count, "count"},
     };
     for (size_t i = 0; i < sizeof names / sizeof *names; i++)

@@ -189,7 +189,19 @@ class LossCurve:
             self._received += [0] * short
             self._lost += [0] * short
         self._received[index] += 1
-        self._lost[index] += lost
+        if lost >= 0:
+            self._lost[index] += lost
+        else:
+            self.take_back(-lost)
+
+    def take_back(self, count: int) -> None:
+        """So many of those counted last were not lost."""
+        index = len(self._lost) - 1
+        while count > 0 and index >= 0:
+            taken = min(count, self._lost[index])
+            self._lost[index] -= taken
+            count -= taken
+            index -= 1
 
     def ratios(self, width_s: float) -> list[float | None]:
         """Loss of each piece of at least ``width_s``, 0..1; None where no frame came. With `piece_s` for the times."""
@@ -197,7 +209,7 @@ class LossCurve:
         ratios: list[float | None] = []
         for begin in range(0, len(self._received), pieces):
             received = sum(self._received[begin : begin + pieces])
-            lost = max(sum(self._lost[begin : begin + pieces]), 0)
+            lost = sum(self._lost[begin : begin + pieces])
             ratios.append(lost / (received + lost) if received else None)
         return ratios
 

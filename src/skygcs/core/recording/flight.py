@@ -131,10 +131,14 @@ class Flight:
             self.begin_s, self.begin_us = now, entry.unix_us
             self._stamped = entry.unix_us is not None
         self.end_s = max(self.end_s, now)
-        if frame is None or frame.info is None:
+        if frame is None:
             return
         key = frame.sysid, frame.compid
         vehicle = self.vehicles.get(key)
+        if frame.info is None:  # of a message the dialect does not have: it has come, all the same
+            if vehicle is not None:
+                self._on_frame(vehicle, frame, now)
+            return
         if frame.msgid == HEARTBEAT and discovers(frame):
             vehicle = self._known(frame, now)
         if vehicle is None:
@@ -227,7 +231,9 @@ class Flight:
                 folding.height_told, vehicle.altitude = True, Curve()
             if folding.clock.on_boot_ms(values[0], now):
                 vehicle.reboots += 1
+                lost = vehicle.stats.lost
                 vehicle.stats.restart()
+                vehicle.loss.take_back(lost - vehicle.stats.lost)
             position = fold_position({name: values}, self._decoder)
             self._on_place(vehicle, name, position, now)
             _add(vehicle.altitude, now, position, "alt_rel_m")
