@@ -35,8 +35,15 @@ def check_file(
     dialect_name: str | None,
     json_output: bool,
 ) -> int:
-    """Prints the report; FAILED if there is an error in it. Raises PlanFileError, DialectError."""
-    imported = load_plan(file)
+    """Prints the report; FAILED if there is an error in it. Raises DialectError, and PlanFileError unless the report
+    is JSON, which then has it as its one finding."""
+    try:
+        imported = load_plan(file)
+    except PlanFileError as error:
+        if not json_output:
+            raise
+        print(json.dumps(_unreadable(file, error), indent=2))
+        return Exit.FAILED
     dialect = load_dialect(dialect_name or FleetConfig().dialect)
     findings = check_plan(imported.plan, dialect, limits, family=family, vehicle=vehicle)
     if json_output:
@@ -77,6 +84,19 @@ def _report(file: Path, imported: Imported, findings: tuple[Finding, ...], diale
             {"severity": "error" if f.error else "warning", "list": f.kind.word, "item": f.item, "text": f.text}
             for f in findings
         ],
+    }
+
+
+def _unreadable(file: Path, error: PlanFileError) -> dict[str, Any]:
+    """`_report` of a file that is no plan."""
+    return {
+        "file": os.fspath(file),
+        "ok": False,
+        "format": None,
+        "home": None,
+        **{kind.word: [] for kind in MissionType},
+        "notes": [],
+        "findings": [{"severity": "error", "list": None, "item": None, "text": str(error)}],
     }
 
 

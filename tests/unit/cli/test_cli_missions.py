@@ -62,6 +62,18 @@ def test_json_holds_items_and_findings(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize("content", [None, b"\xff\xfe", b'{"a": 1,', b"QGC WPL 110\n1 2 3"])
+def test_json_of_a_file_that_cannot_be_read_is_json(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "a.plan"
+    if content is not None:
+        path.write_bytes(content)
+    answer = json.loads(run("mission", "check", path, "--json", code=FAILED))
+    good = json.loads(run("mission", "check", fenced_plan(tmp_path), "--json"))
+    assert answer.keys() == good.keys() and answer["ok"] is False and answer["mission"] == []
+    (finding,) = answer["findings"]
+    assert finding["severity"] == "error" and str(path) in finding["text"]
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

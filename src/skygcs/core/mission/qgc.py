@@ -24,8 +24,13 @@ from skygcs.errors import PlanFileError
 PLAN_VERSION = 1
 MISSION_VERSION = 2
 OLD_MISSION_VERSIONS = (1, 2)
+"""Version 1 says "1.0", as text, and has a whole item for its home."""
+
 SECTION_VERSIONS = (1, 2)
 """Of the fence and rally sections: version 1 had one polygon without a kind."""
+
+COMPLEX_VERSIONS = {"survey": (2, 3, 4, 5), "CorridorScan": (1, 2)}
+"""Versions of complex items whose stored items are known to be the whole of what they fly (QGroundControl 3.4 to 5)."""
 
 
 @dataclass(slots=True)
@@ -123,13 +128,23 @@ def _old_mission(file: _File, root: dict[str, Any]) -> MissionPlan:
     """A .mission file: the mission section alone."""
     if "items" not in root:
         raise file.error("", "is JSON, and neither a QGroundControl plan nor a mission: it has no items")
-    _version(file, root, "", OLD_MISSION_VERSIONS)
+    said = {**root, "version": _old_version(root["version"])} if "version" in root else root
+    _version(file, said, "", OLD_MISSION_VERSIONS)
     if root.get("complexItems"):
         raise file.error("complexItems", "surveys of this old format hold no waypoints; save the plan again")
     items = _items(file, file.array(root["items"], "items"))
-    settings = PlanSettings(firmware_type=file.whole(root.get("firmwareType", 0), "firmwareType"))
+    firmware = root.get("firmwareType", root.get("MAV_AUTOPILOT", 0))
+    settings = PlanSettings(firmware_type=file.whole(firmware, "firmwareType"))
     home = _home(file, root.get("plannedHomePosition"), "plannedHomePosition")
     return MissionPlan(items, home=home, settings=settings)
+
+
+def _old_version(value: Any) -> Any:
+    """A version that is written as text ("1.0") as the number that it names; anything else as it is."""
+    try:
+        return float(value) if isinstance(value, str) and len(value) <= 8 else value
+    except ValueError:
+        return value
 
 
 def _version(file: _File, table: dict[str, Any], where: str, supported: tuple[int, ...]) -> None:
@@ -178,7 +193,8 @@ def _number_of(file: _File, table: dict[str, Any], where: str, numbered: list[tu
 
 
 def _check_numbers(file: _File, numbered: list[tuple[int, int]], jumps: bool) -> None:
-    """Refuse a gap: an item is missing there. Numbers that are no sequence at all do no harm if nothing uses them."""
+    """Numbers that are no sequence do no harm if nothing uses them: a note. A DO_JUMP names one of them, and which item
+    it means is not known then."""
     ids = [number for number, _ in numbered]
     if any(b <= a for a, b in itertools.pairwise(ids)):
         if jumps:
@@ -186,10 +202,19 @@ def _check_numbers(file: _File, numbered: list[tuple[int, int]], jumps: bool) ->
         file.notes.append("the items' numbers (doJumpId) are out of order; they were numbered again")
         return
     for number, counted in numbered:
-        if number > counted:
-            raise file.error(f"item {counted}", f"is missing: the next one in the file is number {number}")
-        if number < counted:
-            raise file.error(f"item {counted}", f"has the number (doJumpId) {number}")
+        if number == counted:
+            continue
+        if jumps and number > counted:
+            reason = f"is missing: the next one in the file is number {number}, and a DO_JUMP names a number"
+            raise file.error(f"item {counted}", reason)
+        if jumps:
+            raise file.error(f"item {counted}", f"has the number (doJumpId) {number}, and a DO_JUMP names a number")
+        file.notes.append(
+            f"item {counted} has the number (doJumpId) {number}"
+            + (", as if one were missing before it" if number > counted else "")
+            + "; the items were numbered again"
+        )
+        return
 
 
 def _simple(file: _File, table: dict[str, Any], where: str) -> MissionItem:
@@ -236,6 +261,10 @@ def _complex(
     stored = file.table(stored, f"{where}: TransectStyleComplexItem").get("Items")
     if not isinstance(stored, list) or not stored:
         raise file.error(where, f"{_short(kind)} holds no items; open the plan in QGroundControl and save it again")
+    version, known = table.get("version"), COMPLEX_VERSIONS.get(str(kind))
+    if known is not None and (version not in known or isinstance(version, bool)):
+        text = f"{where}: {kind} of the unknown version {_short(version)}, only {', '.join(map(str, known))} are known"
+        file.notes.append(f"{text}; its stored items are taken as they are: look at them")
     items = []
     for n, entry in enumerate(stored, before + 1):
         inner = file.table(entry, f"item {n}")

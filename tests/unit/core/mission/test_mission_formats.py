@@ -146,7 +146,12 @@ def test_all_items_of_a_fence_are_read_and_their_counts_are_theirs() -> None:
         (wpl(HOME_ROW, "1 0 3 70000 0 0 0 0 43.78 -79.46 10 1"), "line 3: command 70000"),
         (wpl(HOME_ROW, "1 0 3 5001 3 0 0 0 43.78 -79.46 10 1"), "fence item 1: the fence is not closed"),
         (wpl(HOME_ROW, "1 0 3 5003 9 0 0 0 43.78 -79.46 10 1", "2 0 3 16 0 0 0 0 1 1 1 1"), "line 4: command 16"),
-        (plan_file(item_entry(1), item_entry(3)), "item 2: is missing: the next one in the file is number 3"),
+        (
+            plan_file(item_entry(1), item_entry(3), item_entry(4, command=177, params=[1, 1, 0, 0, 0, 0, 0])),
+            "item 2: is missing: the next one in the file is number 3, and a DO_JUMP names a number",
+        ),
+        (b'{"version": "3.0", "items": []}', "version 3.0 is not supported, only 1 or 2 is"),
+        (b'{"version": "one", "items": []}', 'version "one" is not supported'),
         (plan_file(item_entry(1, params=[0] * 6)), "item 1: params: must hold 7 numbers, not 6"),
         (plan_file(item_entry(1, params=None)), "item 1: params: must be a list, not null"),
         (plan_file(item_entry(1, params=[0, "x", 0, 0, 0, 0, 0])), 'item 1: param2: must be a number, not "x"'),
@@ -308,6 +313,51 @@ def test_numbers_that_are_no_sequence_are_counted_again_where_no_jump_uses_them(
     imported = read_plan(plan_file(item_entry(1), item_entry(1)), "a.plan")
     assert len(imported.plan.mission) == 2
     assert "numbered again" in imported.notes[0]
+
+
+def test_a_gap_in_the_numbers_is_a_note_where_no_jump_uses_them() -> None:
+    imported = read_plan(plan_file(item_entry(1), item_entry(3), item_entry(4)), "a.plan")
+    assert len(imported.plan.mission) == 3
+    assert "item 2 has the number (doJumpId) 3, as if one were missing before it" in imported.notes[0]
+    assert len(imported.notes) == 1
+
+
+def old_mission(**changes: Any) -> bytes:
+    """A .mission of QGroundControl 3.0: its version is text, it has no file type, home is an item."""
+    place = {"autoContinue": True, "command": 16, "frame": 0, "id": 0, "type": "missionItem"}
+    params = {f"param{n}": 0 for n in range(1, 5)}
+    items = [
+        {**place, **params, "command": 22, "frame": 3, "id": 1, "coordinate": [47.1, 8.2, 20]},
+        {**place, **params, "frame": 3, "id": 2, "coordinate": [47.2, 8.3, 25]},
+        {**place, **params, "command": 177, "frame": 2, "id": 3, "param1": 1, "param2": 4, "coordinate": [0, 0, 0]},
+    ]
+    root = {
+        "MAV_AUTOPILOT": 12,
+        "complexItems": [],
+        "groundStation": "QGroundControl",
+        "items": items,
+        "plannedHomePosition": {**place, **params, "coordinate": [47.0, 8.0, 480]},
+        "version": "1.0",
+    }
+    return json.dumps({**root, **changes}).encode()
+
+
+@pytest.mark.parametrize("version", ["1.0", "1", 1, 1.0])
+def test_qgroundcontrols_first_mission_format(version: Any) -> None:
+    plan = read_plan(old_mission(version=version), "old.mission").plan
+    assert [item.command for item in plan.mission] == [22, 16, 177]
+    assert plan.mission[1].position == (47.2, 8.3) and plan.mission[1].z == 25
+    assert plan.mission[2].params[:2] == (1.0, 4.0)
+    assert plan.home == PlannedHome(47.0, 8.0, 480.0) and plan.settings.firmware_type == 12
+
+
+@pytest.mark.parametrize(("version", "noted"), [(5, False), (2, False), (7, True), ("5", True), (None, True)])
+def test_a_survey_of_an_unknown_version_is_noted_and_read(version: Any, noted: bool) -> None:
+    stored = {"TransectStyleComplexItem": {"Items": [item_entry(2), item_entry(3)], "version": 1}}
+    survey = {"type": "ComplexItem", "complexItemType": "survey", "version": version, **stored}
+    imported = read_plan(plan_file(item_entry(1), survey), "a.plan")
+    assert len(imported.plan.mission) == 3
+    assert any("survey of the unknown version" in note for note in imported.notes) == noted
 
 
 def test_a_wpl_file_holds_one_list() -> None:
