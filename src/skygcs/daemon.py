@@ -123,6 +123,7 @@ class Daemon:
             on_key=self._on_key,
             record_many=self.recorder.offer_many if self.recorder is not None else None,
             only_noted=self.fleet.only_noted,
+            on_event=self.on_event,
         )
         self.link_watch = LinkWatch(self.hub)
         self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)

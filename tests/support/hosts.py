@@ -13,7 +13,9 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
+from skygcs.core.mavlink.heartbeat import is_autopilots
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.vehicle.events import Event
 from skygcs.links.base import Channel, OwnMessage
 
 
@@ -56,6 +58,7 @@ class RecordingHost:
         self.detached: list[tuple[Channel, str]] = []
         self.heard: list[tuple[Channel, Frame]] = []
         self.sent: list[tuple[Channel, OwnMessage, bytes]] = []
+        self.events: list[Event] = []
         self.on_frame: Callable[[Channel, Frame], None] | None = None
         self._next_id = 1
 
@@ -83,6 +86,15 @@ class RecordingHost:
             self.heard.append((channel, frame))
             if self.on_frame is not None:
                 self.on_frame(channel, frame)
+
+    def carries_autopilot(self, channel: Channel) -> bool:
+        return any(c is channel and f.msgid == 0 and is_autopilots(f) for c, f in self.heard)
+
+    def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
+        return True
+
+    def on_event(self, event: Event) -> None:
+        self.events.append(event)
 
     def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
         self.sent.append((channel, message, raw))

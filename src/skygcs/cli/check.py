@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from skygcs.config.checks import link_warnings
+from skygcs.config.checks import link_warnings, open_servers
 from skygcs.config.dialects import load_dialect
 from skygcs.config.endpoints import endpoint_text
 from skygcs.config.loader import load_fleet
@@ -108,6 +108,7 @@ def _notes(config: FleetConfig) -> list[str]:
             except KeyFileError as error:
                 notes.append(f"links.{name}.signing: {error}; skygcs will not start so")
     notes += [f"links.{name}: {text}" for name, text in link_warnings(config).items()]
+    notes += [f"links.{name}: {text}" for name, text in open_servers(config).items()]
     token = config.daemon.token_file
     if token is not None and not token.is_file():
         notes.append(f"daemon.token_file: there is no file {token} now")

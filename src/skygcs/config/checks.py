@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import ipaddress
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -26,6 +27,7 @@ from skygcs.config.models import (
 )
 from skygcs.config.problem import Problem
 from skygcs.config.radio import RadioKeys
+from skygcs.config.signing import EVERY_MESSAGE
 from skygcs.core.mavlink.dialect import Dialect
 
 MAX_SOCKET_PATH_BYTES = 107
@@ -74,6 +76,29 @@ def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[st
 def link_warnings(config: FleetConfig) -> dict[str, str]:
     """By the name of each link that stands badly beside another, what to think of."""
     return {**replay_warnings(config.links), **endpoint_warnings(config)}
+
+
+def open_servers(config: FleetConfig) -> dict[str, str]:
+    """By the name of each server that anybody in the network may speak to, what keeps strangers out."""
+    notes = {}
+    for name, link in config.links.items():
+        if not (link.enabled and isinstance(link, UdpServerLink | TcpServerLink)) or _is_loopback(link.host):
+            continue
+        signed = link.signing is not None and EVERY_MESSAGE not in link.signing.accept_unsigned
+        if link.allow_from is None and not signed:
+            where = f"{link.host or '0.0.0.0'}:{link.port}"
+            notes[name] = (
+                f"whoever reaches {where} may speak here as a vehicle or a ground station; keep strangers out with "
+                'allow_from = ["10.0.0.0/24"] (your network), with signing, or listen on 127.0.0.1'
+            )
+    return notes
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host in _LOOPBACK
 
 
 def replay_warnings(links: Mapping[str, LinkConfig]) -> dict[str, str]:

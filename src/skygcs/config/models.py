@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import ipaddress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.preflight import PreflightSettings
@@ -21,6 +22,23 @@ Role = Literal["peer", "gcs", "vehicle", "radio"]
 Autopilot = Literal["px4", "ardupilot"]
 Baud = Annotated[int, Field(ge=50, le=20_000_000)]
 SourceId = Annotated[int, Field(ge=0, le=255)]
+
+
+def _network(text: str) -> str:
+    """The network in its usual spelling. Raises ValueError in a person's words."""
+    try:
+        return str(ipaddress.ip_network(text))
+    except ValueError:
+        pass
+    try:
+        near = ipaddress.ip_network(text, strict=False)
+    except ValueError:
+        raise ValueError(f'"{text}" is no network: write 10.0.0.0/24, fd00::/8, or one address') from None
+    raise ValueError(f"{text} is an address within a network; did you mean {near}, or {text.partition('/')[0]} alone?")
+
+
+Networks = Annotated[tuple[Annotated[str, AfterValidator(_network)], ...], Field(min_length=1)]
+"""IPv4 and IPv6 networks, or single addresses."""
 MessageName = str | int
 """A message of the dialect, by name or id."""
 
@@ -143,6 +161,8 @@ class UdpServerLink(UdpCommon):
     port: Port
     peer_timeout_s: Annotated[float, Field(gt=0)] = 60.0
     max_peers: Annotated[int, Field(ge=1, le=4096)] = 256
+    allow_from: Networks | None = None
+    """Networks from which datagrams are taken; None: from everywhere."""
 
 
 class UdpClientLink(UdpCommon):
@@ -168,6 +188,8 @@ class TcpServerLink(LinkCommon):
     host: str = "127.0.0.1"
     port: Port
     max_clients: Annotated[int, Field(ge=1, le=1024)] = 32
+    allow_from: Networks | None = None
+    """Networks from which connections are taken; None: from everywhere."""
 
 
 class TcpClientLink(LinkCommon):

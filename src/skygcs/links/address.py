@@ -36,10 +36,13 @@ async def resolve(
 
 def format_address(address: Address) -> str:
     """ "192.168.1.7:14550" or "[fe80::1%2]:14550"; an IPv4 peer of an IPv6 socket is shown as IPv4."""
-    host, port = str(address[0]), address[1]
-    if host.startswith(_IPV4_MAPPED):
-        host = host[len(_IPV4_MAPPED) :]
+    host, port = format_host(address), address[1]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def format_host(address: Address) -> str:
+    """The address without its port; an IPv4 peer of an IPv6 socket is shown as IPv4."""
+    return str(address[0]).removeprefix(_IPV4_MAPPED)
 
 
 def explain(error: OSError, host: str, port: int) -> str:

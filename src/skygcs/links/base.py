@@ -20,6 +20,7 @@ from skygcs.core.mavlink.frame import Frame, encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.core.presented import Endpoint
+from skygcs.core.vehicle.events import Event
 
 if TYPE_CHECKING:
     from skygcs.links._express import Lane, Out, Table
@@ -129,6 +130,19 @@ class LinkHost(Protocol):
 
     def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
         """A message of our own was written (for the recorder)."""
+        ...
+
+    def carries_autopilot(self, channel: Channel) -> bool:
+        """Whether an autopilot is heard on this channel."""
+        ...
+
+    def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
+        """Whether somebody who sends these frames, and is not known, may become a peer of this link: where signatures
+        are required one of them has to be signed with the link's key."""
+        ...
+
+    def on_event(self, event: Event) -> None:
+        """Something about the link that a person should know."""
         ...
 
 

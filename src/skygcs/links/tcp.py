@@ -6,11 +6,14 @@ import asyncio
 import contextlib
 import errno
 import socket
+from collections.abc import Iterator
 from typing import Any
 
 from skygcs.config import models
+from skygcs.core.peer_places import Peer
 from skygcs.errors import LinkError
-from skygcs.links.address import Address, explain, format_address, resolve
+from skygcs.links.address import Address, explain, format_address, format_host, resolve
+from skygcs.links.admission import Admission
 from skygcs.links.base import Channel, Link, LinkHost
 from skygcs.links.readiness import Readiness
 from skygcs.links.stream import StreamChannel
@@ -59,9 +62,12 @@ class TcpServerLink(Link):
         super().__init__(config, host, loop)
         self._listeners: dict[socket.socket, Readiness | None] = {}
         self._clients: dict[StreamChannel, socket.socket] = {}
+        self._hosts: dict[StreamChannel, str] = {}
+        """Their addresses, without ports."""
         self._again: asyncio.TimerHandle | None = None
         self._session = 0
-        self._refused = 0
+        self._admission = Admission(self, config.max_clients, config.allow_from, self._places)
+        self._short_of_descriptors = 0
 
     @property
     def channels(self) -> list[Channel]:
@@ -105,7 +111,12 @@ class TcpServerLink(Link):
             self._drop(channel, self.why_closed)
 
     def counters(self) -> dict[str, Any]:
-        return {"clients_refused": self._refused}
+        admission = self._admission
+        return {
+            "clients_refused": admission.refused + self._short_of_descriptors,
+            "clients_put_out": admission.put_out,
+            "not_allowed": admission.not_allowed,
+        }
 
     def _listen(self, family: int, address: Address) -> None:
         listener = socket.socket(family, socket.SOCK_STREAM)
@@ -135,11 +146,23 @@ class TcpServerLink(Link):
                     reason = explain(error, self.config.host, self.config.port)
                     self.fail(f"tcp_server {self.config.host}:{self.config.port}: {reason}")
                 return
-            if len(self._clients) >= self.config.max_clients:
-                self._refused += 1
+            if self._admission.allows(address) and self._has_place(address):
+                self._welcome(sock, address)
+            else:
                 sock.close()
-                continue
-            self._welcome(sock, address)
+
+    def _has_place(self, address: Address) -> bool:
+        """Whether a newcomer, of whom nothing is known but its address, is let in; who has to go for it has gone."""
+        if len(self._clients) < self.config.max_clients:
+            return True
+        admitted, key = self._admission.place_for(address, autopilot=False, now=self.loop.time())
+        if isinstance(key, StreamChannel):
+            self._drop(key, f"its place was given to {format_address(address)}: all were taken")
+        return admitted
+
+    def _places(self) -> Iterator[Peer]:
+        for channel in self._clients:
+            yield Peer(channel, self._hosts[channel], self.host.carries_autopilot(channel), channel.last_rx_at)
 
     def _welcome(self, sock: socket.socket, address: Address) -> None:
         _set_options(sock)
@@ -148,18 +171,22 @@ class TcpServerLink(Link):
                 self, format_address(address), sock.fileno(), self._drop, stuck_after_s=STUCK_AFTER_S
             )
         except OSError:  # no descriptor left for it
-            self._refused += 1
+            self._short_of_descriptors += 1
             sock.close()
             return
         self._clients[channel] = sock
+        self._hosts[channel] = format_host(address)
         self.host.attach(channel)
+        self._admission.places.changed()
 
     def _drop(self, channel: StreamChannel, reason: str) -> None:
         sock = self._clients.pop(channel, None)
         if sock is not None:
+            del self._hosts[channel]
             channel.close()
             sock.close()
             self.host.detach(channel, reason)
+            self._admission.left(len(self._clients))
 
     def _pause_accepting(self) -> None:
         for listener, readiness in self._listeners.items():

@@ -12,16 +12,20 @@ import contextlib
 import errno
 import socket
 from abc import abstractmethod
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config import models
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import is_autopilots
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.core.peer_places import Peer
+from skygcs.core.routing import HEARTBEAT
 from skygcs.errors import LinkError
-from skygcs.links.address import Address, explain, format_address, resolve
+from skygcs.links.address import Address, explain, format_address, format_host, resolve
+from skygcs.links.admission import Admission
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing, Way
 from skygcs.links.express import new_lane, new_out
 
@@ -270,9 +274,9 @@ class UdpServerLink(UdpLink):
     def __init__(self, config: models.UdpServerLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._probe = host.new_parser(config)
+        self._admission = Admission(self, config.max_peers, config.allow_from, self._places)
         self._expiry: asyncio.TimerHandle | None = None
         self._none_expires_before = 0.0
-        self._refused = 0
         self._expired = 0
 
     async def close(self) -> None:
@@ -282,7 +286,14 @@ class UdpServerLink(UdpLink):
         await super().close()
 
     def counters(self) -> dict[str, Any]:
-        return {**super().counters(), "peers_refused": self._refused, "peers_expired": self._expired}
+        admission = self._admission
+        return {
+            **super().counters(),
+            "peers_refused": admission.refused,
+            "peers_put_out": admission.put_out,
+            "peers_expired": self._expired,
+            "not_allowed": admission.not_allowed,
+        }
 
     def _set_up(self, sock: socket.socket, family: int, address: Address) -> None:
         sock.bind(address)
@@ -291,30 +302,52 @@ class UdpServerLink(UdpLink):
         pass
 
     def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
-        if not _holds_good_frame(self._probe, data):
+        if not self._admission.allows(address):
+            return None
+        frames = _good_frames(self._probe, data)
+        if not frames or not self.host.vouches_for(self.config, frames):
             self._ignored += 1
             return None
         if len(self._peers) >= self.config.max_peers and now >= self._none_expires_before:
             self._expire(now)
-        if len(self._peers) >= self.config.max_peers or self._socket is None:
-            self._refused += 1
+        if self._socket is None:
+            return None
+        if len(self._peers) >= self.config.max_peers and not self._takes_place(address, frames, now):
             return None
         channel = self._attach(address, self._socket)
+        self._admission.places.changed()
         if self._expiry is None:
             self._plan_expiry(now)
         return channel
+
+    def _takes_place(self, address: Address, frames: list[Frame], now: float) -> bool:
+        """Whether a newcomer is let in although all places are taken; who has to go for it has gone then."""
+        autopilot = any(frame.msgid == HEARTBEAT and is_autopilots(frame) for frame in frames)
+        admitted, key = self._admission.place_for(address, autopilot=autopilot, now=now)
+        if isinstance(key, tuple):
+            self._let_go(self._peers[key], f"its place was given to {format_address(address)}: all were taken")
+        return admitted
+
+    def _places(self) -> Iterator[Peer]:
+        self.host.after_lane()  # which counts when each was last heard
+        for address, channel in self._peers.items():
+            yield Peer(address, format_host(address), self.host.carries_autopilot(channel), channel.last_rx_at)
+
+    def _let_go(self, channel: UdpChannel, reason: str) -> None:
+        del self._peers[channel.address]
+        if channel.lane is not None:
+            channel.lane.remove_peer(channel.address)
+        self.host.detach(channel, reason)
+        self._admission.left(len(self._peers))
 
     def _expire(self, now: float) -> None:
         """Let go of every peer that was silent for too long."""
         self.host.after_lane()  # when each was last heard
         timeout_s = self.config.peer_timeout_s
-        for address, channel in list(self._peers.items()):
+        for channel in list(self._peers.values()):
             if now - channel.last_rx_at >= timeout_s:
-                del self._peers[address]
-                if channel.lane is not None:
-                    channel.lane.remove_peer(address)
                 self._expired += 1
-                self.host.detach(channel, f"silent for {timeout_s:g} s")
+                self._let_go(channel, f"silent for {timeout_s:g} s")
         heard = [channel.last_rx_at for channel in self._peers.values()]
         self._none_expires_before = min(heard, default=now) + timeout_s
 
@@ -385,7 +418,7 @@ class UdpBroadcastLink(UdpLink):
 
     def _stranger(self, data: bytes, address: Address, now: float) -> UdpChannel | None:
         channel = self._channel
-        if channel is None or self._peers or not _holds_good_frame(self._probe, data) or self._is_own(address):
+        if channel is None or self._peers or not _good_frames(self._probe, data) or self._is_own(address):
             self._ignored += 1
             return None
         self._peers[address] = channel
@@ -425,9 +458,9 @@ class UdpBroadcastLink(UdpLink):
         return explain(error, "0.0.0.0", self.config.local_port)
 
 
-def _holds_good_frame(probe: FrameParser, data: bytes) -> bool:
-    """Whether a CRC vouches for anything in this datagram. The parser learns nothing from it."""
+def _good_frames(probe: FrameParser, data: bytes) -> list[Frame]:
+    """What is in this datagram if a CRC vouches for any of it, else nothing. The parser learns nothing from it."""
     good = probe.stats.good
-    probe.feed_datagram(data)
+    frames = probe.feed_datagram(data)
     probe.verified.clear()
-    return probe.stats.good != good
+    return frames if probe.stats.good != good else []

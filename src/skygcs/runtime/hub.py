@@ -23,6 +23,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.core.presented import Endpoint
 from skygcs.core.routing import HEARTBEAT, Router
+from skygcs.core.vehicle.events import Event
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Noted, OwnMessage, Way
 from skygcs.links.express import new_table
 from skygcs.runtime.channel_policy import channel_policy
@@ -87,6 +88,7 @@ class Hub:
         on_key: Callable[[int, Channel], None] = lambda sysid, channel: None,
         record_many: Callable[[bytes, int], None] | None = None,
         only_noted: Callable[[int, Frame, str], Noted | None] | None = None,
+        on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
         own = config.daemon
         self.express: Table | None = None
@@ -114,6 +116,7 @@ class Hub:
         self._on_replayed = on_replayed
         self._signing = signing
         self._on_key = on_key
+        self._on_event = on_event
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
         self._next_id = 1
@@ -362,6 +365,20 @@ class Hub:
             if self.express is not None and self.express.records_waiting:
                 self.after_lane()
             self._record(raw, time.time_ns() // 1000)
+
+    # -- what servers ask about whoever comes to them
+
+    def carries_autopilot(self, channel: Channel) -> bool:
+        """Whether an autopilot is heard on this channel."""
+        return bool(self.router.autopilots_on(channel.id))
+
+    def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
+        """Whether a stranger who sends these frames may become a peer; see `Signing.vouches_for`."""
+        return self._signing is None or config.signing is None or self._signing.vouches_for(config.name, frames)
+
+    def on_event(self, event: Event) -> None:
+        """A link has something to report."""
+        self._on_event(event)
 
     # -- our own messages
 

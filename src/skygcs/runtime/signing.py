@@ -24,6 +24,7 @@ from skygcs.core.mavlink.signing import (
     SigningClock,
     Streams,
     Verdict,
+    is_signed_with,
     key_id,
     sign,
     timestamp_at,
@@ -179,6 +180,14 @@ class Signing:
         """The key of a link; None for one without."""
         link = self._links.get(name)
         return None if link is None else link.key.secret
+
+    def vouches_for(self, name: str, frames: list[Frame]) -> bool:
+        """Whether a stranger who sends these frames may become a peer of the link: one of them is signed with its key,
+        or nothing has to be. No stream moves on by this."""
+        link = self._links.get(name)
+        if link is None or EVERY_MESSAGE in link.settings.accept_unsigned:
+            return True
+        return any(frame.signed and is_signed_with(frame.raw, link.key.secret) for frame in frames)
 
     @contextmanager
     def watching(self, on_refused: OnRefused) -> Iterator[None]:

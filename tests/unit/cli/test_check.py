@@ -88,3 +88,50 @@ def test_every_problem_is_printed_and_the_answer_is_1(tmp_path: Path, capsys: py
     assert "daemon.sysid (line 3)" in err and "did you mean udp_client?" in err
     assert check(tmp_path / "gone.toml") == 1
     assert "no such file" in capsys.readouterr().err
+
+
+SERVERS = """
+[links.wifi]
+type = "udp_server"
+host = "0.0.0.0"
+port = 14550
+role = "vehicle"
+[links.tcp]
+type = "tcp_server"
+host = "::"
+port = 5760
+[links.here]
+type = "udp_server"
+host = "127.0.0.1"
+port = 14551
+[links.office]
+type = "udp_server"
+port = 14552
+allow_from = ["10.0.0.0/24"]
+[links.signed]
+type = "udp_server"
+port = 14553
+[links.signed.signing]
+key_file = "key"
+[links.asked]
+type = "udp_server"
+port = 14554
+[links.asked.signing]
+key_file = "key"
+link_id = 1
+accept_unsigned = ["*"]
+[links.off]
+type = "udp_server"
+port = 14555
+enabled = false
+"""
+
+
+def test_servers_that_anybody_may_speak_to_are_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text(SERVERS)
+    assert check(path) == 0
+    out = capsys.readouterr().out
+    noted = [line.split(":")[1].strip() for line in out.splitlines() if "keep strangers out" in line]
+    assert noted == ["links.wifi", "links.tcp", "links.asked"]
+    assert "whoever reaches 0.0.0.0:14550" in out

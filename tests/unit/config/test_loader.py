@@ -15,6 +15,7 @@ from skygcs.errors import ConfigError
 from support.frames import dialect
 
 SERIAL = '[links.radio]\ntype = "serial"\ndevice = "/dev/ttyUSB0"\n'
+UDP = '[links.net]\ntype = "udp_server"\nport = 5000\n'
 
 
 def load(tmp_path: Path, text: str) -> FleetConfig:
@@ -105,6 +106,16 @@ sysid = 1
             SERIAL + "allow_msg_id_in = [1.5]",
             "links.radio.allow_msg_id_in[0] (line 4): must be text in quotes or a whole",
         ),
+        (UDP + "allow_from = ['10.0.0.0/24', 'LAN']", 'links.net.allow_from[1] (line 4): "LAN" is no network: write'),
+        (
+            UDP + "allow_from = ['10.0.0.5/24']",
+            "(line 4): 10.0.0.5/24 is an address within a network; did you mean 10.0.0.0/24, or 10.0.0.5 alone?",
+        ),
+        (UDP + "allow_from = ['10.0.0.0/33']", 'links.net.allow_from[0] (line 4): "10.0.0.0/33" is no network'),
+        (UDP + "allow_from = []", "links.net.allow_from (line 4): must be a list of at least one, not []"),
+        (UDP + "allow_from = '10.0.0.0/24'", 'links.net.allow_from (line 4): must be a list, not "10.0.0.0/24"'),
+        (UDP + "allow_from = [5]", "links.net.allow_from[0] (line 4): must be text in quotes, not 5"),
+        (SERIAL + "allow_from = ['10.0.0.0/24']", "links.radio.allow_from (line 4): unknown key"),
         (SERIAL + "name = 'x'", "links.radio.name (line 4): a link's name is the name of its table"),
         # keys
         ("[link.radio]\ntype = 'serial'", "link (line 1): unknown key; did you mean links?"),

@@ -182,7 +182,7 @@ async def test_one_client_too_many_is_turned_away() -> None:
         await until(lambda: len(link.channels) == 2)
         third = connect(link)
         await until(lambda: at_end(third))
-        assert link.counters() == {"clients_refused": 1}
+        assert link.counters() == {"clients_refused": 1, "clients_put_out": 0, "not_allowed": 0}
         first.close()
         await until(lambda: len(link.channels) == 1)
         with connect(link) as fourth:

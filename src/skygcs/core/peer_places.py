@@ -1,0 +1,136 @@
+"""The places of a server: which of its peers gives way when all are taken, and who is let in.
+
+    a place is free               whoever comes is let in
+    without an autopilot          takes the place of the peer without an autopilot that was silent for longest, if that
+                                  was for SILENT_S; else one of an address that holds at least two more than its own
+    with an autopilot             takes the place of a peer without one: of one that was silent for SILENT_S, else
+                                  of the address that holds most; but MIN_OTHERS_SHARE of the places stay with such peers; else
+                                  the place of an autopilot that was silent for AUTOPILOT_SILENT_S
+    an address without a place    takes one of a few that are kept for such, beyond the number there is
+    otherwise                     it is refused: those that were there first keep their places
+
+An autopilot that is heard is never put out. A flood of peers that claim to be autopilots keeps what it took first.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+SILENT_S = 3.0
+"""Two lost heartbeats: whoever has a program behind it has said something meanwhile."""
+
+AUTOPILOT_SILENT_S = 10.0
+"""Twice the time after which a vehicle counts as lost."""
+
+MIN_OTHERS_SHARE = 1 / 8
+"""Ground stations that speak keep as many places, whatever claims to be an autopilot."""
+
+KEPT_SHARE = 1 / 16
+"""Places beyond the number there is, for addresses that hold none: 16 beside 256."""
+
+VIEW_S = 0.1
+"""How long what was found out of the peers is used: a flood of strangers costs one look at them in this time."""
+
+
+class Peer(NamedTuple):
+    """One that has a place. ``host`` is its address without the port."""
+
+    key: Hashable
+    host: str
+    autopilot: bool
+    heard_at: float
+
+
+class Judgement(NamedTuple):
+    """``put_out``: the key of the peer whose place it gets, if it needs one."""
+
+    admitted: bool
+    put_out: Hashable = None
+
+
+REFUSED = Judgement(admitted=False)
+LET_IN = Judgement(admitted=True)
+
+
+@dataclass(slots=True)
+class _View:
+    """Who has the places."""
+
+    at: float
+    number: int
+    by_host: Counter[str]
+    others: int
+    silent: Peer | None
+    """Without an autopilot, silent for longest."""
+    crowded: Peer | None
+    """The same among those of the address that has most of them."""
+    silent_autopilot: Peer | None
+
+
+class PeerPlaces:
+    """Judges newcomers to a server with so many places. ``peers`` lists who has one; `changed` when that changes."""
+
+    __slots__ = ("_peers", "_view", "kept", "places")
+
+    def __init__(self, places: int, peers: Callable[[], Iterable[Peer]]) -> None:
+        self.places = places
+        self.kept = int(places * KEPT_SHARE)
+        self._peers = peers
+        self._view: _View | None = None
+
+    def changed(self) -> None:
+        """A peer came or went."""
+        self._view = None
+
+    def judge(self, host: str, *, autopilot: bool, now: float) -> Judgement:
+        """What becomes of somebody who comes while all places are taken."""
+        view = self._view
+        if view is None or now - view.at >= VIEW_S:
+            view = self._view = self._look(now)
+        if view.number < self.places:
+            return LET_IN
+        out = self._for_autopilot(view, now) if autopilot else self._for_other(view, host, now)
+        if out is not None:
+            return Judgement(True, out.key)
+        if not view.by_host[host] and view.number < self.places + self.kept:
+            return LET_IN
+        return REFUSED
+
+    def _for_autopilot(self, view: _View, now: float) -> Peer | None:
+        silent = view.silent
+        if silent is not None and now - silent.heard_at >= SILENT_S:
+            return silent
+        if view.others > self.places * MIN_OTHERS_SHARE:
+            return view.crowded
+        autopilot = view.silent_autopilot
+        return autopilot if autopilot is not None and now - autopilot.heard_at >= AUTOPILOT_SILENT_S else None
+
+    def _for_other(self, view: _View, host: str, now: float) -> Peer | None:
+        if view.silent is not None and now - view.silent.heard_at >= SILENT_S:
+            return view.silent
+        crowded = view.crowded
+        if crowded is not None and view.by_host[crowded.host] >= view.by_host[host] + 2:
+            return crowded
+        return None
+
+    def _look(self, now: float) -> _View:
+        peers = list(self._peers())
+        others = [peer for peer in peers if not peer.autopilot]
+        hosts = Counter(peer.host for peer in others)
+        most = max(hosts, key=hosts.__getitem__, default="")
+        return _View(
+            at=now,
+            number=len(peers),
+            by_host=Counter(peer.host for peer in peers),
+            others=len(others),
+            silent=min(others, key=_heard_at, default=None),
+            crowded=min((peer for peer in others if peer.host == most), key=_heard_at, default=None),
+            silent_autopilot=min((peer for peer in peers if peer.autopilot), key=_heard_at, default=None),
+        )
+
+
+def _heard_at(peer: Peer) -> float:
+    return peer.heard_at
