@@ -11,7 +11,7 @@ import contextlib
 import os
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.route_room import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
 from skygcs.core.vehicle.discovery import HEARTBEAT
+from skygcs.core.vehicle.event_limiter import EventLimiter
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel
@@ -88,6 +89,7 @@ class Daemon:
         self.ready = asyncio.Event()
         self._stopping = asyncio.Event()
         self._event_watchers: list[Callable[[dict[str, Any]], None]] = []
+        self._event_limiter = EventLimiter()
         own = config.daemon
         self.recorder: Recorder | None = None
         if own.record:
@@ -160,12 +162,14 @@ class Daemon:
                         recording.cancel()
                         await self.recorder.close()
         finally:
+            self._publish_events(self._event_limiter.flush(self.now()))
             await self.rpc.close()
 
     async def _run_inner(self) -> None:
         async with asyncio.TaskGroup() as group:
             clocks = [
                 group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
+                group.create_task(self._every(FLEET_TICK_S, self._tick_events), name="events"),
                 group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
@@ -262,7 +266,21 @@ class Daemon:
     # -- events
 
     def on_event(self, event: Event) -> None:
-        """Log it, keep it, tell the watchers. A watcher's fault is its own."""
+        """Act on it, and publish it unless too many of its kind came (`EventLimiter`)."""
+        if event.kind == "reboot" and event.sysid is not None:
+            for key in [k for k in self.fleet.vehicles if k >> 8 == event.sysid]:
+                self.hub.restart_source(key)
+        self._publish_events(self._event_limiter.offer(event, self.now()))
+
+    def _tick_events(self) -> None:
+        self._publish_events(self._event_limiter.tick(self.now()))
+
+    def _publish_events(self, events: Iterable[Event]) -> None:
+        for event in events:
+            self._publish_event(event)
+
+    def _publish_event(self, event: Event) -> None:
+        """Log it, keep it, show it to the watchers. A watcher's fault is its own."""
         record = {
             "time_unix_s": round(time.time(), 3),
             "kind": event.kind,
@@ -274,9 +292,6 @@ class Daemon:
         self.events.append(record)
         level = log.debug if event.kind in _QUIET_KINDS else log.info
         level(event.text, kind=event.kind, **({"vehicle": event.vehicle} if event.vehicle else {}))
-        if event.kind == "reboot" and event.sysid is not None:
-            for key in [k for k in self.fleet.vehicles if k >> 8 == event.sysid]:
-                self.hub.restart_source(key)
         for watcher in tuple(self._event_watchers):
             try:
                 watcher(record)

@@ -29,7 +29,7 @@ from skygcs.links.simulated_radio import emulated
 
 SIM_DIALECT = "ardupilotmega"
 
-MAX_SPEEDUP = 100.0
+LEAST_SPEEDUP, MAX_SPEEDUP = 0.01, 100.0
 
 SHORTEST_TICK_S = 0.005
 """Of real time: with a speedup the vehicles take several of their ticks at one of ours."""
@@ -62,8 +62,8 @@ def run_sim(
     for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
     Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """
-    if not 0 < speedup <= MAX_SPEEDUP:
-        raise LinkError(f"speedup {speedup:g}: must be above 0 and at most {MAX_SPEEDUP:g}")
+    if not LEAST_SPEEDUP <= speedup <= MAX_SPEEDUP:
+        raise LinkError(f"speedup {speedup:g}: must be {LEAST_SPEEDUP:g} to {MAX_SPEEDUP:g}")
     if sum(way is not None for way in (udp, tcp, pty)) != 1:
         raise LinkError("one of --udp, --tcp and --pty is needed")
     if air is not None and pty is None:

@@ -10,9 +10,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validat
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.preflight import PreflightSettings
-from skygcs.config.radio import EmulatedRadio, RadioKeys
+from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
 from skygcs.config.signing import SigningSettings
 from skygcs.core.geo import EAST_DEG
+from skygcs.core.recording.timeline import speed_problem
 from skygcs.core.streams import DEFAULT_RATES_HZ
 
 Sysid = Annotated[int, Field(ge=1, le=255)]
@@ -22,6 +23,8 @@ Role = Literal["peer", "gcs", "vehicle", "radio"]
 Autopilot = Literal["px4", "ardupilot"]
 Baud = Annotated[int, Field(ge=50, le=20_000_000)]
 SourceId = Annotated[int, Field(ge=0, le=255)]
+BytesPerS = Annotated[float, Field(ge=1, le=1e9)]
+TimeoutS = Annotated[float, Field(ge=0.1, le=86400)]
 
 
 def _network(text: str) -> str:
@@ -41,6 +44,14 @@ Networks = Annotated[tuple[Annotated[str, AfterValidator(_network)], ...], Field
 """IPv4 and IPv6 networks, or single addresses."""
 MessageName = str | int
 """A message of the dialect, by name or id."""
+
+
+def _speed(speed: float) -> float:
+    problem = speed_problem(speed)
+    if problem is not None:
+        raise ValueError(problem)
+    return speed
+
 
 OWN_SYSID = 255
 """ArduPilot counts only heartbeats of MAV_GCS_SYSID (default 255) for its GCS failsafe."""
@@ -71,13 +82,13 @@ class DaemonConfig(Model):
     keep_vehicles: bool = True
     """Keep the state of vehicles and take orders for them; without, a router and nothing else."""
     record: bool = True
-    record_max_mb: Annotated[float, Field(gt=0)] = 100.0
+    record_max_mb: Annotated[float, Field(ge=0.01, le=1e6)] = 100.0
     """A new tlog is begun at this size ..."""
-    record_max_minutes: Annotated[float, Field(gt=0)] = 60.0
+    record_max_minutes: Annotated[float, Field(ge=0.01, le=1e6)] = 60.0
     """... or at this age."""
-    vehicle_timeout_s: Annotated[float, Field(gt=0)] = 5.0
+    vehicle_timeout_s: Annotated[float, Field(ge=1, le=3600)] = 5.0
     """Without a heartbeat for this long a vehicle is lost."""
-    route_timeout_s: Annotated[float, Field(gt=0)] = 60.0
+    route_timeout_s: TimeoutS = 60.0
     goto_limit_m: Annotated[float, Field(gt=0)] = 1000.0
     """A goto farther than this from the vehicle is refused."""
     operator_timeout_s: Annotated[float, Field(ge=2, le=3600)] | None = None
@@ -95,9 +106,9 @@ class DaemonConfig(Model):
 class RateLimits(Model):
     """Upper rates of what is forwarded *to* a link. Per source: ten vehicles keep ten times the rate."""
 
-    messages: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
+    messages: dict[str, RateHz] = Field(default_factory=dict)
     """Hz per message name or id ("ATTITUDE" = 2.0); 0 stops it; "*" for all not named."""
-    bytes_per_s: Annotated[float, Field(gt=0)] | None = None
+    bytes_per_s: BytesPerS | None = None
     """Upper rate of broadcast traffic to each channel of this link; targeted frames and heartbeats always pass."""
 
 
@@ -159,7 +170,7 @@ class UdpServerLink(UdpCommon):
     type: Literal["udp_server"] = "udp_server"
     host: str = "0.0.0.0"
     port: Port
-    peer_timeout_s: Annotated[float, Field(gt=0)] = 60.0
+    peer_timeout_s: TimeoutS = 60.0
     max_peers: Annotated[int, Field(ge=1, le=4096)] = 256
     allow_from: Networks | None = None
     """Networks from which datagrams are taken; None: from everywhere."""
@@ -203,10 +214,10 @@ class ReplayLink(LinkCommon):
 
     type: Literal["replay"] = "replay"
     file: Path
-    speed: Annotated[float, Field(ge=0)] = 1.0
-    """1 = as recorded, 10 = ten times as fast, 0 = as fast as possible."""
+    speed: Annotated[float, AfterValidator(_speed)] = 1.0
+    """1 = as recorded, 10 = ten times as fast (0.01 to 1000), 0 = as fast as possible."""
     loop: bool = False
-    raw_bytes_per_s: Annotated[float, Field(gt=0)] = 5760.0
+    raw_bytes_per_s: BytesPerS = 5760.0
     """A raw capture has no times; it is played at this rate (57600 baud)."""
 
 
@@ -216,8 +227,8 @@ class MemoryLink(LinkCommon):
     type: Literal["memory"] = "memory"
     loss: Annotated[float, Field(ge=0, le=1)] = 0.0
     duplicate: Annotated[float, Field(ge=0, le=1)] = 0.0
-    delay_s: Annotated[float, Field(ge=0)] = 0.0
-    jitter_s: Annotated[float, Field(ge=0)] = 0.0
+    delay_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
     split: bool = False
     """One byte at a time."""
     seed: int = 1
@@ -230,9 +241,9 @@ class SimulatedLink(RadioKeys, LinkCommon):
     px4: Annotated[int, Field(ge=0, le=250)] = 0
     ardupilot: Annotated[int, Field(ge=0, le=250)] = 0
     first_sysid: Sysid = 1
-    lat_deg: float = 43.7806
-    lon_deg: float = -79.4653
-    alt_amsl_m: float = 180.0
+    lat_deg: Annotated[float, Field(gt=-90, lt=90)] = 43.7806
+    lon_deg: Annotated[float, Field(ge=-180, le=180)] = -79.4653
+    alt_amsl_m: Annotated[float, Field(ge=-500, le=9000)] = 180.0
     seed: int = 1
     dynamics: Literal["rigid", "kinematic"] = "rigid"
     """Rigid bodies take attitude setpoints and feel the wind; kinematic ones are exact and cost two thirds."""
@@ -272,7 +283,7 @@ class VehicleSettings(Model):
     group: str | tuple[str, ...] | None = None
     takeoff_height_m: Annotated[float, Field(gt=0, le=500)] | None = None
     goto_limit_m: Annotated[float, Field(gt=0)] | None = None
-    streams: dict[str, Annotated[float, Field(ge=0, le=400)]] | None = None
+    streams: dict[str, Annotated[RateHz, Field(le=400)]] | None = None
     """Hz per message to ask the vehicle for where it does not come by itself; {} asks for nothing."""
     control: ControlSettings | None = None
     """Gains, limits, fence and guard of flight control; laid over the lower levels' key by key."""

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from skygcs.core.pacing import RadioRates
+from skygcs.core.streams import rate_problem
 
 Profile = Literal["monitor", "nav", "control", "full", "custom"]
 Nodes = Annotated[int, Field(ge=2, le=64)]
-Kbps = Annotated[float, Field(gt=0, le=10_000)]
-Share = Annotated[float, Field(gt=0, le=1)]
+Kbps = Annotated[float, Field(ge=0.1, le=10_000)]
+Share = Annotated[float, Field(ge=0.001, le=1)]
+
+
+def _rate(rate_hz: float) -> float:
+    if rate_hz >= 0 and (problem := rate_problem(rate_hz)) is not None:
+        raise ValueError(problem)
+    return rate_hz
+
+
+RateHz = Annotated[float, Field(ge=0), AfterValidator(_rate)]
+"""Of a message; 0: none at all."""
 
 
 class ForeignKeys(BaseModel):
@@ -26,11 +37,11 @@ class ForeignKeys(BaseModel):
     streams: Literal["deny", "allow"] = "deny"
     """REQUEST_DATA_STREAM, MESSAGE_INTERVAL and SET_MESSAGE_INTERVAL to vehicles whose streams are planned."""
     logs: Literal["deny", "allow"] = "deny"
-    rates: dict[str, Annotated[float, Field(ge=0, le=1000)]] = Field(default_factory=dict)
+    rates: dict[str, RateHz] = Field(default_factory=dict)
     """Hz per message name or id, of each source, laid over the built-in ones; 0: none at all."""
-    bytes_per_s: Annotated[float, Field(gt=0)] | None = None
+    bytes_per_s: Annotated[float, Field(ge=1, le=1e9)] | None = None
     """Most of everything foreign; None: half of what goes up into the radio."""
-    corrections_bytes_per_s: Annotated[float, Field(ge=0)] | None = None
+    corrections_bytes_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
     """Most of RTCM corrections; None: 0.4 of what goes up."""
 
 
@@ -64,9 +75,9 @@ class EmulatedRadio(BaseModel):
     """None: one for each vehicle and one."""
     loss: Annotated[float, Field(ge=0, lt=1)] = 0.0
     burst_loss: Annotated[float, Field(ge=0, le=0.9)] = 0.0
-    burst_s: Annotated[float, Field(gt=0, le=60)] = 1.0
+    burst_s: Annotated[float, Field(ge=0.001, le=60)] = 1.0
     rtscts: bool = False
-    distances_m: tuple[Annotated[float, Field(gt=0)], ...] = ()
+    distances_m: tuple[Annotated[float, Field(gt=0, le=1e6)], ...] = ()
 
 
 def radio_rates(keys: RadioKeys, baud: int) -> RadioRates:

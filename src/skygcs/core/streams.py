@@ -37,6 +37,12 @@ STREAM_GROUPS: Mapping[str, int] = {
 """MAV_DATA_STREAM of each message on ArduPilot (GCS_MAVLink stream tables): for firmware that knows no
 SET_MESSAGE_INTERVAL."""
 
+LEAST_RATE_HZ = 0.001
+"""One in 17 minutes. A positive rate below it has a period that is longer than any flight, or no number at all."""
+
+MAX_RATE_HZ = 1000.0
+"""Faster than any autopilot streams."""
+
 GRACE_S = 2.0
 """After a vehicle is met its own streams have this long to show themselves."""
 
@@ -51,6 +57,13 @@ LONGEST_PAUSE_S = 60.0
 
 STEP_S = 0.25
 """Between two requests to one vehicle: the shared radio has others to serve."""
+
+
+def rate_problem(rate_hz: float, most_hz: float = MAX_RATE_HZ) -> str | None:
+    """What is wrong with a rate, in words; None: it is 0 (off) or one that a message may have."""
+    if rate_hz == 0 or LEAST_RATE_HZ <= rate_hz <= most_hz:
+        return None
+    return f"must be 0 (off) or {LEAST_RATE_HZ:g} to {most_hz:g} Hz, not {rate_hz:g}"
 
 
 class StreamKeeper:

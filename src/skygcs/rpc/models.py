@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
 
+from skygcs.core.streams import LEAST_RATE_HZ, MAX_RATE_HZ, rate_problem
+
 MAX_TELEMETRY_HZ = 20.0
 """Telemetry goes out on a 50 ms grid; autopilots send position at 4 to 10 Hz, over a radio slower still."""
 
@@ -39,6 +41,13 @@ def _name_or_id(value: Any) -> str | int:
     if isinstance(value, bool) or not isinstance(value, str | int) or value == "":
         raise ValueError("give a name or a number")
     return value
+
+
+def _rate_or_off(rate_hz: float) -> float:
+    problem = rate_problem(rate_hz)
+    if problem is not None:
+        raise ValueError(problem)
+    return rate_hz
 
 
 _SCALAR = [{"type": "string"}, {"type": "integer"}]
@@ -179,8 +188,11 @@ class SetHomeParams(TargetsParams):
 
 class IntervalParams(TargetsParams):
     message: MessageName
-    rate_hz: float | None = Field(
-        ge=0, le=1000, description="Messages per second; 0 stops it, null is the autopilot's own rate."
+    rate_hz: Annotated[float, AfterValidator(_rate_or_off)] | None = Field(
+        ge=0,
+        le=MAX_RATE_HZ,
+        description=f"Messages per second: 0 stops it, else {LEAST_RATE_HZ:g} to {MAX_RATE_HZ:g}; "
+        "null is the autopilot's own rate.",
     )
 
 
@@ -190,7 +202,15 @@ class RequestParams(TargetsParams):
 
 class StreamParams(TargetsParams):
     stream: NameOrId = Field(description='A MAV_DATA_STREAM by number or name, e.g. "POSITION".')
-    rate_hz: float = Field(ge=0, le=1000, description="Messages per second; 0 stops the stream.")
+    rate_hz: float = Field(
+        ge=0, le=MAX_RATE_HZ, description=f"Messages per second: 0 stops the stream, else 1 to {MAX_RATE_HZ:g}."
+    )
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if 0 < self.rate_hz < 1:
+            raise ValueError(f"rate_hz must be 0 (off) or 1 to {MAX_RATE_HZ:g}, not {self.rate_hz:g}")
+        return self
 
 
 class CommandParams(TargetsParams):
@@ -251,8 +271,8 @@ class SubscribeParams(Params):
     targets: Targets = "all"
     rate_hz: float | None = Field(
         None,
-        gt=0,
-        le=1000,
+        ge=LEAST_RATE_HZ,
+        le=MAX_RATE_HZ,
         description="telemetry: updates per second and vehicle, default 2, at most 20. "
         "messages: at most so many per second of each name and source; null: every one.",
     )

@@ -48,7 +48,10 @@ class ParamListParams(m.TargetsParams):
         False, description="Have the vehicle send all at once, then fill gaps: quicker, but it drowns a shared radio."
     )
     bytes_per_s: float | None = Field(
-        BYTES_PER_S, ge=100, description="What answers may take of the link, per vehicle; null: as fast as it goes."
+        BYTES_PER_S,
+        ge=100,
+        le=1e8,
+        description="What answers may take of the link, per vehicle; null: as fast as it goes.",
     )
     values: bool = Field(True, description="Whether the answer has the values, or only how it went.")
 

@@ -86,7 +86,7 @@ sysid = 1
         ("[daemon]\nsysid = 0", "daemon.sysid (line 2): must be at least 1, not 0"),
         ("[daemon]\nsysid = true", "daemon.sysid (line 2): must be a whole number, not true"),
         ("[daemon]\nsysid = 1.5", "daemon.sysid (line 2): must be a whole number, not 1.5"),
-        ("[daemon]\nvehicle_timeout_s = 0", "daemon.vehicle_timeout_s (line 2): must be more than 0, not 0"),
+        ("[daemon]\nvehicle_timeout_s = 0", "daemon.vehicle_timeout_s (line 2): must be at least 1, not 0"),
         ("[daemon]\nbad_crc = 'keep'", 'daemon.bad_crc (line 2): must be one of drop, pass, not "keep"'),
         ("[daemon]\nlog_dir = 5", "daemon.log_dir (line 2): must be text in quotes, not 5"),
         ("[origin]\nlat_deg = 1\nlon_deg = 2\nalt_amsl_m = inf", "origin.alt_amsl_m (line 4): must be a finite number"),

@@ -9,6 +9,16 @@ simultaneous with it; older ones tell that the clock was set back. The public lo
 LONGEST_GAP_S = 10.0
 """When played, a longer pause is cut to this: the time between two flights in one file. As links of type replay do."""
 
+LEAST_SPEED, MAX_SPEED = 0.01, 1000.0
+"""Times as fast as recorded. Slower, the longest pause would take over 17 minutes; faster is 0: as fast as possible."""
+
+
+def speed_problem(speed: float) -> str | None:
+    """What is wrong with a speed, in words; None: nothing."""
+    if speed == 0 or LEAST_SPEED <= speed <= MAX_SPEED:
+        return None
+    return f"must be 0 (as fast as possible) or {LEAST_SPEED:g} to {MAX_SPEED:g}, not {speed:g}"
+
 
 class Timeline:
     """Seconds since the recording began, from `Record.elapsed_s`, in which a clock set back takes no time."""

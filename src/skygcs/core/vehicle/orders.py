@@ -14,6 +14,7 @@ from typing import TypedDict, Unpack
 from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.geo import distance_m, geodetic_from_enu
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.streams import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, Destination
 from skygcs.core.vehicle.plan import CLIMBED_M, MessageAfter, Plan, Step
@@ -32,9 +33,6 @@ MAX_ENU_M = 100_000.0
 """Farther out the flat frame is 800 m above the ground; no order that far is meant."""
 
 MAX_HEIGHT_M = 20_000.0
-
-MAX_RATE_HZ = 1000.0
-"""Faster than any autopilot streams."""
 
 GROUND_TYPES = frozenset({10, 11, 12, 46})
 """Rovers, boats, submarines, legged: they go somewhere without being in the air."""
@@ -185,8 +183,9 @@ def set_home(
 
 def message_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int, rate_hz: float | None) -> Plan:
     require_connected(vehicle, now)
-    if rate_hz is not None and not (math.isfinite(rate_hz) and 0 <= rate_hz <= MAX_RATE_HZ):
-        raise RefusedError(f"a rate of {rate_hz:g} Hz is not between 0 (off) and {MAX_RATE_HZ:g}")
+    problem = None if rate_hz is None else rate_problem(rate_hz)
+    if problem is not None:
+        raise RefusedError(f"its rate {problem}")
     msgid, name = find_message(dialect, message)
     return autopilot.message_interval(
         msgid, rate_hz, refused=f"{autopilot.firmware_name(vehicle)} does not stream {name}"
@@ -203,10 +202,10 @@ def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str
 
 
 def request_stream(vehicle: Vehicle, now: float, dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
-    """REQUEST_DATA_STREAM; 0 stops it."""
+    """REQUEST_DATA_STREAM, which knows whole rates only; 0 stops it."""
     require_connected(vehicle, now)
-    if not (math.isfinite(rate_hz) and 0 <= rate_hz <= MAX_RATE_HZ):
-        raise RefusedError(f"a rate of {rate_hz:g} Hz is not between 0 (off) and {MAX_RATE_HZ:g}")
+    if rate_hz != 0 and not 1 <= rate_hz <= MAX_RATE_HZ:
+        raise RefusedError(f"a stream's rate must be 0 (off) or 1 to {MAX_RATE_HZ:g} Hz, not {rate_hz:g}")
     values = {
         "req_stream_id": stream_number(dialect, stream),
         "req_message_rate": round(rate_hz),
