@@ -26,8 +26,8 @@ bench-control: $(STAMP)
 bench-radio: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.radio
 
-soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=250 SOAK_RATE=5000
-	PYTHONPATH=tests SOAK_MINUTES=$(or $(SOAK_MINUTES),60) $(BIN)/python -m bench.soak
+soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=20 SOAK_RATE=2000 SOAK_SEED=1
+	PYTHONPATH=tests $(BIN)/python -m bench.soak
 
 format: $(STAMP)
 	$(BIN)/ruff format .
