@@ -49,6 +49,7 @@ class Station:
     def __init__(self, pure: bool, links: dict[str, dict[str, Any]], keep_vehicles: bool, tap: bool) -> None:
         self.loop = Clock()
         self.recorded: list[bytes] = []
+        self.recorded_us: list[int] = []
         self.events: list[tuple[str, str]] = []
         self.tapped: list[bytes] = []
         self.sinks = [_socket() for _ in range(GROUND_STATIONS)]
@@ -75,7 +76,7 @@ class Station:
                 dialect(),
                 self.loop,
                 on_vehicle_frame=self.fleet.on_frame if keep_vehicles else None,
-                record=lambda raw, unix_us: self.recorded.append(raw),
+                record=self.record,
                 on_note=lambda note, channel: self.events.append((note.kind, f"{note.sysid}/{note.compid}")),
                 on_fault=lambda text: self.events.append(("fault", text)),
                 record_many=self.record_many,
@@ -95,9 +96,14 @@ class Station:
     def on_event(self, event: Event) -> None:
         self.events.append((event.kind, event.text))
 
+    def record(self, raw: bytes, unix_us: int) -> None:
+        self.recorded.append(raw)
+        self.recorded_us.append(unix_us)
+
     def record_many(self, records: bytes, count: int) -> None:
         at = 0
         for _ in range(count):
+            self.recorded_us.append(int.from_bytes(records[at : at + 8], "big"))
             size = frame_size(records, at + 8)
             self.recorded.append(records[at + 8 : at + 8 + size])
             at += 8 + size
@@ -281,6 +287,7 @@ def test_whatever_comes_ends_as_without_the_lane(
         station = Station(pure, links, keep_vehicles, tap)
         try:
             results.append(station.play(steps))
+            assert station.recorded_us == sorted(station.recorded_us)
         finally:
             station.close()
     slow, fast = results

@@ -5,8 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import pytest
-
 from support.process import PATIENCE_S, ROOT
 
 IGNORE_SIGINT = (

@@ -9,16 +9,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from skygcs.cli.log_file import KIND_NAMES, Progress, dialect_named, mapped, no_mavlink
+from skygcs.cli.log_file import KIND_NAMES, dialect_named, opened_log
+from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
-from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.tlog import ByteSource, RecordReader, sniff
-from skygcs.core.vehicle.discovery import HEARTBEAT, discovers
+from skygcs.core.recording.faults import Faults
+from skygcs.core.recording.reading import Entry
+from skygcs.core.vehicle.discovery import HEARTBEAT, TYPE_GENERIC, discovers
 from skygcs.errors import SkygcsError
 
-RAW_PIECE_BYTES = 1 << 16
+MOST_KINDS = 8
+"""Different (autopilot, type) of one source's heartbeats that are told apart; more are an attack."""
 
 
 @dataclass(slots=True)
@@ -46,19 +48,51 @@ class SeenVehicle:
         if mode not in self.modes:
             self.modes.append(mode)
 
-    def as_dict(self, dialect: Dialect) -> dict[str, Any]:
-        kind = dialect.enums.get("MAV_TYPE", {}).get(self.type, str(self.type))
+    def as_dict(self, source: _Source, dialect: Dialect) -> dict[str, Any]:
         return {
             "sysid": self.sysid,
             "compid": self.compid,
             "autopilot": family(self.autopilot),
-            "type": kind.removeprefix("MAV_TYPE_"),
+            "type": _name("MAV_TYPE", self.type, dialect),
             "first_s": _rounded(self.first_s),
             "last_s": _rounded(self.last_s),
             "heartbeats": self.heartbeats,
             "modes": self.modes,
             "armed": self.armed,
+            "lost": source.stats.lost,
+            "loss_ratio": round(source.stats.loss_ratio, 4),
+            "conflicting": source.conflicting(self.autopilot, self.type, dialect),
         }
+
+
+class _Source:
+    """What one system and component sent."""
+
+    __slots__ = ("count", "kinds", "stats")
+
+    def __init__(self, sysid: int, compid: int) -> None:
+        self.count = 0
+        self.stats = SourceStats(sysid, compid)
+        self.kinds: Counter[tuple[int, int]] = Counter()
+        """Heartbeats by autopilot and type."""
+
+    def on_heartbeat(self, frame: Frame) -> None:
+        fields = frame.fields()
+        kind = fields.get("autopilot", 0), fields.get("type", 0)
+        if kind in self.kinds or len(self.kinds) < MOST_KINDS:
+            self.kinds[kind] += 1
+
+    def conflicting(self, autopilot: int, kind: int, dialect: Dialect) -> list[dict[str, Any]]:
+        """Heartbeats under these ids that are of something else: another program's, or another vehicle's."""
+        return [
+            {
+                "autopilot": _name("MAV_AUTOPILOT", a, dialect),
+                "type": _name("MAV_TYPE", t, dialect),
+                "heartbeats": count,
+            }
+            for (a, t), count in self.kinds.most_common()
+            if (a, t) != (autopilot, kind) and (a, t) != (autopilot, TYPE_GENERIC)  # not configured yet
+        ]
 
 
 class Census:
@@ -67,60 +101,59 @@ class Census:
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
         self.verdicts: Counter[str] = Counter()
-        self.skipped_bytes = 0
+        self.signed = 0
         self.duration_s: float | None = None
         self._types: Counter[str] = Counter()
-        self._sources: Counter[int] = Counter()
+        self._sources: dict[int, _Source] = {}
         self._vehicles: dict[int, SeenVehicle] = {}
 
-    def read_tlog(self, data: ByteSource, advance: Progress) -> None:
-        reader = RecordReader(data, self.dialect)
-        for record in reader:
-            self.verdicts[record.verdict] += 1
-            self.duration_s = record.elapsed_s
-            if record.verdict == "ok" and record.frame is not None:
-                self._on_good(record.frame, record.elapsed_s)
-            advance(record.offset)
-        self.skipped_bytes = reader.skipped_bytes
-
-    def read_raw(self, data: ByteSource, advance: Progress) -> None:
-        parser = FrameParser(self.dialect)
-        for start in range(0, len(data), RAW_PIECE_BYTES):
-            self._on_frames(parser.feed(data[start : start + RAW_PIECE_BYTES]))
-            advance(start)
-        self._on_frames(parser.finish())
-        stats = parser.stats
-        self.verdicts = Counter(ok=stats.good, bad_crc=stats.bad_crc, unknown=stats.unknown)
-        self.skipped_bytes = stats.skipped_bytes
-
-    def as_dict(self) -> dict[str, Any]:
-        sources = {f"{key >> 8}/{key & 0xFF}": count for key, count in self._sources.most_common()}
-        return {
-            "records": sum(self.verdicts.values()),
-            "ok": self.verdicts["ok"],
-            "bad_crc": self.verdicts["bad_crc"],
-            "unknown": self.verdicts["unknown"],
-            "skipped_bytes": self.skipped_bytes,
-            "duration_s": _rounded(self.duration_s),
-            "sources": sources,
-            "types": dict(self._types.most_common()),
-            "vehicles": [self._vehicles[key].as_dict(self.dialect) for key in sorted(self._vehicles)],
-        }
-
-    def _on_frames(self, frames: list[Frame]) -> None:
-        for frame in frames:
-            if frame.info is not None:
-                self._on_good(frame, None)
-
-    def _on_good(self, frame: Frame, elapsed_s: float | None) -> None:
+    def add(self, entry: Entry) -> None:
+        """The next entry, in the file's order."""
+        self.verdicts[entry.verdict] += 1
+        elapsed_s = None if entry.unix_us is None else entry.at_s
+        self.duration_s = elapsed_s
+        frame = entry.frame
+        if frame is None:
+            return
+        self.signed += frame.signed
         key = frame.sysid << 8 | frame.compid
-        self._sources[key] += 1
+        source = self._sources.get(key)
+        if source is None:
+            source = self._sources[key] = _Source(frame.sysid, frame.compid)
+        source.stats.on_frame(frame.seq, len(entry.raw), entry.at_s)
+        if frame.info is None:
+            return
+        source.count += 1
         self._types[frame.name] += 1
-        if frame.msgid == HEARTBEAT and discovers(frame):
-            vehicle = self._vehicles.get(key)
-            if vehicle is None:
-                vehicle = self._vehicles[key] = SeenVehicle(frame.sysid, frame.compid, elapsed_s)
-            vehicle.on_heartbeat(frame, elapsed_s)
+        if frame.msgid == HEARTBEAT:
+            source.on_heartbeat(frame)
+            if discovers(frame):
+                vehicle = self._vehicles.get(key)
+                if vehicle is None:
+                    vehicle = self._vehicles[key] = SeenVehicle(frame.sysid, frame.compid, elapsed_s)
+                vehicle.on_heartbeat(frame, elapsed_s)
+
+    def as_dict(self, faults: Faults) -> dict[str, Any]:
+        """``faults`` as the reader of the entries counted them."""
+        counts = sorted(((s.count, k) for k, s in self._sources.items() if s.count), key=lambda found: -found[0])
+        bad_crc = faults.bad_crc.count
+        return {
+            "records": self.verdicts["ok"] + self.verdicts["unknown"] + bad_crc,
+            "ok": self.verdicts["ok"],
+            "bad_crc": bad_crc,
+            "unknown": self.verdicts["unknown"],
+            "signed": self.signed,
+            "skipped_bytes": faults.skipped_bytes,
+            "backwards": faults.out_of_order,
+            "most_backwards_s": faults.most_backwards_us / 1e6,
+            "clock_steps": faults.clock_steps.count,
+            "duration_s": _rounded(self.duration_s),
+            "sources": {f"{key >> 8}/{key & 0xFF}": count for count, key in counts},
+            "types": dict(self._types.most_common()),
+            "vehicles": [
+                self._vehicles[key].as_dict(self._sources[key], self.dialect) for key in sorted(self._vehicles)
+            ],
+        }
 
 
 def tlog_infos(files: Sequence[Path], json_output: bool, dialect: str | None, fail: Callable[[str], None]) -> int:
@@ -158,21 +191,15 @@ def tlog_info(file: Path, json_output: bool = False, dialect: str | None = None)
 
 def _counted(file: Path, table: Dialect) -> tuple[str, dict[str, Any]]:
     """What kind of file it is, and what is in it."""
-    with mapped(file) as data:
-        kind = sniff(data, table) or ("tlog" if file.suffix == ".tlog" else None)
-        census = Census(table)
-        progress = Progress(data)
-        try:
-            if kind == "tlog":
-                census.read_tlog(data, progress)
-            elif kind == "raw":
-                census.read_raw(data, progress)
-        finally:
-            progress.stop()
-    answer = census.as_dict()
-    if not answer["records"]:
-        raise no_mavlink(file)
-    return KIND_NAMES["tlog" if kind == "tlog" else "raw"], answer
+    census = Census(table)
+    with opened_log(file, table) as log:
+        for entry in log.entries():
+            census.add(entry)
+    return KIND_NAMES[log.kind], census.as_dict(log.faults)
+
+
+def _name(enum: str, value: int, dialect: Dialect) -> str:
+    return dialect.enums.get(enum, {}).get(value, str(value)).removeprefix(f"{enum}_")
 
 
 def _rounded(seconds: float | None) -> float | None:
@@ -193,12 +220,15 @@ def _show(file: Path, kind: str, answer: dict[str, Any]) -> None:
         f"{answer['skipped_bytes']} bytes skipped",
         highlight=False,
     )
+    for line in _remarks(answer):
+        console.print(escape(line), highlight=False)
     if answer["vehicles"]:
-        table = Table("vehicle", "autopilot", "type", "heard, s", "armed", box=box.SIMPLE_HEAD)
+        table = Table("vehicle", "autopilot", "type", "heard, s", "armed", "lost", box=box.SIMPLE_HEAD)
         table.add_column("modes", overflow="fold")
         for v in answer["vehicles"]:
             heard = "" if v["first_s"] is None else f"{v['first_s']:.1f} to {v['last_s']:.1f}"
-            row = (f"{v['sysid']}/{v['compid']}", v["autopilot"], v["type"], heard, "yes" if v["armed"] else "no")
+            armed, lost = "yes" if v["armed"] else "no", f"{100 * v['loss_ratio']:.1f} %"
+            row = (f"{v['sysid']}/{v['compid']}", v["autopilot"], v["type"], heard, armed, lost)
             table.add_row(*row, "\n".join(v["modes"]))
         console.print(table)
     else:
@@ -209,3 +239,23 @@ def _show(file: Path, kind: str, answer: dict[str, Any]) -> None:
         for name, count in counts.items():
             table.add_row(name, str(count))
         console.print(table)
+
+
+def _remarks(answer: dict[str, Any]) -> list[str]:
+    """What is out of the ordinary, a line each."""
+    lines = []
+    if answer["signed"]:
+        lines.append(f"{answer['signed']} signed frames (whether the signatures are right is not looked at)")
+    if answer["backwards"]:
+        lines.append(f"the time goes backwards {answer['backwards']}×, by up to {_span(answer['most_backwards_s'])}")
+    if answer["clock_steps"]:
+        lines.append(f"the clock steps by more than a day {answer['clock_steps']}×")
+    for v in answer["vehicles"]:
+        others = ", ".join(f"{c['heartbeats']} of {c['autopilot']} {c['type']}" for c in v["conflicting"])
+        if others:
+            lines.append(f"conflicting heartbeats under {v['sysid']}/{v['compid']}: {others}")
+    return lines
+
+
+def _span(seconds: float) -> str:
+    return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.1f} s"

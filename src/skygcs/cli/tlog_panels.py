@@ -17,7 +17,14 @@ MODE_COLOURS = (
     *("#9CC9E8", "#F6C28B", "#A5D6A7", "#E3A9C9", "#F2E08A", "#C5B4E3", "#B7C0C7", "#F0A79B"),
     *("#8FD3CB", "#D7CBA8", "#CFE39B", "#DDDDDD"),
 )
-"""Behind black letters; a log has five modes or so, and from the thirteenth on they begin anew."""
+"""Behind black letters; a log has five modes or so, and from the thirteenth on they begin anew, hatched."""
+
+MODE_HATCHES = ("", "////", "....", r"\\\\\\", "xxxx", "||||", "----", "++++")
+"""With the colours 96 modes that look different: PX4 has 30, ArduPilot's copters and planes 55 between them."""
+
+MODES_SHOWN = 24
+MODES_A_LINE = 12
+"""In the legend; the bars have the names as well, where there is room."""
 
 LOSS_COLOURS = ("#E8F3EA", "#FFE08A", "#FF9F43", "#D62728")
 """No loss to a quarter and more."""
@@ -243,12 +250,14 @@ def _draw_modes(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) 
     from matplotlib.patches import Patch
 
     modes = list(dict.fromkeys(span.mode for vehicle in vehicles for span in vehicle.modes))
-    colours = {mode: MODE_COLOURS[n % len(MODE_COLOURS)] for n, mode in enumerate(modes)}
+    looks = _looks(modes)
     letter_s = LETTER_SHARE * max(flight.end_s - (flight.begin_s or 0.0), 1.0)
     for row, vehicle in enumerate(vehicles):
-        spans = vehicle.spans()
-        bars = [(span.begin_s, end_s - span.begin_s) for span, end_s in spans]
-        _draw_bars(panel, row, bars, [colours[span.mode] for span, _ in spans], gid(vehicle, "mode"))
+        for hatch in MODE_HATCHES:
+            spans = [(span, end_s) for span, end_s in vehicle.spans() if looks[span.mode][1] == hatch]
+            bars = [(span.begin_s, end_s - span.begin_s) for span, end_s in spans]
+            hatched: dict[str, Any] = dict(hatch=hatch, edgecolor="#FFFFFFB0") if hatch else {}
+            _draw_bars(panel, row, bars, [looks[span.mode][0] for span, _ in spans], gid(vehicle, "mode"), **hatched)
         for mode, begin_s, end_s in _runs(vehicle):
             left_s, right_s = _longest_heard(begin_s, end_s, vehicle.silences)
             if right_s - left_s > letter_s * (len(mode) + 1):
@@ -260,9 +269,22 @@ def _draw_modes(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) 
         # what it did while it was silent nobody knows
         veils = [(begin_s, end_s - begin_s) for begin_s, end_s in vehicle.silences]
         _draw_bars(panel, row, veils, ["white"] * len(veils), gid(vehicle, "veil"), alpha=0.8, zorder=3)
-    handles: list[Any] = [Patch(facecolor=colours[mode], label=mode) for mode in modes[:12]]
+    handles: list[Any] = [
+        Patch(facecolor=looks[mode][0], hatch=looks[mode][1], edgecolor="#FFFFFFB0", linewidth=0, label=mode)
+        for mode in modes[:MODES_SHOWN]
+    ]
+    if len(modes) > MODES_SHOWN:
+        handles.append(Patch(facecolor="none", label=f"and {len(modes) - MODES_SHOWN} more"))
     handles.append(Line2D([], [], color="#B00000", linewidth=2.2, label="armed"))
     _legend_above(panel, handles)
+
+
+def _looks(modes: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Colour and hatch of each mode; no two alike up to 96."""
+    return {
+        mode: (MODE_COLOURS[n % len(MODE_COLOURS)], MODE_HATCHES[n // len(MODE_COLOURS) % len(MODE_HATCHES)])
+        for n, mode in enumerate(modes)
+    }
 
 
 def _draw_bars(
@@ -333,5 +355,6 @@ def _shade(ratio: float) -> float:
 
 def _legend_above(panel: Axes, handles: Sequence[Any]) -> None:
     """Where it covers nothing."""
-    place: dict[str, Any] = dict(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=len(handles), columnspacing=1.2)
+    columns = min(len(handles), MODES_A_LINE + 1)
+    place: dict[str, Any] = dict(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=columns, columnspacing=1.2)
     panel.legend(handles=handles, fontsize=7.5, frameon=False, handlelength=1.2, **place)

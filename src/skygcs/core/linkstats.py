@@ -125,6 +125,10 @@ class SourceStats:
         """The sender rebooted: its sequence starts anew. Nor is it a loss that its numbers have jumped by now."""
         if self.last_at - self._paused_at < RESTART_S:
             self.lost = min(self.lost, self._lost_before)
+        self.resume()
+
+    def resume(self) -> None:
+        """Nobody listened for a while: the next number is the expected one, whatever it is."""
         self._expect(-1, 0)
 
     def _on_irregular(self, seq: int, now: float) -> None:

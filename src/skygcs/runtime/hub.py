@@ -136,7 +136,7 @@ class Hub:
         parted = self._parted.pop((channel.link.name, channel.peer), None)
         if parted is not None:
             for stats in parted.values():
-                stats.restart()  # what was sent while nobody listened is not a loss of the link
+                stats.resume()  # what was sent while nobody listened is not a loss of the link
             channel.sources = parted
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
         if channel.config.vehicles:  # which the fleet file's checks have found: an endpoint without any raises

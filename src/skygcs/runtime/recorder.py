@@ -43,6 +43,10 @@ RETRY_MAX_S = 10.0
 CLOSE_TIMEOUT_S = 3.0
 """A stuck disk may delay the end of the daemon by this much, not more."""
 
+CLOCK_SET_US = 1_000_000
+"""A time that is older than the one before by less than this is of the same burst, or the clock was slewed; by more: it
+was set, and the file follows it."""
+
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 OpenFile = Callable[[Path], io.FileIO]
@@ -178,6 +182,7 @@ class Recorder:
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="tlog")
         self._flushing: asyncio.Task[None] | None = None
         self._closed = False
+        self._newest_us = 0
         self._pieces: deque[_Piece] = deque()  # closed and waiting
         self._piece = _Piece()  # being filled
         self._buffered_bytes = 0
@@ -193,7 +198,15 @@ class Recorder:
         self._retry_s = RETRY_FIRST_S
 
     def offer(self, raw: bytes, unix_us: int) -> None:
-        """Record one frame. Hot: never blocks, never raises; without room it is dropped and counted."""
+        """Record one frame. Hot: never blocks, never raises; without room it is dropped and counted.
+
+        A time that is older than the record before by less than CLOCK_SET_US is that record's: an answer of ours is
+        offered between the frames of one datagram, which all have the time at which it came.
+        """
+        if unix_us >= 0 and 0 < self._newest_us - unix_us < CLOCK_SET_US:
+            unix_us = self._newest_us
+        else:
+            self._newest_us = unix_us
         piece = self._piece
         size = TIME_BYTES + len(raw)
         if self._closed or unix_us < 0 or self._buffered_bytes + size > self._max_buffer_bytes:
@@ -219,6 +232,7 @@ class Recorder:
         if self._closed or self._buffered_bytes + len(records) > self._max_buffer_bytes:
             self._drop(count)
             return
+        self._newest_us = max(self._newest_us, int.from_bytes(records[:TIME_BYTES], "big"))
         piece.data += records
         piece.records += count
         self._buffered_bytes += len(records)

@@ -126,6 +126,41 @@ def test_what_nobody_vouches_for_stays_unless_a_sender_is_asked_for(tmp_path: Pa
     assert "1 of the records left out have a wrong CRC" in told.stderr
 
 
+def test_two_autopilots_of_one_system_are_two_vehicles(tmp_path: Path) -> None:
+    def order(system: int, component: int) -> bytes:
+        fields = {"target_system": system, "target_component": component, "command": 400}
+        return frame("COMMAND_LONG", fields, sysid=255, compid=190)
+
+    first = [heartbeat(1), order(1, 1), order(1, 0), heartbeat(1, compid=100, type=30, autopilot=8)]
+    second, rest = [heartbeat(1, compid=2), order(1, 2)], [order(0, 2), heartbeat(255, compid=190, type=6, autopilot=8)]
+    log = tmp_path / "in.tlog"
+    log.write_bytes(b"".join(encode_record(T0_US + n, raw) for n, raw in enumerate(second + first + rest)))
+    assert run("split", log).stdout == "".join(
+        f"{tmp_path / f'in-{part}.tlog'}: {count} records\n" for part, count in (("1", 4), ("1.2", 2), ("rest", 2))
+    )
+    for part, pieces in (("1", first), ("1.2", second), ("rest", rest)):
+        assert [raw for _, raw in records(tmp_path / f"in-{part}.tlog")] == pieces
+
+
+def test_a_log_of_thousands_of_vehicles_opens_no_thousands_of_files(tmp_path: Path) -> None:
+    log = tmp_path / "in.tlog"
+    ids = [(1 + n % 250, 1 + n // 250) for n in range(300)]
+    log.write_bytes(b"".join(encode_record(T0_US + n, heartbeat(*key)) for n, key in enumerate(ids)))
+    assert "300 vehicles; a log of 255 at most is split" in run("split", log, code=FAILED).stderr
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_what_is_cut_from_a_raw_capture_is_no_tlog(tmp_path: Path) -> None:
+    log, out = tmp_path / "flight.raw", tmp_path / "out.tlog"
+    log.write_bytes(b"".join(heartbeat(n % 2 + 1, seq=n // 2) for n in range(40)))
+    told = run("filter", log, out, code=FAILED).stderr
+    assert "flight.raw is a raw capture, whose frames have no times" in told and "name it out.raw" in told
+    assert not out.exists()
+    misnamed = log.rename(tmp_path / "flight.tlog")
+    run("split", misnamed)
+    assert sorted(p.name for p in tmp_path.glob("flight-*")) == ["flight-1.raw", "flight-2.raw"]
+
+
 def test_a_raw_capture_stays_one_and_has_no_time_of_day(tmp_path: Path) -> None:
     log, out = tmp_path / "in.raw", tmp_path / "out.raw"
     log.write_bytes(b"".join(heartbeat(n % 2 + 1, seq=n // 2) for n in range(40)))
@@ -170,7 +205,8 @@ def test_orders_are_in_the_log_of_the_vehicle_they_were_for(tmp_path: Path) -> N
 
     bad = bytearray(heartbeat(1))
     bad[-1] ^= 1
-    pieces = [heartbeat(1), heartbeat(2), order(1), order(2), order(0), order(9), bytes(bad), heartbeat(1, compid=200)]
+    pieces = [heartbeat(1), heartbeat(2), order(1), order(2), order(0), order(9), bytes(bad)]
+    pieces.append(heartbeat(1, compid=100, type=30, autopilot=8))
     log = tmp_path / "in.tlog"
     log.write_bytes(b"".join(encode_record(T0_US + n, raw) for n, raw in enumerate(pieces)))
     told = run("split", log)

@@ -13,13 +13,17 @@ from typer.testing import CliRunner
 
 from skygcs.cli.control import app
 from skygcs.cli.tlog import tlog_info
+from skygcs.core.mavlink.signing import sign
 from skygcs.core.tlog import encode_record
 from skygcs.errors import DialectError, SkygcsError
-from support.frames import frame, heartbeat, noise, unknown_frame
-from support.public_data import CAPTURE, ROOT, captures, expected, public_file
+from support.frames import dialect, frame, heartbeat, noise, unknown_frame
+from support.public_data import CAPTURE, OWN, ROOT, captures, expected, public_file
 
 T0 = 1_700_000_000_000_000
-KEYS = ["records", "ok", "bad_crc", "unknown", "skipped_bytes", "duration_s", "sources", "types", "vehicles"]
+KEYS = [
+    *("records", "ok", "bad_crc", "unknown", "signed", "skipped_bytes", "backwards", "most_backwards_s", "clock_steps"),
+    *("duration_s", "sources", "types", "vehicles"),
+]
 
 
 def info(path: Path, capsys: pytest.CaptureFixture[str], dialect: str | None = None) -> dict[str, Any]:
@@ -92,6 +96,49 @@ def test_own_flight_has_five_vehicles_their_modes_and_that_they_flew(capsys: pyt
     assert vehicles[0]["modes"] == ["STABILIZE", "GUIDED", "LAND"]
     assert "OFFBOARD" in vehicles[3]["modes"]
     assert vehicles[0]["first_s"] < 1.0 and vehicles[0]["last_s"] > 74.0
+
+
+def test_what_is_out_of_the_ordinary_is_counted_and_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    signed = sign(heartbeat(1, seq=4), dialect().find("HEARTBEAT").crc_extra_byte, bytes(32), 1, 5)
+    frames = [heartbeat(1, seq=0), heartbeat(1, seq=3), signed, heartbeat(1, seq=5)]
+    frames += [
+        heartbeat(1, seq=9, type=18, autopilot=8),
+        heartbeat(1, seq=9, type=18, autopilot=8),
+        heartbeat(1, seq=6),
+    ]
+    times_us = (0, 5, 4, 1_000_000, 1_000_100, 1_000_200, 980_200)
+    path = tmp_path / "x.tlog"
+    path.write_bytes(b"".join(encode_record(T0 + t, raw) for t, raw in zip(times_us, frames, strict=True)))
+    assert tlog_info(path, True) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["signed"], answer["backwards"], answer["most_backwards_s"]) == (1, 2, 0.02)
+    (vehicle,) = answer["vehicles"]
+    assert (vehicle["heartbeats"], vehicle["lost"]) == (5, 4)  # 2, and 3 for the other program's, of which one came
+    assert vehicle["conflicting"] == [{"autopilot": "INVALID", "type": "ONBOARD_CONTROLLER", "heartbeats": 2}]
+    assert tlog_info(path) == 0
+    shown = capsys.readouterr().out
+    for line in (
+        "1 signed frames",
+        "the time goes backwards 2×, by up to 20 ms",
+        "conflicting heartbeats under 1/1: 2 of INVALID ONBOARD_CONTROLLER",
+    ):
+        assert line in shown
+
+
+@pytest.mark.parametrize("name", ["px4-late-frames", "second-heartbeat-1hz"])
+def test_a_flight_that_lost_nothing_shows_no_loss(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    answer = info(OWN / f"{name}.tlog", capsys)
+    assert len(answer["vehicles"]) == 5
+    assert [v["lost"] for v in answer["vehicles"]] == [0] * 5
+
+
+def test_forged_heartbeats_conflict_and_change_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    answer = info(OWN / "forged-heartbeat-50hz.tlog", capsys)
+    first, *others = answer["vehicles"]
+    assert (first["autopilot"], first["type"], first["modes"]) == ("ardupilot", "QUADROTOR", ["GUIDED", "LAND"])
+    assert first["conflicting"] == [{"autopilot": "INVALID", "type": "GENERIC", "heartbeats": 782}]
+    assert first["lost"] <= 1
+    assert [(v["lost"], v["conflicting"]) for v in others] == [(0, [])] * 4
 
 
 def test_frames_nothing_vouches_for_make_no_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -117,6 +117,29 @@ def test_no_order_and_no_ground_station_is_played_unasked(tmp_path: Path, ear: E
     assert ear.heard() == [pieces[0], pieces[1], pieces[2], pieces[4]]
 
 
+def test_a_vehicle_is_its_autopilot_and_who_relays_orders_under_its_system_id_is_not(tmp_path: Path, ear: Ear) -> None:
+    """Mission Planner relays as 1/190, and a companion may order all: with target 0, which names no vehicle."""
+
+    def order(compid: int, target: int) -> bytes:
+        return frame("COMMAND_LONG", {"target_system": target, "command": 400, "param1": 1.0}, sysid=1, compid=compid)
+
+    camera = heartbeat(1, compid=100, type=30, autopilot=8)
+    station = heartbeat(1, compid=230, type=6, autopilot=8)
+    answer = frame("COMMAND_ACK", {"command": 400, "target_system": 0}, sysid=1)
+    played = [heartbeat(1), answer, camera, heartbeat(1, compid=2), frame("ATTITUDE", sysid=1, compid=191)]
+    held_back = [
+        *(order(190, 0), order(190, 1), order(191, 0), order(191, 1), order(1, 1), frame("SYS_STATUS", compid=190)),
+        *(station, frame("ATTITUDE", sysid=1, compid=230)),
+    ]
+    log = tmp_path / "in.tlog"
+    pieces = [*played, *held_back]
+    log.write_bytes(b"".join(encode_record(T0_US + n, raw) for n, raw in enumerate(pieces)))
+    run(log, f"127.0.0.1:{ear.address[1]}", "--speed", "0")
+    assert ear.heard() == played
+    run(log, f"127.0.0.1:{ear.address[1]}", "--speed", "0", "--vehicle", "1/2")
+    assert ear.heard() == [heartbeat(1, compid=2)]
+
+
 def test_a_loop_goes_on_until_ctrl_c(flight: Path, ear: Ear, monkeypatch: pytest.MonkeyPatch) -> None:
     from skygcs.cli import tlog_play
 

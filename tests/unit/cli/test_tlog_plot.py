@@ -13,6 +13,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from skygcs.cli.control import app
+from skygcs.cli.tlog_panels import _looks
 from skygcs.core.tlog import encode_record, iter_records
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat
@@ -120,6 +121,24 @@ def test_every_public_log_has_a_picture(name: str, tmp_path: Path) -> None:
     run(public_file(f"tlog/{name}"), "-o", out)
     found = words(out.read_text())
     assert f"{name}: 1 vehicle, " in found and "modes" in found and "link" in found
+
+
+def test_more_modes_than_colours_still_look_different(tmp_path: Path) -> None:
+    modes = [f"MODE {n}" for n in range(96)]
+    assert len(set(_looks(modes).values())) == 96
+    log = tmp_path / "modes.tlog"
+    copter = [0, 1, 2, 3, 4, 5, 6, 7, 9, 11, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27]
+    log.write_bytes(
+        b"".join(
+            encode_record(T0_US + n * 1_000_000, heartbeat(1, seq=n, custom_mode=mode)) for n, mode in enumerate(copter)
+        )
+    )
+    run(log, "-o", tmp_path / "modes.svg")
+    picture = (tmp_path / "modes.svg").read_text()
+    for word in ("STABILIZE", "AUTOTUNE", "SYSTEMID", "and 1 more"):
+        assert word in picture
+    run(log, "-o", tmp_path / "modes.html")
+    assert "AUTO_RTL" in (tmp_path / "modes.html").read_text()
 
 
 def test_the_default_is_a_png_beside_the_log(tmp_path: Path) -> None:

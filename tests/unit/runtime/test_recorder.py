@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.tlog import Record, iter_records
+from skygcs.core.tlog import Record, encode_record, iter_records
 from skygcs.core.vehicle.events import Event
 from skygcs.runtime.recorder import Recorder
 from support.frames import dialect, heartbeat
@@ -323,6 +323,20 @@ async def test_a_time_before_1970_is_dropped_and_counted(tmp_path: Path) -> None
         bench.offer(1)
     assert bench.times() == [0]
     assert bench.recorder.status()["lost_records"] == 1
+
+
+async def test_the_time_never_goes_backwards_unless_the_clock_was_set(tmp_path: Path) -> None:
+    async with at_work(Bench(tmp_path)) as bench:
+        for unix_us in (T0, T0 + 500, T0 + 100, T0 + 600):  # an answer of ours between two frames of one datagram
+            bench.recorder.offer(heartbeat(1), unix_us)
+        bench.recorder.offer_many(encode_record(T0 + 700, heartbeat(1)) + encode_record(T0 + 700, heartbeat(2)), 2)
+        bench.recorder.offer(heartbeat(1), T0 + 650)
+        bench.recorder.offer(heartbeat(1), T0 - 3_600_000_000)
+        bench.recorder.offer(heartbeat(1), T0 - 3_599_999_000)
+        await bench.recorder.close()
+        assert [r.unix_us - T0 for r in bench.records()] == [
+            *(0, 500, 500, 600, 700, 700, 700, -3_600_000_000, -3_599_999_000)
+        ]
 
 
 async def test_offers_after_the_end_are_counted_only(tmp_path: Path) -> None:

@@ -7,6 +7,10 @@ from collections import Counter
 PLACES = 3
 """Told of each kind; all are counted."""
 
+JITTER_US = 10_000
+"""A record so much older than the one before is no fault: programs write with several threads (up to 3.3 ms in own
+recordings of before they had one clock), and nothing that is drawn or counted shows it."""
+
 UNKNOWN_IDS = 8
 """Different ids told; noise may look like any of 16 million."""
 
@@ -41,12 +45,22 @@ class Faults:
         self.skipped = Places(where)
         self.skipped_bytes = 0
         self.backwards = Places(where)
+        """By more than JITTER_US."""
+        self.out_of_order = 0
+        """Records older than the one before, by how little soever."""
+        self.most_backwards_us = 0
         self.clock_steps = Places(where)
 
     def note_unknown(self, offset: int, msgid: int) -> None:
         self.unknown.note(offset)
         if msgid in self.unknown_ids or len(self.unknown_ids) < UNKNOWN_IDS:
             self.unknown_ids[msgid] += 1
+
+    def note_backwards(self, offset: int, by_us: int) -> None:
+        self.out_of_order += 1
+        self.most_backwards_us = max(self.most_backwards_us, by_us)
+        if by_us > JITTER_US:
+            self.backwards.note(offset, f"by {by_us / 1e6:.6f} s")
 
     def note_skipped(self, offset: int, size: int, end: bool = False) -> None:
         """``end``: the file ends with these bytes, as it does if a record was cut off."""

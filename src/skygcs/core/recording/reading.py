@@ -77,7 +77,7 @@ class LogReader:
         if abs(step_us) >= CLOCK_STEP_US:
             self.faults.clock_steps.note(offset, f"by {step_us / 86_400e6:+,.1f} days")
         else:
-            self.faults.backwards.note(offset, f"by {-step_us / 1e6:.6f} s")
+            self.faults.note_backwards(offset, -step_us)
 
     def _raw(self) -> Iterator[Entry]:
         parser = FrameParser(self._dialect)

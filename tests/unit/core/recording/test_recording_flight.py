@@ -13,7 +13,7 @@ from skygcs.core.recording.reading import LogReader
 from skygcs.core.tlog import encode_record
 from support.flight_log import ORIGIN, T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline, unknown_frame
-from support.public_data import CAPTURE, capture, captures
+from support.public_data import CAPTURE, capture, captures, own_capture
 
 
 def flown(data: bytes, origin: Origin | None = None, kind: str = "tlog") -> Flight:
@@ -65,6 +65,32 @@ def test_lost_frames_are_those_that_were_left_out() -> None:
         assert missing > 30
         ratios = [ratio for ratio in vehicle.loss.ratios(1e9) if ratio is not None]
         assert ratios == [pytest.approx(vehicle.loss_ratio, abs=0.001)]
+
+
+@pytest.mark.parametrize("name", ["px4-late-frames", "second-heartbeat-1hz"])
+def test_no_loss_is_drawn_where_frames_came_late_or_from_another_program(name: str) -> None:
+    """It was a band of 25 % and more."""
+    flight = flown(own_capture(name))
+    assert {key: vehicle.loss_ratio for key, vehicle in flight.vehicles.items()} == dict.fromkeys(flight.vehicles, 0.0)
+    for vehicle in flight.vehicles.values():
+        assert set(vehicle.loss.ratios(1.0)) <= {0.0, None}
+
+
+def test_messages_the_dialect_does_not_have_are_no_loss() -> None:
+    frames = [heartbeat(1, seq=0), *(unknown_frame(sysid=1, seq=n) for n in range(1, 9)), heartbeat(1, seq=9)]
+    (vehicle,) = flown(log(*((n / 10, raw) for n, raw in enumerate(frames)))).vehicles.values()
+    assert (vehicle.frames, vehicle.stats.lost) == (10, 0)
+
+
+def test_the_jump_of_a_reboot_is_taken_back_where_it_was_drawn() -> None:
+    def position(boot_ms: int, seq: int) -> bytes:
+        return frame("GLOBAL_POSITION_INT", {"time_boot_ms": boot_ms}, sysid=1, seq=seq)
+
+    before = [(0.1 * n, heartbeat(1, seq=n)) for n in range(5)] + [(0.5, position(90_000, 5))]
+    after = [(5.0, heartbeat(1, seq=30)), (5.1, heartbeat(1, seq=31)), (5.2, position(2_000, 32))]
+    (vehicle,) = flown(log(*before, *after)).vehicles.values()
+    assert (vehicle.reboots, vehicle.stats.lost) == (1, 0)
+    assert set(vehicle.loss.ratios(1.0)) <= {0.0, None}
 
 
 def test_a_silence_is_told_also_at_the_end() -> None:

@@ -13,7 +13,7 @@ from skygcs.core.recording.timeline import LONGEST_GAP_S, REORDERED_S, Pace, Tim
 from skygcs.core.tlog import encode_record
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame
-from support.public_data import CAPTURE, capture, captures
+from support.public_data import CAPTURE, capture, captures, own_capture
 
 
 def read(data: bytes, kind: LogKind = "tlog") -> tuple[list[Entry], LogReader]:
@@ -33,7 +33,7 @@ def test_faults_of_a_public_tlog_are_those_that_an_independent_walker_found(name
     assert (faults.bad_crc.count, faults.unknown.count, faults.skipped_bytes) == tuple(
         status.get(key, 0) for key in ("badcrc", "unknown", "skipped_bytes")
     )
-    assert faults.backwards.count + faults.clock_steps.count == expected["ts_backwards"]
+    assert faults.out_of_order + faults.clock_steps.count == expected["ts_backwards"]
     assert Counter(entry.verdict for entry in entries)["ok"] == status["ok"]
     times = [entry.at_s for entry in entries]
     assert times == sorted(times)
@@ -64,6 +64,21 @@ def test_each_fault_is_told_with_its_byte() -> None:
         f"the time goes backwards once: at byte {at_last} (by 0.250000 s)",
         f"the clock steps by more than a day once: at byte {len(whole) + 100} (by +400.0 days)",
     ]
+
+
+def test_a_record_a_few_milliseconds_older_is_counted_and_no_fault() -> None:
+    data = log((0, heartbeat(1)), (1, heartbeat(1)), (0.9901, heartbeat(1)), (2, heartbeat(1)), (1.98, heartbeat(1)))
+    faults = read(data)[1].faults
+    assert (faults.out_of_order, faults.most_backwards_us, faults.backwards.count) == (2, 20_000, 1)
+    assert faults.lines() == ["the time goes backwards once: at byte 116 (by 0.020000 s)"]
+
+
+@pytest.mark.parametrize("name", ["px4-late-frames", "forged-heartbeat-50hz", "second-heartbeat-1hz"])
+def test_own_recordings_of_before_one_clock_are_not_complained_of(name: str) -> None:
+    """Two ways of recording stamped by two clocks: up to 3.3 ms backwards."""
+    faults = read(own_capture(name))[1].faults
+    assert faults.out_of_order > 70
+    assert faults.lines() == []
 
 
 def test_many_faults_are_all_counted_and_a_few_named() -> None:
