@@ -36,7 +36,9 @@ _cache = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 
 def pytest_configure(config: pytest.Config) -> None:
     """Signals as at a terminal: a shell starts a background job with SIGINT ignored, every process that a test starts
-    would inherit that, and Ctrl-C would not be what is tested. One cache for all of this run, its workers and the daemons they start, and not that of whoever runs it: dialects
+    would inherit that, and Ctrl-C would not be what is tested.
+
+    One cache for all of this run, its workers and the daemons they start, and not that of whoever runs it: dialects
     are read once, and parameters of simulated vehicles do not stay behind."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -76,6 +76,12 @@ _NOTE_KINDS = {
 }
 
 
+def _is_warning(event: Event) -> bool:
+    """True for what a person should look at although the daemon goes on: a link that is down (not one that has come to
+    its end), an internal fault, a warning."""
+    return event.kind in ("warning", "fault") or (event.kind == "link_down" and not event.data.get("finished"))
+
+
 class Daemon:
     """One running skygcs. `run` until `stop`; the rest answers the RPC methods (loop thread only)."""
 
@@ -290,7 +296,7 @@ class Daemon:
             "data": event.data,
         }
         self.events.append(record)
-        level = log.debug if event.kind in _QUIET_KINDS else log.info
+        level = log.debug if event.kind in _QUIET_KINDS else log.warning if _is_warning(event) else log.info
         level(event.text, kind=event.kind, **({"vehicle": event.vehicle} if event.vehicle else {}))
         for watcher in tuple(self._event_watchers):
             try:
@@ -421,6 +427,10 @@ class Daemon:
     def corrections_status(self) -> dict[str, Any]:
         """See `CorrectionFeed.status`."""
         return self._corrections.status()
+
+    def open_links(self) -> list[str]:
+        """Names of the links that are open now."""
+        return self.links.open_names()
 
     def links_status(self) -> list[dict[str, Any]]:
         """Every link with its state, channels, counters and sources."""

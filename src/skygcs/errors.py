@@ -11,7 +11,8 @@ SkygcsError                  base; str() is one line for a person, never a trace
 │   ├── KeyFileError         a signing key's file that is not one, or that others can read (file, what to do)
 │   └── NotReadyError        the same, but in a moment it may be taken
 └── RpcError                 an answer of the JSON-RPC server that is an error (code, message, data)
-    └── DaemonUnreachable    nobody listens on the socket
+    └── DaemonUnreachable    no daemon answers on the socket
+        └── DaemonForbidden  the socket belongs to another user
 """
 
 from __future__ import annotations
@@ -99,8 +100,21 @@ class RpcError(SkygcsError):
 
 
 class DaemonUnreachable(RpcError):
-    """Nobody listens on the daemon's socket."""
+    """No daemon answers on the socket."""
 
     def __init__(self, address: str, reason: str) -> None:
         self.address = address
         super().__init__(-32000, f"no skygcs daemon at {address} ({reason}); start one with: skygcs run FLEET.toml")
+
+
+class DaemonForbidden(DaemonUnreachable):
+    """The socket is there and belongs to another user (or lies in a folder of another user)."""
+
+    def __init__(self, address: str, owner: str) -> None:
+        self.address = address
+        RpcError.__init__(
+            self,
+            -32000,
+            f"the socket {address} belongs to {owner}, and no other user may use it; run this as {owner} "
+            f"(sudo -u {owner} …), or run a daemon of your own and name its socket (--socket)",
+        )

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 
 from skygcs.config.dialects import load_dialect, offline_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink
+from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink, SerialLink
 from skygcs.core.airtime import Priority
 from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.parser import FrameParser
@@ -309,3 +310,23 @@ async def test_a_fault_in_one_vehicles_tick_grounds_nobody_and_is_told_once(tmp_
         await until(lambda: len(ticks) > 2)
         assert [e["kind"] for e in daemon.events].count("fault") == 1
         assert daemon.hub.faults > 2
+
+
+async def test_a_link_that_is_down_is_a_warning_and_not_among_the_open_ones(tmp_path: Path) -> None:
+    missing = SerialLink(name="usb", device=str(tmp_path / "no-such-device"))
+    config = FleetConfig(
+        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
+        links={"gcs": MemoryLink(name="gcs"), "usb": missing},
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    with structlog.testing.capture_logs() as told:
+        task = asyncio.create_task(daemon.run())
+        await daemon.ready.wait()
+        try:
+            await until(lambda: {row["state"] for row in daemon.links_status()} == {"up", "down"})
+            assert daemon.open_links() == ["gcs"]
+        finally:
+            daemon.stop()
+            await task
+    levels = {line["event"].split(":")[0]: line["log_level"] for line in told}
+    assert levels["link usb is down"] == "warning" and levels["link gcs is up"] == "info"

@@ -7,9 +7,7 @@ import sys
 
 from support.process import PATIENCE_S, ROOT
 
-IGNORE_SIGINT = (
-    "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN); os.execv(sys.argv[1], sys.argv[1:])"
-)
+pytestmark = pytest.mark.system
 
 SELECTED = "tests/system/test_control_process.py::test_ctrl_c_ends_it_quietly"
 IGNORE_SIGINT = (

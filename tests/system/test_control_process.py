@@ -25,12 +25,8 @@ class Served:
     """A fake daemon in a process of its own."""
 
     def __init__(self, folder: Path) -> None:
-        self.environment = {
-            **os.environ,
-            "SKYGCS_SOCKET": str(folder / "s.sock"),
-            "COLUMNS": "120",
-            WAIT_VARIABLE: "60",
-        }
+        own = {"SKYGCS_SOCKET": str(folder / "s.sock"), "COLUMNS": "120", WAIT_VARIABLE: "60"}
+        self.environment = {**os.environ, **own}
         command = [sys.executable, "-m", "support.fake_daemon", self.environment["SKYGCS_SOCKET"]]
         self.daemon = subprocess.Popen(command, cwd=TESTS, stdout=subprocess.PIPE, text=True)
         assert self.daemon.stdout is not None

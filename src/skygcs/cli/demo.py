@@ -42,6 +42,7 @@ ARRIVAL_M = 1.0
 LEG_S = 40.0
 TARGETS_ENU_M = {"alpha": (12.0, 0.0, 6.0), "bravo": (0.0, 12.0, 8.0), "charlie": (-12.0, 0.0, 10.0)}
 """Where each vehicle is sent; it takes off to the height of its target first, so that none crosses another."""
+RETURN_MODES = ("AUTO.RTL", "RTL")
 REFRESH_S = 0.25
 
 
@@ -50,6 +51,8 @@ class Flight:
     """What one vehicle did, for the summary."""
 
     max_height_m: float = 0.0
+    """Until it returns: a return climbs to the autopilot's own return height first."""
+    return_height_m: float | None = None
     flown_m: float = 0.0
     modes: list[str] = field(default_factory=list)
     last_enu_m: tuple[float, float, float] | None = None
@@ -60,7 +63,9 @@ class Flight:
             self.modes.append(mode)
         position = state.get("position") or {}
         height = position.get("alt_rel_m")
-        if height is not None:
+        if height is not None and mode in RETURN_MODES:
+            self.return_height_m = max(self.return_height_m or 0.0, height)
+        elif height is not None and self.return_height_m is None:
             self.max_height_m = max(self.max_height_m, height)
         enu = position.get("enu_m")
         if enu is not None:
@@ -104,6 +109,8 @@ class Demo:
             await self._order(gcs, "vehicles.rtl", targets="alpha,bravo")
             await self._until(lambda: not any(s.get("armed") for s in self.states.values()), 2 * LEG_S)
             self._say("all landed and disarmed")
+            # After a landing an ArduCopter stays in LAND and does not arm there: it is left ready for more.
+            await self._order(gcs, "vehicles.mode", targets="charlie", mode="GUIDED")
         finally:
             watching.cancel()
             with contextlib.suppress(asyncio.CancelledError):
@@ -255,7 +262,7 @@ async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:
 
 def _summarise(script: Demo, daemon: Daemon, console: Console) -> None:
     table = Table(title="What happened")
-    for column in ("vehicle", "autopilot", "highest", "flown", "modes"):
+    for column in ("vehicle", "autopilot", "highest", "on return", "flown", "modes"):
         table.add_column(column)
     for name, flight in sorted(script.flights.items()):
         state = script.states[name]
@@ -263,6 +270,7 @@ def _summarise(script: Demo, daemon: Daemon, console: Console) -> None:
             name,
             str(state.get("autopilot")),
             f"{flight.max_height_m:.1f} m",
+            "-" if flight.return_height_m is None else f"{flight.return_height_m:.1f} m",
             f"{flight.flown_m:.0f} m",
             " > ".join(flight.modes),
         )

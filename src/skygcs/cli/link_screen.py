@@ -22,10 +22,28 @@ if TYPE_CHECKING:
 BARS = "▁▂▃▄▅▆▇█"
 HISTORY_COLUMNS = 30
 
-NO_RADIO = (
-    'no link of role "radio" is open: give a serial link role = "radio" in the fleet file, or see '
-    "skygcs-cli links for what is there"
+NO_RADIO = 'no link has the role "radio": give the radio\'s serial link role = "radio" in the fleet file'
+RADIO_DOWN = "{name} is {state}: skygcs-cli links says why"
+NO_AIRTIME = (
+    "{name} is up, but a {type} link without an emulated radio has no limited airtime to show; "
+    "radio = {{ air_kbps = 64 }} under [links.{name}] in the fleet file emulates one"
 )
+
+
+async def look(gcs: Client) -> RenderableType:
+    """What each radio carries now, for a screen; without one, why there is nothing to show."""
+    from rich.text import Text
+
+    radios = await gcs.call("link.status")
+    return drawn(radios) if radios else Text("\n".join(await no_radio_lines(gcs)))
+
+
+async def no_radio_lines(gcs: Client) -> list[str]:
+    """Why link.status is empty: one line per link of role radio, or that there is none."""
+    radios = [link for link in await gcs.call("links.list") if link["role"] == "radio"]
+    if not radios:
+        return [NO_RADIO]
+    return [(NO_AIRTIME if link["state"] == "up" else RADIO_DOWN).format(**link) for link in radios]
 
 
 def status(
@@ -48,16 +66,16 @@ def status(
         screen = render.console()
         if not follow or not sys.stdout.isatty():
             while True:
-                screen.print(drawn(await gcs.call("link.status")))
+                screen.print(await look(gcs))
                 if not follow:
                     return
                 await asyncio.sleep(every_s)
         from rich.live import Live
 
-        with Live(drawn(await gcs.call("link.status")), console=screen, auto_refresh=False) as shown:
+        with Live(await look(gcs), console=screen, auto_refresh=False) as shown:
             while True:
                 await asyncio.sleep(every_s)
-                shown.update(drawn(await gcs.call("link.status")), refresh=True)
+                shown.update(await look(gcs), refresh=True)
 
     run(command)
 
@@ -79,8 +97,6 @@ def drawn(radios: list[dict[str, Any]]) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    if not radios:
-        return Text(NO_RADIO)
     parts: list[RenderableType] = []
     for radio in radios:
         parts += [Text(line) for line in head_lines(radio)]

@@ -35,6 +35,8 @@ OutFile = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--force", help="Overwrite FILE.")]
 TRANSFERS = ("upload", "download", "clear")
+NO_MISSION = "no mission"
+"""The state for MISSION_STATE_NO_MISSION."""
 
 
 @missions.command("upload")
@@ -254,9 +256,9 @@ def _write(file: Path, plan: str | None, lists: list[str]) -> None:
 def _mission_line(status: dict[str, Any]) -> str:
     count = status["counts"]["mission"]
     parts = [f"{status['vehicle']:<10}"]
-    if count == 0:
-        parts.append("no mission")
-    elif status["item"] is None:
+    if count == 0 or status["state"] == NO_MISSION:
+        return f"{parts[0]}  no mission" + _transfer(status)
+    if status["item"] is None:
         parts.append("no item told yet")
     else:
         parts.append(f"item {status['item']}" + ("" if count is None else f" of {count}"))
@@ -264,10 +266,15 @@ def _mission_line(status: dict[str, Any]) -> str:
         parts.append(f"reached {status['reached']}")
     if status["state"] is not None:
         parts.append(status["state"])
-    if status["transfer"] is not None:
-        percent = status["transfer"]["percent"]
-        parts.append(status["transfer"]["what"] + ("" if percent is None else f" {percent} %"))
-    return "  ".join(parts)
+    return "  ".join(parts) + _transfer(status)
+
+
+def _transfer(status: dict[str, Any]) -> str:
+    """What is being transferred now, and how far it is; empty if nothing is."""
+    if status["transfer"] is None:
+        return ""
+    percent = status["transfer"]["percent"]
+    return f"  {status['transfer']['what']}" + ("" if percent is None else f" {percent} %")
 
 
 def _of_missions(event: dict[str, Any]) -> bool:

@@ -19,6 +19,9 @@ app = typer.Typer(
     invoke_without_command=True,
 )
 
+EAST_DEG = 90.0
+"""Compass heading of the x axis unless said otherwise."""
+
 Heading = Annotated[
     float | None,
     typer.Option(
@@ -52,7 +55,16 @@ def set_(
     json_output: Json = False,
 ) -> None:
     """Set the origin: `origin set 43.7806 -79.4653 180 --heading 30`. All positions are told anew, no vehicle moves."""
-    _ask("origin.set", json_output, lat_deg=lat, lon_deg=lon, alt_amsl_m=alt, x_heading_deg=heading, force=force)
+    _ask(
+        "origin.set",
+        json_output,
+        kept_heading=heading is None,
+        lat_deg=lat,
+        lon_deg=lon,
+        alt_amsl_m=alt,
+        x_heading_deg=heading,
+        force=force,
+    )
 
 
 @app.command("from")
@@ -86,10 +98,16 @@ def push(
     run(command)
 
 
-def _ask(method: str, json_output: bool, **params: Any) -> None:
+def _ask(method: str, json_output: bool, *, kept_heading: bool = False, **params: Any) -> None:
     async def command(gcs: Client) -> None:
         status = await gcs.call(method, **params)
         typer.echo(json.dumps(status, indent=2) if json_output else _line(status))
+        origin = status["origin"]
+        if kept_heading and not json_output and origin is not None and origin["x_heading_deg"] != EAST_DEG:
+            typer.echo(
+                f"the x axis keeps its heading of {origin['x_heading_deg']:.1f}°; "
+                f"--heading {EAST_DEG:g} turns it to the east"
+            )
 
     run(command)
 
@@ -99,6 +117,10 @@ def _line(status: Mapping[str, Any]) -> str:
     if origin is None:
         return "no origin: set one with `origin set LAT LON ALT` or `origin from VEHICLE`"
     heading_deg = origin["x_heading_deg"]
-    axes = "x east, y north" if heading_deg == 90 else f"x to {heading_deg:.1f}°, y to {(heading_deg - 90) % 360:.1f}°"
+    axes = (
+        "x east, y north"
+        if heading_deg == EAST_DEG
+        else f"x to {heading_deg:.1f}°, y to {(heading_deg - 90) % 360:.1f}°"
+    )
     place = f"{origin['lat_deg']:.7f}, {origin['lon_deg']:.7f}, {origin['alt_amsl_m']:.2f} m above sea level"
     return f"{place}; {axes} (frame {status['generation']})"

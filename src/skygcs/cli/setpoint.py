@@ -139,6 +139,7 @@ def _tell_end(tally: Tally, elapsed_s: float, after: str, json_output: bool) -> 
     if json_output:
         answer = {
             "sent": tally.sent,
+            "refused_by_all": tally.no_taker,
             "skipped": tally.skipped,
             "wrong_lines": tally.wrong_lines,
             "elapsed_s": round(elapsed_s, 3),
@@ -146,9 +147,14 @@ def _tell_end(tally: Tally, elapsed_s: float, after: str, json_output: bool) -> 
         }
         typer.echo(json.dumps(answer, indent=2))
         return
-    further = (("skipped for newer ones", tally.skipped), ("wrong lines", tally.wrong_lines))
+    further = (
+        ("refused by all", tally.no_taker),
+        ("skipped for newer ones", tally.skipped),
+        ("wrong lines", tally.wrong_lines),
+    )
     counts = "".join(f", {what}: {count:,}" for what, count in further if count)
-    typer.echo(f"{tally.sent:,} setpoint{'s' if tally.sent != 1 else ''} in {elapsed_s:.1f} s{counts}")
+    count = tally.sent - tally.no_taker
+    typer.echo(f"{count or 'no'} setpoint{'s' if count != 1 else ''} in {elapsed_s:.1f} s{counts}")
     if took:
         stay = "stays where it is" if len(took) == 1 else "stay where they are"
         typer.echo(f"{', '.join(took)} {stay} {after}")

@@ -41,6 +41,8 @@ class Tally:
 
     sent: int = 0
     """Handed to the daemon, whatever it answered."""
+    no_taker: int = 0
+    """Of these, those that every vehicle refused."""
     skipped: int = 0
     """Not sent because a newer one was there, or because the daemon took longer than the time between two."""
     wrong_lines: int = 0
@@ -80,7 +82,9 @@ class Sender:
                 self.tell(f"{name} takes setpoints again")
         for message, names in news.items():
             self.tell(f"{', '.join(names)}: {message}")
-        return any(outcome["ok"] for outcome in outcomes.values())
+        taken = any(outcome["ok"] for outcome in outcomes.values())
+        self.tally.no_taker += not taken
+        return taken
 
 
 async def repeat(sender: Sender, targets: str, setpoint: Setpoint, rate_hz: float, duration_s: float | None) -> None:

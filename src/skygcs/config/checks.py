@@ -246,7 +246,9 @@ def _simulated(config: FleetConfig) -> Iterator[Problem]:
             continue
         sysids = range(link.first_sysid, link.first_sysid + link.px4 + link.ardupilot)
         path = ("links", name, "first_sysid")
-        if sysids and sysids[-1] > MAX_SYSID:
+        if not sysids:
+            yield Problem(("links", name), "has no vehicles: say how many with px4 and ardupilot")
+        elif sysids[-1] > MAX_SYSID:
             yield Problem(path, f"{len(sysids)} vehicles from {sysids[0]} on need system ids above {MAX_SYSID}")
         elif config.daemon.sysid in sysids:
             yield Problem(path, f"{config.daemon.sysid} would be a simulated vehicle and is skygcs's own system id")

@@ -8,6 +8,7 @@ import errno
 import fcntl
 import grp
 import os
+import shlex
 import struct
 import termios
 from functools import partial
@@ -180,5 +181,6 @@ def _who_may(device: str) -> str:
     except KeyError:
         group = str(status.st_gid)
     if status.st_mode & 0o060 != 0o060:
-        return f"its mode {status.st_mode & 0o777:04o} lets no group use it; add a udev rule, or run: sudo chmod 660"
+        mode = f"its mode {status.st_mode & 0o777:04o} lets no group use it"
+        return f"{mode}; add a udev rule, or run: sudo chmod 660 {shlex.quote(device)}"
     return f"add yourself to the group that owns it ({group}) and log in again"

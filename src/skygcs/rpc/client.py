@@ -18,13 +18,16 @@ which are carried out to their end. One client belongs to one loop.
 from __future__ import annotations
 
 import asyncio
+import errno
 import json
 import math
 import os
+import pwd
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Self, cast
 
-from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import client_address, tcp_address
 from skygcs.rpc.inbox import Inbox, Latest, Queue
 
@@ -103,6 +106,11 @@ class Client:
                 _, self._wire = await loop.create_unix_connection(lambda: _Wire(self.address), self.address)
         except ValueError as error:
             raise DaemonUnreachable(self.address, str(error)) from None
+        except PermissionError as error:
+            owner = _owner_of(self.address)
+            if owner is not None:
+                raise DaemonForbidden(self.address, owner) from None
+            raise DaemonUnreachable(self.address, os.strerror(error.errno or errno.EACCES)) from None
         except OSError as error:
             raise DaemonUnreachable(self.address, os.strerror(error.errno) if error.errno else str(error)) from None
         if self._token is not None and self.address.startswith("tcp://"):
@@ -373,6 +381,23 @@ class _Wire(asyncio.Protocol):
         on_answer = self._calls.pop(number, None)
         if on_answer is not None:
             on_answer(answer.get("result"), failure)
+
+
+def _owner_of(address: str) -> str | None:
+    """The other user that a socket, or the folder that hides it, belongs to; None if it is the caller's own."""
+    path = Path(address)
+    for place in (path, *path.parents):
+        try:
+            uid = place.stat().st_uid
+        except OSError:
+            continue  # hidden by a folder above
+        if uid == os.geteuid():
+            return None
+        try:
+            return pwd.getpwuid(uid).pw_name
+        except KeyError:
+            return f"user {uid}"
+    return None
 
 
 def _plain(targets: Targets) -> str | int | list[str | int]:

@@ -71,6 +71,10 @@ class LinkTable:
         """Every link as it is configured now, those switched off as well."""
         return {name: entry.config for name, entry in self._entries.items()}
 
+    def open_names(self) -> list[str]:
+        """Names of the links that are open now."""
+        return [n for n, e in self._entries.items() if e.supervisor is not None and e.supervisor.state == "up"]
+
     def start(self, group: asyncio.TaskGroup) -> None:
         """Open the links of the fleet file; from now on links run in this group."""
         self._group = group

@@ -12,6 +12,7 @@ from typing import Any
 
 from skygcs.core.exchange.command import Outcome
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
@@ -48,8 +49,8 @@ class OrderRunner:
         return await self.carry(order, self.attempt(planner))
 
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
-        """As `run`, again and again until the vehicle accepts, ``wait_s`` is over, a newer order came, or there is no
-        use in trying again."""
+        """As `run`, again and again until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle
+        names a reason that time does not cure; the outcome then says what does."""
         return await self.carry(order, self._tries(order, planner, wait_s))
 
     async def carry(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
@@ -104,6 +105,9 @@ class OrderRunner:
             outcome = await self.attempt(planner)
             attempts += outcome.attempts
             outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
+            todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
+            if todo is not None:
+                return replace(outcome, message=f"{outcome.message}; {todo}")
             superseded = self.plans.order > before + (order in MOVING)
             over = superseded or tried_at + RETRY_S > started + wait_s
             if over or outcome.ok or outcome.result in NO_USE:

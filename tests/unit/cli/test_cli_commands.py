@@ -108,9 +108,11 @@ def test_the_origin_is_shown_set_taken_and_told(fleet: Fleet) -> None:
     assert fleet.json("origin", "get") == {"origin": None, "generation": 0}
     line = fleet.run("origin", "set", "-43.5", "-79.25", "-1.5", "--heading", "30")
     assert "-43.5000000, -79.2500000, -1.50 m above sea level; x to 30.0°, y to 300.0° (frame 1)" in line
+    assert "keeps its heading" not in line
     assert fleet.json("origin", "set", "-43.5", "-79.25", "180")["origin"]["x_heading_deg"] == 30.0
+    assert "the x axis keeps its heading of 30.0°" in fleet.run("origin", "set", "-43.5", "-79.25", "181")
     assert "x east, y north" in fleet.run("origin", "set", "-43.5", "-79.25", "180", "--heading", "90", "--force")
-    assert asked == [("set", False), ("set", False), ("set", True)]
+    assert asked == [("set", False), ("set", False), ("set", False), ("set", True)]
     assert fleet.json("origin", "from", "bravo", "--heading")["origin"]["alt_amsl_m"] == 102.0
     assert asked[-1] == ("from", "bravo", True, False)
     assert fleet.run("origin", "push", "1,2", "--home").split()[:2] == ["ok", "alpha"]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
-from typing import Any
+from typing import Any, cast
 
 from rich.console import Console
 
-from skygcs.cli.link_screen import NO_RADIO, drawn, head_lines
+from skygcs.cli.link_screen import drawn, head_lines, look
+from skygcs.rpc.client import Client
 
 
 def radio(**changes: Any) -> dict[str, Any]:
@@ -110,4 +112,23 @@ def test_it_shows_who_else_sends_what_became_of_it_and_what_waits() -> None:
 
 
 def test_without_a_radio_it_says_what_to_do() -> None:
-    assert 'role = "radio"' in NO_RADIO and NO_RADIO.split()[0] in shown([])
+    assert 'role = "radio"' in asyncio.run(why_empty([]))
+
+
+def test_a_radio_without_limited_airtime_or_that_is_down_is_named() -> None:
+    links = [
+        {"name": "field", "type": "simulated", "role": "radio", "state": "up"},
+        {"name": "usb", "type": "serial", "role": "radio", "state": "down"},
+        {"name": "gcs", "type": "udp_client", "role": "gcs", "state": "up"},
+    ]
+    text = asyncio.run(why_empty(links))
+    assert "field is up, but a simulated link" in text and "air_kbps" in text
+    assert "usb is down" in text and "gcs is" not in text
+
+
+async def why_empty(links: list[dict[str, Any]]) -> str:
+    class Daemon:
+        async def call(self, method: str) -> list[dict[str, Any]]:
+            return {"link.status": [], "links.list": links}[method]
+
+    return str(await look(cast(Client, Daemon())))

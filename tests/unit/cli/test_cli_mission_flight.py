@@ -167,6 +167,8 @@ def test_status_tells_item_and_transfer_of_each_vehicle(site: Site) -> None:
     assert "bravo       no item told yet" in said
     site.daemon.vehicle("bravo").missions.told["counts"]["mission"] = 0
     assert "bravo       no mission" in site.run("mission", "status", "bravo")
+    site.daemon.vehicle("bravo").missions.told |= {"item": 1, "state": "no mission", "counts": {"mission": None}}
+    assert site.run("mission", "status", "bravo") == "bravo       no mission\n"
     assert json.loads(site.run("mission", "status", "alpha", "--json"))[0]["item"] == 3
 
 

@@ -52,9 +52,11 @@ def test_a_vehicle_that_takes_none_ends_it_with_its_reason(fleet: Commanded) -> 
     fleet.vehicles["alpha"].refuses = "refused: control is off"
     text = fleet.run("setpoint", "alpha", "--vel", "1", "0", "0", code=FAILED)
     assert "alpha: refused: control is off" in text and "stays" not in text
+    assert "no setpoints in 0.0 s, refused by all: 1" in text
     fleet.vehicles["bravo"].refuses = "refused: control is off"
     answer = fleet.json("setpoint", "1-3", "--vel", "1", "0", "0", "--for", "0.1", code=FAILED)
     assert [o["ok"] for o in answer["outcomes"].values()] == [False, False, True]
+    assert answer["refused_by_all"] == 0
 
 
 def test_what_all_refuse_for_one_reason_is_told_once(fleet: Commanded) -> None:

@@ -193,6 +193,7 @@ sysid = 1
             "[links.s]\ntype='simulated'\npx4=3\n[links.t]\ntype='simulated'\npx4=3\nfirst_sysid=3",
             "links.t.first_sysid (line 7): 3 is also a vehicle of the simulated link s",
         ),
+        ("[links.s]\ntype='simulated'", "links.s (line 1): has no vehicles: say how many with px4 and ardupilot"),
         # messages
         (
             SERIAL + 'allow_msg_id_in = ["HEARTBEAT", "ATITUDE"]',

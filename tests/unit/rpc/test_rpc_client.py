@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import pwd
 import subprocess
 import sys
 from collections.abc import AsyncIterator
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.errors import DaemonUnreachable, RpcError
+from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc import inbox
 from skygcs.rpc.address import client_address, default_socket_path
 from skygcs.rpc.client import Client, connect
@@ -228,3 +229,32 @@ def test_the_client_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+async def test_a_socket_of_another_user_is_not_a_missing_daemon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    socket = tmp_path / "other.sock"
+    socket.touch()
+
+    async def denied(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(asyncio.get_running_loop(), "create_unix_connection", denied)
+    owner = pwd.getpwuid(os.geteuid()).pw_name
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    with pytest.raises(DaemonForbidden) as caught:
+        await connect(socket).open()
+    assert f"{socket} belongs to {owner}" in str(caught.value) and "sudo -u" in str(caught.value)
+    assert "no skygcs daemon" not in str(caught.value)
+
+
+async def test_a_forbidden_socket_of_ones_own_is_said_with_the_systems_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def denied(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(asyncio.get_running_loop(), "create_unix_connection", denied)
+    with pytest.raises(DaemonUnreachable, match="Permission denied"):
+        await connect(tmp_path / "own.sock").open()

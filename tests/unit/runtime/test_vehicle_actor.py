@@ -105,6 +105,15 @@ async def test_arming_with_wait_gives_up_in_time_with_the_last_refusal() -> None
         assert outcome.elapsed_s <= 6
 
 
+async def test_arming_with_wait_ends_at_once_for_a_reason_that_time_does_not_cure() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, ARDUPILOT)
+        vehicle.script = refusing(ARM, 4, "Arm: LAND mode not armable")
+        outcome = await actor.arm(wait_s=60)
+        assert outcome.elapsed_s < 2
+        assert outcome.message.startswith("failed: Arm: LAND mode not armable; set another mode first: skygcs-cli mode")
+
+
 async def test_a_lost_command_is_repeated_with_its_count_and_a_lost_ack_does_no_harm() -> None:
     async with Ground() as ground:
         vehicle, actor = await one(ground)
@@ -316,7 +325,7 @@ async def test_a_refused_arming_ends_a_takeoff_before_it_begins() -> None:
         vehicle, actor = await one(ground)
         vehicle.script = refusing(ARM, 1, "Preflight Fail: low battery")
         outcome = await actor.takeoff(10)
-        assert outcome.message == "arm: temporarily rejected: Preflight Fail: low battery"
+        assert outcome.message.startswith("arm: temporarily rejected: Preflight Fail: low battery; ")
         assert TAKEOFF not in [c for c, _ in vehicle.commands()]
 
 

@@ -66,7 +66,7 @@ class GuardConfig:
 
     attitude_delay_s: float = 0.1
     """Most delay (p95 of state age plus the setpoint's way up) for attitude: half of what z bears with the
-    default gains (0.213 s), the rest is for the airframe's lag. `analysis.why_not_delay` computes it for other gains."""
+    default gains (0.213 s), the rest is for the airframe's lag. `analysis.why_not_delay`: of other gains."""
     velocity_delay_s: float = 0.5
     """The same for velocity; what is closed here then is the outer P loop, which bears π/2 s at 1/s."""
     stale_s: float = 0.5

@@ -115,8 +115,12 @@ class Where(TypedDict, total=False):
 
 
 def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Plan:
-    """To a `destination`."""
-    return autopilot.goto(vehicle, destination(vehicle, now, limit_m=limit_m, **where))
+    """To a `destination`. The outcome names the place as it was given: metres of the fleet's frame, or degrees."""
+    plan = autopilot.goto(vehicle, destination(vehicle, now, limit_m=limit_m, **where))
+    enu_m = where.get("enu_m")
+    if enu_m is None:
+        return plan
+    return replace(plan, done="going to x {:.1f}, y {:.1f}, up {:.1f} m".format(*enu_m))
 
 
 def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Destination:

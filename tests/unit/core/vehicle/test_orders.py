@@ -80,6 +80,13 @@ def test_whatever_numbers_come_in_enu_it_is_a_place_or_a_refusal(autopilot: int,
     assert distance_m(HOME[0], HOME[1], there[0], there[1]) <= (150_000 if force else LIMIT_M + 1)
 
 
+def test_a_goto_is_answered_in_the_units_it_was_given_in() -> None:
+    enu = orders.goto(flying(PX4), NOW, enu_m=[20.0, -5.0, 15.0], limit_m=LIMIT_M)
+    assert enu.done == "going to x 20.0, y -5.0, up 15.0 m"
+    degrees = orders.goto(flying(PX4), NOW, lat_deg=HOME[0] + 1e-4, lon_deg=HOME[1], height_m=9.0, limit_m=LIMIT_M)
+    assert degrees.done.startswith("going to 4") and degrees.done.endswith("9.0 m")
+
+
 @given(near, st.floats(1, 200))
 def test_both_autopilots_are_sent_to_the_same_point_in_space(offset: tuple[float, float], height: float) -> None:
     lat, lon = HOME[0] + offset[0] / 10, HOME[1] + offset[1] / 10

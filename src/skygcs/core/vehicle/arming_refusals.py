@@ -1,0 +1,43 @@
+"""Reasons for a refused arming that waiting cannot cure, and what a person does about each.
+
+`arm --wait` repeats the command while the estimator converges. It must not repeat it for a minute while the mode or a
+switch forbids arming. The texts are those of the firmwares: ArduPilot `AP_Arming.cpp` and `ArduCopter/AP_Arming.cpp`
+(4.7-dev), PX4 `Commander.cpp` and `HealthAndArmingChecks` (1.16). A text that is not listed may be cured by time.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+LASTING_REASONS: tuple[tuple[str, str], ...] = (
+    (r"mode not armable", "set another mode first: skygcs-cli mode {name} GUIDED"),
+    (r"switch to manual mode first", "set another mode first: skygcs-cli mode {name} AUTO.LOITER"),
+    (r"hardware safety switch|press safety", "press the safety switch on the vehicle"),
+    (r"motors emergency stopped|kill switch engaged", "release the kill switch of its transmitter"),
+    (r"disarm switch on", "release the disarm switch of its transmitter"),
+    (r"RTL switch engaged", "release the return switch of its transmitter"),
+    (r"calibration needed|(?<!gyros )not calibrated|uncalibrated", "calibrate it in QGroundControl or Mission Planner"),
+    (r"requires reboot", "reboot it: skygcs-cli reboot {name}"),
+    (
+        r"radio failsafe on|RC calibrating|not neutral|throttle above center|denied: high throttle",
+        "see to its transmitter",
+    ),
+    (r"below minimum arming voltage|low battery", "charge or change its battery"),
+    (r"no SD card|missing FMU SD card", "put an SD card into its autopilot"),
+    (r"sensor \d+ missing|compass sensor \d+ missing", "see to its sensors; preflight lists them"),
+    (r"duplicate aux switch|RC\d*_OPTION conflict", "correct its parameters; preflight lists them"),
+    (r"check frame_class", "set its frame: skygcs-cli param set {name} FRAME_CLASS 1 (1: quadrotor), then reboot it"),
+)
+"""Regular expression of the vehicle's text (any case), and what to do; ``{name}`` is the vehicle."""
+
+_PATTERNS = tuple((re.compile(pattern, re.IGNORECASE), todo) for pattern, todo in LASTING_REASONS)
+
+
+def todo_for(texts: Iterable[str], name: str) -> str | None:
+    """What a person has to do before the vehicle ``name`` arms; None where time may cure what ``texts`` complain of."""
+    for text in texts:
+        for pattern, todo in _PATTERNS:
+            if pattern.search(text):
+                return todo.format(name=name)
+    return None

@@ -1,0 +1,50 @@
+"""Which refused armings time cannot cure, by the firmwares' own texts."""
+
+from __future__ import annotations
+
+import pytest
+
+from skygcs.core.vehicle.arming_refusals import LASTING_REASONS, todo_for
+
+
+@pytest.mark.parametrize(
+    ("text", "todo"),
+    [
+        ("Arm: LAND mode not armable", "skygcs-cli mode alpha GUIDED"),
+        ("Arm: Mode not armable", "skygcs-cli mode alpha GUIDED"),
+        ("PreArm: Hardware safety switch", "safety switch"),
+        ("PreArm: 3D Accel calibration needed", "calibrate"),
+        ("PreArm: Compass not calibrated", "calibrate"),
+        ("Preflight Fail: Gyro 0 uncalibrated", "calibrate"),
+        ("PreArm: Compass calibrated requires reboot", "skygcs-cli reboot alpha"),
+        ("Preflight Fail: Kill switch engaged", "kill switch"),
+        ("PreArm: Battery 1 below minimum arming voltage", "battery"),
+    ],
+)
+def test_a_lasting_reason_names_what_cures_it(text: str, todo: str) -> None:
+    told = todo_for(["AHRS: waiting for home", text], "alpha")
+    assert told is not None and todo in told
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Arm: Need Position Estimate",
+        "PreArm: AHRS not healthy",
+        "PreArm: EKF3 waiting for GPS config data",
+        "PreArm: Gyros not calibrated",
+        "PreArm: Gyros inconsistent",
+        "PreArm: GPS 1: Bad fix",
+        "Preflight Fail: heading estimate not stable",
+        "Preflight Fail: No valid data from Accel 0",
+        "Arming denied: calibrating",
+        "",
+    ],
+)
+def test_what_time_may_cure_is_waited_for(text: str) -> None:
+    assert todo_for([text], "alpha") is None
+
+
+def test_every_advice_is_complete_for_any_name() -> None:
+    for _, todo in LASTING_REASONS:
+        assert "{" not in todo.format(name="alpha")
