@@ -132,7 +132,7 @@ def test_more_modes_than_colours_still_look_different(tmp_path: Path) -> None:
     copter = [0, 1, 2, 3, 4, 5, 6, 7, 9, 11, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27]
     log.write_bytes(
         b"".join(
-            encode_record(T0_US + n * 1_000_000, heartbeat(1, seq=n, base_mode=0x81, custom_mode=mode))
+            encode_record(T0_US + n * 1_000_000, heartbeat(1, seq=n, autopilot=3, base_mode=0x81, custom_mode=mode))
             for n, mode in enumerate(copter)
         )
     )

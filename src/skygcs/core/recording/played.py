@@ -1,4 +1,4 @@
-"""What of a recording may go out where live vehicles are: what its vehicles reported, never what somebody ordered them."""
+"""What of a recording may go out where live vehicles are: what its vehicles reported, never what they were ordered."""
 
 from __future__ import annotations
 
@@ -39,9 +39,8 @@ class Told:
         if discovers(frame):
             self.vehicles.add(source)
             self._systems.add(frame.sysid)
-        elif frame.msgid == HEARTBEAT and frame.info is not None and frame.fields().get("type") == MAV_TYPE_GCS:
-            if len(self._ground_stations) < MOST_GROUND_STATIONS:
-                self._ground_stations.add(source)
+        elif _is_ground_station(frame) and len(self._ground_stations) < MOST_GROUND_STATIONS:
+            self._ground_stations.add(source)
         if frame.info is None:
             return False  # whom it is addressed to cannot be told
         if source == RADIO_SOURCE:
@@ -58,3 +57,7 @@ class Told:
             return False
         addressed = frame.info is not None and frame.info.target_system_offset >= 0
         return frame.compid not in GROUND_STATION_COMPIDS and not (addressed and system == 0)
+
+
+def _is_ground_station(frame: Frame) -> bool:
+    return frame.msgid == HEARTBEAT and frame.info is not None and frame.fields().get("type") == MAV_TYPE_GCS
