@@ -7,13 +7,17 @@ import functools
 import os
 import signal
 import tempfile
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import typer.main
+import uvloop
 from hypothesis import HealthCheck, settings
 
 import skygcs.rpc.methods
 import skygcs.rpc.session  # noqa: F401 - a daemon imports them in a thread, which virtual time would not wait for
+from support.virtual_uvloop import VirtualUvloop
 
 settings.register_profile("suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("long", settings.get_profile("suite"), max_examples=2000)
@@ -31,7 +35,25 @@ typer.main.get_command = functools.cache(typer.main.get_command)
 """Typer's test runner makes all commands anew for every line that is typed: a quarter of a second each time. They hold
 nothing of one line that another could see."""
 
+ON_BOTH_LOOPS = Path(__file__).parent / "unit" / "runtime"
+"""What runs timers, exchanges and orders: its tests run on uvloop, which the daemon uses, as well."""
+
 _cache = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--both-loops", action="store_true", help="run every async test on asyncio's loop and on uvloop")
+
+
+def pytest_asyncio_loop_factories(
+    config: pytest.Config, item: pytest.Item
+) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
+    """Tests in virtual time are in virtual time on uvloop as well."""
+    loops: dict[str, Callable[[], asyncio.AbstractEventLoop]] = {"asyncio": asyncio.SelectorEventLoop}
+    if config.getoption("--both-loops") or item.path.is_relative_to(ON_BOTH_LOOPS):
+        virtual = item.get_closest_marker("looptime") is not None
+        loops["uvloop"] = VirtualUvloop if virtual else uvloop.new_event_loop
+    return loops
 
 
 def pytest_configure(config: pytest.Config) -> None:
