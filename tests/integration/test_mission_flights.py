@@ -202,3 +202,43 @@ async def test_a_fence_of_a_plan_stops_a_flight_out_of_it(tmp_path: Path) -> Non
             assert 60 < max(t.pos_m[1] for t in gcs.truth[int(name[1:])]) < 110
         told = await gcs("missions.status", targets="v2")
         assert told[0]["fence"]["breach_count"] >= 1
+
+
+def with_items(*items: tuple[int, list[float | None], int]) -> str:
+    plan = json.loads(plan_text())
+    entry = {"type": "SimpleItem", "autoContinue": True}
+    plan["mission"]["items"] = [{**entry, "command": c, "params": p, "frame": f} for c, p, f in items]
+    del plan["geoFence"], plan["rallyPoints"]
+    return json.dumps(plan)
+
+
+async def test_each_firmware_gets_what_it_takes_and_the_outcome_says_what_was_changed(tmp_path: Path) -> None:
+    """A return with a place (Mission Planner, PX4 refuses it) and a camera mode (QGroundControl, ArduPilot does)."""
+    text = with_items(
+        (22, [0, 0, 0, None, *place(0, 0), 8], 3),
+        (530, [0, 2, None, None, None, None, None], 2),
+        (16, [0, 0, 0, None, *place(0, 30), 10], 3),
+        (20, [0, 0, 0, 0, *place(0, 0), 8], 3),
+    )
+    async with on_the_ground(tmp_path) as gcs:
+        outcome = (await gcs("missions.upload", targets="v1", plan=text))["outcomes"]["v1"]
+        assert outcome["ok"] and "4 mission items taken; mission item 4: the place of" in outcome["message"]
+        outcome = (await gcs("missions.upload", targets="v2", plan=text))["outcomes"]["v2"]
+        assert outcome["ok"] and "3 mission items taken; mission item 2: SET_CAMERA_MODE" in outcome["message"]
+        assert [item.command for item in gcs.sim("v2").lists.mission] == [22, 16, 20]
+
+
+@BOTH
+async def test_an_upload_that_is_refused_at_its_last_item_says_what_is_held(tmp_path: Path, name: str) -> None:
+    last = (18, [2, 0, 5, 0, *place(0, 30), 10], 3) if name == "v1" else (214, [5, 0, 0, 0, 0, 0, 0], 2)
+    items = ((22, [0, 0, 0, None, *place(0, 0), 8], 3), (16, [0, 0, 0, None, *place(0, 30), 10], 3))
+    async with on_the_ground(tmp_path) as gcs:
+        await gcs.done("missions.upload", targets=name, plan=with_items(*items))  # type: ignore[arg-type]
+        refused = await gcs("missions.upload", targets=name, plan=with_items(*items, last))  # type: ignore[arg-type]
+        assert refused["outcomes"][name]["result"] == "refused", "the check knows what it takes"
+        bad = await gcs("missions.upload", targets=name, plan=with_items(*items, last), force=True)  # type: ignore[arg-type]
+        message = bad["outcomes"][name]["message"]
+        assert bad["outcomes"][name]["result"] == "unsupported" and message.startswith("item 3: not supported")
+        held_now = "the vehicle keeps the mission it had" if name == "v1" else "items up to 2 are new"
+        assert held_now in message
+        assert [i.command for i in (await held(gcs, name)).mission] == [22, 16]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,8 @@ from skygcs.cli.connection import Exit
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mission.check import CheckLimits, Family, Finding, check_plan, errors
+from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
+from skygcs.core.mission.firmware import Change, Family, for_firmware, grouped
 from skygcs.core.mission.formats import Imported, read_plan, write_plan
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.errors import PlanFileError
@@ -46,16 +48,22 @@ def check_file(
         return Exit.FAILED
     dialect = load_dialect(dialect_name or FleetConfig().dialect)
     findings = check_plan(imported.plan, dialect, limits, family=family, vehicle=vehicle)
+    changes = for_firmware(imported.plan.mission, family, dialect.enums.get("MAV_CMD", {})).changes
     if json_output:
-        print(json.dumps(_report(file, imported, findings, dialect), indent=2))
+        print(json.dumps(_report(file, imported, findings, changes, dialect), indent=2))
     else:
-        print(_text(file, imported, findings))
+        print(_text(file, imported, findings, changes))
     return Exit.FAILED if errors(findings) else Exit.DONE
 
 
-def convert_file(file: Path, out: Path, only: str | None, force: bool) -> int:
-    """Raises PlanFileError, OSError."""
+def convert_file(file: Path, out: Path, only: str | None, force: bool, family: Family | None = None) -> int:
+    """``family``: the mission is written as this firmware takes it. Raises PlanFileError, DialectError, OSError."""
     imported = load_plan(file)
+    changes: tuple[Change, ...] = ()
+    if family is not None:
+        dialect = load_dialect(FleetConfig().dialect)
+        converted = for_firmware(imported.plan.mission, family, dialect.enums.get("MAV_CMD", {}))
+        imported, changes = replace(imported, plan=replace(imported.plan, mission=converted.items)), converted.changes
     text = write_plan(imported.plan, str(out), None if only is None else MissionType[only.upper()])
     try:
         with open(out, "w" if force else "x", encoding="utf-8") as target:
@@ -64,11 +72,15 @@ def convert_file(file: Path, out: Path, only: str | None, force: bool) -> int:
         raise PlanFileError(str(out), "", "exists; --force overwrites it") from None
     for note in imported.notes:
         print(f"note: {note}", file=sys.stderr)
+    for line in grouped(changes):
+        print(f"changed: mission {line}", file=sys.stderr)
     print(f"{out}: {_counts(read_plan(text.encode(), str(out)))}")
     return Exit.DONE
 
 
-def _report(file: Path, imported: Imported, findings: tuple[Finding, ...], dialect: Dialect) -> dict[str, Any]:
+def _report(
+    file: Path, imported: Imported, findings: tuple[Finding, ...], changes: tuple[Change, ...], dialect: Dialect
+) -> dict[str, Any]:
     plan = imported.plan
     home = plan.home
     return {
@@ -80,6 +92,7 @@ def _report(file: Path, imported: Imported, findings: tuple[Finding, ...], diale
         else {"lat_deg": home.lat_deg, "lon_deg": home.lon_deg, "alt_amsl_m": home.alt_amsl_m},
         **{kind.word: [_item(n, i, dialect) for n, i in enumerate(plan.items(kind), 1)] for kind in MissionType},
         "notes": list(imported.notes),
+        "changes": [{"item": change.item, "text": change.text} for change in changes],
         "findings": [
             {"severity": "error" if f.error else "warning", "list": f.kind.word, "item": f.item, "text": f.text}
             for f in findings
@@ -96,6 +109,7 @@ def _unreadable(file: Path, error: PlanFileError) -> dict[str, Any]:
         "home": None,
         **{kind.word: [] for kind in MissionType},
         "notes": [],
+        "changes": [],
         "findings": [{"severity": "error", "list": None, "item": None, "text": str(error)}],
     }
 
@@ -111,9 +125,10 @@ def _item(number: int, item: MissionItem, dialect: Dialect) -> dict[str, Any]:
     }
 
 
-def _text(file: Path, imported: Imported, findings: tuple[Finding, ...]) -> str:
+def _text(file: Path, imported: Imported, findings: tuple[Finding, ...], changes: tuple[Change, ...]) -> str:
     lines = [f"{file}: {_counts(imported)}"]
     lines += [f"  note     {note}" for note in imported.notes]
+    lines += [f"  changed  mission {line}" for line in grouped(changes)]
     lines += [f"  {'ERROR  ' if finding.error else 'warning'}  {finding}" for finding in findings]
     wrong = len(errors(findings))
     mild = len(findings) - wrong

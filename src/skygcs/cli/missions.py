@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skygcs.cli.connection import run_offline
 from skygcs.cli.options import Json
 from skygcs.cli.values import finite, parse_number
+
+if TYPE_CHECKING:
+    from skygcs.core.mission.firmware import Family
 
 missions = typer.Typer(
     help="Missions, fences and rally points: plan files of QGroundControl and Mission Planner.", no_args_is_help=True
@@ -66,12 +69,10 @@ def _check(
 
     def command() -> int:
         from skygcs.cli.mission_files import check_file
-        from skygcs.core.mission.check import CheckLimits, Family
+        from skygcs.core.mission.check import CheckLimits
 
         limits = CheckLimits(max_height_m, max_distance_m, max_items)
-        families: dict[AutopilotName | None, Family] = {AutopilotName.PX4: "px4", AutopilotName.ARDUPILOT: "ardupilot"}
-        family = families.get(autopilot)
-        return check_file(file, limits, family, place, dialect, json_output)
+        return check_file(file, limits, _family(autopilot), place, dialect, json_output)
 
     run_offline(command)
 
@@ -85,6 +86,10 @@ def _convert(
     only: Annotated[
         ListName | None, typer.Option("--only", help="One of the lists; WPL holds no more.", show_default=False)
     ] = None,
+    autopilot: Annotated[
+        AutopilotName | None,
+        typer.Option("--autopilot", help="As this one takes it, as an upload does.", show_default=False),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite OUT.")] = False,
 ) -> None:
     """Write a plan in the other format. Surveys and scans become their single items."""
@@ -92,9 +97,14 @@ def _convert(
     def command() -> int:
         from skygcs.cli.mission_files import convert_file
 
-        return convert_file(file, out, None if only is None else only.value, force)
+        return convert_file(file, out, None if only is None else only.value, force, _family(autopilot))
 
     run_offline(command)
+
+
+def _family(autopilot: AutopilotName | None) -> Family | None:
+    families: dict[AutopilotName | None, Family] = {AutopilotName.PX4: "px4", AutopilotName.ARDUPILOT: "ardupilot"}
+    return families.get(autopilot)
 
 
 def _place(option: str, text: str) -> tuple[float, float]:

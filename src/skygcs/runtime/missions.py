@@ -6,22 +6,25 @@ One exchange at a time: an autopilot has one place for a transfer, whatever its 
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 from collections.abc import Awaitable, Callable, Collection
 from dataclasses import replace
 from typing import Any
 
 from skygcs.core.airtime import Priority
 from skygcs.core.exchange.base import Effect, Report, Send
-from skygcs.core.exchange.command import Outcome
+from skygcs.core.exchange.command import MAX_TEXTS, SETTLE_S, Outcome
 from skygcs.core.exchange.mission import ANSWERS, MissionClear, MissionExchange, MissionOutcome
 from skygcs.core.exchange.mission_download import MissionDownload
 from skygcs.core.exchange.mission_upload import LINGER_S, MissionUpload
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mission.firmware import Change, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.mission_orders import (
+    converted,
     keeps_home,
     keeps_old,
     number_of,
@@ -49,6 +52,9 @@ REPORT_STEP = 10
 """Percent between two reports of progress: a report per item would be two hundred events."""
 
 MAX_WAITING = 4
+
+MAX_CHANGES = 5
+"""Kinds of changes to a mission that are named in the outcome of its upload."""
 
 STATES = {1: "no mission", 2: "not started", 3: "active", 4: "paused", 5: "complete"}
 """MISSION_STATE."""
@@ -82,6 +88,8 @@ class Missions:
         self._told_percent = 0
         self._percent: int | None = None
         self._done_upload: tuple[MissionUpload, float] | None = None
+        self._texts: deque[str] = deque(maxlen=MAX_TEXTS)
+        """Status texts since the last upload began."""
         self._alarm = Alarm(loop, self._on_timer)
         self._current = b""
         self._seq: int | None = None
@@ -100,11 +108,23 @@ class Missions:
             first_number=0 if home_first else 1,
             home_first=home_first,
         )
+        self._texts.clear()
         outcome = await self._run(exchange, f"{kind.word} upload")
         if outcome.ok:
             self._done_upload = (exchange, self._loop.time())
             self._keep(outcome, len(items) - home_first)
+            if kind is MissionType.MISSION and self._vehicle.family == "px4":
+                outcome = await self._feasible(outcome)
         return outcome
+
+    async def _feasible(self, outcome: MissionOutcome) -> MissionOutcome:
+        """A PX4 takes a mission and then looks whether it can be flown; only a status text says that it cannot."""
+        await asyncio.sleep(SETTLE_S)
+        rejected = [text for text in self._texts if "mission rejected" in text.lower()]
+        if not rejected:
+            return outcome
+        message = f"{outcome.message}, and it will not fly them: {'; '.join(rejected)}"
+        return replace(outcome, ok=False, result="denied", message=message, status_texts=tuple(rejected))
 
     async def download(self, kind: MissionType) -> MissionOutcome:
         """Its ``items`` are as on the wire."""
@@ -130,7 +150,11 @@ class Missions:
             )
         except RefusedError as error:
             return Outcome(False, "refused", f"refused: {error}")
-        return await self._each(kinds, lambda kind: self.upload(kind, on_wire(self._vehicle, plan, kind)))
+        outcome = await self._each(
+            kinds, lambda kind: self.upload(kind, on_wire(self._vehicle, plan, kind, self._dialect))
+        )
+        changes = converted(self._vehicle, plan, self._dialect).changes if MissionType.MISSION in kinds else ()
+        return replace(outcome, message="; ".join((outcome.message, *_told(changes)))) if changes else outcome
 
     async def drop(self, kinds: Collection[MissionType], *, force: bool) -> Outcome:
         """Clear these lists."""
@@ -208,6 +232,7 @@ class Missions:
 
     def on_text(self, text: str) -> None:
         """A status text of this vehicle: it may say why something is refused."""
+        self._texts.append(text)
         if self._running is not None:
             self._running[0].on_text(text)
 
@@ -329,6 +354,12 @@ class Missions:
 
     def _tell(self, kind: str, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event(kind, self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+def _told(changes: tuple[Change, ...]) -> list[str]:
+    lines = grouped(changes)
+    more = [f"and {len(lines) - MAX_CHANGES} more kinds of changes: skygcs-cli mission check lists them"]
+    return [f"mission {line}" for line in lines[:MAX_CHANGES]] + (more if len(lines) > MAX_CHANGES else [])
 
 
 def _ordered(kinds: Collection[MissionType]) -> tuple[MissionType, ...]:

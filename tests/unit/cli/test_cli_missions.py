@@ -130,3 +130,38 @@ def test_nothing_is_overwritten_unless_told_to(tmp_path: Path) -> None:
 def test_an_unknown_ending_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     assert "must end in .plan" in run("mission", "convert", fenced_plan(tmp_path), tmp_path / "b.kml", code=FAILED)
     assert not (tmp_path / "b.kml").exists()
+
+
+SURVEYED = (
+    "0 1 0 16 0 0 0 0 43.78 -79.46 180 1",
+    "1 0 3 22 0 0 0 0 43.78 -79.46 20 1",
+    "2 0 2 530 0 2 0 0 0 0 0 1",
+    "3 0 3 16 0 0 0 0 43.7801 -79.46 20 1",
+    "4 0 3 20 0 0 0 0 43.78 -79.46 20 1",
+)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "line"),
+    [
+        ("px4", "  changed  mission item 4: the place of NAV_RETURN_TO_LAUNCH"),
+        ("ardupilot", "  changed  mission item 2: SET_CAMERA_MODE, which an ArduPilot does not take, is left out"),
+    ],
+)
+def test_the_check_says_what_an_upload_would_change(tmp_path: Path, autopilot: str, line: str) -> None:
+    path = waypoints(tmp_path, *SURVEYED)
+    text = run("mission", "check", path, "--autopilot", autopilot)
+    assert line in text and text.endswith("no problem found\n")
+    (change,) = json.loads(run("mission", "check", path, "--autopilot", autopilot, "--json"))["changes"]
+    assert change["text"] in text
+    assert "changed" not in run("mission", "check", path)
+
+
+def test_a_plan_is_converted_for_an_autopilot(tmp_path: Path) -> None:
+    path, out = waypoints(tmp_path, *SURVEYED), tmp_path / "out.plan"
+    assert "changed: mission item 2: SET_CAMERA_MODE" in run(
+        "mission", "convert", path, out, "--autopilot", "ardupilot"
+    )
+    assert [item["command"] for item in json.loads(out.read_text())["mission"]["items"]] == [22, 16, 20]
+    run("mission", "convert", path, out, "--force")
+    assert [item["command"] for item in json.loads(out.read_text())["mission"]["items"]] == [22, 530, 16, 20]

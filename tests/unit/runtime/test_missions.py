@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.config.dialects import load_dialect
 from skygcs.core.airtime import Priority
 from skygcs.core.mission.fence import FencePlan, FencePolygon
+from skygcs.core.mission.firmware import for_firmware, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
 from skygcs.runtime.missions import MAX_WAITING
@@ -152,6 +154,38 @@ async def test_a_plan_with_errors_is_refused_with_the_item_and_nothing_is_sent()
         assert not [s for s in ground.sent if s.name.startswith("MISSION_")]
         assert (await actor.upload_plan(plan=bad, kinds=(MISSION,), force=True)).ok
         assert len(storing.lists[0].items) == 3
+
+
+async def test_an_upload_says_what_it_changed_and_the_check_says_it_before() -> None:
+    back = MissionItem.from_params(20, 3, (0.0, 0.0, 0.0, 0.0, *HOME[:2], 20.0), True)
+    camera = MissionItem(530, 2)
+    plan = MissionPlan(mission=(near(command=22), camera, near(30), back))
+    names = load_dialect("ardupilotmega").enums["MAV_CMD"]
+    async with Site(PX4) as (_, storing, actor):
+        outcome = await actor.upload_plan(plan=plan, kinds=(MISSION,))
+        (line,) = grouped(for_firmware(plan.mission, "px4", names).changes)
+        assert outcome.ok and outcome.message == f"4 mission items taken; mission {line}"
+        assert line.startswith("item 4: the place of NAV_RETURN_TO_LAUNCH")
+        assert (storing.lists[0].items[3].frame, storing.lists[0].items[3].x) == (2, 0)
+    async with Site(ARDUPILOT) as (_, storing, actor):
+        outcome = await actor.upload_plan(plan=plan, kinds=(MISSION,))
+        (line,) = grouped(for_firmware(plan.mission, "ardupilot", names).changes)
+        assert outcome.ok and outcome.message == f"3 mission items taken; mission {line}"
+        assert [item.command for item in storing.lists[0].items[1:]] == [22, 16, 20]
+        fence = MissionPlan(mission=(camera,), fence=PLAN.fence)
+        assert "SET_CAMERA_MODE" not in (await actor.upload_plan(plan=fence, kinds=(FENCE,))).message
+
+
+async def test_a_mission_that_a_px4_takes_and_will_not_fly_is_no_success() -> None:
+    async with Site() as (_, storing, actor):
+        said = "Mission rejected: takeoff is not the first waypoint item"
+        text = storing.vehicle.say(mav.MAVLink_statustext_message(2, said.encode()[:50]))
+        asyncio.get_running_loop().call_later(0.9, storing.vehicle.tell, text)
+        outcome = await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
+        assert (outcome.ok, outcome.result) == (False, "denied")
+        assert outcome.message == f"4 mission items taken, and it will not fly them: {said[:50]}"
+        again = await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
+        assert again.ok, "the text was of the last upload"
 
 
 async def test_a_mission_that_flies_is_not_replaced_or_cleared_unless_insisted_on() -> None:

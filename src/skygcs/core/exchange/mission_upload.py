@@ -276,14 +276,14 @@ class MissionUpload(MissionExchange):
         return f"item {self._last_seq + self._first}: {meaning}"
 
     def _finish(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
-        state, held = self._held()
+        state, held = self._held(refused=self.state is UploadState.SETTLING)
         self.state = UploadState.DONE
         return self._end(now, result, f"{message}; {held}", state)
 
-    def _held(self) -> tuple[ListState, str]:
-        """What the vehicle holds after an upload that came to no good end."""
+    def _held(self, *, refused: bool) -> tuple[ListState, str]:
+        """What the vehicle holds after an upload that came to no good end. ``refused``: it has said so."""
         word = self.kind.word
-        if self._all_sent:
+        if self._all_sent and not refused:
             return "unknown", f"it may hold the new {word} or not: download it to see"
         if self._keeps_old:
             return "unchanged", f"the vehicle keeps the {word} it had"

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.fence_check import FenceArea, fence_problems
+from skygcs.core.mission.firmware import Family, convert, for_firmware, px4_order, refusals
 from skygcs.core.mission.item import (
     DO_JUMP,
     DO_JUMP_TAG,
@@ -52,7 +52,6 @@ NEEDS_PLACE = frozenset({NAV_WAYPOINT, 82, 36})
 FLOWN_PLACE = NEEDS_PLACE | {17, 18, 19, 21, 22, 31, 84, 85, 94}
 """NAV commands whose x and y are where the vehicle flies."""
 
-Family = Literal["px4", "ardupilot"]
 Place = tuple[float, float]
 
 
@@ -125,8 +124,10 @@ def _mission(
     reference, what = _reference(plan, vehicle)
     tags = {item.params[0] for item in plan.mission if item.command == JUMP_TAG}
     for number, item in enumerate(plan.mission, 1):
+        wrong = list(_command(item, commands, dialect.name))
         texts = [
-            *_command(item, commands, dialect.name),
+            *wrong,
+            *(() if wrong or family is None else _firmware(item, family, commands)),
             *_place(item, family),
             *_altitude(item, limits, plan.home),
             *_jump(item, number, len(plan.mission), tags),
@@ -135,6 +136,16 @@ def _mission(
         for is_error, text in texts:
             yield Finding(is_error, MissionType.MISSION, number, text)
     yield from _start(plan.mission)
+    if family == "px4":
+        for number, text in px4_order(for_firmware(plan.mission, family, commands).items):
+            yield Finding(True, MissionType.MISSION, number, text)
+
+
+def _firmware(item: MissionItem, family: Family, commands: dict[int, str]) -> Iterator[tuple[bool, str]]:
+    """What the firmware has against the item once it is converted."""
+    converted, _ = convert(item, family, commands)
+    if converted is not None:
+        yield from refusals(converted, family, commands)
 
 
 def _start(items: tuple[MissionItem, ...]) -> Iterator[Finding]:

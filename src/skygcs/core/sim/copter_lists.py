@@ -55,13 +55,13 @@ WITH_PLACE = (
 """AP_Mission::stored_in_location."""
 
 WITHOUT_PLACE = frozenset(
-    {20, 42, 83, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 193, 194, 197, 202, 203, 205, 206, 207, 208, 210}
-    | {211, 212, 213, 215, 216, 217, 218, 222, 223, 530, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501, 3000}
+    {20, 83, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 193, 194, 197, 202, 203, 205, 206, 207, 208, 210}
+    | {211, 212, 213, 215, 216, 217, 218, 222, 223, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501, 3000}
     | {42600, 42702, 42703}
 )
 MAX_CORNERS = 255
 
-NO_YAW_NEEDED = frozenset({16, 17, 18, 21, 22, 85})
+NO_YAW_NEEDED = frozenset({16, 17, 21, 22, 84, 85})
 """Commands whose param4 may be NaN (AP_Mission::sanity_check_params)."""
 
 
@@ -228,18 +228,28 @@ def refusal_of(kind: MissionType, item: MissionItem, count: int) -> int:
     }
     if not belongs[kind]:
         return m.MAV_MISSION_UNSUPPORTED
-    if item.frame not in (GLOBAL, m.MAV_FRAME_GLOBAL_RELATIVE_ALT, TERRAIN_ALT, m.MAV_FRAME_MISSION):
-        return m.MAV_MISSION_UNSUPPORTED_FRAME
     for number, value in enumerate(item.params, 1):
         if value is None and not (number == 4 and item.command in NO_YAW_NEEDED):
             return m.MAV_MISSION_INVALID_PARAM1 + number - 1
-    if item.z is None:
-        return m.MAV_MISSION_INVALID_PARAM7
+    if item.command in WITH_PLACE and (refusal := _place_refusal(item)):
+        return refusal
     if item.command in (POLYGON_INCLUSION, POLYGON_EXCLUSION) and not 3 <= (item.params[0] or 0) <= MAX_CORNERS:
         return m.MAV_MISSION_INVALID_PARAM1
     if item.command == DO_JUMP and not 0 < (item.params[0] or 0) < count:
         return m.MAV_MISSION_ERROR
     return m.MAV_MISSION_ACCEPTED
+
+
+def _place_refusal(item: MissionItem) -> int:
+    """What `mavlink_int_to_mission_cmd` has against the place of an item that has one; 0: nothing."""
+    if abs(item.x) > 900_000_000:
+        return m.MAV_MISSION_INVALID_PARAM5_X
+    if abs(item.y) > 1_800_000_000:
+        return m.MAV_MISSION_INVALID_PARAM6_Y
+    if item.z is None:
+        return m.MAV_MISSION_INVALID_PARAM7
+    known = item.frame in (GLOBAL, m.MAV_FRAME_GLOBAL_RELATIVE_ALT, TERRAIN_ALT, m.MAV_FRAME_MISSION)
+    return 0 if known else m.MAV_MISSION_UNSUPPORTED_FRAME
 
 
 def as_kept(item: MissionItem) -> MissionItem:

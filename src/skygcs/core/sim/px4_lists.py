@@ -51,10 +51,10 @@ GIVE_UP_S = 5.0
 
 WITH_PLACE = frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 4501}) | FENCE_COMMANDS | {RALLY_POINT}
 WITHOUT_PLACE = frozenset(
-    {20, 93, 112, 114, 177, 178, 179, 183, 187, 189, 196, 197, 200, 201, 203, 204, 205, 206, 211, 214, 260, 530, 531}
-    | {80, 532, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
+    {20, 93, 112, 114, 177, 178, 179, 187, 189, 196, 197, 200, 201, 203, 204, 205, 206, 211, 214, 260, 530, 532, 534}
+    | {80, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
 )
-"""Commands it takes in a global frame and in MAV_FRAME_MISSION."""
+"""Commands that 1.16.1 takes in a global frame and in MAV_FRAME_MISSION (parse_mavlink_mission_item)."""
 
 
 class State(Enum):

@@ -12,6 +12,7 @@ from skygcs.core.exchange.command import CommandSpec
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
+from skygcs.core.mission.firmware import Converted, Family, for_firmware
 from skygcs.core.mission.item import GLOBAL, NAV_WAYPOINT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
 from skygcs.core.vehicle import autopilot
@@ -64,14 +65,25 @@ def keeps_old(vehicle: Vehicle, kind: MissionType) -> bool:
     return vehicle.family == "px4" or (vehicle.family == "ardupilot" and kind is MissionType.FENCE)
 
 
-def on_wire(vehicle: Vehicle, plan: MissionPlan, kind: MissionType) -> tuple[MissionItem, ...]:
+def on_wire(vehicle: Vehicle, plan: MissionPlan, kind: MissionType, dialect: Dialect) -> tuple[MissionItem, ...]:
     """One of a plan's lists as this vehicle takes it; () for an empty one, which is to be cleared instead."""
-    items = plan.items(kind)
-    if kind is not MissionType.MISSION or not items:
-        return items
+    if kind is not MissionType.MISSION:
+        return plan.items(kind)
+    items = converted(vehicle, plan, dialect).items
+    if not items:
+        return ()
     if not keeps_home(vehicle):
         return to_wire(items, None)
     return to_wire(items, MissionItem(NAV_WAYPOINT, GLOBAL) if plan.home is None else plan.home.item())
+
+
+def converted(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect) -> Converted:
+    """The plan's mission as this vehicle's firmware takes it, and what was changed for that."""
+    return for_firmware(plan.mission, _family(vehicle), dialect.enums.get("MAV_CMD", {}))
+
+
+def _family(vehicle: Vehicle) -> Family | None:
+    return None if vehicle.family == "generic" else vehicle.family
 
 
 def with_downloaded(
@@ -93,8 +105,7 @@ def findings(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect, limit_m: flo
     place = None
     if position is not None and position["lat_deg"] is not None:
         place = (position["lat_deg"], position["lon_deg"])
-    family = None if vehicle.family == "generic" else vehicle.family
-    return check_plan(plan, dialect, CheckLimits(max_distance_m=limit_m), family=family, vehicle=place)
+    return check_plan(plan, dialect, CheckLimits(max_distance_m=limit_m), family=_family(vehicle), vehicle=place)
 
 
 def require_uploadable(
