@@ -34,9 +34,10 @@ def report_lines(
             yield wrapped(f"  not set: {report['unfixed']}", columns, indent=INDENT)
         if everything:
             yield from _quiet(report, columns)
-    ready = sum(report["ok"] for report in vehicles.values())
+    flying = sum(bool(report.get("in_air")) for report in vehicles.values())
+    ready = sum(report["ok"] and not report.get("in_air") for report in vehicles.values())
     if len(vehicles) > 1:
-        yield f"{ready} of {len(vehicles)} ready"
+        yield f"{ready} of {len(vehicles)} ready" + (f", {flying} in flight" if flying else "")
 
 
 def complaints(report: Report) -> list[Mapping[str, Any]]:
@@ -65,6 +66,9 @@ def _head(report: Report) -> str:
     counts = {
         verdict: sum(f["verdict"] == verdict for f in report["findings"]) for verdict in ("fail", "unknown", "pass")
     }
+    if report.get("in_air"):
+        failed = f", {counts['fail']} failed" if counts["fail"] else ""
+        return f"in flight, where nothing is armed: {counts['pass']} checks pass now{failed}"
     if report["ok"]:
         return f"ready, {counts['pass']} checks passed"
     told = [f"{counts['fail']} failed"] * bool(counts["fail"]) + [f"{counts['unknown']} unknown"] * bool(

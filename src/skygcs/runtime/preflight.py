@@ -227,6 +227,7 @@ def result(examined: Examined, vehicle: Vehicle) -> dict[str, Any]:
     return {
         "sysid": vehicle.sysid,
         "autopilot": vehicle.family,
+        "in_air": vehicle.in_air(examined.at),
         **examined.report.as_dict(),
         "fixed": {name: outcome.as_dict() for name, outcome in examined.fixed.items()},
         "unfixed": examined.unfixed,

@@ -43,7 +43,7 @@ class Unheard:
         todo = "switch it on; check its radio and the link; or take it out of the file"
         finding = failed(text, todo).named("link", Severity.FAULT)
         report = Report((finding,))
-        return {"sysid": self.sysid, "autopilot": "", **report.as_dict(), "fixed": {}, "unfixed": ""}
+        return {"sysid": self.sysid, "autopilot": "", "in_air": None, **report.as_dict(), "fixed": {}, "unfixed": ""}
 
 
 def meant(

@@ -165,3 +165,10 @@ def test_a_narrow_terminal_is_not_overrun(columns: int) -> None:
     long = finding("home", "fail", "danger", "it has no home: a return would go nowhere at all", "set it " * 12)
     lines = list(preflight_lines.report_lines({"alpha": report(long)}, columns, everything=True))
     assert max(len(row) for line in lines for row in line.splitlines()) <= columns
+
+
+def test_a_vehicle_in_flight_is_said_to_fly_and_not_to_be_ready(served: Served) -> None:
+    served.fleet.preflight_told = {"alpha": {**GOOD, "in_air": True}, "bravo": GOOD, "carol": {**GOOD, "in_air": False}}
+    lines = served.run().splitlines()
+    assert lines[0] == "alpha: in flight, where nothing is armed: 1 checks pass now"
+    assert lines[1].startswith("bravo: ready") and lines[-1] == "2 of 3 ready, 1 in flight"
