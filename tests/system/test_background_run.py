@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 
+import pytest
+
 from support.process import PATIENCE_S, ROOT
 
 pytestmark = pytest.mark.system
