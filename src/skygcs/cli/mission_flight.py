@@ -6,7 +6,7 @@ import asyncio
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
@@ -17,6 +17,9 @@ from skygcs.cli.options import Json, OptionalTargets, Targets
 from skygcs.cli.orders import tell_outcomes
 from skygcs.errors import PlanFileError
 from skygcs.rpc.client import Client
+
+if TYPE_CHECKING:
+    from skygcs.core.mission.plan import MissionPlan
 
 fences = typer.Typer(
     help="Geofences: of parameters, about home, and polygons and circles of a plan.", no_args_is_help=True
@@ -74,7 +77,7 @@ def _clear(
 ) -> None:
     """Empty the vehicles' missions; fences and rally points with --only."""
     lists = ["mission"] if only is None else [name.value for name in only]
-    _order("missions.clear", targets, json_output, lists=lists, force=force)
+    _clear_lists(targets, lists, force, json_output)
 
 
 @missions.command("start")
@@ -177,7 +180,22 @@ def _fence_clear(
     json_output: Json = False,
 ) -> None:
     """Remove the vehicles' fences."""
-    _order("missions.clear", targets, json_output, lists=["fence"], force=force)
+    _clear_lists(targets, ["fence"], force, json_output)
+
+
+def _clear_lists(targets: str, lists: list[str], force: bool, json_output: bool) -> NoReturn:
+    async def cleared() -> int:
+        try:
+            async with client() as gcs, waiting(f"missions.clear {targets}"):
+                answer = await gcs.call("missions.clear", targets=targets, lists=lists, force=force)
+        except asyncio.CancelledError:
+            from skygcs.cli.mission_interrupted import tell_held
+            from skygcs.core.mission.plan import MissionPlan
+
+            return await tell_held(targets, lists, MissionPlan(), "", json_output)
+        return tell_outcomes(answer["outcomes"], json_output)
+
+    run_offline(lambda: asyncio.run(cleared()))
 
 
 def _order(method: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
@@ -192,19 +210,25 @@ def _order(method: str, targets: str, json_output: bool, **params: Any) -> NoRet
 def _bring(targets: str, file: Path, lists: list[str] | None, force: bool, json_output: bool) -> NoReturn:
     """A file that is no plan is told before a daemon is looked for."""
 
-    async def sent(content: str) -> int:
-        async with client() as gcs, waiting(f"missions.upload {targets}"):
-            answer = await gcs.call(
-                "missions.upload", targets=targets, plan=content, name=file.name, lists=lists, force=force
-            )
+    async def sent(content: str, plan: MissionPlan) -> int:
+        try:
+            async with client() as gcs, waiting(f"missions.upload {targets}"):
+                answer = await gcs.call(
+                    "missions.upload", targets=targets, plan=content, name=file.name, lists=lists, force=force
+                )
+        except asyncio.CancelledError:
+            from skygcs.cli.mission_interrupted import tell_held
+
+            return await tell_held(targets, lists or [kind.word for kind in plan.holds()], plan, file.name, json_output)
         return tell_outcomes(answer["outcomes"], json_output)
 
     def command() -> int:
         from skygcs.cli.mission_files import load_plan
 
-        for note in load_plan(file).notes:
+        imported = load_plan(file)
+        for note in imported.notes:
             typer.echo(f"note: {note}", err=True)
-        return asyncio.run(sent(file.read_text(encoding="utf-8-sig")))
+        return asyncio.run(sent(file.read_text(encoding="utf-8-sig"), imported.plan))
 
     run_offline(command)
 
@@ -218,7 +242,12 @@ def _fetch(vehicle: str, file: Path | None, lists: list[str], force: bool, json_
     def command() -> int:
         if file is not None and file.exists() and not force:
             raise PlanFileError(str(file), "", "exists; --force overwrites it")
-        answer = asyncio.run(read())
+        try:
+            answer = asyncio.run(read())
+        except KeyboardInterrupt:
+            unwritten = "" if file is None else f"; {file} is not written"
+            typer.echo(f"interrupted: {vehicle} holds what it held{unwritten}", err=True)
+            return Exit.INTERRUPTED
         code = _tell_download(vehicle, answer, lists, json_output, quiet=file is not None)
         if file is not None and code == Exit.DONE:
             _write(file, answer["plan"], lists)

@@ -195,9 +195,9 @@ def outcome_lines(outcomes: Mapping[str, Mapping[str, Any]], columns: int | None
         first = told.setdefault(message, name)
         if first != name and len(message) > LONG_REASON:
             message = f"{message.partition(';')[0][:LONG_REASON]} … as {first}"
-        attempts = outcome["attempts"]
-        if attempts:  # none: nothing was sent
-            how = f"{outcome['elapsed_s']:.1f} s" + (f", {attempts} attempts" if attempts > 1 else "")
+        sent = outcome["attempts"]
+        if sent:  # none: nothing was sent
+            how = f"{outcome['elapsed_s']:.1f} s" + (f", {sent} transmissions" if sent > 1 else "")
             message = f"{message} ({how})"
         extra = [t for t in outcome.get("status_texts") or () if t not in message]
         rows = [f"{word} {name:<{width}}  {message}", *(f"     {'':<{width}}  {text}" for text in extra)]

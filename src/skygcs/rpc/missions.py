@@ -68,6 +68,10 @@ class MissionStatus(m.Result):
     counts: dict[str, int | None] = Field(description="Items per list, as last sent or read; null: not known.")
     opaque_ids: dict[str, int | None] = Field(description="The vehicle's own numbers for its lists (PX4).")
     transfer: dict[str, Any] | None = Field(description="what, percent, sent of the transfer under way.")
+    last: dict[str, dict[str, Any] | None] = Field(
+        description="How the last transfer of each list ended: an outcome, with state (complete, cleared, unchanged, "
+        "partial or unknown: what the vehicle holds) and a message that says the same."
+    )
     fence: dict[str, Any] | None = Field(description="Fields of FENCE_STATUS; null: it sends none (PX4).")
 
 

@@ -76,6 +76,8 @@ class Missions:
         """The vehicle's own numbers for its lists, as last heard."""
         self.counts: dict[MissionType, int] = {}
         """Items of each list as last sent or read, without home."""
+        self.last: dict[MissionType, MissionOutcome] = {}
+        """How the last transfer of each list ended."""
         self._vehicle = vehicle
         self._commander = commander
         self._dialect = dialect
@@ -219,6 +221,7 @@ class Missions:
             "counts": {kind.word: self.counts.get(kind) for kind in MissionType},
             "opaque_ids": {kind.word: self.opaque_ids.get(kind) for kind in MissionType},
             "transfer": transfer,
+            "last": {kind.word: self.last[kind].as_dict() if kind in self.last else None for kind in MissionType},
         }
 
     def on_frame(self, frame: Frame, now: float) -> None:
@@ -281,6 +284,8 @@ class Missions:
         finally:
             self._running = None
             self._alarm.set(None)
+            if exchange.outcome is not None:
+                self.last[exchange.kind] = replace(exchange.outcome, items=None)
         assert exchange.outcome is not None
         return exchange.outcome
 

@@ -123,7 +123,7 @@ def test_every_vehicle_has_a_line_with_its_outcome_and_reason() -> None:
     )
     assert render.outcome_lines({"alpha": outcome(), "carolina": refused}) == [
         "ok   alpha     armed (0.4 s)",
-        "FAIL carolina  denied: Arm: Throttle too high (0.4 s, 3 attempts)",
+        "FAIL carolina  denied: Arm: Throttle too high (0.4 s, 3 transmissions)",
         "               Check RC",
     ]
     unsent = outcome(ok=False, message="refused: too far", attempts=0, elapsed_s=0.0)

@@ -64,7 +64,7 @@ RESULTS = {
 }
 """MAV_MISSION_RESULT: the outcome's word, and what it means."""
 
-ACCEPTED, ERROR, INVALID_SEQUENCE, OPERATION_CANCELLED = 0, 1, 13, 15
+ACCEPTED, ERROR, INVALID_SEQUENCE, DENIED, OPERATION_CANCELLED = 0, 1, 13, 14, 15
 
 ListState = Literal["complete", "cleared", "unchanged", "partial", "unknown"]
 """What the vehicle holds afterwards, of the list that the exchange was about."""

@@ -8,7 +8,8 @@ Rule: everything that decides how a download goes on is in this file.
     LISTING    timer, repeats left                            LISTING      MISSION_REQUEST_LIST
     LISTING    count of 0                                     DONE         MISSION_ACK, Finish: accepted
     LISTING    count                                          FETCHING     MISSION_REQUEST_INT of item 0
-    LISTING    ack refusing (not: error, it is busy)          SETTLING     - (the text that says why may follow)
+    LISTING    ack: denied, for less than DENIED_S            LISTING      - (the timer asks again)
+    LISTING    ack refusing (not: error, gave up)             SETTLING     - (the text that says why may follow)
     FETCHING   the item asked for, not the last               FETCHING     Report, MISSION_REQUEST_INT of the next
     FETCHING   the item asked for, the last                   DONE         MISSION_ACK, Finish: accepted
     FETCHING   another item (late, twice)                     FETCHING     -
@@ -32,6 +33,7 @@ from skygcs.core.exchange.base import Effect, Report
 from skygcs.core.exchange.command import SETTLE_S
 from skygcs.core.exchange.mission import (
     ACCEPTED,
+    DENIED,
     ERROR,
     INVALID_SEQUENCE,
     MAX_TRIES,
@@ -44,6 +46,11 @@ from skygcs.core.mission.item import MissionItem, MissionType
 
 MAX_ROUNDS = 4
 """Times that the list is fetched from its beginning; one that changes more often is being changed by somebody."""
+
+
+DENIED_S = 10.0
+"""An ArduPilot denies its list while it waits for the items of an upload that was broken off: 8 s from the last one
+(`upload_timeout_ms` of MissionItemProtocol.h)."""
 
 
 class DownloadState(Enum):
@@ -68,6 +75,7 @@ class MissionDownload(MissionExchange):
         self._tries = 0
         self._asked = 0.0
         self._refusal = 0
+        self._denied_at: float | None = None
 
     def start(self, now: float) -> tuple[Effect, ...]:
         self._started = now
@@ -105,8 +113,12 @@ class MissionDownload(MissionExchange):
         if self.state is DownloadState.FETCHING:
             # a PX4 refuses a late request of an item it is past, and what comes after its own time-out
             return () if result == INVALID_SEQUENCE else self._again(now, meaning_of(result)[1])
-        if result == ERROR:
+        if result in (ERROR, OPERATION_CANCELLED):  # busy; or it gives up an upload that was broken off before
             return ()
+        if result == DENIED:
+            self._denied_at = now if self._denied_at is None else self._denied_at
+            if now < self._denied_at + DENIED_S:
+                return ()
         self._refusal = result
         self.state = DownloadState.SETTLING
         self.deadline = now + SETTLE_S
@@ -117,7 +129,8 @@ class MissionDownload(MissionExchange):
             return ()
         if self.state is DownloadState.SETTLING:
             result, meaning = meaning_of(self._refusal)
-            return self._finish(now, result, self.texts.behind(f"not read: {meaning}"))
+            hint = " (an ArduPilot: 8 s from an upload that was broken off)" if self._refusal == DENIED else ""
+            return self._finish(now, result, self.texts.behind(f"not read: {meaning}{hint}"))
         self._wait.failed()
         if self._tries < MAX_TRIES:
             return self._ask_list(now) if self.state is DownloadState.LISTING else self._ask_item(now)

@@ -49,6 +49,7 @@ from skygcs.core.exchange.mission import (
 )
 from skygcs.core.exchange.mission_download import MissionDownload
 from skygcs.core.mission.item import MAX_ITEMS, MissionItem, MissionType
+from skygcs.core.mission.plan import same_item
 
 MAX_ROUNDS = 5
 """Offers from the beginning. A round fails when the vehicle gives up, or when its last ack was lost and it holds
@@ -67,9 +68,6 @@ TWICE_S = 0.1
 LINGER_S = 10.0
 """A repeated MISSION_COUNT may still be on its way when the upload is done; the vehicle begins anew with it, and would
 hold half a list if nobody answered."""
-
-ALTITUDE_GRID_M = 0.011
-"""An ArduPilot keeps altitudes in centimetres."""
 
 
 class UploadState(Enum):
@@ -250,7 +248,7 @@ class MissionUpload(MissionExchange):
         """Whether the vehicle holds what was sent, as far as it can tell: it may drop parameters that it has no use
         for, and its home is its own."""
         pairs = list(zip(self._items, held, strict=False))[self._home_first :]
-        return len(held) == len(self._items) and all(_same_item(sent, kept) for sent, kept in pairs)
+        return len(held) == len(self._items) and all(same_item(sent, kept) for sent, kept in pairs)
 
     def _accepted(self, now: float, how: str, number: int | None) -> tuple[Effect, ...]:
         count = len(self._items) - self._home_first
@@ -298,8 +296,3 @@ class MissionUpload(MissionExchange):
         return "partial", (
             f"items up to {new} are new and what follows is old: do not fly it; upload the {word} again, or clear it"
         )
-
-
-def _same_item(sent: MissionItem, kept: MissionItem) -> bool:
-    near = abs((sent.z or 0.0) - (kept.z or 0.0)) <= ALTITUDE_GRID_M
-    return (sent.command, sent.x, sent.y) == (kept.command, kept.x, kept.y) and near

@@ -20,6 +20,10 @@ PLACELESS = frozenset(
 PX4 takes them in MAV_FRAME_MISSION only, which Mission Planner's files do not have."""
 
 
+ALTITUDE_GRID_M = 0.011
+"""An ArduPilot keeps altitudes in centimetres."""
+
+
 @dataclass(frozen=True, slots=True)
 class PlannedHome:
     """Where the plan begins; its altitude is AMSL."""
@@ -87,6 +91,19 @@ class MissionPlan:
                 return replace(self, fence=fence_from_items(items))
             case MissionType.RALLY:
                 return replace(self, rally=items)
+
+
+def same_item(sent: MissionItem, kept: MissionItem) -> bool:
+    """Whether a vehicle that says it holds ``kept`` holds what was sent, as far as it can tell: it may drop parameters
+    that it has no use for."""
+    near = abs((sent.z or 0.0) - (kept.z or 0.0)) <= ALTITUDE_GRID_M
+    return (sent.command, sent.x, sent.y) == (kept.command, kept.x, kept.y) and near
+
+
+def same_start(sent: tuple[MissionItem, ...], kept: tuple[MissionItem, ...]) -> int:
+    """How many items from the first on are the same."""
+    pairs = enumerate(zip(sent, kept, strict=False))
+    return next((n for n, (a, b) in pairs if not same_item(a, b)), min(len(sent), len(kept)))
 
 
 def shifted_jumps(items: tuple[MissionItem, ...], by: int) -> tuple[MissionItem, ...]:

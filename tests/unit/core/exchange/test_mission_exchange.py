@@ -406,3 +406,51 @@ def test_a_list_that_never_stops_changing_is_given_up() -> None:
         exchange.on_count(4 + n, n + 0.2)
     assert exchange.outcome is not None
     assert f"not read in {DOWNLOAD_ROUNDS} rounds: its list changed while it was read" in exchange.outcome.message
+
+
+@pytest.mark.parametrize("result", [14, 15])
+def test_a_list_is_read_when_a_broken_off_upload_has_timed_out(result: int) -> None:
+    """An ArduPilot denies its list for 8 s from the last item of an upload, and then says that it gives it up."""
+    exchange = MissionDownload(MissionType.MISSION)
+    exchange.start(0.0)
+    now = 0.0
+    while now < 8.0:
+        exchange.on_ack(14, now + 0.1)
+        assert exchange.outcome is None and exchange.deadline is not None
+        now = exchange.deadline
+        assert [e.message for e in exchange.on_timer(now) if isinstance(e, Send)] == ["MISSION_REQUEST_LIST"]
+    exchange.on_ack(result, now + 0.1)
+    exchange.on_count(0, now + 0.2)
+    assert exchange.outcome is not None and exchange.outcome.ok and exchange.outcome.items == ()
+
+
+def test_a_list_that_stays_denied_is_not_asked_for_without_end() -> None:
+    exchange = MissionDownload(MissionType.MISSION)
+    exchange.start(0.0)
+    now = 0.0
+    while exchange.outcome is None and now < 60.0:
+        exchange.on_ack(14, now + 0.1)
+        assert exchange.deadline is not None
+        now = exchange.deadline
+        exchange.on_timer(now)
+    assert exchange.outcome is not None and exchange.outcome.result == "denied"
+    assert 10.0 <= now < 14.0 and "8 s from an upload that was broken off" in exchange.outcome.message
+
+
+@pytest.mark.parametrize(("keeps_old", "state"), [(True, "unchanged"), (False, "partial")])
+def test_a_refusal_of_the_last_item_is_no_riddle(keeps_old: bool, state: str) -> None:
+    items = tuple(MissionItem.from_params(16, 3, (0.0, 0.0, 0.0, None, 1.0, 2.0, n), True) for n in (1.0, 2.0, 3.0))
+    exchange = MissionUpload(MissionType.MISSION, items, keeps_old=keeps_old)
+    exchange.start(0.0)
+    for seq in range(3):
+        exchange.on_request(seq, 1.0 + seq)
+    exchange.on_ack(3, 4.0)
+    exchange.on_timer(10.0)
+    assert exchange.outcome is not None and exchange.outcome.state == state
+    assert exchange.outcome.message.startswith("item 3: not supported by the vehicle; ")
+    silent = MissionUpload(MissionType.MISSION, items, keeps_old=keeps_old)
+    silent.start(0.0)
+    for seq in range(3):
+        silent.on_request(seq, 1.0 + seq)
+    silent.stop(4.0, "cancelled", "cancelled")
+    assert silent.outcome is not None and silent.outcome.state == "unknown"
