@@ -147,7 +147,7 @@ class Daemon:
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()
         self._corrections = CorrectionFeed(self.hub, self.fleet, self.now)
-        self._postman = Postman(self.hub, self.fleet, self.links)
+        self._postman = Postman(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
 
@@ -264,10 +264,16 @@ class Daemon:
         )
 
     def send_message(
-        self, name: str, fields: Mapping[str, Any], target: str | list[str] | None = None, link: str | None = None
+        self,
+        name: str,
+        fields: Mapping[str, Any],
+        target: str | list[str] | None = None,
+        link: str | None = None,
+        *,
+        force: bool = False,
     ) -> dict[str, Any]:
         """Any message of the dialect by name; see `Postman.send`."""
-        return self._postman.send(name, fields, target, link)
+        return self._postman.send(name, fields, target, link, force=force)
 
     # -- events
 

@@ -215,7 +215,7 @@ async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_sa
         with pytest.raises(RefusedError, match="not both"):
             daemon.send_message("COMMAND_LONG", {"command": 400}, "7", "radio")
         with pytest.raises(RefusedError, match="another target"):
-            daemon.send_message("COMMAND_LONG", {"command": 400, "target_system": 7}, "8")
+            daemon.send_message("COMMAND_LONG", {"command": 512, "target_system": 7}, "8")
         await asyncio.sleep(0.05)
         assert sent_to(daemon, "radio", "COMMAND_LONG") == sent_to(daemon, "other", "COMMAND_LONG") == []
         daemon.send_message("COMMAND_LONG", {"command": 1, "target_system": 0})

@@ -469,7 +469,9 @@ class FakeDaemon:
     def recorder_status(self) -> dict[str, Any]:
         return {"recording": True, "file": "logs/a.tlog", "dropped": 0}
 
-    def send_message(self, name: str, fields: dict[str, Any], target: str | None, link: str | None) -> dict[str, Any]:
+    def send_message(
+        self, name: str, fields: dict[str, Any], target: str | None, link: str | None, *, force: bool = False
+    ) -> dict[str, Any]:
         self.sent.append((name, fields, target, link))
         note = {"note": f"{name} has no target field: bravo got it as well"} if target == "alpha,carol" else {}
         return {"sent": 0 if link == "dead" else 1, "message": name, **note}

@@ -107,9 +107,9 @@ class Flown:
     def now(self) -> float:
         return self.daemon.now()
 
-    async def __call__(self, name: str, **params: Any) -> Any:
+    async def __call__(self, method_name: str, /, **params: Any) -> Any:
         self.daemon.client_alive()
-        method = METHODS[name]
+        method = METHODS[method_name]
         answer = method.handler(self, method.params.model_validate(params))
         return await answer if asyncio.iscoroutine(answer) else answer
 

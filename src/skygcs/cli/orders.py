@@ -226,6 +226,7 @@ def command(
     x: Annotated[int | None, typer.Option("--x", help="As on the wire: latitude * 1e7.")] = None,
     y: Annotated[int | None, typer.Option("--y", help="As on the wire: longitude * 1e7.")] = None,
     z: Annotated[float | None, typer.Option("--z", metavar="Z", help="Metres.", parser=finite)] = None,
+    force: Annotated[bool, typer.Option("--force", help="Without the checks of the order that does the same.")] = False,
     json_output: Json = False,
 ) -> None:
     """Send any MAV_CMD and wait for its acknowledgement."""
@@ -237,6 +238,8 @@ def command(
         raise typer.BadParameter("--x, --y and --z are for COMMAND_INT: give --frame, too (GLOBAL_RELATIVE_ALT, …)")
     if frame is not None:
         more = {"int_frame": name_or_id(frame), "x": x, "y": y, "z": z}
+    if force:
+        more["force"] = True
     order("command", targets, json_output, command=name_or_id(name), params=numbers, **more)
 
 

@@ -69,6 +69,7 @@ def send_message(
             "--link", metavar="LINK", help="On this link only, to all there.", autocompletion=completion.links
         ),
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Without the checks of the order that does the same.")] = False,
     json_output: Json = False,
 ) -> None:
     """Send one message: `message send UTIAS quat=1,0,0,0 pos=0,0,1.5`. Enum names are values, too.
@@ -81,7 +82,9 @@ def send_message(
 
     async def command(gcs: Client) -> int:
         try:
-            answer = await gcs.call("messages.send", name=name_or_id(name), fields=values, target=target, link=link)
+            answer = await gcs.call(
+                "messages.send", name=name_or_id(name), fields=values, target=target, link=link, force=force
+            )
         except RpcError as error:
             if target is not None or not _lacks_target(error):
                 raise

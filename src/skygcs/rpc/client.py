@@ -205,14 +205,17 @@ class Client:
     async def command(
         self, targets: Targets, command: str | int, params: Sequence[float | None] = (), **more: Any
     ) -> Outcomes:
-        """Any MAV_CMD; None or NaN is an unset parameter. ``more``: int_frame, x, y, z for COMMAND_INT."""
+        """Any MAV_CMD; None or NaN is an unset parameter. ``more``: int_frame, x, y, z for COMMAND_INT; force."""
         plain = [None if p is None or math.isnan(p) else p for p in params]
         return await self._order("command", targets, command=command, params=plain, **more)
 
-    async def send(self, name: str | int, fields: Mapping[str, Any], *, target: Targets | None = None) -> Any:
-        """One message of the dialect, to some vehicles or (without target) to everyone. None is NaN."""
+    async def send(
+        self, name: str | int, fields: Mapping[str, Any], *, target: Targets | None = None, force: bool = False
+    ) -> Any:
+        """One message of the dialect, to some vehicles or (without target) to everyone. None is NaN. ``force``: even
+        one that does what an order does, without its checks."""
         to = None if target is None else _plain(target)
-        return await self.call("messages.send", name=name, fields=dict(fields), target=to)
+        return await self.call("messages.send", name=name, fields=dict(fields), target=to, force=force)
 
     # -- subscriptions
 

@@ -114,7 +114,8 @@ async def vehicles_stream(context: Context, params: m.StreamParams) -> JsonObjec
 
 
 async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObject:
-    """Send any MAV_CMD and wait for its acknowledgement."""
+    """Send any MAV_CMD and wait for its acknowledgement. What does the same as an order without its checks is refused
+    for a vehicle that is not known to be disarmed, arming and motor tests for every vehicle, unless forced."""
     _check_command(context.daemon.dialect, params.command)
     if params.int_frame is not None:
         _check_entry(context.daemon.dialect, "MAV_FRAME", params.int_frame, "int_frame")
@@ -131,7 +132,8 @@ def messages_send(context: Context, params: m.SendParams) -> JsonObject:
     """Send any message of the dialect, checked field by field.
 
     A message with a target field (COMMAND_LONG, MANUAL_CONTROL, …) needs target, link or that field; "all", or 0 in the
-    field, is everyone. Others go to everyone unless told otherwise.
+    field, is everyone. Others go to everyone unless told otherwise. Setpoints, and whatever else does what an order
+    does without its checks, are refused for vehicles that are not known to be disarmed, unless forced.
     """
     info = find_message(context.daemon.dialect, params.name, "name")
     fields = _checked_fields(context.daemon.dialect, info, params.fields)
@@ -142,7 +144,7 @@ def messages_send(context: Context, params: m.SendParams) -> JsonObject:
         raise InvalidParams(
             ("target", f'{info.name} is addressed: give target ("all": everyone), link, or the field {field}')
         )
-    return context.daemon.send_message(info.name, fields, params.target, params.link)
+    return context.daemon.send_message(info.name, fields, params.target, params.link, force=params.force)
 
 
 def messages_list(context: Context, _: m.NoParams) -> list[JsonObject]:

@@ -222,6 +222,9 @@ class CommandParams(TargetsParams):
     x: int | None = Field(None, description="COMMAND_INT's x as on the wire (latitude in 1e-7 degrees).")
     y: int | None = Field(None, description="COMMAND_INT's y as on the wire (longitude in 1e-7 degrees).")
     z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
+    force: bool = Field(
+        False, description="Although it would fly a vehicle or stop its motors past the checks of an order."
+    )
 
     @model_validator(mode="after")
     def _whole_place(self) -> Self:
@@ -245,6 +248,9 @@ class SendParams(Params):
         None, description='Vehicles to send it to, each with its ids filled in; "all": everyone.'
     )
     link: str | None = Field(None, description="Send on this link only, to all that is there.")
+    force: bool = Field(
+        False, description="Although it would fly a vehicle or stop its motors past the checks of an order."
+    )
 
 
 class LinkParams(Params):

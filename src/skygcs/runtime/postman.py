@@ -5,12 +5,14 @@ It goes out behind orders (priority EXCHANGE), so that a stream of such messages
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import ABSENT, MessageInfo
 from skygcs.core.mavlink.signing import SETUP_SIGNING
+from skygcs.core.vehicle.unguarded import message_way
+from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -29,16 +31,25 @@ def target_fields(info: MessageInfo) -> tuple[str | None, str | None]:
 class Postman:
     """`send` for the RPC's messages.send."""
 
-    def __init__(self, hub: Hub, fleet: Fleet, links: LinkTable) -> None:
+    def __init__(self, hub: Hub, fleet: Fleet, links: LinkTable, now: Callable[[], float]) -> None:
         self._hub = hub
         self._fleet = fleet
         self._links = links
+        self._now = now
 
     def send(
-        self, name: str, fields: Mapping[str, Any], target: str | list[str] | None = None, link: str | None = None
+        self,
+        name: str,
+        fields: Mapping[str, Any],
+        target: str | list[str] | None = None,
+        link: str | None = None,
+        *,
+        force: bool = False,
     ) -> dict[str, Any]:
         """Send it to the vehicles of ``target``, with their ids filled in; or to all on ``link``; or where its own
         target field says (0: everyone). One without a target field and given none goes to every link with vehicles.
+
+        What would pass the checks of an order (`core.vehicle.unguarded`) is refused unless ``force``.
 
         The answer's "sent" counts transmissions; "note" says who else hears what was meant for some. Raises KeyError
         (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
@@ -55,14 +66,17 @@ class Postman:
             self._links.require(link)
             if self._links.configs[link].vehicles:
                 raise RefusedError(f"link {link} is bound to vehicles: who is behind it is sent nothing of ours")
-            return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields)))
-        if target is not None:
-            return self._to_vehicles(info, fields, target)
-        if system is not None and system not in fields:
+        if target is None and link is None and system is not None and system not in fields:
             raise RefusedError(
                 f"{info.name} is for somebody: give a target (a vehicle, a group, all), a link, or its field {system} "
                 "(0: everyone)"
             )
+        if not force:
+            self._require_guarded(info, fields, target, link)
+        if link is not None:
+            return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields)))
+        if target is not None:
+            return self._to_vehicles(info, fields, target)
         return self._to_field(info, fields)
 
     def _refuse_flown(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None) -> None:
@@ -75,6 +89,37 @@ class Postman:
                 raise RefusedError(
                     f"{actor.name} is flown by setpoints of skygcs: end that first (control set {actor.name} off)"
                 )
+
+    def _require_guarded(
+        self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
+    ) -> None:
+        """Raises RefusedError for what would fly a vehicle, or stop its motors, past the checks of an order."""
+        way = message_way(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
+        if way is None:
+            return
+        refusal = way.refusal(self._reached(info, fields, target, link), self._now())
+        if refusal is not None:
+            raise RefusedError(refusal)
+
+    def _reached(
+        self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
+    ) -> list[Vehicle]:
+        """The vehicles that will take a message for their own."""
+        system, _ = target_fields(info)
+        live = {key: actor for key, actor in self._fleet.vehicles.items() if not actor.vehicle.replayed}
+        channels: set[int] | None = None if link is None else set(self._hub.channels_of_link(link))
+        if target is not None:
+            meant = self._fleet.resolve(target)
+            if system is not None:
+                return [actor.vehicle for actor in meant]
+            channels = {way for actor in meant for way in self._hub.ways(actor.sysid, actor.compid)}
+        sysid = 0 if system is None else int(fields.get(system, 0) or 0)
+        if sysid:
+            return [actor.vehicle for actor in live.values() if actor.sysid == sysid]
+        heard_on = self._hub.router.channels_of
+        return [
+            actor.vehicle for key, actor in live.items() if channels is None or channels.intersection(heard_on(key))
+        ]
 
     def _to_field(self, info: MessageInfo, fields: Mapping[str, Any]) -> dict[str, Any]:
         """Where the message's own target fields say; to all without such fields."""

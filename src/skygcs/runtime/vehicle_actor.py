@@ -18,7 +18,7 @@ from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.vehicle import mission_orders, orders
+from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.goals import Place
 from skygcs.core.vehicle.plan import Plan
@@ -161,12 +161,13 @@ class VehicleActor(LiveVehicle):
         x: int | None = None,
         y: int | None = None,
         z: float | None = None,
+        force: bool = False,
     ) -> Outcome:
-        """Any command; see `orders.raw_command`."""
+        """Any command; see `orders.raw_command`. One that passes the checks of an order only with ``force``."""
         return await self._orders.run(
             "command",
-            lambda now: orders.raw_command(
-                self.vehicle, now, self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z
+            lambda now: unguarded.command(
+                self.vehicle, now, self._dialect, command, params, force=force, int_frame=int_frame, x=x, y=y, z=z
             ),
         )
 

@@ -132,7 +132,18 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
         (
             "command",
             {"command": 183, "params": [1, None]},
-            ("command", {"command": 183, "params": [1.0, None], "int_frame": None, "x": None, "y": None, "z": None}),
+            (
+                "command",
+                {
+                    "command": 183,
+                    "params": [1.0, None],
+                    "int_frame": None,
+                    "x": None,
+                    "y": None,
+                    "z": None,
+                    "force": False,
+                },
+            ),
         ),
     ]
     for method, params, expected in orders:

@@ -1,0 +1,195 @@
+"""Raw messages and commands that do what a guarded order does, without its checks: which they are, and when they are
+refused.
+
+`messages.send` and `vehicles.command` can send anything of the dialect. What moves a vehicle, stops its motors or takes
+away what protects it is refused for a vehicle that is armed or not known to be disarmed, unless somebody insists; what
+turns motors of a disarmed vehicle (arming, a motor test) is refused for every vehicle. Frames of third-party programs
+pass the router and are none of this: their links have roles and filters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.vehicle import orders
+from skygcs.core.vehicle.orders import FORCE_HINT
+from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+CONTROL = "control set and setpoint"
+GUARDED_MESSAGES: Mapping[str, str] = {
+    "SET_ATTITUDE_TARGET": CONTROL,
+    "SET_POSITION_TARGET_LOCAL_NED": CONTROL,
+    "SET_POSITION_TARGET_GLOBAL_INT": CONTROL,
+    "SET_ACTUATOR_CONTROL_TARGET": CONTROL,
+    "MANUAL_CONTROL": CONTROL,
+    "RC_CHANNELS_OVERRIDE": CONTROL,
+    "TRAJECTORY_REPRESENTATION_WAYPOINTS": CONTROL,
+    "TRAJECTORY_REPRESENTATION_BEZIER": CONTROL,
+    "FOLLOW_TARGET": CONTROL,
+    "HIL_ACTUATOR_CONTROLS": "nothing: it is a simulator's",
+    "HIL_CONTROLS": "nothing: it is a simulator's",
+    "HIL_STATE": "nothing: it is a simulator's",
+    "HIL_STATE_QUATERNION": "nothing: it is a simulator's",
+    "HIL_SENSOR": "nothing: it is a simulator's",
+    "HIL_GPS": "nothing: it is a simulator's",
+    "SET_GPS_GLOBAL_ORIGIN": "origin push",
+    "SET_HOME_POSITION": "home",
+    "MISSION_ITEM": "mission upload",
+    "MISSION_ITEM_INT": "mission upload",
+    "MISSION_COUNT": "mission upload",
+    "MISSION_WRITE_PARTIAL_LIST": "mission upload",
+    "MISSION_CLEAR_ALL": "mission clear",
+    "SAFETY_SET_ALLOWED_AREA": "fence set",
+    "FENCE_POINT": "fence set",
+    "SERIAL_CONTROL": "the orders (it is the autopilot's shell)",
+}
+"""By message: the guarded way. A MISSION_ITEM with ``current`` 2 is a guided waypoint, which flies at once."""
+
+ARM_DISARM = 400
+GUARDED_COMMANDS: Mapping[int, str] = {
+    32: "goto",  # DO_FOLLOW
+    33: "goto",  # DO_FOLLOW_REPOSITION
+    34: "goto",  # DO_ORBIT
+    35: "goto",  # DO_FIGURE_EIGHT
+    92: "mode",  # NAV_GUIDED_ENABLE
+    113: "goto",  # CONDITION_CHANGE_ALT
+    115: "goto",  # CONDITION_YAW
+    179: "home",  # DO_SET_HOME
+    185: "stop kill",  # DO_FLIGHTTERMINATION
+    186: "goto",  # DO_CHANGE_ALTITUDE
+    187: "nothing",  # DO_SET_ACTUATOR
+    189: "land",  # DO_LAND_START
+    191: "goto",  # DO_GO_AROUND
+    192: "goto",  # DO_REPOSITION
+    207: "fence set",  # DO_FENCE_ENABLE
+    208: "stop kill",  # DO_PARACHUTE
+    210: "nothing",  # DO_INVERTED_FLIGHT
+    212: "mode",  # DO_AUTOTUNE_ENABLE
+    223: "nothing",  # DO_ENGINE_CONTROL
+    241: "nothing",  # PREFLIGHT_CALIBRATION
+    242: "nothing",  # PREFLIGHT_SET_SENSOR_OFFSETS
+    243: "nothing",  # PREFLIGHT_UAVCAN
+    245: "param set",  # PREFLIGHT_STORAGE, which also resets all parameters
+    246: "reboot",  # PREFLIGHT_REBOOT_SHUTDOWN
+    252: "goto",  # OVERRIDE_GOTO
+    ARM_DISARM: "disarm",
+    3000: "nothing",  # DO_VTOL_TRANSITION
+    30001: "goto",  # PAYLOAD_PREPARE_DEPLOY
+    43000: "goto",  # GUIDED_CHANGE_SPEED
+    43001: "goto",  # GUIDED_CHANGE_ALTITUDE
+    43002: "goto",  # GUIDED_CHANGE_HEADING
+    43003: "nothing",  # EXTERNAL_POSITION_ESTIMATE
+}
+"""MAV_CMD by number: the guarded way. The items of missions (16 to 95) that are sent as commands come to it."""
+
+TURNS_MOTORS: Mapping[int, str] = {
+    22: "takeoff",  # NAV_TAKEOFF: a disarmed PX4 keeps it and lifts off with the next arming
+    24: "takeoff",  # NAV_TAKEOFF_LOCAL
+    84: "takeoff",  # NAV_VTOL_TAKEOFF
+    209: "nothing",  # DO_MOTOR_TEST
+    218: "arm, disarm and mode",  # DO_AUX_FUNCTION: its functions arm, stop motors and change modes
+    300: "mission start",  # MISSION_START
+    310: "nothing",  # ACTUATOR_TEST
+    42001: "arm and takeoff",  # SOLO_BTN_FLY_CLICK
+    42002: "takeoff",  # SOLO_BTN_FLY_HOLD
+    42003: "hold",  # SOLO_BTN_PAUSE_CLICK
+}
+"""Of these a disarmed vehicle is no safer: they are refused for every vehicle. Arming is one, see `command_way`."""
+
+MISSION_ITEMS = range(16, 96)
+ENDS_FLIGHT = frozenset({20, 21, 23, 85})
+"""NAV_RETURN_TO_LAUNCH, NAV_LAND, NAV_LAND_LOCAL, NAV_VTOL_LAND: what brings a vehicle down safely is not held up."""
+
+COMMAND_MESSAGES = frozenset({"COMMAND_LONG", "COMMAND_INT"})
+
+
+@dataclass(frozen=True, slots=True)
+class Unguarded:
+    """``what`` is sent, the guarded way to the same (``instead``), and whether it is refused for any vehicle."""
+
+    what: str
+    instead: str
+    always: bool = False
+
+    def refusal(self, vehicles: Iterable[Vehicle], now: float) -> str | None:
+        """Why it is not sent to these, of which none may be known; None if it may be."""
+        found = list(vehicles)
+        if self.always:
+            return self._text("can turn motors")
+        if not found:
+            return self._text("would reach a system that is not known to be disarmed")
+        for vehicle in found:
+            if (why := not_disarmed(vehicle, now)) is not None:
+                return self._text(f"would reach {vehicle.name}, which {why},")
+        return None
+
+    def _text(self, why: str) -> str:
+        way = f"the checked way is {self.instead}" if not self.instead.startswith("nothing") else "no order does this"
+        return f"{self.what} {why} without the checks of an order: {way}; {FORCE_HINT}"
+
+
+def not_disarmed(vehicle: Vehicle, now: float) -> str | None:
+    """Why it is not known to be disarmed; None if it is."""
+    if vehicle.duplicate:
+        return f"shares system id {vehicle.sysid} with another"
+    if vehicle.armed:
+        return "is armed"
+    if vehicle.in_air(now):
+        return "is in the air"
+    return None if vehicle.connected else "is lost"
+
+
+def message_way(name: str, fields: Mapping[str, Any], command_names: Mapping[int, str]) -> Unguarded | None:
+    """What stands for a message; None if it may be sent to anybody. ``command_names``: MAV_CMD of the dialect."""
+    if name in COMMAND_MESSAGES:
+        command = _number(fields.get("command", 0))
+        number = int(command) if math.isfinite(command) else -1
+        what = command_names.get(number, f"MAV_CMD {number}").removeprefix("MAV_CMD_")
+        return command_way(number, _number(fields.get("param1", 0.0)), f"{name} {what}")
+    instead = GUARDED_MESSAGES.get(name)
+    return None if instead is None else Unguarded(name, instead)
+
+
+def command_way(number: int, param1: float, what: str) -> Unguarded | None:
+    """As `message_way`, of a command."""
+    if number == ARM_DISARM and param1 != 0.0:  # also NaN: what an autopilot makes of it is not known
+        return Unguarded(what, "arm", always=True)
+    if number in TURNS_MOTORS:
+        return Unguarded(what, TURNS_MOTORS[number], always=True)
+    instead = GUARDED_COMMANDS.get(number)
+    if instead is None and number in MISSION_ITEMS and number not in ENDS_FLIGHT:
+        instead = "goto and mission"
+    return None if instead is None else Unguarded(what, instead)
+
+
+def command(
+    vehicle: Vehicle,
+    now: float,
+    dialect: Dialect,
+    name: str | int,
+    params: Sequence[float | None],
+    *,
+    force: bool = False,
+    int_frame: int | str | None = None,
+    x: int | None = None,
+    y: int | None = None,
+    z: float | None = None,
+) -> Plan:
+    """As `orders.raw_command`, which raises RefusedError, too; without ``force`` none that passes an order's checks."""
+    plan = orders.raw_command(vehicle, now, dialect, name, params, int_frame=int_frame, x=x, y=y, z=z)
+    number, what = orders.find_command(dialect, name)
+    first = params[0] if params else 0.0
+    way = None if force else command_way(number, math.nan if first is None else float(first), what)
+    if way is not None and (refusal := way.refusal((vehicle,), now)) is not None:
+        raise RefusedError(refusal)
+    return plan
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
