@@ -25,8 +25,8 @@ from skygcs.core.control.deadman import DeadMan
 from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT
 from skygcs.core.route_room import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
-from skygcs.core.vehicle.discovery import HEARTBEAT
 from skygcs.core.vehicle.event_limiter import EventLimiter
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
@@ -316,7 +316,7 @@ class Daemon:
         who = f"{note.sysid}/{note.compid}"
         recorded = channel is not None and channel.config.type == "replay"
         if note.kind in ("duplicate", "duplicate_over"):
-            self.fleet.set_duplicate(note.sysid << 8 | note.compid, note.kind == "duplicate")
+            self.fleet.set_duplicate(note.sysid << 8 | note.compid, where if note.kind == "duplicate" else None)
         text = {
             "out_of_bounds": _beyond(note, where, channel),
             "learned": f"{who} heard on {where}",

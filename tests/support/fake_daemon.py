@@ -349,8 +349,10 @@ class FakeFleet:
 
     async def command_all(self, targets: str | list[str], order: str, /, **arguments: Any) -> dict[str, FakeOutcome]:
         vehicles = self.resolve(targets)
+        if order == "disarm":
+            arguments.pop("confirm", None)
         if order == "stop":
-            require_confirmed(arguments["action"], [v.name for v in vehicles], arguments.pop("confirm"))
+            require_confirmed(arguments["action"], dict.fromkeys(v.name for v in vehicles), arguments.pop("confirm"))
         done = await asyncio.gather(*(getattr(v, order)(**arguments) for v in vehicles))
         return dict(zip((v.name for v in vehicles), done, strict=True))
 

@@ -13,7 +13,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
-from skygcs.core.mavlink.heartbeat import is_autopilots
+from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.vehicle.events import Event
 from skygcs.links.base import Channel, OwnMessage
@@ -88,7 +88,7 @@ class RecordingHost:
                 self.on_frame(channel, frame)
 
     def carries_autopilot(self, channel: Channel) -> bool:
-        return any(c is channel and f.msgid == 0 and is_autopilots(f) for c, f in self.heard)
+        return any(c is channel and f.msgid == 0 and discovers(f) for c, f in self.heard)
 
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
         return True

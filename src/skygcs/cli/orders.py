@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import sys
 from collections.abc import Callable, Mapping
@@ -10,11 +11,15 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from skygcs.cli import completion
-from skygcs.cli.connection import Exit, run, waiting
+from skygcs.cli.connection import Exit, fail, run, waiting
 from skygcs.cli.options import Json, Targets
 from skygcs.cli.render import outcome_lines, screen_width
 from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
+from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
+
+REFUSED = -32002
+"""JSON-RPC code of what skygcs itself refuses (docs/reference/rpc.md)."""
 
 
 def order(method: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
@@ -26,6 +31,40 @@ def order(method: str, targets: str, json_output: bool, **params: Any) -> NoRetu
         return tell_outcomes(answer["outcomes"], json_output)
 
     run(command)
+
+
+def order_confirmed(method: str, targets: str, json_output: bool, confirm: str | None, **params: Any) -> NoReturn:
+    """As `order`; what the daemon wants confirmed by a word is asked of the person at the terminal."""
+
+    async def command(gcs: Client) -> int:
+        async def ordered(word: str | None) -> int:
+            async with waiting(f"{method} {targets}"):
+                answer = await gcs.call(f"vehicles.{method}", targets=targets, confirm=word, **params)
+            return tell_outcomes(answer["outcomes"], json_output)
+
+        try:
+            return await ordered(confirm)
+        except RpcError as error:
+            if confirm is not None or error.code != REFUSED or not _somebody_there():
+                raise
+            fail(str(error))
+        word = await asyncio.to_thread(_asked)
+        if not word:
+            fail("not confirmed; nothing was sent")
+            return Exit.FAILED
+        return await ordered(word)
+
+    run(command)
+
+
+def _somebody_there() -> bool:
+    """Whether there is a person to ask; a script has to say the word itself."""
+    return sys.stdin.isatty()
+
+
+def _asked() -> str:
+    typer.echo("> ", nl=False, err=True)
+    return sys.stdin.readline().strip()
 
 
 def tell_outcomes(outcomes: Mapping[str, Mapping[str, Any]], json_output: bool) -> int:
@@ -56,10 +95,18 @@ def arm(
 def disarm(
     targets: Targets,
     force: Annotated[bool, typer.Option("--force", help="Also in flight: the vehicle falls.")] = False,
+    confirm: Annotated[
+        str | None,
+        typer.Option(
+            "--confirm",
+            metavar="WORD",
+            help="While two vehicles send with one system id: disarm-N; asked for otherwise.",
+        ),
+    ] = None,
     json_output: Json = False,
 ) -> None:
     """Disarm."""
-    order("disarm", targets, json_output, force=force)
+    order_confirmed("disarm", targets, json_output, confirm, force=force)
 
 
 def takeoff(

@@ -13,10 +13,10 @@ from skygcs.cli.log_file import KIND_NAMES, dialect_named, opened_log
 from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, TYPE_GENERIC, HeartbeatChecks
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
 from skygcs.core.recording.faults import Faults
 from skygcs.core.recording.reading import Entry
-from skygcs.core.vehicle.discovery import HEARTBEAT, TYPE_GENERIC, discovers
 from skygcs.errors import SkygcsError
 
 MOST_KINDS = 8
@@ -106,6 +106,7 @@ class Census:
         self._types: Counter[str] = Counter()
         self._sources: dict[int, _Source] = {}
         self._vehicles: dict[int, SeenVehicle] = {}
+        self._heartbeats = HeartbeatChecks()
 
     def add(self, entry: Entry) -> None:
         """The next entry, in the file's order."""
@@ -127,7 +128,7 @@ class Census:
         self._types[frame.name] += 1
         if frame.msgid == HEARTBEAT:
             source.on_heartbeat(frame)
-            if discovers(frame):
+            if self._heartbeats.own(frame, entry.at_s):
                 vehicle = self._vehicles.get(key)
                 if vehicle is None:
                     vehicle = self._vehicles[key] = SeenVehicle(frame.sysid, frame.compid, elapsed_s)

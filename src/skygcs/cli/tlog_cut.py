@@ -12,11 +12,11 @@ from typing import IO
 from skygcs.cli.log_file import LogFile, note, opened_log
 from skygcs.cli.log_output import Outputs, make_folder
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.recording.flight import MOST_VEHICLES
 from skygcs.core.recording.reading import Entry
 from skygcs.core.recording.selection import Selection
 from skygcs.core.tlog import encode_record
-from skygcs.core.vehicle.discovery import discovers
 from skygcs.errors import SkygcsError
 
 REST = "rest"

@@ -45,12 +45,11 @@ from skygcs.core.decision import Decision, RouteNote, Standing, Verdict
 from skygcs.core.dedup import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import is_autopilots, shown_by
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers, shown_by
 from skygcs.core.rivals import RivalWatch
 from skygcs.core.route_port import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
 from skygcs.core.route_room import RouteRoom
 
-HEARTBEAT = 0
 SYSTEM_TIME = 2
 RADIO_STATUS = 109
 RADIO = 166
@@ -160,7 +159,7 @@ class Router:
             return self._counted(_FILTERED_IN)
         if source in self._anchored and (port.policy.role == "gcs" or port.policy.replayed):
             return self._echo(port, source)
-        if port.bound and frame.msgid == HEARTBEAT and is_autopilots(frame):
+        if port.bound and frame.msgid == HEARTBEAT and discovers(frame):
             return self._echo(port, source)
         info = frame.info
         if info is not None:
@@ -366,7 +365,7 @@ class Router:
             port.crowded = True
             self._note("crowded", source, port)
         place = None
-        if frame.msgid == HEARTBEAT and is_autopilots(frame):
+        if frame.msgid == HEARTBEAT and discovers(frame):
             place = self._room.gives_way(port, self._ports.values())
         if place is None:
             self._room.refused += 1
@@ -423,7 +422,7 @@ class Router:
 
     def _check_vehicle(self, port: Port, frame: Frame, source: int, now: float) -> None:
         """A heartbeat of an autopilot: what this source broadcasts from here is telemetry of a vehicle."""
-        if source not in port.heard or not is_autopilots(frame):
+        if source not in port.heard or not discovers(frame):
             return
         if source not in port.vehicles:
             port.vehicles.add(source)

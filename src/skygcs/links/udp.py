@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING, Any
 from skygcs.config import models
 from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import is_autopilots
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.peer_places import Peer
-from skygcs.core.routing import HEARTBEAT
 from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
 from skygcs.links.admission import Admission
@@ -322,7 +321,7 @@ class UdpServerLink(UdpLink):
 
     def _takes_place(self, address: Address, frames: list[Frame], now: float) -> bool:
         """Whether a newcomer is let in although all places are taken; who has to go for it has gone then."""
-        autopilot = any(frame.msgid == HEARTBEAT and is_autopilots(frame) for frame in frames)
+        autopilot = any(frame.msgid == HEARTBEAT and discovers(frame) for frame in frames)
         admitted, key = self._admission.place_for(address, autopilot=autopilot, now=now)
         if isinstance(key, tuple):
             self._let_go(self._peers[key], f"its place was given to {format_address(address)}: all were taken")

@@ -155,9 +155,9 @@ class Client:
         """``wait_s``: keep trying while the autopilot is not ready yet."""
         return await self._order("arm", targets, force=force, wait_s=wait_s)
 
-    async def disarm(self, targets: Targets, *, force: bool = False) -> Outcomes:
-        """``force``: in flight as well; the vehicle falls."""
-        return await self._order("disarm", targets, force=force)
+    async def disarm(self, targets: Targets, *, force: bool = False, confirm: str | None = None) -> Outcomes:
+        """``force``: in flight as well; the vehicle falls. ``confirm``: for a duplicate system id, "disarm-2"."""
+        return await self._order("disarm", targets, force=force, confirm=confirm)
 
     async def takeoff(
         self, targets: Targets, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0

@@ -114,6 +114,12 @@ class ArmParams(TargetsParams):
 
 class DisarmParams(TargetsParams):
     force: bool = Field(False, description="Disarm in flight as well: the vehicle falls.")
+    confirm: str | None = Field(
+        None,
+        max_length=100,
+        description='Only while two vehicles send with one system id, and both would get it: "disarm-" and the number '
+        'of vehicles, as "disarm-2"; without it the refusal names their links and the word.',
+    )
 
 
 class ModeParams(TargetsParams):
@@ -141,7 +147,7 @@ class StopParams(TargetsParams):
         None,
         max_length=100,
         description='kill only: "kill-" and the number of vehicles it is for, as "kill-3"; without it the refusal names'
-        " them and the word.",
+        " them and the word. Two vehicles that send with one system id count twice.",
     )
 
 

@@ -13,8 +13,9 @@ from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.geo import Origin, world_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.preflight.facts import LinkFacts
-from skygcs.core.vehicle import discovery, orders, stop, targets
+from skygcs.core.vehicle import orders, stop, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
@@ -122,7 +123,7 @@ class Fleet:
         self._kept = Errands(loop, on_event)
         self._met_on: dict[int, str] = {}
         """By key, the link on which a vehicle was first heard."""
-        self._duplicates: set[int] = set()
+        self._duplicates: dict[int, str] = {}
         self._replayed: set[int] = set()
         self._decoder = Decoder(dialect)
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
@@ -132,7 +133,7 @@ class Fleet:
         actor = self.vehicles.get(key)
         if actor is not None:
             actor.on_frame(frame, channel_label, now)
-        elif frame.msgid == discovery.HEARTBEAT and discovery.discovers(frame):
+        elif frame.msgid == HEARTBEAT and discovers(frame):
             self._discover(key, frame, channel_label, now)
 
     def only_noted(self, key: int, frame: Frame, channel_label: str) -> Noted | None:
@@ -141,7 +142,7 @@ class Fleet:
         actor = self.vehicles.get(key)
         if actor is not None:
             return actor.only_noted(frame, channel_label)
-        return None if discovery.discovers(frame) else Noted()
+        return None if discovers(frame) else Noted()
 
     def tick(self, now: float) -> None:
         """Every vehicle's turn, whatever becomes of another's; the first exception is raised after the last turn."""
@@ -160,15 +161,16 @@ class Fleet:
             actor.close()
         self._kept.close()
 
-    def set_duplicate(self, key: int, duplicate: bool) -> None:
-        """Whether two autopilots speak as ``key`` (sysid << 8 | compid), met or not yet: orders to it are refused."""
-        if not duplicate:
-            self._duplicates.discard(key)
-        elif len(self._duplicates) < MAX_VEHICLES:
-            self._duplicates.add(key)
+    def set_duplicate(self, key: int, where: str | None) -> None:
+        """Where two autopilots send as ``key`` (sysid << 8 | compid), met or not yet: most orders to it are refused.
+        None: only one does (any more)."""
+        if where is None:
+            self._duplicates.pop(key, None)
+        elif key in self._duplicates or len(self._duplicates) < MAX_VEHICLES:
+            self._duplicates[key] = where
         actor = self.vehicles.get(key)
         if actor is not None:
-            actor.duplicate = duplicate
+            actor.set_duplicate(where)
 
     def set_replayed(self, key: int, replayed: bool) -> None:
         """From now on ``key`` is heard in a recording only, or on the air after all. What was known of it is of another
@@ -229,14 +231,15 @@ class Fleet:
         Raises TargetError before anything is sent. An order for all that one frame can carry goes out as a broadcast;
         each vehicle's answer is still collected, and who did not answer is sent its own. When the caller is cancelled,
         the orders of `KEPT` go on, all others end. Raises RefusedError for a stop that has to be confirmed and is not
-        (``confirm``, see `core.vehicle.stop`).
+        (``confirm``, see `core.vehicle.stop`), and for a disarming of a duplicate system id that is not.
         """
         if order not in ORDERS:
             raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
         actors = self.resolve(expression)
-        if order == "stop":
-            confirm = arguments.pop("confirm", None)
-            stop.require_confirmed(arguments["action"], [a.name for a in actors], confirm)
+        if order in ("stop", "disarm"):
+            action = arguments["action"] if order == "stop" else "disarm"
+            twice = {actor.name: actor.vehicle.duplicate_where for actor in actors}
+            stop.require_confirmed(action, twice, arguments.pop("confirm", None))
         work = self._command(actors, order, args, arguments)
         if order not in KEPT or len(self._kept) >= MAX_KEPT:
             return await work
@@ -399,7 +402,7 @@ class Fleet:
             timeout_s=daemon.vehicle_timeout_s,
             decoder=self._decoder,
         )
-        vehicle.duplicate = key in self._duplicates
+        vehicle.duplicate_elsewhere = self._duplicates.get(key)
         vehicle.replayed = key in self._replayed
         actor = VehicleActor(
             vehicle,

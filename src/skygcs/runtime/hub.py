@@ -18,11 +18,11 @@ from skygcs.core.decision import RouteNote, Verdict
 from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import is_autopilots
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.core.presented import Endpoint
-from skygcs.core.routing import HEARTBEAT, Router
+from skygcs.core.routing import Router
 from skygcs.core.vehicle.events import Event
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Noted, OwnMessage, Way
 from skygcs.links.express import new_table
@@ -469,7 +469,7 @@ class Hub:
 
     def _drop_source(self, channel: Channel, frame: Frame) -> bool:
         """Whether an autopilot finds a place in a full table: that of the source, no autopilot, silent for longest."""
-        if frame.msgid != HEARTBEAT or not is_autopilots(frame):
+        if frame.msgid != HEARTBEAT or not discovers(frame):
             return False
         autopilots = self.router.autopilots_on(channel.id)
         others = [key for key in channel.sources if key not in autopilots and key != OTHER_SOURCES]

@@ -177,12 +177,12 @@ class LiveVehicle:
         """Whether two vehicles speak under this system id: nobody can say which of them an order would reach."""
         return self.vehicle.duplicate
 
-    @duplicate.setter
-    def duplicate(self, value: bool) -> None:
-        self.vehicle.duplicate = value
-        if value:  # what is told is of two vehicles, and both would hear what is sent to one
-            self.flight.release(f"two vehicles with system id {self.sysid} are on the air")
-            self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air")
+    def set_duplicate(self, where: str | None) -> None:
+        """Where another vehicle sends with its ids, and where this one does; None: nowhere (any more). Its state and
+        its flight by setpoints, which have one channel, go on."""
+        self.vehicle.duplicate_elsewhere = where
+        if where is not None:
+            self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air: {where}")
 
     def set_origin(self, origin: Origin | None, generation: int) -> None:
         """The fleet's world frame from now on, and its number; see `World`."""
@@ -214,6 +214,8 @@ class LiveVehicle:
             return None
         if frame.msgid == HEARTBEAT:
             payload = frame.payload
+            if not self.vehicle.is_last_heartbeat(payload):
+                return None  # of another sender: each is to be looked at
 
             def again(now: float) -> None:
                 events = self.vehicle.on_beat(payload, now)

@@ -72,7 +72,7 @@ class OrderRunner:
             return Outcome(False, "temporarily_rejected", f"not ready: {error}")
         except RefusedError as error:
             return Outcome.refused(str(error))
-        if self._vehicle.duplicate and not plan.emergency:
+        if self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate):
             return two_of_one_id(self._vehicle)
         if plan.order in MOVING:
             self._release(f"{plan.order} was ordered")

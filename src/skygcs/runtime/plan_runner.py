@@ -118,7 +118,7 @@ class PlanRunner:
             self._report(plan.order, None)
 
     async def _step(self, step: Step, plan: Plan, order: int) -> Outcome:
-        if self._vehicle.duplicate and not plan.emergency:
+        if self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate):
             return two_of_one_id(self._vehicle)
         expect = step.expect
         if step.message is not None:
@@ -193,7 +193,9 @@ class PlanRunner:
 
 def two_of_one_id(vehicle: Vehicle) -> Outcome:
     """The refusal of an order that nobody can say whom it would reach."""
-    text = f"two vehicles with system id {vehicle.sysid} are on the air; give one of them another"
+    where = vehicle.duplicate_where
+    there = "" if where is None else f" ({where})"
+    text = f"two vehicles with system id {vehicle.sysid} are on the air{there}; give one of them another"
     return Outcome(False, "refused", f"refused: {text}")
 
 

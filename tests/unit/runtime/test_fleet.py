@@ -425,24 +425,31 @@ class TestOrdersForMany:
             told = [e.data["result"] for e in ground.events if e.kind == "command" and e.data["order"] == "land"]
             assert told == ["cancelled"] * 3
 
-    async def test_two_vehicles_of_one_id_are_given_no_order_but_a_forced_disarming(self) -> None:
+    async def test_two_vehicles_of_one_id_are_given_only_orders_that_end_a_flight(self) -> None:
         async with Ground() as ground:
             (vehicle,) = await self.swarm(ground, px4=1, copters=0)
             vehicle.mode = 3 << 16
             await asyncio.sleep(1.5)
             fleet, actor = ground.fleet, ground.fleet.find(1)
-            fleet.set_duplicate(1 << 8 | 1, True)
+            fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
             assert actor.state(ground.loop.time())["duplicate_sysid"] is True
             arguments = {"set_mode": ("POSCTL",), "command": (183, [1.0])}
-            for order in ("land", "rtl", "hold", "arm", "set_mode", "command"):
+            for order in ("arm", "set_mode", "command"):
                 outcome = (await fleet.command_all("1", order, *arguments.get(order, ())))["v1"]
                 assert outcome.result == "refused"
-                assert "two vehicles with system id 1 are on the air; give one of them another" in outcome.message
+                said = "two vehicles with system id 1 are on the air (on udp and on radio); give one of them another"
+                assert said in outcome.message
             assert vehicle.got == []
-            assert (await fleet.command_all("1", "disarm", force=True))["v1"].ok
-            fleet.set_duplicate(1 << 8 | 1, False)
+            for order in ("land", "rtl", "hold"):
+                assert (await fleet.command_all("1", order))["v1"].ok
+            for force in (False, True):
+                with pytest.raises(RefusedError, match=r"v1 \(two vehicles: on udp and on radio\).*'disarm-2'"):
+                    await fleet.command_all("1", "disarm", force=force)
+            assert 400 not in [c for c, _ in vehicle.commands()]
+            assert (await fleet.command_all("1", "disarm", force=True, confirm="disarm-2"))["v1"].ok
+            fleet.set_duplicate(1 << 8 | 1, None)
             assert actor.state(ground.loop.time())["duplicate_sysid"] is False
-            assert (await fleet.command_all("1", "land"))["v1"].ok
+            assert (await fleet.command_all("1", "set_mode", "POSCTL"))["v1"].ok
 
     async def test_a_duplicate_found_in_the_middle_of_a_takeoff_ends_it(self) -> None:
         async with Ground() as ground:
@@ -450,24 +457,24 @@ class TestOrdersForMany:
             await ground.met(vehicle)
             takeoff = asyncio.create_task(ground.fleet.command_all("1", "takeoff", 5.0))
             await asyncio.sleep(0.3)
-            ground.fleet.set_duplicate(1 << 8 | 1, True)
+            ground.fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
             outcome = (await takeoff)["v1"]
             assert "two vehicles with system id 1" in outcome.message
             assert [c for c, _ in vehicle.commands()] == [176]
 
     async def test_a_duplicate_known_before_its_heartbeat_is_one_from_the_start(self) -> None:
         async with Ground() as ground:
-            ground.fleet.set_duplicate(1 << 8 | 1, True)
+            ground.fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
             await self.swarm(ground, px4=1, copters=0)
-            assert ground.fleet.find(1).duplicate
+            assert ground.fleet.find(1).vehicle.duplicate
 
     async def test_a_fleet_with_a_duplicate_is_not_broadcast_to(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground, px4=0, copters=3)
-            ground.fleet.set_duplicate(2 << 8 | 1, True)
+            ground.fleet.set_duplicate(2 << 8 | 1, "on udp and on radio")
             outcomes = await ground.fleet.command_all("all", "land")
-            assert [outcomes[f"v{n}"].ok for n in (1, 2, 3)] == [True, False, True]
-            assert [s.sysid for s in self.commands(ground)] == [1, 3]
+            assert all(outcomes[f"v{n}"].ok for n in (1, 2, 3))
+            assert [s.sysid for s in self.commands(ground)] == [1, 2, 3]
 
     async def test_arming_is_never_broadcast(self) -> None:
         async with Ground() as ground:

@@ -1,22 +1,246 @@
-"""What a router reads of a HEARTBEAT without unpacking it; its payload is custom_mode (4 bytes), type, autopilot ..."""
+"""Which HEARTBEATs are an autopilot's: the one rule of the daemon, its router, replays and the log tools.
+
+    heartbeat                                                what it is
+    -----------------------------------------------------    ---------------------------------------------------------
+    autopilot INVALID; type GCS, companion, gimbal, ...      of another component ("other"): never a vehicle
+    autopilot GENERIC and type GENERIC, or type GENERIC      the same; a PX4Flow (81/50) says autopilot PX4, type
+    and not of component 1                                   GENERIC; a PX4 without an airframe says so as component 1
+    any other of ids that are not known                      makes a vehicle
+    known ids, same autopilot and type                       the vehicle's own
+    known ids, another autopilot or type                     of another vehicle ("contradicts"), until the known one has
+                                                             been silent for so long that it counts as lost
+    known ids, mode or arming state that alternates          two senders: the state before the alternation stays, the
+                                                             other one contradicts
+
+Seen in the wild: 2/2 flooding heartbeats with autopilot INVALID, 1/0 as ADS-B and as a second quadrotor with autopilot
+INVALID, a GCS 255/190 that calls its autopilot ArduPilot, a companion computer with the ids of its vehicle.
+"""
 
 from __future__ import annotations
 
+from typing import Literal
+
 from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V2, Frame
+from skygcs.core.mavlink.modes import SAFETY_ARMED
 
-_MAV_TYPE_GCS = 6
-_MAV_AUTOPILOT_INVALID = 8
+HEARTBEAT = 0
+
+AUTOPILOT_GENERIC = 0
+AUTOPILOT_INVALID = 8
+
+TYPE_GENERIC = 0
+
+COMPID_AUTOPILOT = 1
+
+NOT_VEHICLES = frozenset({6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 38, 39, 40, 41, 42, 44, 48})
+"""MAV_TYPE: GCS, onboard controller, gimbal, ADS-B, camera, charging station, FLARM, servo, Open Drone ID, battery,
+log, OSD, IMU, GPS, winch, illuminator, gripper. Parachute (37) is an airframe; what is yet to be defined is one too."""
+
+DEFAULT_LOST_S = 5.0
+"""Without an own heartbeat for this long the vehicle is lost, and the next one says anew what it is."""
+
+TYPE_CHANGE_S = 4.0
+"""So long the known type has to be silent before the same autopilot is believed another type (PX4 changes MAV_TYPE
+without a restart)."""
+
+ALTERNATION_S = 6.0
+RETURNS = 3
+"""A mode or arming state that was left and comes back within 6 s is a return. One or two happen (an order right after
+another, a switch that was moved too far); three are two senders: at 1 Hz each that shows after two seconds."""
+
+ALTERNATION_OVER_S = 4.0
+"""Two senders are one again when only one of the states was shown for so long: four heartbeats."""
+
+CHANGED_S = 1.5
+"""While two senders alternate, the kept one has changed its state if it was not shown for so long (one heartbeat may be
+lost) and a state comes that neither of them had."""
+
+MAX_STATES = 8
+"""States remembered as left; a sender that shows more of them within ALTERNATION_S is recognised by those."""
+
+MAX_SOURCES = 1024
+"""Sources whose heartbeats are distinguished in one log; four times as many as there can be vehicles."""
+
+HeartbeatOrigin = Literal["own", "other", "contradicts"]
 
 
-def is_autopilots(heartbeat: Frame) -> bool:
-    """Whether this is the heartbeat of an autopilot."""
-    raw = heartbeat.raw
-    at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
-    return raw[1] >= 6 and raw[at + 5] != _MAV_AUTOPILOT_INVALID and raw[at + 4] != _MAV_TYPE_GCS
+def is_vehicle(vehicle_type: int, autopilot: int, compid: int = COMPID_AUTOPILOT) -> bool:
+    """Whether a HEARTBEAT with these fields makes its sender a vehicle."""
+    if autopilot == AUTOPILOT_INVALID or vehicle_type in NOT_VEHICLES:
+        return False
+    return vehicle_type != TYPE_GENERIC or (autopilot != AUTOPILOT_GENERIC and compid == COMPID_AUTOPILOT)
+
+
+def discovers(frame: Frame) -> bool:
+    """Whether this frame makes its sender a vehicle: a verified HEARTBEAT of an autopilot. Never raises."""
+    if frame.msgid != HEARTBEAT or frame.info is None or frame.sysid == 0:
+        return False
+    _, vehicle_type, autopilot, _ = heartbeat_fields(frame)
+    return is_vehicle(vehicle_type, autopilot, frame.compid)
+
+
+def heartbeat_fields(frame: Frame) -> tuple[int, int, int, int]:
+    """(custom_mode, type, autopilot, base_mode); what was trimmed away is 0."""
+    shown = shown_by(frame)
+    return int.from_bytes(shown[:4], "little"), shown[4], shown[5], shown[6]
 
 
 def shown_by(heartbeat: Frame) -> bytes:
-    """Custom mode, type, autopilot and base mode, as sent."""
+    """Custom mode, type, autopilot and base mode: the first seven bytes of the payload."""
     raw = heartbeat.raw
     at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
-    return raw[at : at + 7]
+    shown = raw[at : at + min(raw[1], 7)]
+    return shown if len(shown) == 7 else shown.ljust(7, b"\0")
+
+
+class HeartbeatCheck:
+    """Separates a vehicle's own heartbeats from those that others send with its ids. Feed it all of them, in order.
+
+    ``contradicted_at``: when a heartbeat of another vehicle came last. ``other_at``: the same of another component.
+    """
+
+    __slots__ = (
+        "_alternating",
+        "_compid",
+        "_first",
+        "_kept",
+        "_kept_at",
+        "_left",
+        "_lost_s",
+        "_own_at",
+        "_returns",
+        "contradicted_at",
+        "identity",
+        "other_at",
+    )
+
+    def __init__(self, compid: int = COMPID_AUTOPILOT, lost_s: float = DEFAULT_LOST_S) -> None:
+        self.identity: tuple[int, int] | None = None
+        """(type, autopilot) as known; None: the next autopilot's heartbeat says."""
+        self.contradicted_at = self.other_at = float("-inf")
+        self._compid = compid
+        self._lost_s = lost_s
+        self._own_at = float("-inf")
+        self._kept = self._first = (False, 0)
+        self._kept_at = float("-inf")
+        self._left: dict[tuple[bool, int], float] = {}
+        self._returns: list[float] = []
+        self._alternating = False
+
+    @property
+    def alternating(self) -> bool:
+        """Whether two senders show different states."""
+        return self._alternating
+
+    def forget(self) -> None:
+        """The vehicle is lost or has started anew: whoever is heard next is it."""
+        self.identity = None
+        self._left.clear()
+        self._returns.clear()
+        self._alternating = False
+
+    def heard(self, now: float) -> None:
+        """It was heard by another message that says who it is (HIGH_LATENCY2)."""
+        self._own_at = now
+
+    def judge(self, vehicle_type: int, autopilot: int, base_mode: int, custom_mode: int, now: float) -> HeartbeatOrigin:
+        """Whose this heartbeat is."""
+        if not is_vehicle(vehicle_type, autopilot, self._compid):
+            self.other_at = now
+            return "other"
+        state = bool(base_mode & SAFETY_ARMED), custom_mode
+        if self.identity is None or now - self._own_at > self._lost_s:
+            self.forget()
+            self.identity, self._own_at = (vehicle_type, autopilot), now
+            self._kept, self._kept_at = state, now
+            return "own"
+        if self.identity != (vehicle_type, autopilot) and not self._becomes(vehicle_type, autopilot, now):
+            self.contradicted_at = now
+            return "contradicts"
+        if not self._shows(state, now):
+            self.contradicted_at = now
+            return "contradicts"
+        self._own_at = now
+        return "own"
+
+    def _becomes(self, vehicle_type: int, autopilot: int, now: float) -> bool:
+        """Whether the known autopilot is believed another type."""
+        assert self.identity is not None
+        known_type, known_autopilot = self.identity
+        if autopilot != known_autopilot or vehicle_type == TYPE_GENERIC:
+            return False
+        if known_type != TYPE_GENERIC and now - self._own_at <= TYPE_CHANGE_S:
+            return False
+        self.identity = vehicle_type, autopilot
+        return True
+
+    def _shows(self, state: tuple[bool, int], now: float) -> bool:
+        """Whether this mode and arming state is the vehicle's own."""
+        if self._alternating:
+            return self._alternates(state, now)
+        if state == self._kept:
+            self._kept_at = now
+            return True
+        left_at = self._left.pop(state, None)
+        self._returns = [at for at in self._returns if now - at <= ALTERNATION_S]
+        if left_at is not None and now - left_at <= ALTERNATION_S:
+            self._returns.append(now)
+        if not self._returns:
+            self._first = self._kept
+        elif len(self._returns) == 1 and left_at is not None:
+            self._first = state  # the one that was there before the other came
+        if len(self._left) >= MAX_STATES:
+            del self._left[next(iter(self._left))]
+        self._left[self._kept] = now
+        if len(self._returns) >= RETURNS:
+            self._alternating = True
+            self.contradicted_at = now
+            own = state == self._first
+            self._kept, self._kept_at = self._first, now
+            return own
+        self._kept, self._kept_at = state, now
+        return True
+
+    def _alternates(self, state: tuple[bool, int], now: float) -> bool:
+        """As `_shows`, while two senders are there."""
+        if state == self._kept:
+            self._kept_at = now
+            if now - self.contradicted_at > ALTERNATION_OVER_S:
+                self._end()
+            return True
+        silent_s = now - self._kept_at
+        if silent_s <= CHANGED_S or (state in self._left and silent_s <= ALTERNATION_OVER_S):
+            return False
+        if state in self._left:
+            self._end()  # only the other one is left
+        self._kept, self._kept_at = state, now
+        return True
+
+    def _end(self) -> None:
+        self._alternating = False
+        self._left.clear()
+        self._returns.clear()
+
+
+class HeartbeatChecks:
+    """A `HeartbeatCheck` for each source of a log."""
+
+    def __init__(self) -> None:
+        self._checks: dict[tuple[int, int], HeartbeatCheck] = {}
+
+    def judge(self, frame: Frame, now: float) -> HeartbeatOrigin | None:
+        """Whose heartbeat this is; None: no heartbeat, or of nobody who is known as a vehicle."""
+        if frame.msgid != HEARTBEAT or frame.info is None:
+            return None
+        key = frame.sysid, frame.compid
+        check = self._checks.get(key)
+        if check is None:
+            if not discovers(frame) or len(self._checks) >= MAX_SOURCES:
+                return None
+            check = self._checks[key] = HeartbeatCheck(frame.compid)
+        custom_mode, vehicle_type, autopilot, base_mode = heartbeat_fields(frame)
+        return check.judge(vehicle_type, autopilot, base_mode, custom_mode, now)
+
+    def own(self, frame: Frame, now: float) -> bool:
+        """Whether this is a vehicle's own heartbeat."""
+        return self.judge(frame, now) == "own"

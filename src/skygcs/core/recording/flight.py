@@ -9,13 +9,13 @@ from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatChecks
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
 from skygcs.core.recording.curves import MOST_SPANS, Curve, LossCurve, Track
 from skygcs.core.recording.flight_table import VehicleKey
 from skygcs.core.recording.reading import Entry
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.discovery import HEARTBEAT, discovers
 from skygcs.core.vehicle.fold import Folded, fold_battery, fold_gps, fold_local, fold_position
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 
@@ -114,11 +114,12 @@ class Flight:
         self._types = dialect.enums.get("MAV_TYPE", {})
         self._frame = EnuFrame(origin) if origin is not None else None
         self._folding: dict[VehicleKey, _Folding] = {}
+        self._heartbeats = HeartbeatChecks()
 
     def discover(self, entry: Entry) -> None:
         """See who is a vehicle and in which mode: for what lies before the time that is asked for."""
         frame = entry.frame
-        if frame is not None and frame.msgid == HEARTBEAT and discovers(frame):
+        if frame is not None and self._heartbeats.own(frame, entry.at_s):
             vehicle = self._known(frame, entry.at_s)
             if vehicle is not None:
                 vehicle.first_s = vehicle.last_s = entry.at_s
@@ -139,13 +140,15 @@ class Flight:
             if vehicle is not None:
                 self._on_frame(vehicle, frame, now)
             return
-        if frame.msgid == HEARTBEAT and discovers(frame):
+        own = frame.msgid == HEARTBEAT and self._heartbeats.own(frame, now)
+        if own:
             vehicle = self._known(frame, now)
         if vehicle is None:
             return
         self._on_frame(vehicle, frame, now)
         if frame.msgid == HEARTBEAT:
-            self._on_heartbeat(vehicle, frame, now)
+            if own:
+                self._on_heartbeat(vehicle, frame, now)
             return
         name = self._names.get(frame.msgid)
         if name is not None:

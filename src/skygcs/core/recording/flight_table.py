@@ -6,11 +6,11 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatChecks
 from skygcs.core.mavlink.modes import mode_name
 from skygcs.core.recording.columns import NUMBER, TEXT, TIME, Kind
 from skygcs.core.recording.reading import Entry
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.discovery import HEARTBEAT, discovers
 from skygcs.core.vehicle.fold import Folded, fold_attitude, fold_position
 
 COLUMNS: tuple[tuple[str, Kind], ...] = (
@@ -33,13 +33,15 @@ VehicleKey = tuple[int, int]
 class FlightTables:
     """Rows of all vehicles: one with each position; while none comes, one with each attitude.
 
-    A vehicle is what a daemon would have found (`discovers`); what came before its first heartbeat makes no row.
+    A vehicle is what a daemon would have found (`core.mavlink.heartbeat`); what came before its first heartbeat makes
+    no row.
     """
 
     def __init__(self, dialect: Dialect) -> None:
         self._decoder = Decoder(dialect)
         self._position = self._decoder.msgid_of(POSITION)
         self._attitudes = {self._decoder.msgid_of(name): name for name in ATTITUDES}
+        self._heartbeats = HeartbeatChecks()
         self._vehicles: dict[VehicleKey, _Newest] = {}
 
     def row(self, entry: Entry) -> tuple[VehicleKey, list[Any]] | None:
@@ -49,7 +51,7 @@ class FlightTables:
             return None
         key = frame.sysid, frame.compid
         if frame.msgid == HEARTBEAT:
-            if discovers(frame):
+            if self._heartbeats.own(frame, entry.at_s):
                 self._vehicles.setdefault(key, _Newest()).mode = _mode(frame)
             return None
         vehicle = self._vehicles.get(key)

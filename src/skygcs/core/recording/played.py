@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from skygcs.core.linkstats import RADIO_SOURCE
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.recording.reading import Entry
-from skygcs.core.vehicle.discovery import HEARTBEAT, discovers
 
 GROUND_STATION_COMPIDS = frozenset({190})
 """MAV_COMP_ID_MISSIONPLANNER: ground stations relay under a vehicle's own system id with it."""

@@ -90,8 +90,10 @@ def arm(*, force: bool = False) -> Plan:
 
 
 def disarm(*, force: bool = False) -> Plan:
+    """Of a duplicate system id only once it is confirmed (`stop.require_confirmed`)."""
     spec = CommandSpec(COMPONENT_ARM_DISARM, (0.0, FORCE_ARM_MAGIC if force else 0.0))
-    return Plan("disarm", (Step("disarm", spec, expect=ArmedIs(False)),), "disarmed", emergency=force, final=force)
+    step = Step("disarm", spec, expect=ArmedIs(False))
+    return Plan("disarm", (step,), "disarmed", emergency=force, final=force, despite_duplicate=True)
 
 
 def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan:
@@ -110,13 +112,14 @@ def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan
 def land(vehicle: Vehicle) -> Plan:
     wanted = {"px4": ("AUTO.LAND", "AUTO.PRECLAND"), "ardupilot": ("LAND", "QLAND", "AUTOLAND", "SURFACE")}
     step = Step("land", CommandSpec(NAV_LAND, (0.0,) * 7), expect=_any_mode(vehicle, wanted.get(vehicle.family, ())))
-    return Plan("land", (step,), "landing")
+    return Plan("land", (step,), "landing", despite_duplicate=True)
 
 
 def rtl(vehicle: Vehicle) -> Plan:
     wanted = {"px4": ("AUTO.RTL",), "ardupilot": ("RTL", "SMART_RTL", "QRTL", "AUTO_RTL")}
     expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
-    return Plan("rtl", (Step("rtl", CommandSpec(NAV_RETURN_TO_LAUNCH), expect=expect),), "returning to launch")
+    step = Step("rtl", CommandSpec(NAV_RETURN_TO_LAUNCH), expect=expect)
+    return Plan("rtl", (step,), "returning to launch", despite_duplicate=True)
 
 
 def hold(vehicle: Vehicle) -> Plan:
@@ -130,7 +133,7 @@ def hold(vehicle: Vehicle) -> Plan:
         raise RefusedError("skygcs knows no mode of this autopilot that holds its position")
     number = modes.mode_number(vehicle.autopilot, vehicle.type, wanted)
     step = mode_step(vehicle, number, or_disarmed=True)
-    return Plan("hold", (step,), f"holding in {wanted}")
+    return Plan("hold", (step,), f"holding in {wanted}", despite_duplicate=True)
 
 
 def goto(vehicle: Vehicle, to: Destination) -> Plan:

@@ -207,6 +207,6 @@ def leave(vehicle: Vehicle, back_to: int | None) -> Plan:
         return Plan("release", (), f"in {vehicle.mode}")
     if back_to is not None and autopilot.mode_name(vehicle, back_to) in FLIES_ITSELF:
         step = autopilot.mode_step(vehicle, back_to, or_disarmed=True)
-        return Plan("release", (step,), f"back in {autopilot.mode_name(vehicle, back_to)}")
+        return Plan("release", (step,), f"back in {autopilot.mode_name(vehicle, back_to)}", despite_duplicate=True)
     hold = autopilot.hold(vehicle)
-    return Plan("release", hold.steps, hold.done)
+    return Plan("release", hold.steps, hold.done, despite_duplicate=True)

@@ -158,6 +158,7 @@ class Plan:
 
     ``emergency``: sent over every link, before anything else, and to whom plain orders are not sent. For ``persist_s``
     its steps are given again until the vehicle shows them or refuses. ``final``: no newer order takes its place.
+    ``despite_duplicate``: safe for, or confirmed for, two vehicles of one system id.
     """
 
     order: str
@@ -166,4 +167,5 @@ class Plan:
     emergency: bool = False
     persist_s: float = 0.0
     final: bool = False
+    despite_duplicate: bool = False
     data: Mapping[str, Any] = field(default_factory=dict)

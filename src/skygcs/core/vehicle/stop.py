@@ -11,7 +11,7 @@ highest priority and over every link, and given again until the heartbeat shows 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
@@ -44,17 +44,25 @@ def stop(vehicle: Vehicle, now: float, action: Action) -> Plan:
     return replace(plan, order="stop", emergency=True, persist_s=PERSIST_S)
 
 
-def kill_word(count: int) -> str:
-    """What confirms a kill of so many vehicles: a script that says it for one does not kill them all, and somebody in a
-    hurry can type it."""
-    return f"kill-{count}"
+def require_confirmed(
+    action: Action | Literal["disarm"], vehicles: Mapping[str, str | None], confirm: str | None
+) -> None:
+    """Raises RefusedError for a kill, or a disarming of a duplicate system id, that is not confirmed with its word,
+    naming the vehicles and the word.
 
-
-def require_confirmed(action: Action, names: Sequence[str], confirm: str | None) -> None:
-    """Raises RefusedError for a kill that is not confirmed with its word, naming the vehicles and the word."""
-    word = kill_word(len(names))
-    if action != "kill" or confirm == word:
+    ``vehicles``: by name, where a second vehicle sends with its ids (`Vehicle.duplicate_where`). The word has the number
+    of vehicles that would get the order, duplicates included: a script that says it for one does not kill them all, and
+    somebody in a hurry can type it.
+    """
+    twice = sum(where is not None for where in vehicles.values())
+    if action not in ("kill", "disarm") or (action == "disarm" and not twice):
         return
-    who = ", ".join(names[:MAX_NAMES]) + (f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else "")
+    word = f"{action}-{len(vehicles) + twice}"
+    if confirm == word:
+        return
+    # first those of which there are two: that is what the word is for
+    names = sorted(vehicles, key=lambda name: vehicles[name] is None)
+    named = [name if (where := vehicles[name]) is None else f"{name} (two vehicles: {where})" for name in names]
+    who = ", ".join(named[:MAX_NAMES]) + (f" and {len(named) - MAX_NAMES} more" if len(named) > MAX_NAMES else "")
     wrong = "" if confirm is None else f", not {confirm[:40]!r}"
-    raise RefusedError(f"kill stops the motors of {who}, which will fall if flying; confirm with {word!r}{wrong}")
+    raise RefusedError(f"{action} stops the motors of {who}, which will fall if flying; confirm with {word!r}{wrong}")

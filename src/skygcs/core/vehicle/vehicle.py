@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +12,7 @@ from skygcs.core.geo import Origin, enu_from_geodetic
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatCheck, HeartbeatOrigin
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
@@ -53,6 +55,13 @@ BOOT_TEXT_MIN_UP_S = 30.0
 GCS_SYSID_PARAMETERS = (b"SYSID_MYGCS", b"MAV_GCS_SYSID")
 """ArduPilot's, up to 4.6 and from 4.7 on."""
 
+FOREIGN_AGAIN_S = 60.0
+"""How often it is reported that others send heartbeats with its ids, while they do."""
+
+BESIDE_OVER_S = 5.0
+"""Heartbeats come at 1 Hz: after so long without one that contradicts, or without a second clock, one sender is left on
+the vehicle's channel."""
+
 BOOT_TIME_MESSAGES = ("ATTITUDE", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 
 Events = tuple[Event, ...]
@@ -61,9 +70,8 @@ Events = tuple[Event, ...]
 class Vehicle:
     """State of one autopilot. `on_frame` for each of its frames, `tick` at 1 to 10 Hz; both return what happened.
 
-    ``origin`` may be set at any time: ENU positions are about it. ``duplicate`` is set by whoever sees the links: two
-    vehicles speak under this id, and what is here is a mixture of both. ``last_ack`` is the newest COMMAND_ACK,
-    whomever it answers; the actor reads it when `on_frame` was given one.
+    ``origin`` may be set at any time: ENU positions are about it. ``last_ack`` is the newest COMMAND_ACK, whomever it
+    answers; the actor reads it when `on_frame` was given one.
     """
 
     def __init__(
@@ -86,7 +94,11 @@ class Vehicle:
         self.origin_generation = 0
         """Counts the fleet's origins: positions of the same number are in the same frame."""
         self.connected = False
-        self.duplicate = False
+        self.duplicate_elsewhere: str | None = None
+        """Set by whoever sees the links: where another vehicle sends with these ids, and where this one does. Nothing
+        of that other vehicle is in here."""
+        self.duplicate_beside = False
+        """Two vehicles send with these ids on the one channel: what is in here is of both."""
         self.replayed = False
         """Whether it is heard in a recording only: nobody is there to take an order."""
         self.type = 0
@@ -99,6 +111,7 @@ class Vehicle:
         """The ground station whose heartbeats its failsafe watches, once its parameter has been read by anybody."""
         self.last_ack: Ack | None = None
         self.boot = BootClock()
+        self.heartbeats = HeartbeatCheck(compid, timeout_s)
         self.launch = LaunchHeight()
         self.parameters = Parameters()
         self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
@@ -114,11 +127,12 @@ class Vehicle:
         self._patience_s = timeout_s
         self._known_since: float | None = None
         self._rates_at: float | None = None
-        self._quarrel_told = False
+        self._clock_at = -math.inf
+        self._foreign: dict[str, tuple[int, float]] = {}
+        """Heartbeats of others with these ids: how many, and when that was reported."""
         self._assembler = StatusTextAssembler()
         self._enu: tuple[Folded | None, Origin | None, list[float] | None] = (None, None, None)
         handlers: dict[str, Callable[[bytes, float], Events]] = {
-            "HEARTBEAT": self.on_beat,
             "STATUSTEXT": self._on_statustext,
             "EXTENDED_SYS_STATE": self._on_extended_sys_state,
             "SYSTEM_TIME": self._on_system_time,
@@ -132,6 +146,8 @@ class Vehicle:
 
     def on_frame(self, frame: Frame, now: float) -> Events:
         """Note a frame of this vehicle. Hot: one dict lookup and three assignments for most of them. Never raises."""
+        if frame.msgid == HEARTBEAT:
+            return self._on_heartbeat(frame, now)
         slot = self.slots.get(frame.msgid)
         if slot is None:
             if frame.info is None:
@@ -145,7 +161,11 @@ class Vehicle:
 
     def only_noted(self, msgid: int) -> Slot | None:
         """The slot of a message of which `on_frame` does no more than to put it there; None: of another one."""
-        return None if msgid in self._handlers else self.slots.get(msgid)
+        return None if msgid in self._handlers or msgid == HEARTBEAT else self.slots.get(msgid)
+
+    def is_last_heartbeat(self, payload: bytes) -> bool:
+        """Whether this is the payload of its last heartbeat."""
+        return payload == self._heartbeat_payload and self.connected
 
     def tick(self, now: float) -> Events:
         """What time alone brings: a lost vehicle, rates, texts that will not be completed, a reboot told by clocks."""
@@ -156,6 +176,7 @@ class Vehicle:
             self.connected = False
             self._lost_at = self._heard_at
             age = now - self._heard_at
+            self.heartbeats.forget()
             events.append(self._event("vehicle_lost", f"no heartbeat for {age:.1f} s", {"age_s": round(age, 1)}))
         if self._rates_at is None:
             self._rates_at = now
@@ -164,6 +185,10 @@ class Vehicle:
             self._rates_at = now
             self.launch.look(self, now)
             events += self._check_clocks(now)
+        elif self.boot.went_back_at is not None:
+            events += self._check_clocks(now)
+        if self.duplicate_beside:
+            events += self._check_beside(now)
         return tuple(events)
 
     @property
@@ -181,6 +206,16 @@ class Vehicle:
     @property
     def mode(self) -> str:
         return modes.mode_name(self.autopilot, self.type, self.base_mode, self.custom_mode)
+
+    @property
+    def duplicate(self) -> bool:
+        """Whether another vehicle sends with its ids, here or elsewhere."""
+        return self.duplicate_beside or self.duplicate_elsewhere is not None
+
+    @property
+    def duplicate_where(self) -> str | None:
+        """Where the two vehicles of one system id send; None: there is only one."""
+        return self.duplicate_elsewhere or ("on one link" if self.duplicate_beside else None)
 
     @property
     def failsafe(self) -> bool:
@@ -270,25 +305,92 @@ class Vehicle:
     def _event(self, kind: str, text: str, data: dict[str, Any] | None = None) -> Event:
         return Event(kind, self.name, self.sysid, text, data or {})
 
+    def _on_heartbeat(self, frame: Frame, now: float) -> Events:
+        payload = frame.payload
+        fields = self._decoder.read["HEARTBEAT"](payload)
+        origin = self.heartbeats.judge(fields[0], fields[1], fields[2], fields[3], now)
+        if origin != "own":
+            return self._on_foreign_heartbeat(origin, fields, now)
+        slot = self.slots.get(HEARTBEAT)
+        if slot is None:
+            assert frame.info is not None
+            slot = self.slots[HEARTBEAT] = Slot(frame.info.name)
+        slot.frame = frame
+        slot.at = now
+        slot.count += 1
+        return self._on_own_heartbeat(payload, fields, now)
+
     def on_beat(self, payload: bytes, now: float) -> Events:
         """A heartbeat that its slot has been told of already."""
+        fields = self._decoder.read["HEARTBEAT"](payload)
+        origin = self.heartbeats.judge(fields[0], fields[1], fields[2], fields[3], now)
+        if origin != "own":
+            return self._on_foreign_heartbeat(origin, fields, now)
+        return self._on_own_heartbeat(payload, fields, now)
+
+    def _on_own_heartbeat(self, payload: bytes, fields: tuple[int, ...], now: float) -> Events:
         self._heard_at = now
         self._patience_s = self.timeout_s
-        if payload == self._heartbeat_payload and self.connected:
+        if self.is_last_heartbeat(payload):
             return ()
         self._heartbeat_payload = payload
-        vehicle_type, autopilot, base_mode, custom_mode, system_status = self._decoder.read["HEARTBEAT"](payload)
+        vehicle_type, autopilot, base_mode, custom_mode, system_status = fields
         self._high_latency_failures = 0
         return self._on_life(vehicle_type, autopilot, base_mode, custom_mode, system_status, now)
 
+    def _on_foreign_heartbeat(self, origin: HeartbeatOrigin, fields: tuple[int, ...], now: float) -> Events:
+        """A heartbeat with the vehicle's ids that is not its own changes nothing, but for orders if it is of another
+        vehicle."""
+        count, reported_at = self._foreign.get(origin, (0, -math.inf))
+        count += 1
+        if now - reported_at < FOREIGN_AGAIN_S:
+            self._foreign[origin] = count, reported_at
+            return () if origin == "other" else self._set_beside(True)
+        self._foreign[origin] = count, now
+        kind = self.enum_name("MAV_TYPE", fields[0])
+        autopilot = self.enum_name("MAV_AUTOPILOT", fields[1])
+        arming = "armed" if fields[2] & modes.SAFETY_ARMED else "disarmed"
+        shown = f"HEARTBEAT of type {kind}, autopilot {autopilot}, {arming}"
+        data = {"sysid": self.sysid, "compid": self.compid, "type": kind, "autopilot": autopilot, "count": count}
+        if origin == "other":
+            text = (
+                f"another component sends with the ids {self.sysid}/{self.compid} of the autopilot: {shown}; it is "
+                "ignored; give that component an id of its own (an onboard computer is 191)"
+            )
+            return (self._event("conflict", text, {**data, "change": "foreign_heartbeat"}),)
+        text = (
+            f"two vehicles with system id {self.sysid} send on one link: {shown} contradicts {self.mode}, "
+            f"{'armed' if self.armed else 'disarmed'}, and is ignored; switch one off and give it another id"
+        )
+        self.duplicate_beside = True
+        return (self._event("duplicate", text, {**data, "change": "duplicate"}),)
+
+    def _set_beside(self, beside: bool) -> Events:
+        if beside == self.duplicate_beside:
+            return ()
+        self.duplicate_beside = beside
+        text = f"two vehicles with system id {self.sysid} send on one link"
+        if not beside:
+            text = f"only one vehicle with system id {self.sysid} sends on its link any more"
+        return (self._event("duplicate", text, {"change": "duplicate" if beside else "duplicate_over"}),)
+
+    def _check_beside(self, now: float) -> Events:
+        contradicted = now - self.heartbeats.contradicted_at <= BESIDE_OVER_S
+        if contradicted or self.heartbeats.alternating or self.boot.two_clocks(now):
+            return ()
+        return self._set_beside(False)
+
     def _on_high_latency(self, payload: bytes, now: float) -> Events:
         """It replaces the heartbeat on a satellite link; it has no armed bit, so that is left as it was."""
-        self._heard_at = now
-        self._patience_s = self.timeout_s * HIGH_LATENCY_FACTOR
-        self._heartbeat_payload = b""
         vehicle_type, autopilot, custom_mode, failures, *_ = self._decoder.read["HIGH_LATENCY2"](payload)
         if autopilot == modes.AUTOPILOT_PX4:
             custom_mode <<= 16  # PX4 sends main and sub mode in the low and high byte
+        origin = self.heartbeats.judge(vehicle_type, autopilot, self.base_mode, custom_mode, now)
+        if origin != "own":
+            return self._on_foreign_heartbeat(origin, (vehicle_type, autopilot, self.base_mode), now)
+        self._heard_at = now
+        self._patience_s = self.timeout_s * HIGH_LATENCY_FACTOR
+        self._heartbeat_payload = b""
         had = self.failsafe
         self._high_latency_failures = failures
         events = self._on_life(vehicle_type, autopilot, self.base_mode, custom_mode, self.system_status, now)
@@ -346,7 +448,7 @@ class Vehicle:
             self.firmware = firmware_from_banner(text.text)
         if text.text.lower().startswith(BOOT_TEXTS) and self._long_up(text.at):
             self.boot.forget()
-            events.append(self._rebooted(text.at, f"rebooted: {text.text}"))
+            events.append(self._rebooted(text.at, f"rebooted: {text.text}", since=text.at))
         return events
 
     def _long_up(self, now: float) -> bool:
@@ -387,29 +489,46 @@ class Vehicle:
         return ()
 
     def _check_clocks(self, now: float) -> Events:
-        """SYSTEM_TIME is not streamed by everybody; other messages carry the same clock."""
-        newest = self.readings.newest(BOOT_TIME_MESSAGES)
-        if newest is None:
-            return ()
-        values = self.readings.values(newest)
-        return self._on_boot_ms(values[0], newest.at) if values else ()
+        """SYSTEM_TIME is not streamed by everybody; other messages carry the same clock. While there may be two clocks,
+        all of them are looked at."""
+        if self.boot.went_back_at is None:
+            newest = self.readings.newest(BOOT_TIME_MESSAGES)
+            slots = [] if newest is None else [newest]
+        else:
+            slots = [s for s in map(self.readings.slot, BOOT_TIME_MESSAGES) if s is not None]
+        events: list[Event] = []
+        for slot in sorted(slots, key=lambda s: s.at):
+            values = self.readings.values(slot)
+            if values and slot.at > self._clock_at:
+                events += self._on_boot_ms(values[0], slot.at)
+        self._clock_at = max((s.at for s in slots), default=self._clock_at)
+        return tuple(events)
 
     def _on_boot_ms(self, boot_ms: int, now: float) -> Events:
-        if not self.boot.on_boot_ms(boot_ms, now):
-            return ()
-        if not self.boot.quarrel:
-            self._quarrel_told = False
-            return (self._rebooted(now, f"rebooted, up for {boot_ms / 1000:.1f} s"),)
-        if self._quarrel_told:
-            return ()
-        self._quarrel_told = True
-        return (self._event("conflict", f"two vehicles seem to share system id {self.sysid}", {"sysid": self.sysid}),)
+        went_back_at = self.boot.went_back_at
+        if self.boot.on_boot_ms(boot_ms, now):
+            text = f"rebooted, up for {boot_ms / 1000:.1f} s"
+            return (self._rebooted(now, text, since=now if went_back_at is None else went_back_at),)
+        if self.boot.two_clocks(now) and not self.duplicate_beside:
+            self.duplicate_beside = True
+            text = (
+                f"two vehicles with system id {self.sysid} send on one link: their clocks (time_boot_ms) differ; "
+                "switch one off and give it another id"
+            )
+            return (self._event("duplicate", text, {"change": "duplicate", "sysid": self.sysid}),)
+        return ()
 
-    def _rebooted(self, now: float, text: str) -> Event:
-        """What was known of the life before is no longer true, but for the heartbeat."""
+    def restart(self, now: float, text: str) -> Events:
+        """Another life of it begins: it started anew elsewhere, or another vehicle takes its place."""
+        self.boot.forget()
+        self.heartbeats.forget()
+        return (self._rebooted(now, text, since=now),)
+
+    def _rebooted(self, now: float, text: str, since: float) -> Event:
+        """What was known of the life before, which ended at ``since``, is no longer true, but for the heartbeat."""
         self._known_since = now
         self._landed = "undefined"
         self.launch.forget()
         self.parameters.forget()
-        self.readings.forget_before(now, keep="HEARTBEAT")
+        self.readings.forget_before(since, keep="HEARTBEAT")
         return self._event("reboot", text, {})

@@ -114,7 +114,7 @@ def test_a_reboot_is_no_loss() -> None:
         (n * 0.1, frame("GLOBAL_POSITION_INT", {"time_boot_ms": 90_000 + 100 * n, **place}, seq=200 + n))
         for n in range(9)
     ]
-    after = [(2 + n * 0.1, frame("GLOBAL_POSITION_INT", {"time_boot_ms": 100 * n, **place}, seq=n)) for n in range(9)]
+    after = [(4 + n * 0.1, frame("GLOBAL_POSITION_INT", {"time_boot_ms": 100 * n, **place}, seq=n)) for n in range(9)]
     flight = flown(log((0.0, heartbeat(1, seq=199)), *before, *after))
     vehicle = flight.vehicles[1, 1]
     assert vehicle.reboots == 1

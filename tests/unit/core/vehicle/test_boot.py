@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from skygcs.core.vehicle.boot import JITTER_MS, WRAP_MS, BootClock
+from skygcs.core.vehicle.boot import CONFIRM_S, JITTER_MS, WRAP_MS, BootClock
 
 
 def test_a_clock_that_goes_back_is_a_reboot_told_once() -> None:
@@ -29,23 +29,36 @@ def test_the_32_bit_wrap_is_no_reboot() -> None:
     assert not clock.on_boot_ms(1500, 2.0)
 
 
-def test_two_vehicles_under_one_id_are_told_from_reboots() -> None:
+@pytest.mark.parametrize("other_ms", [10_000, 5_000_000])
+def test_two_vehicles_under_one_id_are_no_reboots(other_ms: int) -> None:
     clock = BootClock()
     clock.on_boot_ms(500_000, 0.0)
     told = []
-    for n in range(1, 10):
-        told.append(clock.on_boot_ms(10_000 + n, 2.0 * n - 1))
-        clock.on_boot_ms(500_000 + n, 2.0 * n)
-    assert all(told)
-    assert clock.quarrel
+    for n in range(1, 20):
+        told.append(clock.on_boot_ms(other_ms + 1000 * n, n - 0.5))
+        told.append(clock.on_boot_ms(500_000 + 1000 * n, float(n)))
+    assert not any(told)
+    assert clock.two_clocks(20.0)
+    for n in range(20, 40):
+        told.append(clock.on_boot_ms(500_000 + 1000 * n, float(n)))
+    assert not any(told)
+    assert not clock.two_clocks(40.0)
 
 
-def test_reboots_far_apart_are_no_quarrel() -> None:
+def test_a_clock_that_goes_back_without_a_silence_is_a_reboot_once_it_is_alone() -> None:
+    clock = BootClock()
+    clock.on_boot_ms(500_000, 0.0)
+    told = [clock.on_boot_ms(1_000 + 500 * n, 1.0 + 0.5 * n) for n in range(20)]
+    assert told.index(True) == CONFIRM_S / 0.5
+    assert sum(told) == 1
+
+
+def test_reboots_in_a_row_are_not_two_vehicles() -> None:
     clock = BootClock()
     for n in range(6):
         clock.on_boot_ms(100_000, 100.0 * n)
         clock.on_boot_ms(1_000, 100.0 * n + 50)
-    assert not clock.quarrel
+        assert not clock.two_clocks(100.0 * n + 50)
 
 
 def test_uptime_is_unknown_until_told() -> None:

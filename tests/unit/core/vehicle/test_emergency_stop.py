@@ -46,7 +46,7 @@ def test_a_recording_is_not_stopped_and_what_has_no_hold_says_so() -> None:
 
 
 def test_a_kill_names_who_falls_and_wants_a_word_that_counts_them() -> None:
-    names = ["alpha", "bravo"]
+    names = dict.fromkeys(["alpha", "bravo"])
     stop.require_confirmed("land", names, None)
     stop.require_confirmed("kill", names, "kill-2")
     with pytest.raises(RefusedError, match=r"alpha, bravo, .* confirm with 'kill-2'$"):
@@ -55,4 +55,18 @@ def test_a_kill_names_who_falls_and_wants_a_word_that_counts_them() -> None:
         with pytest.raises(RefusedError, match="not '"):
             stop.require_confirmed("kill", names, wrong)
     with pytest.raises(RefusedError, match="and 20 more"):
-        stop.require_confirmed("kill", [f"v{n}" for n in range(30)], "kill-2")
+        stop.require_confirmed("kill", dict.fromkeys(f"v{n}" for n in range(30)), "kill-2")
+
+
+@pytest.mark.parametrize("action", ["kill", "disarm"])
+def test_a_duplicate_id_counts_twice_and_its_links_are_named(action: str) -> None:
+    where = "on udp (10.0.0.5:14550) and on udp (10.0.0.9:14550)"
+    vehicles = {"alpha": None, "bravo": where}
+    with pytest.raises(RefusedError, match=rf"bravo \(two vehicles: .*10\.0\.0\.9.*alpha, .* '{action}-3'$"):
+        stop.require_confirmed(action, vehicles, None)
+    with pytest.raises(RefusedError, match=f"not '{action}-2'"):
+        stop.require_confirmed(action, vehicles, f"{action}-2")
+    stop.require_confirmed(action, vehicles, f"{action}-3")
+    stop.require_confirmed("disarm", {"alpha": None}, None)
+    for other in ("hold", "land"):
+        stop.require_confirmed(other, vehicles, None)

@@ -142,7 +142,7 @@ def test_a_reboot_forgets_it() -> None:
     seen = Watched()
     seen.hear()
     seen.hear(3, armed=True, landed=IN_AIR, up_m=12.0)
-    seen.vehicle.on_frame(seen.voice.system_time(500), seen.now + 1)
+    seen.vehicle.on_frame(seen.voice.system_time(500), seen.now + 5)
     assert seen.vehicle.launch.alt_amsl_m is None
 
 

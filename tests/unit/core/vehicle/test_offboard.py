@@ -68,9 +68,9 @@ def test_one_that_flies_and_knows_where_may_be_taken_over_also_from_a_pilot(auto
 def test_who_may_not_be_taken_over_is_told_why() -> None:
     vehicle, voice = flying(PX4)
     assert "position is not known" in str(offboard.entry_refusal(vehicle, NOW + 20))
-    vehicle.duplicate = True
+    vehicle.duplicate_elsewhere = "on udp (10.0.0.5:14550) and on radio"
     assert "two vehicles" in str(offboard.entry_refusal(vehicle, NOW))
-    vehicle.duplicate, vehicle.replayed = False, True
+    vehicle.duplicate_elsewhere, vehicle.replayed = None, True
     assert "recording" in str(offboard.entry_refusal(vehicle, NOW))
     vehicle.replayed = False
     vehicle.on_frame(voice.beat(PX4, PX4_LOITER, armed=True, status=5), NOW)
@@ -162,7 +162,7 @@ def test_parameters_are_read_by_each_autopilots_own_encoding_and_forgotten_by_a_
     assert [px4.param(name) for name in names] == [4, -1, 0.5, None, None]
     assert offboard.told_hover_thrust(px4) == 0.5
     px4.on_frame(voice.system_time(500_000), NOW)
-    px4.on_frame(voice.system_time(1_000), NOW + 1)
+    px4.on_frame(voice.system_time(1_000), NOW + 5)
     assert px4.param("MPC_THR_HOVER") is None
 
 

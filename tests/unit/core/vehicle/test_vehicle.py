@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import random
 import typing
 from typing import Any
 
@@ -356,14 +357,98 @@ def test_other_messages_clocks_tell_a_reboot_too() -> None:
     assert vehicle.tick(31.2) == ()
 
 
-def test_two_vehicles_with_one_id_are_a_conflict_told_once() -> None:
+def test_two_vehicles_with_one_id_on_one_link_are_told_once_and_are_no_reboots() -> None:
     vehicle, voice = new()
     events: list[Event] = []
     for n in range(10):
-        events += vehicle.on_frame(voice.system_time(500_000 + n), 2.0 * n)
-        events += vehicle.on_frame(voice.system_time(20_000 + n), 2.0 * n + 1)
-    assert kinds(tuple(events)) == ["reboot", "reboot", "conflict"]
-    assert "share system id 1" in events[-1].text
+        events += vehicle.on_frame(voice.system_time(500_000 + 1000 * n), 1.0 * n)
+        events += vehicle.on_frame(voice.system_time(20_000 + 1000 * n), 1.0 * n + 0.5)
+        events += vehicle.tick(n + 0.6)
+    assert kinds(tuple(events)) == ["duplicate"]
+    assert "two vehicles with system id 1" in events[-1].text
+    assert vehicle.duplicate
+    events.clear()
+    for n in range(10, 30):
+        events += vehicle.on_frame(voice.system_time(500_000 + 1000 * n), 1.0 * n)
+        events += vehicle.tick(n + 0.6)
+    assert [e.data["change"] for e in events] == ["duplicate_over"]
+    assert not vehicle.duplicate
+
+
+def test_the_clocks_of_two_vehicles_on_one_link_are_seen_in_whatever_message_tells_them() -> None:
+    """No false reboots: what was read of the clocks once a second could be of one vehicle many times in a row."""
+    vehicle, voice = new()
+    rng = random.Random(7)
+    events: list[Event] = []
+    for n in range(1, 600):
+        now = n * 0.1
+        boot_ms = rng.choice((500_000, 20_000)) + round(now * 1000)
+        events += vehicle.on_frame(voice.position(boot_ms=boot_ms), now)
+        if n % 2 == 0:
+            events += vehicle.tick(now)
+    assert kinds(tuple(events)) == ["duplicate"]
+
+
+FOREIGN = [
+    pytest.param({"kind": 2, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict", id="autopilot INVALID"),
+    pytest.param({"kind": 0, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict", id="GENERIC and INVALID"),
+    pytest.param({"kind": 0, "autopilot": 0}, "conflict", id="GENERIC"),
+    pytest.param({"kind": 18, "autopilot": ARDUPILOT}, "conflict", id="onboard computer"),
+    pytest.param({"kind": 6, "autopilot": ARDUPILOT}, "conflict", id="ground station"),
+    pytest.param({"kind": 2, "autopilot": PX4}, "duplicate", id="another firmware"),
+    pytest.param({"kind": 0, "autopilot": ARDUPILOT}, "duplicate", id="type GENERIC"),
+    pytest.param({"kind": 1, "autopilot": ARDUPILOT}, "duplicate", id="another type"),
+]
+
+
+@pytest.mark.parametrize(("foreign", "kind"), FOREIGN)
+def test_a_heartbeat_that_is_not_its_own_changes_nothing_and_is_told_once(foreign: dict[str, int], kind: str) -> None:
+    vehicle, voice = new()
+    own = voice.beat(ARDUPILOT, 4, armed=True, status=4)
+    vehicle.on_frame(own, 0.0)
+    events: list[Event] = []
+    for n in range(1, 1500):  # 50 a second beside its own one
+        now = n * 0.02
+        events += vehicle.on_frame(voice.beat(mode=0, armed=False, **foreign), now)
+        if n % 50 == 0:
+            events += vehicle.on_frame(own, now)
+        assert (vehicle.family, vehicle.type, vehicle.mode, vehicle.armed) == ("ardupilot", 2, "GUIDED", True)
+    assert kinds(tuple(events)) == [kind]
+    assert vehicle.duplicate is (kind == "duplicate")
+    assert vehicle.count("HEARTBEAT") == 30
+    vehicle.on_frame(own, 60.0)
+    assert not vehicle.tick(40.0) or not vehicle.duplicate
+
+
+def test_another_firmware_is_believed_once_the_vehicle_was_lost() -> None:
+    vehicle, voice = new()
+    vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=4), 0.0)
+    for n in range(1, 6):
+        vehicle.on_frame(voice.beat(PX4), float(n))
+        assert vehicle.family == "ardupilot"
+    assert "vehicle_lost" in kinds(vehicle.tick(5.5))
+    events = vehicle.on_frame(voice.beat(PX4), 6.0)
+    assert "vehicle_back" in kinds(events)
+    assert vehicle.family == "px4" and not vehicle.armed
+
+
+def test_two_senders_of_one_firmware_on_one_link_leave_the_first_state() -> None:
+    vehicle, voice = new()
+    events: list[Event] = []
+    for n in range(10):
+        events += vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=4), 1.0 * n)
+        events += vehicle.on_frame(voice.beat(ARDUPILOT, 0, armed=False), n + 0.5)
+        events += vehicle.tick(n + 0.6)
+        if n >= 2:
+            assert (vehicle.mode, vehicle.armed) == ("GUIDED", True)
+    assert vehicle.duplicate
+    assert kinds(tuple(events)).count("duplicate") == 1
+    assert kinds(tuple(events)).count("armed") <= 2
+    for n in range(10, 20):
+        events += vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=4), 1.0 * n)
+        events += vehicle.tick(n + 0.6)
+    assert events[-1].data["change"] == "duplicate_over"
+    assert not vehicle.duplicate
 
 
 def test_landed_is_told_by_its_message_and_inferred_without_it() -> None:
