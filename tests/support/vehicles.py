@@ -135,6 +135,7 @@ class ScriptedVehicle(Voice):
         self.flying = False
         self.place = HOME[:2]
         self.delay_s = delay_s
+        self.booted_at = asyncio.get_running_loop().time() - 60.0
         self.silent = False
         self.got: list[Sent] = []
         self.script: Script = accept_everything
@@ -153,10 +154,26 @@ class ScriptedVehicle(Voice):
         """A message of ours goes to this vehicle."""
         asyncio.get_running_loop().call_later(self.delay_s, self._hear, sent)
 
+    @property
+    def boot_ms(self) -> int:
+        """Its time since boot."""
+        return round((asyncio.get_running_loop().time() - self.booted_at) * 1000)
+
+    def restart(self, after_s: float) -> None:
+        """It is silent from now on and starts anew; its clock is heard first."""
+
+        def started() -> None:
+            self.silent = False
+            self.booted_at = asyncio.get_running_loop().time()
+            self.tell(self.system_time(self.boot_ms))
+
+        self.silent = True
+        asyncio.get_running_loop().call_later(after_s, started)
+
     def pulse(self) -> None:
         self.tell(self.beat(self.autopilot, self.mode, armed=self.armed, status=self.status))
         up_m = 10.0 if self.flying else 0.0
-        self.tell(self.position(*self.place, alt_amsl_m=HOME[2] + up_m, rel_m=up_m))
+        self.tell(self.position(*self.place, alt_amsl_m=HOME[2] + up_m, rel_m=up_m, boot_ms=self.boot_ms))
         self.tell(self.landed(2 if self.flying else 1))
 
     def commands(self) -> list[tuple[int, tuple[float, ...]]]:

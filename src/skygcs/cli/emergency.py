@@ -25,7 +25,7 @@ def stop(
     confirm: Annotated[
         str | None,
         typer.Option(
-            "--confirm", metavar="WORD", help="For kill: kill-N, N the number of vehicles; asked for otherwise."
+            "--confirm", metavar="WORD", help="For kill: kill-N, N the number of vehicles. Else it is asked."
         ),
     ] = None,
     json_output: Json = False,

@@ -100,7 +100,7 @@ def disarm(
         typer.Option(
             "--confirm",
             metavar="WORD",
-            help="While two vehicles send with one system id: disarm-N; asked for otherwise.",
+            help="While two vehicles have one system id: disarm-N. Else it is asked.",
         ),
     ] = None,
     json_output: Json = False,

@@ -13,6 +13,9 @@ from skygcs.cli.connection import client, fail
 from skygcs.errors import DaemonUnreachable, RefusedError, RpcError
 from skygcs.rpc.client import Client
 
+AIRBORNE = frozenset({"in_air", "takeoff", "landing"})
+"""Values of a vehicle's `landed`."""
+
 
 @contextlib.asynccontextmanager
 async def lent(devices: Sequence[str], *, changes: bool, force: bool) -> AsyncIterator[None]:
@@ -53,7 +56,8 @@ def _on_ports(rows: Sequence[dict[str, Any]], devices: Sequence[str]) -> list[st
 
 async def _refuse_while_armed(gcs: Client, links: Sequence[str], force: bool) -> None:
     """A vehicle that is lost may be flying: the last that was heard of it counts."""
-    armed = [v["name"] for v in await gcs.call("vehicles.list") if v["armed"]]
+    vehicles = await gcs.call("vehicles.list")
+    armed = [v["name"] for v in vehicles if v["armed"] or v["duplicate_sysid"] or v["landed"] in AIRBORNE]
     if not armed or force:
         return
     what = f"link {', '.join(links)} would be closed" if links else "a radio on its network could break in"

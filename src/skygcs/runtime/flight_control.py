@@ -39,6 +39,10 @@ from skygcs.runtime.trace_file import Recording
 VALID_S = (0.1, 5.0)
 """Deadlines a setpoint may have."""
 
+LEFT_S = 4.0
+"""A vehicle that shows the mode of setpoints again within four heartbeats never left it: somebody else sent the other
+mode with its ids."""
+
 NEW_STREAM_S = 1.0
 """A client that has sent nothing for so long has noticed that something changed."""
 
@@ -293,6 +297,15 @@ class FlightControl:
             self._on_event(event)
         if tick.hold:
             self._errands.start(self._hold(self._takeover.turn), "hold")
+        elif tick.left:
+            self._errands.start(self._hold_if_it_follows(self._takeover.turn), "hold if it follows")
+
+    async def _hold_if_it_follows(self, turn: int) -> None:
+        """It showed another mode, and control ended. If it is in the mode of setpoints after all, it flies by those it
+        got last and drifts when they are over: it is ordered to hold."""
+        follows = await self._commander.until(lambda: offboard.is_following(self._vehicle), LEFT_S)
+        if follows and self._vehicle.armed and not self.pilot.active:
+            await self._hold(turn)
 
     async def _hold(self, turn: int) -> None:
         if self._takeover.turn != turn:

@@ -24,6 +24,7 @@ from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
 from skygcs.core.preflight.health import FRESH_S
 from skygcs.core.preflight.report import Fix, Report
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
+from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.params import VehicleParams
@@ -102,8 +103,8 @@ class Preflight:
             fixes = _agreed(examined.report.fixes, confirmed) if fix else ()
             if not fixes:
                 return examined
-            if self._vehicle.armed:
-                return await self._examine({}, "it is armed: parameters are not changed then")
+            if (why := why_not_idle(self._vehicle, self._loop.time())) is not None:
+                return await self._examine({}, f"{why}: parameters are not changed then")
             fixed = await self._params.set({f.name: f.value for f in fixes})
             await asyncio.sleep(SETTLE_S)
             return await self._examine(fixed, "")

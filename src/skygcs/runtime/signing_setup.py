@@ -18,6 +18,7 @@ from skygcs.core.exchange.command import MAX_TEXTS, Outcome
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.signing import KEY_BYTES, SETUP_SIGNING, is_signed_with, key_id
 from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -32,7 +33,7 @@ WAIT_S = 2.5
 
 STATUSTEXT = 253
 
-ARMED = "it is armed: a key is changed on the ground, disarmed"
+ONLY_DISARMED = "a key is changed on the ground, disarmed"
 
 RADIO_SOURCE = 51 << 8 | 68
 """What a SiK or RFD900 radio reports as."""
@@ -72,8 +73,8 @@ class SigningSetup:
     async def _tell_one(self, vehicle: Vehicle, key: bytes | None, *, force: bool) -> Outcome:
         try:
             require_connected(vehicle, self._loop.time())
-            if vehicle.armed:
-                raise RefusedError(ARMED)
+            if (why := why_not_idle(vehicle, self._loop.time())) is not None:
+                raise RefusedError(f"{why}: {ONLY_DISARMED}")
             channel = self._way(vehicle, with_key=key is not None, force=force)
         except RefusedError as error:
             outcome = Outcome(False, "refused", f"refused: {error}")
@@ -143,8 +144,9 @@ class SigningSetup:
 
         values = {"target_system": vehicle.sysid, "target_component": vehicle.compid, "secret_key": [0] * KEY_BYTES}
         for number in range(1, TRIES + 1):
-            if vehicle.armed:
-                return Outcome(False, "refused", f"refused: {ARMED}", number - 1, self._loop.time() - began)
+            if (why := why_not_idle(vehicle, self._loop.time())) is not None:
+                refusal = f"refused: {why}: {ONLY_DISARMED}"
+                return Outcome(False, "refused", refusal, number - 1, self._loop.time() - began)
             if key is not None:
                 values |= {"secret_key": list(key), "initial_timestamp": self._signing.stamp(key)}
             shown.clear()

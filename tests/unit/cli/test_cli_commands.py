@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli import emergency
+from skygcs.cli import orders
 from skygcs.cli.control import app
 from skygcs.core.vehicle.events import Event
 from skygcs.rpc.client import EVENT_KINDS
@@ -377,7 +377,7 @@ def test_a_script_kills_nothing_without_the_word_for_as_many_as_it_hits(fleet: F
 def test_a_person_is_told_who_falls_and_types_the_word(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch, typed: str, code: int, ordered: int
 ) -> None:
-    monkeypatch.setattr(emergency, "_somebody_there", lambda: True)
+    monkeypatch.setattr(orders, "_somebody_there", lambda: True)
     result = CliRunner().invoke(app, ["--socket", str(fleet.socket), "stop", "alpha", "kill"], input=typed)
     assert result.exit_code == code, result.output
     assert "the motors of alpha" in result.output

@@ -85,7 +85,7 @@ def heard(**facts: Any) -> Callable[[PreflightField], None]:
 
 
 def two(f: PreflightField) -> None:
-    f.fleet.set_duplicate(1 << 8 | 1, True)
+    f.fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
 
 
 MAG = m.MAV_SYS_STATUS_SENSOR_3D_MAG

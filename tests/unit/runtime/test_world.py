@@ -63,7 +63,7 @@ async def test_a_vehicle_gives_the_origin_and_x_stays_unless_its_heading_is_want
         assert ground.events[-1].data["source"] == "v1"
         with pytest.raises(TargetError):
             fleet.set_origin_from("2")
-        fleet.find(1).duplicate = True
+        fleet.set_duplicate(1 << 8 | 1, "on udp and on radio")
         with pytest.raises(RefusedError, match="two vehicles"):
             fleet.set_origin_from("1")
 

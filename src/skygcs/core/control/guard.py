@@ -2,11 +2,13 @@
 
     any fact of ...                                                      engaging    flying     afterwards
     ─────────────────────────────────────────────────────────────────────────────────────────────────────
-    1 not ours  lost, rebooted, not armed, on the ground,                release     release    nothing more
+    1 not ours  lost, rebooted, not armed (and nothing says that it      release     release    nothing more
+                flies all the same), on the ground,
                 autopilot in a mode that does not follow us (flying)
     2 unsafe    no state or older than position_stale_s, NaN, no fix,    release     hold       nothing more
                 no position, vehicle or reference outside the fence,
-                battery low, autopilot refuses our setpoints
+                battery low, autopilot refuses our setpoints,
+                "disarmed" in the air, two senders on its link
     3 unfit     state older than stale_s                                 position    position   │ as it is; higher
                 delay p95 above velocity_delay_s, or rate below 2 Hz     position    position   │ again only after
                 delay p95 above attitude_delay_s or not measured yet,    velocity    velocity   │ return_after_s of
@@ -139,6 +141,10 @@ class Facts:
     """Setpoints are sent so that the mode may be entered: it need not follow yet."""
     rebooted: bool = False
     """Since control began: its time since boot ran backwards."""
+    flies_disarmed: str | None = None
+    """What says that it flies although its heartbeat says disarmed; None: nothing."""
+    two_senders: bool = False
+    """Another vehicle sends with its ids on the same link: what is known of it may be of the other one."""
     attitude_refused: str | None = None
     """Why this autopilot cannot be given attitude and thrust (ArduPilot: thrust means climb rate), if it cannot."""
     position_breach: str | None = None
@@ -296,6 +302,7 @@ def all_well(config: GuardConfig, facts: Facts, wanted: Way) -> bool:
         or not facts.inside_fence
         or not facts.reference_inside_fence
         or facts.refusing is not None
+        or facts.two_senders
         or age_s is None
         or estimate is None
         or not estimate.usable
@@ -326,7 +333,7 @@ def _not_ours(facts: Facts) -> Iterator[Refusal]:
         yield Refusal("lost", "the vehicle is not heard any more")
     if facts.rebooted:
         yield Refusal("rebooted", "the autopilot rebooted: it knows nothing of what was ordered before")
-    if not facts.armed:
+    if not facts.armed and facts.flies_disarmed is None:
         yield Refusal("not_armed", "the vehicle is not armed")
     if facts.airborne is False:
         # On the ground the loop is open: an integrator winds up against the earth, a sideways error tips the vehicle
@@ -341,6 +348,11 @@ def _not_ours(facts: Facts) -> Iterator[Refusal]:
 
 def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
     """Row 2."""
+    if not facts.armed and facts.flies_disarmed is not None:
+        # A forged or foreign heartbeat: without setpoints an ArduCopter in the air levels and drifts.
+        yield Refusal("disarmed_in_air", f"its heartbeat says disarmed, but {facts.flies_disarmed}")
+    if facts.two_senders:
+        yield Refusal("two_senders", "two vehicles send with its ids on one link, so its state cannot be trusted")
     if facts.state_age_s is None:
         yield Refusal("no_state", "no position has come from the vehicle yet")
     elif _too_old(facts.state_age_s, config.position_stale_s):

@@ -45,8 +45,8 @@ without a restart)."""
 
 ALTERNATION_S = 6.0
 RETURNS = 3
-"""A mode or arming state that was left and comes back within 6 s is a return. One or two happen (an order right after
-another, a switch that was moved too far); three are two senders: at 1 Hz each that shows after two seconds."""
+"""A mode or arming state that was left and comes back within 6 s has returned. Once or twice happens (an order right
+after another, a switch that was moved too far); three times is two senders: at 1 Hz each that shows after 3 s."""
 
 ALTERNATION_OVER_S = 4.0
 """Two senders are one again when only one of the states was shown for so long: four heartbeats."""
@@ -102,13 +102,11 @@ class HeartbeatCheck:
     __slots__ = (
         "_alternating",
         "_compid",
-        "_first",
         "_kept",
         "_kept_at",
         "_left",
         "_lost_s",
         "_own_at",
-        "_returns",
         "contradicted_at",
         "identity",
         "other_at",
@@ -121,10 +119,10 @@ class HeartbeatCheck:
         self._compid = compid
         self._lost_s = lost_s
         self._own_at = float("-inf")
-        self._kept = self._first = (False, 0)
+        self._kept = (False, 0)
         self._kept_at = float("-inf")
-        self._left: dict[tuple[bool, int], float] = {}
-        self._returns: list[float] = []
+        self._left: dict[tuple[bool, int], tuple[float, list[float]]] = {}
+        """By state: when it was left, and when it came back."""
         self._alternating = False
 
     @property
@@ -136,7 +134,6 @@ class HeartbeatCheck:
         """The vehicle is lost or has started anew: whoever is heard next is it."""
         self.identity = None
         self._left.clear()
-        self._returns.clear()
         self._alternating = False
 
     def heard(self, now: float) -> None:
@@ -181,24 +178,19 @@ class HeartbeatCheck:
         if state == self._kept:
             self._kept_at = now
             return True
-        left_at = self._left.pop(state, None)
-        self._returns = [at for at in self._returns if now - at <= ALTERNATION_S]
-        if left_at is not None and now - left_at <= ALTERNATION_S:
-            self._returns.append(now)
-        if not self._returns:
-            self._first = self._kept
-        elif len(self._returns) == 1 and left_at is not None:
-            self._first = state  # the one that was there before the other came
-        if len(self._left) >= MAX_STATES:
+        if len(self._left) >= MAX_STATES and self._kept not in self._left:
             del self._left[next(iter(self._left))]
-        self._left[self._kept] = now
-        if len(self._returns) >= RETURNS:
+        left_at, returns = self._left.get(state, (float("-inf"), []))
+        returns = [at for at in returns if now - at <= ALTERNATION_S]
+        if now - left_at <= ALTERNATION_S:
+            returns.append(now)
+        self._left[self._kept] = now, self._left.get(self._kept, (now, []))[1]
+        self._left[state] = left_at, returns
+        self._kept, self._kept_at = state, now
+        if len(returns) >= RETURNS:  # of two that alternate the first one is the first to have come back so often
             self._alternating = True
             self.contradicted_at = now
-            own = state == self._first
-            self._kept, self._kept_at = self._first, now
-            return own
-        self._kept, self._kept_at = state, now
+            del self._left[state]
         return True
 
     def _alternates(self, state: tuple[bool, int], now: float) -> bool:
@@ -219,7 +211,6 @@ class HeartbeatCheck:
     def _end(self) -> None:
         self._alternating = False
         self._left.clear()
-        self._returns.clear()
 
 
 class HeartbeatChecks:

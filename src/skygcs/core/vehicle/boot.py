@@ -80,7 +80,7 @@ class BootClock:
         return self._found_alone(now)
 
     def _found_alone(self, now: float) -> bool:
-        """The clock that went back is the only one; whether that is a reboot, and not one vehicle of two that is left."""
+        """The clock that went back is the only one; whether that is a reboot, not the one of two that is left."""
         went_back = self.went_back_at is not None and not self.two_clocks(now)
         self._before = self.went_back_at = None
         return went_back

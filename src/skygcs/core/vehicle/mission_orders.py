@@ -16,6 +16,7 @@ from skygcs.core.mission.firmware import Converted, Family, for_firmware
 from skygcs.core.mission.item import GLOBAL, NAV_WAYPOINT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
 from skygcs.core.vehicle import autopilot
+from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -124,7 +125,8 @@ def require_uploadable(
         raise RefusedError("the plan is empty: there is nothing to upload; to empty the vehicle, clear its lists")
     if force:
         return
-    if MissionType.MISSION in kinds and vehicle.armed and vehicle.mode in MISSION_MODES:
+    armed = vehicle.armed or contradiction(vehicle, now) is not None
+    if MissionType.MISSION in kinds and armed and vehicle.mode in MISSION_MODES:
         raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
     wrong = [f for f in errors(findings(vehicle, plan, dialect, limit_m)) if f.kind in kinds]
     if wrong:
@@ -136,11 +138,12 @@ def require_uploadable(
 def require_clearable(vehicle: Vehicle, now: float, kinds: tuple[MissionType, ...], *, force: bool) -> None:
     """Raises RefusedError while the vehicle flies its mission, or has a fence around it in the air."""
     require_connected(vehicle, now)
-    if force or not vehicle.armed:
+    evidence = contradiction(vehicle, now)
+    if force or not (vehicle.armed or evidence is not None):
         return
     if MissionType.MISSION in kinds and vehicle.mode in MISSION_MODES:
         raise RefusedError(f"it is flying its mission ({vehicle.mode}); pause it first, or {FORCE_HINT}")
-    if MissionType.FENCE in kinds and vehicle.in_air(now):
+    if MissionType.FENCE in kinds and (vehicle.in_air(now) or evidence is not None):
         raise RefusedError(f"it is in the air and would be without its fence; {FORCE_HINT}")
 
 

@@ -17,6 +17,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.streams import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, Destination
+from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
 from skygcs.core.vehicle.plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -68,6 +69,8 @@ def disarm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
         require_connected(vehicle, now)
         if vehicle.in_air(now):
             raise RefusedError(f"it is in the air ({vehicle.landed(now)}) and would fall; {FORCE_HINT}")
+        if (why := contradiction(vehicle, now)) is not None:
+            raise RefusedError(f"{why}, and it would fall; {FORCE_HINT}")
     return autopilot.disarm(force=force)
 
 
@@ -146,8 +149,8 @@ def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack
 
 def reboot(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
     require_connected(vehicle, now)
-    if vehicle.armed and not force:
-        raise RefusedError(f"it is armed; {FORCE_HINT}")
+    if not force and (why := why_not_idle(vehicle, now)) is not None:
+        raise RefusedError(f"{why}; {FORCE_HINT}")
     return autopilot.reboot(vehicle, force=force)
 
 
@@ -165,8 +168,10 @@ def set_home(
     by is counted from its home, so that is left alone there unless ``force``; and a return would fly to a home that is
     farther than ``limit_m``, so that takes ``force``, too."""
     require_connected(vehicle, now)
-    if not force and vehicle.armed and vehicle.in_air(now) is not False:
-        raise RefusedError(f"it is in the air, and its heights are counted from its home: land first, or {FORCE_HINT}")
+    flies = vehicle.in_air(now) is not False if vehicle.armed else why_maybe_flying(vehicle, now)
+    if flies and not force:
+        flying = flies if isinstance(flies, str) else "it is in the air"
+        raise RefusedError(f"{flying}, and its heights are counted from its home: land first, or {FORCE_HINT}")
     if lat_deg is None and lon_deg is None and alt_amsl_m is None:
         return autopilot.set_home(None)
     if lat_deg is None or lon_deg is None:

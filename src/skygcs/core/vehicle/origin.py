@@ -20,6 +20,7 @@ from skygcs.core.geo import Origin, distance_m, wrap_deg_360
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, firmware_name
+from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.plan import Expectation, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -116,10 +117,9 @@ def tell(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, forc
     for name in (SETTING_MESSAGE, ORIGIN_MESSAGE):
         if name not in dialect.by_name:
             raise RefusedError(f"dialect {dialect.name} has no {name}")
-    if vehicle.armed and not force:
+    if not force and (why := why_not_idle(vehicle, now)) is not None:
         raise RefusedError(
-            "it is armed, and its local frame would move under whoever flies it by that; disarm it, or "
-            f"{orders.FORCE_HINT}"
+            f"{why}, and its local frame would move under whoever flies it by that; disarm it, or {orders.FORCE_HINT}"
         )
     values = {
         "latitude": round(origin.lat_deg * 1e7),

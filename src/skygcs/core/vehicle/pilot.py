@@ -32,6 +32,7 @@ from skygcs.core.control.trace import TraceRow
 from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.goals import Place, Setpoint
 from skygcs.core.vehicle.offboard import attitude_refusal, boosts_thrust, guided_mode
 from skygcs.core.vehicle.outlook import Outlook
@@ -74,12 +75,14 @@ class PilotConfig:
 class Tick:
     """What one tick asks for. ``hold``: have the autopilot hold position, once.
 
+    ``left``: it ended because the autopilot shows another mode; see whether that stays so.
     ``row`` is for the trace, with the law's memory before and after the step.
     """
 
     message: Message | None = None
     events: tuple[Event, ...] = ()
     hold: bool = False
+    left: bool = False
     row: TraceRow | None = None
     before: Memory | None = None
     after: Memory | None = None
@@ -269,7 +272,7 @@ class Pilot:
         verdict = self._guard.check(self._facts(estimate, age_s, now), now)
         if verdict.action == "release":
             ended = self.release("; ".join(verdict.reasons))
-            return Tick(events=(*events, *ended.events))
+            return Tick(events=(*events, *ended.events), left="mode" in verdict.kinds)
         if self.state is ENGAGING:
             return self._send(verdict.way or POSITION, estimate, dt_s, following=False)
         self.reasons = verdict.reasons
@@ -365,6 +368,7 @@ class Pilot:
         engaging = self.state is ENGAGING
         breach = outlook.breach()
         reference_breach = None if engaging else outlook.reference_breach(self._reference)
+        flies_disarmed = None if vehicle.armed else contradiction(vehicle, now)
         return Facts(
             connected=vehicle.connected,
             armed=vehicle.armed,
@@ -375,7 +379,9 @@ class Pilot:
             estimate=estimate,
             finite=outlook.attitude_is_finite(now),
             fix_ok=outlook.fix_ok,
-            airborne=vehicle.in_air(now),
+            airborne=vehicle.in_air(now) if flies_disarmed is None else True,
+            flies_disarmed=flies_disarmed,
+            two_senders=vehicle.duplicate_beside,
             battery_percent=outlook.battery_percent,
             inside_fence=breach is None,
             reference_inside_fence=reference_breach is None,

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from skygcs.core.exchange.command import CommandSpec
 from skygcs.core.geo import distance_m
+from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.vehicle import Vehicle
 
 VERIFY_S = 3.0
@@ -47,7 +48,9 @@ class ModeIn:
     or_disarmed: bool = False
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
-        return vehicle.custom_mode in self.custom_modes or (self.or_disarmed and not vehicle.armed)
+        if vehicle.custom_mode in self.custom_modes:
+            return True
+        return self.or_disarmed and not vehicle.armed and contradiction(vehicle, now) is None
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
         return f"still in {vehicle.mode}"

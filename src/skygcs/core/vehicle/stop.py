@@ -44,15 +44,13 @@ def stop(vehicle: Vehicle, now: float, action: Action) -> Plan:
     return replace(plan, order="stop", emergency=True, persist_s=PERSIST_S)
 
 
-def require_confirmed(
-    action: Action | Literal["disarm"], vehicles: Mapping[str, str | None], confirm: str | None
-) -> None:
-    """Raises RefusedError for a kill, or a disarming of a duplicate system id, that is not confirmed with its word,
-    naming the vehicles and the word.
+def require_confirmed(action: str, vehicles: Mapping[str, str | None], confirm: str | None) -> None:
+    """Raises RefusedError for a kill, or for the action "disarm" with a duplicate system id, that is not confirmed with
+    its word, naming the vehicles and the word.
 
-    ``vehicles``: by name, where a second vehicle sends with its ids (`Vehicle.duplicate_where`). The word has the number
-    of vehicles that would get the order, duplicates included: a script that says it for one does not kill them all, and
-    somebody in a hurry can type it.
+    ``vehicles``: by name, where a second vehicle sends with its ids (`Vehicle.duplicate_where`). The word has the
+    number of vehicles that would get the order, duplicates included: a script that says it for one does not kill them
+    all, and somebody in a hurry can type it.
     """
     twice = sum(where is not None for where in vehicles.values())
     if action not in ("kill", "disarm") or (action == "disarm" and not twice):

@@ -118,6 +118,8 @@ class Vehicle:
         self._decoder = decoder or Decoder(dialect)
         self.readings = Readings(self._decoder)
         self.slots = self.readings.slots
+        self.armed_at = -math.inf
+        """When its heartbeat said last that it is armed."""
         self._landed = "undefined"
         self._landed_id = self._decoder.msgid_of("EXTENDED_SYS_STATE")
         self._high_latency_failures = 0
@@ -225,6 +227,11 @@ class Vehicle:
         """Time since the last heartbeat; None if there was none."""
         return None if self._heard_at is None else now - self._heard_at
 
+    def landed_state(self) -> tuple[str, float]:
+        """Its last EXTENDED_SYS_STATE and when that came; "undefined" if there was none, or it does not say."""
+        slot = self.slots.get(self._landed_id)
+        return ("undefined", -math.inf) if slot is None or slot.frame is None else (self._landed, slot.at)
+
     def landed(self, now: float) -> str:
         """on_ground, in_air, takeoff, landing; what cannot be known is "undefined"."""
         slot = self.slots.get(self._landed_id)
@@ -331,6 +338,8 @@ class Vehicle:
     def _on_own_heartbeat(self, payload: bytes, fields: tuple[int, ...], now: float) -> Events:
         self._heard_at = now
         self._patience_s = self.timeout_s
+        if fields[2] & modes.SAFETY_ARMED:
+            self.armed_at = now
         if self.is_last_heartbeat(payload):
             return ()
         self._heartbeat_payload = payload

@@ -90,6 +90,8 @@ HOLDS = [
     ({"battery_percent": NAN}, "battery", "nan %"),
     ({"refusing": "mode change denied"}, "refusing", "the autopilot refuses: mode change denied"),
     ({"refusing": ""}, "refusing", "it does not say why"),
+    ({"armed": False, "flies_disarmed": "it is 20 m above its home"}, "disarmed_in_air", "it is 20 m above its home"),
+    ({"two_senders": True}, "two_senders", "two vehicles send with its ids"),
 ]
 
 

@@ -194,7 +194,7 @@ def test_release_ends_it_at_once_and_says_why_once(engaging: bool) -> None:
 
 
 RELEASES: dict[str, tuple[Callable[[Flight], object], str]] = {
-    "disarmed": (lambda f: f.beat(f.obeying, armed=False), "not armed"),
+    "disarmed": (lambda f: (f.landed(0), f.at(0.0, 0.0, 0.0), f.beat(f.obeying, armed=False)), "not armed"),
     "mode": (lambda f: f.beat(PX4_RTL), "took over"),
     "landed": (lambda f: f.landed(1), "on the ground"),
     "lost": (lambda f: f.vehicle.tick(f.now + 60), "not heard"),
@@ -238,6 +238,8 @@ HOLDS: dict[str, tuple[Callable[[Flight], object], str]] = {
         "battery",
     ),
     "refusing": (lambda f: setattr(f.pilot, "refusing", "it said no"), "it said no"),
+    "disarmed in the air": (lambda f: f.beat(f.obeying, armed=False), "it reports itself in the air"),
+    "two senders": (lambda f: f.vehicle.on_frame(f.voice.beat(0 if f.vehicle.autopilot else 3, kind=2), f.now), "two"),
 }
 
 

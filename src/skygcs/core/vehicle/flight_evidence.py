@@ -1,0 +1,83 @@
+"""Whether a vehicle may be flying although its heartbeat says that it is disarmed.
+
+The armed bit of one heartbeat may be forged, or come from another vehicle. An autopilot that is disarmed reports itself
+on the ground within two seconds (EXTENDED_SYS_STATE of ArduCopter and PX4), stands still and does not turn its motors.
+Whatever contradicts that counts: control by setpoints then holds instead of just ending, and orders that would be
+dangerous in the air need `force`.
+"""
+
+from __future__ import annotations
+
+import math
+
+from skygcs.core.mavlink import modes
+from skygcs.core.vehicle.state import AIRBORNE
+from skygcs.core.vehicle.vehicle import Vehicle
+
+FRESH_S = 3.0
+"""What is older says nothing about now: the slowest stream profile sends 0.5 Hz, and one may be lost."""
+
+HEIGHT_M = 5.0
+"""Height over home that no vehicle on the ground shows by mistake: barometers drift by 1 or 2 m."""
+
+CLIMB_MPS = 1.0
+SPEED_MPS = 3.0
+"""Faster than a vehicle is carried, and than what GPS shows of one that stands."""
+
+THROTTLE_PERCENT = 10
+
+RECENTLY_ARMED_S = 3.0
+"""Three heartbeats: by then the landed state has followed as well."""
+
+
+def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
+    """What says that it flies, whatever the armed bit says; None: nothing."""
+    state, at = vehicle.landed_state()
+    if state in AIRBORNE and now - at <= FRESH_S:
+        return f"it reports itself {'in the air' if state == 'in_air' else 'in ' + state}"
+    position, position_at = vehicle.section("position"), vehicle.section_at("position")
+    if position is not None and position_at is not None and now - position_at <= FRESH_S:
+        east, north, up = position["vel_enu_mps"]
+        speed = math.hypot(east, north)
+        if position["alt_rel_m"] > HEIGHT_M and position["lat_deg"] is not None:
+            return f"it is {position['alt_rel_m']:.0f} m above its home"
+        if abs(up) > CLIMB_MPS:
+            return f"it {'climbs' if up > 0 else 'sinks'} with {abs(up):.1f} m/s"
+        if speed > SPEED_MPS:
+            return f"it moves with {speed:.1f} m/s"
+    vfr, vfr_at = vehicle.section("vfr"), vehicle.section_at("vfr")
+    turning = vfr is not None and modes.is_copter(vehicle.type) and vfr["throttle_percent"] >= THROTTLE_PERCENT
+    if vfr is not None and turning and vfr_at is not None and now - vfr_at <= FRESH_S:
+        return f"its throttle is at {vfr['throttle_percent']} %"
+    return None
+
+
+def contradiction(vehicle: Vehicle, now: float) -> str | None:
+    """Why it may be flying although its heartbeat says disarmed; None if it is armed, or surely disarmed."""
+    if vehicle.armed:
+        return None
+    if vehicle.duplicate_beside:
+        return "two vehicles send with its ids on one link"
+    return flight_evidence(vehicle, now)
+
+
+def why_maybe_flying(vehicle: Vehicle, now: float) -> str | None:
+    """Of a vehicle whose heartbeat says disarmed: why that is not believed; None: it is."""
+    if (evidence := contradiction(vehicle, now)) is not None:
+        return f"its heartbeat says disarmed, but {evidence}"
+    if vehicle.duplicate_elsewhere is not None:
+        return f"two vehicles have its system id ({vehicle.duplicate_elsewhere})"
+    return None
+
+
+def why_not_idle(vehicle: Vehicle, now: float) -> str | None:
+    """Why it must be taken for armed, so that nothing is done to it that is dangerous in the air; None: it is idle."""
+    if vehicle.armed:
+        return "it is armed"
+    if (why := why_maybe_flying(vehicle, now)) is not None:
+        return why
+    state, at = vehicle.landed_state()
+    seen_on_ground = state == "on_ground" and at > vehicle.armed_at
+    if 0.0 <= now - vehicle.armed_at <= RECENTLY_ARMED_S and not seen_on_ground:
+        return f"it was armed {now - vehicle.armed_at:.1f} s ago: wait until it is seen on the ground"
+    return None

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
+from skygcs.core.vehicle.orders import reboot, set_home
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect
+
+DECODER = Decoder(flight_dialect())
+NOW = 100.0
+
+
+def disarmed(armed_ago_s: float | None = None) -> tuple[Vehicle, Voice]:
+    """A copter whose heartbeat says that it is disarmed."""
+    vehicle, voice = Vehicle(1, 1, flight_dialect(), decoder=DECODER), Voice(1)
+    if armed_ago_s is not None:
+        vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True, status=4), NOW - armed_ago_s)
+    vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=False), NOW)
+    return vehicle, voice
+
+
+EVIDENCE: dict[str, tuple[Callable[[Voice], Frame], str]] = {
+    "in air": (lambda v: v.landed(2), "it reports itself in the air"),
+    "takeoff": (lambda v: v.landed(3), "it reports itself in takeoff"),
+    "landing": (lambda v: v.landed(4), "it reports itself in landing"),
+    "high": (lambda v: v.position(rel_m=12.0), "it is 12 m above its home"),
+    "climbs": (lambda v: v.position(velocity=(0, 0, -150)), "it climbs with 1.5 m/s"),
+    "sinks": (lambda v: v.position(velocity=(0, 0, 150)), "it sinks with 1.5 m/s"),
+    "moves": (lambda v: v.position(velocity=(300, 400, 0)), "it moves with 5.0 m/s"),
+    "throttle": (lambda v: v.say(mav.MAVLink_vfr_hud_message(0, 0, 0, 38, 0, 0)), "its throttle is at 38 %"),
+}
+
+
+@pytest.mark.parametrize("what", EVIDENCE)
+def test_what_contradicts_a_disarmed_heartbeat_keeps_dangerous_orders_out(what: str) -> None:
+    vehicle, voice = disarmed()
+    assert why_not_idle(vehicle, NOW) is None
+    frame, said = EVIDENCE[what]
+    vehicle.on_frame(frame(voice), NOW)
+    assert contradiction(vehicle, NOW) == said
+    assert said in str(why_not_idle(vehicle, NOW)) and said in str(why_maybe_flying(vehicle, NOW))
+    for order in (reboot, set_home):
+        with pytest.raises(RefusedError, match=said):
+            order(vehicle, NOW)
+        order(vehicle, NOW, force=True)
+    vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=False), NOW + 4.0)
+    assert why_not_idle(vehicle, NOW + 4.0) is None, "what is older says nothing about now"
+
+
+def test_a_vehicle_on_the_ground_that_stands_is_idle() -> None:
+    vehicle, voice = disarmed()
+    for frame in (voice.landed(1), voice.position(rel_m=1.5, velocity=(40, 40, 20)), voice.landed(0)):
+        vehicle.on_frame(frame, NOW)
+    assert why_not_idle(vehicle, NOW) is None
+
+
+def test_one_that_was_armed_just_now_is_idle_once_it_is_seen_on_the_ground() -> None:
+    vehicle, voice = disarmed(armed_ago_s=1.0)
+    assert "it was armed 1.0 s ago" in str(why_not_idle(vehicle, NOW))
+    assert why_maybe_flying(vehicle, NOW) is None
+    vehicle.on_frame(voice.landed(1), NOW)
+    assert why_not_idle(vehicle, NOW) is None
+    vehicle, _ = disarmed(armed_ago_s=3.5)
+    assert why_not_idle(vehicle, NOW) is None
+
+
+def test_a_duplicate_id_is_not_idle() -> None:
+    vehicle, voice = disarmed()
+    vehicle.duplicate_elsewhere = "on udp (10.0.0.5:14550) and on radio"
+    assert "10.0.0.5:14550" in str(why_not_idle(vehicle, NOW))
+    assert contradiction(vehicle, NOW) is None, "what is known of it is its own"
+    vehicle, voice = disarmed()
+    vehicle.on_frame(voice.beat(PX4, armed=False), NOW)
+    assert "two vehicles send with its ids on one link" in str(contradiction(vehicle, NOW))
+
+
+def test_an_armed_one_needs_no_evidence() -> None:
+    vehicle, voice = disarmed()
+    vehicle.on_frame(voice.beat(ARDUPILOT, 4, armed=True), NOW)
+    vehicle.on_frame(voice.landed(2), NOW)
+    assert contradiction(vehicle, NOW) is None
+    assert why_not_idle(vehicle, NOW) == "it is armed"
