@@ -24,9 +24,7 @@ def stop(
     ] = Action.HOLD,
     confirm: Annotated[
         str | None,
-        typer.Option(
-            "--confirm", metavar="WORD", help="For kill: kill-N, N the number of vehicles. Else it is asked."
-        ),
+        typer.Option("--confirm", metavar="WORD", help="For kill: kill-N, N the number of vehicles. Else it is asked."),
     ] = None,
     json_output: Json = False,
 ) -> None:
