@@ -69,7 +69,7 @@ def test_an_upload_says_what_the_vehicle_holds(daemon: DaemonProcess, tmp_path: 
     """A PX4 keeps its old mission; an ArduPilot has a part of the new one, and says so only 8 s later."""
     short, long = plan(tmp_path, 3, "short.waypoints"), plan(tmp_path, COUNT, "long.waypoints")
     assert daemon.cli("mission", "upload", name, str(short), "--force").returncode == 0
-    code, out = interrupted(daemon, name, "mission", "upload", name, str(long), "--force")
+    code, out = interrupted(daemon, name, "mission", "upload", name, str(long), "--force", percent=30)
     assert code == 130
     assert "interrupted; asking what is held now" in out and "Traceback" not in out
     count = held(daemon, name)
