@@ -38,6 +38,7 @@ from skygcs.runtime.corrections import CorrectionFeed
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.foreign_watch import ForeignWatch
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
@@ -143,6 +144,8 @@ class Daemon:
             self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
         self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, self.on_event)
         self.foreign = ForeignWatch(self.hub, own, dialect, self.on_event)
+        self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, self.on_event)
+        self.hub.add_tap(set(WATCHED) & set(dialect.messages), None, self.leftover_streams.on_frame)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()
@@ -180,7 +183,7 @@ class Daemon:
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
                 group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
-                group.create_task(self._every(1.0, lambda: self.foreign.tick(self.now())), name="foreign traffic"),
+                group.create_task(self._every(1.0, self._tick_foreign), name="foreign traffic"),
                 group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
             ]
             signing = group.create_task(self.signing.run(), name="signing")
@@ -282,7 +285,12 @@ class Daemon:
         if event.kind == "reboot" and event.sysid is not None:
             for key in [k for k in self.fleet.vehicles if k >> 8 == event.sysid]:
                 self.hub.restart_source(key)
+                self.leftover_streams.forget(key)
         self._publish_events(self._event_limiter.offer(event, self.now()))
+
+    def _tick_foreign(self) -> None:
+        self.foreign.tick(self.now())
+        self.leftover_streams.tick(self.now())
 
     def _tick_events(self) -> None:
         self._publish_events(self._event_limiter.tick(self.now()))

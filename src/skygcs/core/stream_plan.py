@@ -151,6 +151,13 @@ def on_grid(rate_hz: float) -> float:
     return lower[-1] if lower else GRID_HZ[0]
 
 
+def intended_rate(measured_hz: float) -> float:
+    """The rate that was asked for, of what is measured: up to a tenth is lost on the way. 0 for nothing."""
+    if measured_hz < GRID_HZ[0]:
+        return 0.0
+    return next((hz for hz in GRID_HZ if hz >= 0.9 * measured_hz), measured_hz)
+
+
 def plan_bytes_per_s(rates_hz: Mapping[str, float], frame_bytes: Mapping[str, int]) -> float:
     """Of one vehicle, its heartbeat included."""
     return FRAME_BYTES["HEARTBEAT"] + _bytes(rates_hz, frame_bytes)

@@ -90,6 +90,10 @@ class StreamKeeper:
         """The vehicle does not know this message, or a person took its rate in hand: it is not asked for again."""
         self._refused.add(name)
 
+    def is_refused(self, name: str) -> bool:
+        """See `refuse`."""
+        return name in self._refused
+
     def due(
         self, now: float, last_at: Callable[[str], float | None], *, ardupilot: bool = True
     ) -> tuple[str, float] | None:

@@ -14,6 +14,7 @@ from skygcs.config.control import ControlSettings
 from skygcs.core.control.guard import WAYS, Way
 from skygcs.core.exchange.command import Outcome
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.stream_plan import intended_rate
 from skygcs.core.vehicle import offboard, orders
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.pilot import Pilot, PilotState
@@ -36,6 +37,9 @@ PAUSE_S = 1.0
 
 MEASURED_PINGS = 4
 """So many pings went out, the burst of the first second, before the round trip is believed."""
+
+RATE_SETTLES_S = 20.0
+"""After the position's rate was put back, its smoothed measure tells of the time before for so long."""
 
 POSITION_HZ = {Way.ATTITUDE: 50.0, Way.VELOCITY: 10.0}
 """GLOBAL_POSITION_INT asked for: the age of the state is half a period of it on average. Position setpoints need none:
@@ -94,6 +98,10 @@ class Takeover:
         self._begin = begin
         self._release = release
         self._position_hz = position_hz
+        self._before_hz = position_hz or 0.0
+        """How often its position came before it was asked for more: an own 5 Hz of PX4, or what a program asked for."""
+        self._raised = False
+        self._restored_at = float("-inf")
         self._plan_position = plan_position
         self._stream_refusal = stream_refusal
         self._on_event = on_event
@@ -138,9 +146,10 @@ class Takeover:
         return replace(outcome, elapsed_s=self._loop.time() - started)
 
     def restore_position(self) -> None:
-        """Back to the rate of the picture; nobody waits for it."""
-        if not self._plan_position(None) and self._vehicle.connected:
-            self._errands.start(self._ask_interval(self._position_hz), "position rate")
+        """Back to the rate of before; nobody waits for it."""
+        if not self._plan_position(None) and self._vehicle.connected and self._raised:
+            self._raised, self._restored_at = False, self._loop.time()
+            self._errands.start(self._ask_interval(self._before_hz or None), "position rate")
 
     # -- may it be taken over
 
@@ -264,7 +273,13 @@ class Takeover:
 
     async def _ask_position(self, rate_hz: float | None) -> None:
         if not self._plan_position(rate_hz) and rate_hz is not None:
-            await self._ask_interval(max(rate_hz, self._position_hz or 0.0))
+            now = self._loop.time()
+            if not self._raised and now - self._restored_at > RATE_SETTLES_S:
+                slot = self._vehicle.slot("GLOBAL_POSITION_INT")
+                measured_hz = 0.0 if slot is None else slot.rate_hz
+                self._before_hz = max(intended_rate(measured_hz), self._position_hz or 0.0)
+            self._raised = True
+            await self._ask_interval(max(rate_hz, self._before_hz))
 
     async def _ask_interval(self, rate_hz: float | None) -> None:
         await self._attempt(

@@ -21,6 +21,9 @@ from skygcs.runtime.plan_runner import Attempt
 IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
 """When, after it was met or rebooted, a vehicle is asked for what nobody streams: its version and its home."""
 
+SLOWER = 1.5
+"""A message that is streamed with up to this much of the wanted interval is not asked for: as of a radio's plan."""
+
 IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
 
 
@@ -70,6 +73,10 @@ class Upkeep:
         """A person took the rate of this message in hand."""
         self._keeper.refuse(message)
 
+    def is_left(self, message: str) -> bool:
+        """Whether this message's rate is not asked for: a person has it in hand, or the vehicle refused."""
+        return self._keeper.is_refused(message)
+
     def close(self) -> None:
         if self._asking is not None:
             self._asking.cancel()
@@ -103,6 +110,8 @@ class Upkeep:
             self._on_fault(text)
 
     async def _ask_for(self, message: str, rate_hz: float) -> None:
+        if self._vehicle.family != "ardupilot" and await self._will_come(message, rate_hz):
+            return
         outcome = await self._attempt(
             lambda now: orders.message_interval(self._vehicle, now, self._dialect, message, rate_hz)
         )
@@ -113,6 +122,23 @@ class Upkeep:
         if outcome.result == "unsupported" and group is not None and self._vehicle.family == "ardupilot":
             whole_hz = max(1.0, rate_hz)  # REQUEST_DATA_STREAM knows no fractions
             await self._attempt(lambda now: orders.request_stream(self._vehicle, now, self._dialect, group, whole_hz))
+
+    async def _will_come(self, message: str, rate_hz: float) -> bool:
+        """Whether the vehicle streams it already and only has nothing to send yet.
+
+        A PX4 without a position sends none, at any rate. To ask it for 2 Hz then leaves it at 2 Hz when it has one,
+        instead of its own 5, for every program on the link.
+        """
+        if "MESSAGE_INTERVAL" not in self._dialect.by_name:
+            return False
+        before = self._vehicle.count("MESSAGE_INTERVAL")
+        outcome = await self._attempt(lambda now: orders.read_interval(self._vehicle, now, self._dialect, message))
+        slot = self._vehicle.slot("MESSAGE_INTERVAL")
+        if not outcome.ok or slot is None or slot.frame is None or slot.count == before:
+            return False  # it cannot say
+        answer = slot.frame.fields()
+        known = answer.get("message_id") == self._dialect.by_name[message].msgid
+        return known and 0 < answer.get("interval_us", -1) <= SLOWER * 1e6 / rate_hz
 
     def _last_at(self, message: str) -> float | None:
         slot = self._vehicle.slot(message)

@@ -140,6 +140,10 @@ class VehicleActor(LiveVehicle):
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
         )
 
+    def is_left(self, message: str) -> bool:
+        """Whether skygcs does not see to the rate of this message (any more)."""
+        return self._upkeep.is_left(message)
+
     async def request_message(self, message: str | int) -> Outcome:
         """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
         return await self._orders.run(

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -10,7 +11,9 @@ from support.vehicles import ARDUPILOT, PX4, Ground, ScriptedVehicle, Sent, acce
 
 pytestmark = pytest.mark.looptime
 
-INTERVAL, ATTITUDE, SYSTEM_TIME, POSITION = 511, 30.0, 2.0, 33.0
+INTERVAL, READ_INTERVAL, ATTITUDE, SYSTEM_TIME, POSITION = 511, 510, 30.0, 2.0, 33.0
+
+Script = Callable[[ScriptedVehicle, Sent], None]
 
 
 def wanting(**rates_hz: float) -> dict[str, Any]:
@@ -89,3 +92,52 @@ async def test_nobody_is_asked_while_lost() -> None:
         before = len(ground.sent)
         await asyncio.sleep(100)
         assert len(ground.sent) == before
+
+
+POSITION_MISSING = wanting(HOME_POSITION=2.0)
+"""A message that a scripted vehicle does not stream by itself."""
+HOME = 242.0
+
+
+def telling(interval_us: int, result: int = 0) -> Script:
+    """A vehicle that says how often it streams a message, and obeys."""
+
+    def script(v: ScriptedVehicle, sent: Sent) -> None:
+        if sent.name == "COMMAND_LONG" and sent.command == READ_INTERVAL:
+            if result == 0:
+                v.tell(v.say(v.mav.message_interval_encode(int(sent.param1), interval_us)))
+            v.reply(sent, result)
+        else:
+            accept_everything(v, sent)
+
+    return script
+
+
+@pytest.mark.parametrize(("interval_us", "is_asked"), [(200_000, False), (-1, True), (0, True), (1_000_000, True)])
+async def test_a_px4_is_not_asked_for_what_it_streams_as_soon_as_it_has_it(interval_us: int, is_asked: bool) -> None:
+    """200 ms: its own 5 Hz of a position that its estimator does not have yet."""
+    async with Ground(POSITION_MISSING) as ground:
+        vehicle = ScriptedVehicle(ground, 1, PX4)
+        vehicle.script = telling(interval_us)
+        await asyncio.sleep(100)
+        assert ((HOME, 500_000.0) in asked(ground)) == is_asked
+        questions = [s for s in ground.sent if s.name == "COMMAND_LONG" and s.command == READ_INTERVAL]
+        assert 1 <= len(questions) <= 6  # ever more rarely
+
+
+@pytest.mark.parametrize("result", [1, 2, 3, 4])
+async def test_a_vehicle_that_cannot_say_is_asked(result: int) -> None:
+    async with Ground(POSITION_MISSING) as ground:
+        vehicle = ScriptedVehicle(ground, 1, PX4)
+        vehicle.script = telling(0, result)
+        await asyncio.sleep(60)
+        assert (HOME, 500_000.0) in asked(ground)
+
+
+async def test_an_ardupilot_is_asked_at_once() -> None:
+    """It streams what it is told to, whether it knows it or not."""
+    async with Ground(POSITION_MISSING) as ground:
+        ScriptedVehicle(ground, 1, ARDUPILOT).script = telling(200_000)
+        await asyncio.sleep(10)
+        assert asked(ground)[0] == (HOME, 500_000.0)
+        assert not [s for s in ground.sent if s.name == "COMMAND_LONG" and s.command == READ_INTERVAL]

@@ -16,7 +16,7 @@ from skygcs.core.geo import distance_m, geodetic_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.streams import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
-from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, Destination
+from skygcs.core.vehicle.autopilot import GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, Destination
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
 from skygcs.core.vehicle.plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -199,6 +199,15 @@ def message_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: st
     return autopilot.message_interval(
         msgid, rate_hz, refused=f"{autopilot.firmware_name(vehicle)} does not stream {name}"
     )
+
+
+def read_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
+    """Have it tell by MESSAGE_INTERVAL how often it streams a message."""
+    require_connected(vehicle, now)
+    msgid, name = find_message(dialect, message)
+    refused = f"{autopilot.firmware_name(vehicle)} does not tell how often it streams {name}"
+    step = Step("read interval", CommandSpec(GET_MESSAGE_INTERVAL, (float(msgid),)), refused=refused)
+    return Plan("read interval", (step,), "told")
 
 
 def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:

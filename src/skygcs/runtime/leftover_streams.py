@@ -1,0 +1,170 @@
+"""Puts back what programs that are gone had vehicles stream, on links whose streams no radio's plan sees to."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from skygcs.core.airtime import Priority
+from skygcs.core.foreign_frames import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.stream_requests import Leftover, Program, Request, Stream, StreamRequests, restoring
+from skygcs.core.vehicle.events import Event
+from skygcs.links.base import Channel
+from skygcs.runtime.air_planner import OnEvent
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+WATCHED = frozenset({REQUEST_DATA_STREAM, COMMAND_INT, COMMAND_LONG})
+
+SETTLE_S = 8.0
+"""After a request what comes is measured anew: rates are smoothed over some seconds."""
+
+ATTEMPTS = 3
+"""Then it is left as it is, and reported: the vehicle may not obey, or another program's request did not pass here."""
+
+_COMMAND = struct.Struct("<2f20xH")
+"""param1, param2 and command of COMMAND_LONG and COMMAND_INT."""
+
+_DATA_STREAM = struct.Struct("<H2xB")
+"""req_message_rate and req_stream_id."""
+
+
+@dataclass(slots=True)
+class _Task:
+    """One stream of one vehicle on its way back."""
+
+    leftover: Leftover
+    attempts: int = 0
+    next_at: float = float("-inf")
+
+
+class LeftoverStreams:
+    """`on_frame` is a tap of the WATCHED messages; `tick` once a second.
+
+    A program is gone when its channel is closed, or when nothing came from it for ``gone_after_s``, the time after
+    which routing forgets it as well. Nothing is sent to a vehicle that is flown by setpoints, whose streams a radio's
+    plan sees to, or that is asked for nothing (``streams = {}``); nor about a stream that a connected program wants.
+    """
+
+    def __init__(self, hub: Hub, fleet: Fleet, dialect: Dialect, gone_after_s: float, on_event: OnEvent) -> None:
+        self._hub = hub
+        self._fleet = fleet
+        self._dialect = dialect
+        self._gone_after_s = gone_after_s
+        self._on_event = on_event
+        self._requests = StreamRequests()
+        self._tasks: dict[int, dict[Stream, _Task]] = {}
+        self._now = 0.0
+
+    def on_frame(self, frame: Frame, channel: Channel, now: float) -> None:
+        """A message of another program that may ask for streams."""
+        stream = self._stream(frame)
+        if stream is None or channel.config.type == "replay":
+            return
+        program = channel.id, frame.sysid << 8 | frame.compid
+        system, component = frame.target()
+        for key, actor in self._fleet.vehicles.items():
+            if system not in (0, actor.sysid) or component not in (0, actor.compid) or not self._is_kept(actor):
+                continue
+            if stream.group is not None and actor.vehicle.family != "ardupilot":
+                continue  # PX4 does nothing with such a request
+            self._requests.on_request(key, program, stream, _rates(actor))
+            self._tasks.get(key, {}).pop(stream, None)
+
+    def forget(self, key: int) -> None:
+        """The vehicle rebooted: it streams as its parameters say."""
+        self._requests.forget(key)
+        self._tasks.pop(key, None)
+
+    def tick(self, now: float) -> None:
+        """See who is gone, and ask for what is to be put back."""
+        self._now = now
+        for key, leftovers in self._requests.left_behind(self._is_connected).items():
+            tasks = self._tasks.setdefault(key, {})
+            for leftover in leftovers:
+                tasks[leftover.stream] = _Task(leftover)
+        for key, tasks in list(self._tasks.items()):
+            actor = self._fleet.vehicles.get(key)
+            if actor is None or not self._is_kept(actor):
+                del self._tasks[key]
+            elif actor.vehicle.connected and not actor.flight.pilot.active:
+                self._put_back(actor, tasks, now)
+                if not tasks:
+                    del self._tasks[key]
+
+    # -- the inside
+
+    def _is_kept(self, actor: VehicleActor) -> bool:
+        """Whether its streams are seen to here."""
+        return not actor.vehicle.replayed and not actor.planned.active and bool(actor.config.streams)
+
+    def _is_connected(self, program: Program) -> bool:
+        channel_id, key = program
+        channel = self._hub.channels.get(channel_id)
+        if channel is None:
+            return False
+        stats = channel.sources.get(key)
+        # one that is not counted by itself, in a full table, is taken for connected
+        return (
+            channel.link.config.type.startswith("tcp")
+            or stats is None
+            or (self._now - stats.last_at < self._gone_after_s)
+        )
+
+    def _put_back(self, actor: VehicleActor, tasks: dict[Stream, _Task], now: float) -> None:
+        rates_hz = _rates(actor)
+        for stream, task in list(tasks.items()):
+            if now < task.next_at:
+                continue
+            wanted_hz = {n: hz for n, hz in actor.config.streams.items() if hz > 0 and not actor.is_left(n)}
+            requests = restoring(task.leftover, rates_hz, wanted_hz)
+            requests = [r for r in requests if r.stream.message is None or not actor.is_left(r.stream.message)]
+            if not requests or task.attempts >= ATTEMPTS:
+                del tasks[stream]
+                if requests and stream.group is not None:  # a message's default may be another rate than before
+                    self._report(actor, stream)
+                continue
+            task.attempts += 1
+            task.next_at = now + SETTLE_S
+            for request in requests:
+                self._send(actor, request, now)
+
+    def _send(self, actor: VehicleActor, request: Request, now: float) -> None:
+        group, message = request.stream
+        if group is not None:
+            if "REQUEST_DATA_STREAM" in self._dialect.by_name:
+                rate_hz = int(request.rate_hz or 0)
+                values = {"req_stream_id": group, "req_message_rate": rate_hz, "start_stop": int(rate_hz > 0)}
+                actor.commander.transmit("REQUEST_DATA_STREAM", values, Priority.EXCHANGE)
+            return
+        info = self._dialect.by_name.get(message or "")
+        if info is None or "COMMAND_LONG" not in self._dialect.by_name:
+            return
+        interval_us = 0.0 if not request.rate_hz else round(1e6 / request.rate_hz)
+        command = {"command": SET_MESSAGE_INTERVAL, "param1": float(info.msgid), "param2": float(interval_us)}
+        actor.commander.expect_stray_ack(SET_MESSAGE_INTERVAL, now)
+        actor.commander.transmit("COMMAND_LONG", command, Priority.EXCHANGE)
+
+    def _report(self, actor: VehicleActor, stream: Stream) -> None:
+        what = stream.message or f"its stream group {stream.group}"
+        text = f"goes on sending {what} as a program that is gone had asked for, though it was asked to stop"
+        self._on_event(Event("warning", actor.name, actor.sysid, text, {"stream": what}))
+
+    def _stream(self, frame: Frame) -> Stream | None:
+        """What the frame asks for; None: for no stream."""
+        payload = frame.payload.ljust(32, b"\0")
+        if frame.msgid == REQUEST_DATA_STREAM:
+            return Stream(_DATA_STREAM.unpack_from(payload)[1], None)
+        msgid, _, command = _COMMAND.unpack_from(payload)
+        if command != SET_MESSAGE_INTERVAL or not 0 <= msgid < 1 << 24:  # false for NaN
+            return None
+        info = self._dialect.messages.get(int(msgid))
+        return None if info is None else Stream(None, info.name)
+
+
+def _rates(actor: VehicleActor) -> Mapping[str, float]:
+    return {slot.name: slot.rate_hz for slot in actor.vehicle.slots.values()}
