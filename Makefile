@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test check bench bench-control bench-radio soak clean format
+.PHONY: demo test check bench bench-control bench-radio soak fuzz clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
@@ -28,6 +28,9 @@ bench-radio: $(STAMP)
 
 soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=20 SOAK_RATE=2000 SOAK_SEED=1
 	PYTHONPATH=tests $(BIN)/python -m bench.soak
+
+fuzz: $(STAMP)   # FUZZ_DATAGRAMS=1000000, or FUZZ_SECONDS=45; FUZZ_SEED=0 FUZZ_JOBS=1
+	PYTHONPATH=tests $(BIN)/python -m fuzz.fast_path
 
 format: $(STAMP)
 	$(BIN)/ruff format .

@@ -64,6 +64,19 @@ def test_a_heartbeat_whose_number_has_come_round_may_come_twice() -> None:
     assert not book.missing()
 
 
+def test_a_copy_of_somebody_elses_is_no_loss() -> None:
+    """A forged heartbeat may happen to be the vehicle's own, byte for byte: one of the two is dropped as a copy."""
+    book = Book()
+    raw = Source(1, AUTOPILOT).heartbeat(2, 12)
+    book.sent(raw, TO_A, 0)
+    book.sent(raw, 0, TO_A)
+    assert book.missing() == {A: 1}
+    book.received(raw, A, "a")
+    assert not book.missing()
+    book.received(raw, A, "a")
+    assert not book.strange
+
+
 def test_what_comes_after_its_leg_is_not_misdelivered() -> None:
     book = Book()
     (raw,) = frames(1)
