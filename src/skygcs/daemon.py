@@ -44,7 +44,7 @@ from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
-from skygcs.runtime.signing import Signing
+from skygcs.runtime.signing import Signing, why_silent
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.signing_store import SigningStore, default_state_dir
 from skygcs.runtime.uplink import setpoint_bytes_per_s, stream_refusal
@@ -137,6 +137,7 @@ class Daemon:
         self.link_watch = LinkWatch(self.hub)
         self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
         self.fleet.on_roster = self.hub.forget_lanes
+        self.fleet.why_silent = self._why_silent
         self.watchman = Watchman(
             DeadMan(own.operator_timeout_s, own.operator_lost), self.fleet, self.loop, self.on_event
         )
@@ -257,6 +258,12 @@ class Daemon:
         key: Hashable | None = None,
     ) -> bool:
         return self.hub.send(info, values, sysid, compid, priority, key, everywhere=everywhere)
+
+    def _why_silent(self, sysid: int, compid: int) -> str:
+        actor = self.fleet.vehicles.get(sysid << 8 | compid)
+        slot = None if actor is None else actor.vehicle.slots.get(HEARTBEAT)
+        links = [self.hub.channels[i].config for i in self.hub.ways(sysid, compid)]
+        return why_silent(None if slot is None else slot.frame, links)
 
     def _may_broadcast(self) -> bool:
         """False if a link does not take frames of every source: who is kept out there would still hear us."""

@@ -243,6 +243,33 @@ async def test_a_vehicle_gets_a_key_and_signs(tmp_path: Path) -> None:
     assert not any(KEY in raw for raw in frames)
 
 
+async def test_unsigned_orders_to_a_vehicle_that_signs_say_so(tmp_path: Path) -> None:
+    path = key_file(tmp_path)
+    why = "; it signs its messages and drops those that are not signed with its key, and link sim signs none"
+    async with running(tmp_path, sim=simulated(ardupilot=1)) as daemon, connect(tmp_path / "s") as gcs:
+        await discovered(daemon, 1)
+        before = await gcs.call("params.get", targets="1", names=["NO_SUCH"])
+        assert why not in before["outcomes"]["v1"]["NO_SUCH"]["message"]
+        assert (await daemon.signing_setup.setup("1", path))["v1"].ok
+        await until(lambda: why in daemon.fleet.why_silent(1, 1))
+        arm = (await gcs.call("vehicles.arm", targets="1"))["outcomes"]["v1"]
+        param = (await gcs.call("params.get", targets="1", names=["RTL_ALT"]))["outcomes"]["v1"]["RTL_ALT"]
+        plan = (await gcs.call("missions.download", target="1"))["outcome"]
+        for outcome in (arm, param, plan):
+            assert outcome["result"] == "timeout" and why in outcome["message"], outcome
+
+
+async def test_a_vehicle_that_signs_over_a_link_with_its_key_is_only_silent(tmp_path: Path) -> None:
+    key = SigningSettings(key_file=key_file(tmp_path))
+    async with running(tmp_path, radio={"signing": key}, other={}) as daemon:
+        SignedPeer(wire(daemon)).beat()
+        await until(lambda: VEHICLE in daemon.fleet.vehicles)
+        assert daemon.fleet.why_silent(7, 1) == ""
+        wire(daemon, "other").send(PymavPeer(8, 1).heartbeat())
+        await discovered(daemon, 2)
+        assert daemon.fleet.why_silent(8, 1) == "", "it does not sign"
+
+
 async def test_a_key_in_use_is_changed_and_forgotten_over_the_link_that_has_it(tmp_path: Path) -> None:
     path, other = key_file(tmp_path), key_file(tmp_path, OTHER, "other")
     both = SigningSettings(key_file=path, accept_unsigned=("*",))

@@ -9,7 +9,7 @@ import json
 import os
 import sys
 from collections.abc import AsyncIterator, Iterable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -181,7 +181,9 @@ def apply(
         tell(param_lines.outcomes({held.name: outcomes}))
         why = "its identity has been changed" if any(c.sort == "identity" for c in made.changes) else ""
         try:
-            left = () if why else planned(contents, await _reread(gcs, held, list(outcomes))).changes
+            # what was set has been read once more by the daemon, which hears what else the vehicle changes
+            now = held if why else await _held(gcs, str(held.sysid), refresh=False, burst=False)
+            left = () if why else planned(contents, now).changes
         except RefusedError as error:
             why, left = str(error), ()
         if why:
@@ -312,19 +314,6 @@ async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[s
         answer = await gcs.call("params.set", targets=targets, params=dict(values))
     outcomes: dict[str, dict[str, dict[str, Any]]] = answer["outcomes"]
     return outcomes
-
-
-async def _reread(gcs: Client, before: Held, names: list[str]) -> Held:
-    """What a vehicle holds after these were set: those read again one by one, and what the daemon has heard since of
-    all others. Raises RefusedError without an answer."""
-    held = await _held(gcs, str(before.sysid), refresh=False, burst=False)
-    async with _progress(gcs, before.name):
-        answer = await gcs.call("params.get", targets=str(before.sysid), names=names)
-    told = {
-        o["name"]: o["value"] for o in answer["outcomes"][before.name].values() if o["ok"] and o["value"] is not None
-    }
-    params = tuple(replace(p, value=type(p.value)(told.get(p.name, p.value))) for p in held.params)
-    return replace(held, params=params)
 
 
 async def _lists(

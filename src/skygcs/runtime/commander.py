@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Collection, Hashable, Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 from skygcs.core.airtime import Priority
@@ -124,6 +125,8 @@ class Commander:
         self.carrier: Carrier | None = None
         self.patience_s = 0.0
         """Nothing but an emergency is repeated sooner: what a radio whose rounds are long takes to bring an answer."""
+        self.why_silent: Callable[[], str] = lambda: ""
+        """Why the vehicle may not answer, beside the link: the end of a sentence, or nothing."""
         self._dialect = dialect
         self._send = send
         self._loop = loop
@@ -350,6 +353,8 @@ class Commander:
             line.quiet_until = exchange.last_sent + LATE_ACK_S
         if outcome.result == "timeout" and running.not_taken >= exchange.attempts:
             return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)
+        if outcome.result == "timeout":
+            return replace(outcome, message=outcome.message + self.why_silent())
         return outcome
 
     def _apply(self, running: _Running, effects: tuple[Effect, ...]) -> None:

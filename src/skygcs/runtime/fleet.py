@@ -108,6 +108,8 @@ class Fleet:
         self.vehicles: dict[int, VehicleActor] = {}
         self.on_roster: Callable[[], None] = lambda: None
         """Called when a vehicle has come or gone."""
+        self.why_silent: Callable[[int, int], str] = lambda sysid, compid: ""
+        """Of a vehicle that does not answer: why, beside the link, as the end of a sentence; "" if nothing is known."""
         self.refused_vehicles = 0
         origin = None if config.origin is None else Origin(**config.origin.model_dump())
         self.world = World(origin, self.vehicles, on_event)
@@ -420,6 +422,7 @@ class Fleet:
             preflight_valid_s=60 * daemon.preflight_valid_minutes,
             heard=lambda: self._heard(key),
         )
+        actor.commander.why_silent = actor.params.why_silent = lambda: self.why_silent(frame.sysid, frame.compid)
         self.vehicles[key] = actor
         self._met_on[key] = channel_label
         self.on_roster()

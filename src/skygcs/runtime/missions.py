@@ -202,6 +202,8 @@ class Missions:
             sent += outcome.sent
             told.append(outcome.message if kind.word in outcome.message else f"{kind.word}: {outcome.message}")
             elapsed_s = self._loop.time() - began
+            if outcome.result == "timeout":
+                told[-1] += self._commander.why_silent()
             if not outcome.ok:
                 if rest := kinds[done + 1 :]:
                     told.append(f"{' and '.join(k.word for k in rest)} not begun")

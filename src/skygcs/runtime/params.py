@@ -14,19 +14,20 @@ import asyncio
 import math
 from collections import defaultdict
 from collections.abc import Callable, Coroutine, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from skygcs.core.airtime import Priority
 from skygcs.core.exchange.base import Effect, Exchange, Report, Send
+from skygcs.core.exchange.command import MAX_TEXTS
 from skygcs.core.exchange.ftp import FileDownload, FileOutcome
-from skygcs.core.exchange.param import ParamExchange, ParamOutcome
+from skygcs.core.exchange.param import ABSENT_PROBES, ParamExchange, ParamOutcome
 from skygcs.core.exchange.param_list import BYTES_PER_S, MAX_COUNT, ListProgress, ParamList
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.ftp import MSGID as FILE_TRANSFER
 from skygcs.core.mavlink.ftp import decode
-from skygcs.core.mavlink.param import HASH_NAME, Param, Value, bits_message, value_reader
+from skygcs.core.mavlink.param import HASH_NAME, Param, Value, bits_message, value_reader, value_text
 from skygcs.core.params.names import other_name
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -47,6 +48,10 @@ LOCKS = 64
 """One exchange of a name at a time; names share locks, so that their number is bounded."""
 
 PROGRESS_EVERY_S = 1.0
+
+SETTLE_S = 0.5
+"""From the last parameter that was set until what was set is read once more: a PX4 puts some of them right itself
+(MPC_XY_CRUISE above MPC_XY_VEL_MAX), within a run of the module that they are of, some ms."""
 
 T = TypeVar("T")
 
@@ -121,6 +126,11 @@ class VehicleParams:
         self._cancelled = 0
         self._told_at = -math.inf
         self._alarm = Alarm(loop, self._on_timer)
+        self._probe = 0
+        self._texts: list[str] = []
+        """What a PX4 has said of its limits since the last `set` began: "Cruise speed has been constrained by …"."""
+        self.why_silent: Callable[[], str] = lambda: ""
+        """Why it may not answer, beside the link: see `Commander`."""
 
     # -- what the vehicle says
 
@@ -161,6 +171,8 @@ class VehicleParams:
         return frozenset({PARAM_VALUE, FILE_TRANSFER, self._error_id})
 
     def on_text(self, text: str) -> None:
+        if "constrained" in text and text not in self._texts and len(self._texts) < MAX_TEXTS:
+            self._texts.append(text)
         for exchange in list(self._running):
             if isinstance(exchange, ParamExchange):
                 self._apply(exchange, exchange.on_text(text, self._loop.time()))
@@ -197,13 +209,14 @@ class VehicleParams:
         """One parameter, from the vehicle; by its other generation's name if it has only that."""
         return await self._either(name, lambda n: self._one(n))
 
-    async def set(self, values: Mapping[str, Value]) -> dict[str, ParamOutcome]:
+    async def set(self, values: Mapping[str, Value], *, settle: bool = False) -> dict[str, ParamOutcome]:
         """Set parameters one after another, each read back; the outcome of every one, also of those left out because it
-        was cancelled."""
+        was cancelled. ``settle``: what was changed is read once more at the end, as a vehicle may change it itself."""
         cancelled = self._cancelled
         hashed = self._book.complete and self._book.hash is not None
         vouched = hashed and self._book.vouches(await self._ask_hash())
         outcomes: dict[str, ParamOutcome] = {}
+        self._texts.clear()
         try:
             for done, (name, value) in enumerate(values.items()):
                 if self._cancelled != cancelled:
@@ -212,12 +225,31 @@ class VehicleParams:
                 if done:
                     self._progress("set", ListProgress(done, len(values), done, 0.0, None), f"setting {name}")
                 outcomes[name] = await self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
+            if settle and self._cancelled == cancelled:
+                await self._settle(outcomes)
         finally:
             self._tell_set(outcomes, len(values))
         if hashed:
             self._book.vouched(await self._ask_hash() if vouched else None)
         self._book.save()
         return outcomes
+
+    async def _settle(self, outcomes: dict[str, ParamOutcome]) -> None:
+        """Read what has been changed once more; an outcome says so if the vehicle holds another value now."""
+        changed = [n for n, o in outcomes.items() if o.ok and o.param is not None and o.param != o.before]
+        if not changed:
+            return
+        await asyncio.sleep(SETTLE_S)
+        again = await asyncio.gather(*(self._one(outcomes[name].name) for name in changed))
+        for name, now in zip(changed, again, strict=True):
+            taken = outcomes[name]
+            assert taken.param is not None
+            if now.ok and now.param is not None and now.param.value != taken.param.value:
+                took, held = value_text(taken.param.value), value_text(now.param.value)
+                before = "" if taken.before is None else f" (it was {value_text(taken.before.value)})"
+                why = f": {'; '.join(self._texts)}" if self._texts else ""
+                message = f"it took {took} and then made it {held} itself{before}{why}"
+                outcomes[name] = replace(taken, ok=False, result="changed", message=message, param=now.param)
 
     async def load(
         self, *, refresh: bool = False, burst: bool = False, bytes_per_s: float | None = BYTES_PER_S
@@ -290,15 +322,26 @@ class VehicleParams:
             await asyncio.sleep(max(0.0, self._quiet_until.pop(name, 0.0) - self._loop.time()))
             if self._cancelled != cancelled:
                 return ParamOutcome(False, "cancelled", "cancelled: not sent", name)
-            exchange = ParamExchange(name, self._book.encoding, value)
+            exchange = ParamExchange(
+                name, self._book.encoding, value, absent_of=self._absent_of(name), probe_index=self._probe
+            )
+            self._probe += ABSENT_PROBES + 1
             try:
                 unsent = await self._run(exchange)
             finally:
                 self._keep_quiet(name, exchange.quiet_until)
         assert exchange.outcome is not None
-        if exchange.outcome.result == "timeout" and unsent:
+        if exchange.outcome.result != "timeout":
+            return exchange.outcome
+        if unsent:
             return ParamOutcome(False, "lost", "could not be sent: no link leads to it", name)
-        return exchange.outcome
+        return replace(exchange.outcome, message=exchange.outcome.message + self.why_silent())
+
+    def _absent_of(self, name: str) -> int:
+        """How many parameters its complete list has, if none of them has this name; else 0."""
+        self._book.recall()
+        known = self._book.params
+        return len(known) if self._book.complete and name not in known and name != HASH_NAME else 0
 
     async def _load(self, *, refresh: bool, burst: bool, bytes_per_s: float | None) -> Loaded:
         started = self._loop.time()
@@ -329,7 +372,7 @@ class VehicleParams:
             # what changed while it was read is good for now, but nobody will vouch for it
             after = await self._ask_hash() if before is not None else None
             self._book.remember(outcome.params, after if after == before else None)
-        message = outcome.message + why_not
+        message = outcome.message + why_not + (self.why_silent() if outcome.result == "timeout" else "")
         self._tell("list", f"parameters: {message}", {"received": len(outcome.params), "count": outcome.count})
         return Loaded(
             outcome.ok,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -115,6 +115,20 @@ class _ChannelSigning:
 
     def counters(self) -> dict[str, int]:
         return {verdict.value: count for verdict, count in self._counts.items()} | {"sent_signed": self._sent}
+
+
+def why_silent(heartbeat: Frame | None, links: Iterable[LinkConfig]) -> str:
+    """Why a vehicle with this newest heartbeat may not answer what goes to it over these links, as the end of a
+    sentence: it signs, and we do not. "" if that is not so."""
+    links = list(links)
+    unsigned = [link.name for link in links if link.signing is None or not link.signing.sign_outgoing]
+    if heartbeat is None or not heartbeat.signed or not unsigned or len(unsigned) < len(links):
+        return ""
+    name = unsigned[0]
+    return (
+        f"; it signs its messages and drops those that are not signed with its key, and link {name} signs none: "
+        f"give it that key (links.{name}.signing)"
+    )
 
 
 class Signing:

@@ -49,7 +49,7 @@ class FakeParams:
             return ParamOutcome(False, "unknown", "it has no such parameter", name)
         return ParamOutcome(True, "accepted", str(param.value), name, param)
 
-    async def set(self, values: Mapping[str, float]) -> dict[str, ParamOutcome]:
+    async def set(self, values: Mapping[str, float], *, settle: bool) -> dict[str, ParamOutcome]:
         self.set_calls.append(dict(values))
         outcomes = {}
         for name, value in values.items():

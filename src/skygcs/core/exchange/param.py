@@ -5,11 +5,14 @@ Rule: everything that decides how reading or setting one parameter goes on is in
     state      what came                                      next       effects
     --------   --------------------------------------------   --------   -------------------------------------------
     IDLE       start                                          READING    request by name (WRITING: PARAM_SET, if what
-                                                                         the vehicle holds was known before)
+                                                                         the vehicle holds was known before); with a
+                                                                         probe if it is not in the vehicle's list
     READING    its value, to be read                          DONE       Finish: accepted
     READING    its value, to be set, which fits               WRITING    PARAM_SET
     READING    its value, to be set, which does not fit       DONE       Finish: refused
-    READING    timer, repeats left                            READING    request by name, and of index 0 as a probe
+    READING    timer, repeats left                            READING    request by name, and of an index as a probe
+    READING    the probe's value, not in the vehicle's list   READING    request by name and the next probe
+    READING    the same, ABSENT_PROBES of them                DONE       Finish: unknown
     READING    timer, none left                               DONE       Finish: unknown (probes came) or timeout
     WRITING    the value wanted                               DONE       Finish: accepted
     WRITING    its old value, earlier                         WRITING    -
@@ -40,6 +43,11 @@ from skygcs.core.mavlink.param import Encoding, Param, ParamValue, Value, from_b
 
 LATE_VALUE_S = 2.5
 """An answer later than this is not expected any more: three rounds of a nine-node multipoint radio at 64 kbit/s."""
+
+ABSENT_PROBES = 3
+"""So many requests of a name that a complete list has not, each with a probe that was answered, are enough. A PX4 has
+parameters that are not in its list, as nothing uses them, and answers for them; with 20 % lost each way one of 20 such
+is missed."""
 
 PARAM_ERRORS = {
     1: ("unknown", "it has no such parameter"),
@@ -98,9 +106,20 @@ class ParamExchange(Exchange):
     """See the table at the top. Only what this vehicle sent may be handed in.
 
     ``value`` None: to be read. ``known``: what the vehicle holds, if it has just said so: one round trip less.
+    ``absent_of``: the vehicle's complete list has so many parameters, and none of this name; 0: it may have it.
+    ``probe_index``: what the first probe asks for. Each has another one, so that no answer counts for two.
     """
 
-    def __init__(self, name: str, encoding: Encoding, value: Value | None = None, known: Param | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        encoding: Encoding,
+        value: Value | None = None,
+        known: Param | None = None,
+        *,
+        absent_of: int = 0,
+        probe_index: int = 0,
+    ) -> None:
         self.name = name
         self.state = ParamState.IDLE
         self.outcome: ParamOutcome | None = None
@@ -115,8 +134,10 @@ class ParamExchange(Exchange):
         self._wanted: Value | None = None
         self._started = 0.0
         self._tries = 0
+        self._absent_of = absent_of
+        self._probe_index = probe_index
         self._probed: set[int] = set()
-        """Transmissions after which index 0 was answered: somebody is there, and the link works."""
+        """Probes that were answered: somebody is there, and the link works."""
         self._first_written = 0.0
         self._thirds = 0
         """Answers with a value that is neither the old one nor the one wanted."""
@@ -145,9 +166,7 @@ class ParamExchange(Exchange):
             return ()
         param = value.param
         if param.name != self.name:
-            if value.index == 0:
-                self._probed.add(self._tries)
-            return ()
+            return self._on_probe(value.index, now)
         self.answers += 1
         if self.state is ParamState.READING:
             if self._value is not None:
@@ -205,6 +224,21 @@ class ParamExchange(Exchange):
             message += "; it may or may not be set"
         return self._finish(now, result, message)
 
+    def _on_probe(self, index: int | None, now: float) -> tuple[Effect, ...]:
+        """Another parameter's value came; ``index`` is its place in the list, None where it does not say."""
+        if self.state is not ParamState.READING or index != self._probe():
+            return ()
+        self._probed.add(self._tries)
+        if not self._absent_of:
+            return ()
+        if len(self._probed) >= ABSENT_PROBES:
+            return self._finish(now, "unknown", f"it has no such parameter: none of its {self._absent_of}")
+        return self._transmit(now) if self._tries < len(RETRY_TIMERS_S) else ()
+
+    def _probe(self) -> int:
+        """The index that this transmission's probe asks for. Without a list only index 0 is sure to be there."""
+        return (self._probe_index + self._tries) % self._absent_of if self._absent_of else 0
+
     def _before_value(self) -> Value | None:
         return None if self._before is None else self._before.value
 
@@ -234,8 +268,8 @@ class ParamExchange(Exchange):
             values = {"param_id": self.name, "param_value": self._bits, "param_type": int(self._before.type)}
             return (Send("PARAM_SET", values),)
         request = Send("PARAM_REQUEST_READ", {"param_id": self.name, "param_index": -1})
-        probe = Send("PARAM_REQUEST_READ", {"param_id": "", "param_index": 0})
-        return (request,) if self._tries == 1 else (request, probe)
+        probe = Send("PARAM_REQUEST_READ", {"param_id": "", "param_index": self._probe()})
+        return (request,) if self._tries == 1 and not self._absent_of else (request, probe)
 
     def _changed(self) -> str:
         assert self._before is not None and self._param is not None
