@@ -198,6 +198,8 @@ class FakeVehicle:
             return None
         return {
             "name": "ATTITUDE",
+            "sysid": self.sysid,
+            "compid": self.compid,
             "fields": {"roll": math.nan, "pitch": 0.1, "yaw": 1.5},
             "age_s": 0.2,
             "rate_hz": 4.0,
@@ -272,9 +274,11 @@ class FakeVehicle:
                     "severity": "warning",
                     "level": 4,
                     "text": "PreArm: Throttle too high" if self.sysid == 3 else "Ready",
+                    "compid": self.compid,
                     "age_s": 12.0,
                 }
             ],
+            "components": [],
             "messages": {"HEARTBEAT": {"rate_hz": 1.0, "age_s": 0.4, "count": 321}},
             "links": {},
             "control": None,
@@ -334,6 +338,27 @@ class FakeFleet:
 
     def preflight_status(self, targets: str | list[str]) -> dict[str, Any]:
         return {vehicle.name: {"state": "never"} for vehicle in self.resolve(targets)}
+
+    def resolve_any(self, targets: str | list[str]) -> list[FakeVehicle]:
+        return self.resolve(targets)
+
+    def sources(self, targets: str | list[str]) -> set[int]:
+        return {vehicle.sysid << 8 | vehicle.compid for vehicle in self.resolve(targets)}
+
+    def names_of(self, sysid: int, compid: int) -> tuple[str | None, str]:
+        vehicle = self.vehicles.get(sysid << 8 | compid)
+        return (None, f"{sysid}/{compid}") if vehicle is None else (vehicle.name, vehicle.name)
+
+    def latest(self, target: str, message: str) -> dict[str, Any] | None:
+        found = self.resolve(target)
+        if len(found) != 1:
+            raise TargetError(f"{target} names {len(found)} vehicles ({', '.join(v.name for v in found)}); give one")
+        return found[0].latest(message)
+
+    def components_status(self) -> list[dict[str, Any]]:
+        companion = {"compid": 191, "name": "ONBOARD_COMPUTER", "type": "ONBOARD_CONTROLLER", "autopilot": False}
+        more = {"age_s": 0.3, "messages": 42}
+        return [{"sysid": 1, "vehicle": "alpha", **companion, **more}]
 
     def resolve(self, targets: str | list[str]) -> list[FakeVehicle]:
         parts = targets if isinstance(targets, list) else targets.split(",")

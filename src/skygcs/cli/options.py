@@ -17,6 +17,15 @@ Targets = Annotated[
         show_default=False,
     ),
 ]
+ComponentTargets = Annotated[
+    str,
+    typer.Argument(
+        metavar="TARGETS",
+        help="Vehicles: 1, 1,3, 2-5, a name, a group, all; or components: 7/191, alpha/191, all/100.",
+        autocompletion=completion.targets,
+        show_default=False,
+    ),
+]
 OptionalTargets = Annotated[
     str,
     typer.Argument(

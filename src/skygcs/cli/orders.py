@@ -12,7 +12,7 @@ import typer
 
 from skygcs.cli import completion
 from skygcs.cli.connection import Exit, fail, run, waiting
-from skygcs.cli.options import Json, Targets
+from skygcs.cli.options import ComponentTargets, Json, Targets
 from skygcs.cli.render import outcome_lines, screen_width
 from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
 from skygcs.errors import RpcError
@@ -234,7 +234,7 @@ def home(
 
 
 def interval(
-    targets: Targets,
+    targets: ComponentTargets,
     message: Annotated[str, typer.Argument(metavar="MESSAGE", autocompletion=completion.messages, help="Name or id.")],
     rate: Annotated[str, typer.Argument(metavar="HZ", help="Per second; 0 stops it; default: its own rate.")],
     json_output: Json = False,
@@ -245,7 +245,7 @@ def interval(
 
 
 def stream(
-    targets: Targets,
+    targets: ComponentTargets,
     name: Annotated[str, typer.Argument(metavar="STREAM", help="MAV_DATA_STREAM: POSITION, EXTRA1, … or number.")],
     rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it.", parser=finite)],
     json_output: Json = False,
@@ -255,7 +255,7 @@ def stream(
 
 
 def command(
-    targets: Targets,
+    targets: ComponentTargets,
     name: Annotated[
         str,
         typer.Argument(

@@ -43,6 +43,21 @@ def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
     run(command)
 
 
+def components(json_output: Json = False) -> None:
+    """Show every component that was heard: autopilots, companions, cameras, gimbals, ground stations."""
+
+    async def command(gcs: Client) -> None:
+        heard = await gcs.call("components.list")
+        if json_output:
+            typer.echo(json.dumps(heard, indent=2))
+        elif heard:
+            render.console().print(render.components_table(heard))
+        else:
+            typer.echo("nothing heard yet (skygcs-cli links shows what arrives)")
+
+    run(command)
+
+
 def watch(
     targets: OptionalTargets = "all",
     rate_hz: Annotated[
@@ -201,7 +216,7 @@ def info(json_output: Json = False) -> None:
 
 
 def add_to(app: typer.Typer) -> None:
-    looking: tuple[Callable[..., None], ...] = (status, watch, events, info)
+    looking: tuple[Callable[..., None], ...] = (status, components, watch, events, info)
     for function in looking:
         app.command(rich_help_panel="Looking")(function)
     programming: tuple[Callable[..., None], ...] = (call, discover)

@@ -134,6 +134,28 @@ def status_table(states: Iterable[State], fields: Sequence[str] = (), width: int
     return table
 
 
+def components_table(components: Iterable[Mapping[str, Any]]) -> Table:
+    """A row per component, by system; what its id is meant for beside what it says it is."""
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for column in ("vehicle", "component", "named", "type", "messages", "age"):
+        table.add_column(column, justify="right" if column in ("messages", "age") else "left", no_wrap=True)
+    for component in components:
+        kind = component["type"] or "no heartbeat"
+        cells = (
+            component["vehicle"] or "-",
+            f"{component['sysid']}/{component['compid']}",
+            component["name"] or "-",
+            f"{kind} (autopilot)" if component["autopilot"] else kind,
+            f"{component['messages']}",
+            duration(component["age_s"]),
+        )
+        table.add_row(*(Text(cell) for cell in cells))
+    return table
+
+
 def _cut(text: str, columns: int) -> str:
     return text if len(text) <= columns else text[: columns - 1] + "…"
 
@@ -218,7 +240,7 @@ def event_line(event: Mapping[str, Any]) -> str:
 
 def message_line(message: Mapping[str, Any]) -> str:
     """Source, name and every field of one message."""
-    source = message.get("vehicle") or f"{message.get('sysid')}/{message.get('compid')}"
+    source = message.get("source") or f"{message.get('sysid')}/{message.get('compid')}"
     fields = " ".join(f"{k}={plain(v)}" for k, v in message["fields"].items())
     lost = f"  [{message['dropped']} lost before this one]" if message.get("dropped") else ""
     return f"{source} {message['name']} {fields}{lost}"

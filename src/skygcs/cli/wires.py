@@ -9,8 +9,9 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from skygcs.cli import completion, render
-from skygcs.cli.connection import Exit, fail, run
-from skygcs.cli.options import Json, LinkName, MessageName
+from skygcs.cli.connection import Exit, fail, run, waiting
+from skygcs.cli.options import ComponentTargets, Json, LinkName, MessageName
+from skygcs.cli.orders import tell_outcomes
 from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_link, parse_pairs
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
@@ -26,7 +27,13 @@ def watch_messages(
         typer.Argument(metavar="[NAME …]", help="Names or ids; none: all.", autocompletion=completion.messages),
     ] = None,
     targets: Annotated[
-        str, typer.Option("--from", metavar="TARGETS", help="Only from these.", autocompletion=completion.targets)
+        str,
+        typer.Option(
+            "--from",
+            metavar="TARGETS",
+            help="Only from these vehicles, all components of each, or from components: 7/191, alpha/191.",
+            autocompletion=completion.targets,
+        ),
     ] = "all",
     rate_hz: Annotated[
         float | None,
@@ -59,7 +66,7 @@ def send_message(
         typer.Option(
             "--to",
             metavar="TARGETS",
-            help="Vehicles, all; needed if the message has a target field.",
+            help="Vehicles, components (7/191), all; needed if the message has a target field.",
             autocompletion=completion.targets,
         ),
     ] = None,
@@ -112,23 +119,54 @@ def _lacks_target(error: RpcError) -> bool:
 
 @messages.command("last")
 def last_message(
-    target: Annotated[str, typer.Argument(metavar="TARGET", help="One vehicle.", autocompletion=completion.targets)],
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="TARGET", help="One vehicle, or one component: 7/191, alpha/191.", autocompletion=completion.targets
+        ),
+    ],
     name: MessageName,
     json_output: Json = False,
 ) -> None:
-    """Show the last message of one name from one vehicle."""
+    """Show the last message of one name from one vehicle: its autopilot's, else that of another of its components."""
 
     async def command(gcs: Client) -> int:
         answer = await gcs.call("messages.latest", target=target, name=name_or_id(name))
         if json_output:
             typer.echo(json.dumps(answer, indent=2))
         elif answer is not None:
-            typer.echo(f"{answer['name']}, {render.duration(answer['age_s'])} ago")
+            typer.echo(
+                f"{answer['name']} of {answer['sysid']}/{answer['compid']}, {render.duration(answer['age_s'])} ago"
+            )
             for field, value in answer["fields"].items():
                 typer.echo(f"  {field:<24} {json.dumps(value)}")
         else:
             typer.echo(f"{target} has not sent {name} yet", err=True)
         return answer is None
+
+    run(command)
+
+
+@messages.command("request")
+def request_message(targets: ComponentTargets, name: MessageName, json_output: Json = False) -> None:
+    """Ask for one message once, and show it: `message request all AUTOPILOT_VERSION`."""
+
+    async def command(gcs: Client) -> int:
+        asked = name_or_id(name)
+        async with waiting(f"message request {targets}"):
+            answer = await gcs.call("vehicles.request", targets=targets, message=asked)
+        outcomes = answer["outcomes"]
+        readings = {
+            who: await gcs.call("messages.latest", target=who, name=asked) for who, o in outcomes.items() if o["ok"]
+        }
+        if json_output:
+            typer.echo(json.dumps({"outcomes": outcomes, "messages": readings}, indent=2))
+            return Exit.DONE if all(o["ok"] for o in outcomes.values()) else Exit.FAILED
+        code = tell_outcomes(outcomes, False)
+        for who, reading in readings.items():
+            if reading is not None:
+                typer.echo(render.message_line({**reading, "source": who}))
+        return code
 
     run(command)
 

@@ -123,9 +123,13 @@ async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObj
 
 
 def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | None:
-    """The last message of one name from one vehicle, or null if none came yet."""
+    """The last message of one name from one vehicle, or null if none came yet.
+
+    Of a vehicle it is its autopilot's, or, if that has sent none, the newest of its system's other components, which
+    compid names. "7/191" or "alpha/191" is one component.
+    """
     info = find_message(context.daemon.dialect, params.name, "name")
-    return one_vehicle(context.daemon, params.target).latest(info.name)
+    return context.daemon.fleet.latest(params.target, info.name)
 
 
 def messages_send(context: Context, params: m.SendParams) -> JsonObject:
@@ -157,6 +161,14 @@ def commands_list(context: Context, _: m.NoParams) -> list[JsonObject]:
     """Every MAV_CMD of the dialect, by number."""
     names = context.daemon.dialect.enums.get("MAV_CMD", {})
     return [{"id": number, "name": names[number].removeprefix(COMMAND_PREFIX)} for number in sorted(names)]
+
+
+def components_list(context: Context, _: m.NoParams) -> list[JsonObject]:
+    """Every component that was heard, by system: autopilots, companions, cameras, gimbals, ground stations.
+
+    Also those of systems without a vehicle. At most 32 of a system are kept and 1024 in all.
+    """
+    return context.daemon.fleet.components_status()
 
 
 def links_list(context: Context, _: m.NoParams) -> list[JsonObject]:
@@ -343,6 +355,7 @@ METHODS: dict[str, Method[Context]] = {
         Method("vehicles.request", m.RequestParams, vehicles_request, m.Outcomes, _ORDER),
         Method("vehicles.stream", m.StreamParams, vehicles_stream, m.Outcomes, _ORDER),
         Method("vehicles.command", m.CommandParams, vehicles_command, m.Outcomes, _ORDER),
+        Method("components.list", m.NoParams, components_list, list[m.SystemComponent]),
         Method("messages.latest", m.LatestParams, messages_latest, m.MessageReading | None, _ORDER),
         Method(
             "messages.send",

@@ -63,6 +63,7 @@ Target = Annotated[
     WithJsonSchema({"anyOf": _SCALAR}),
     Field(description="One vehicle: its system id or its name."),
 ]
+OrderTargets = Annotated[Targets, Field(description='Vehicles, or components: "7/191", "alpha/191", "all/100".')]
 NameOrId = Annotated[Any, PlainValidator(_name_or_id), WithJsonSchema({"anyOf": _SCALAR})]
 MessageName = Annotated[NameOrId, Field(description="A message of the dialect, by name (any case) or id.")]
 Lat = Annotated[float, Field(ge=-90, le=90, description="Latitude in degrees (WGS84).")]
@@ -193,6 +194,7 @@ class SetHomeParams(TargetsParams):
 
 
 class IntervalParams(TargetsParams):
+    targets: OrderTargets
     message: MessageName
     rate_hz: Annotated[float, AfterValidator(_rate_or_off)] | None = Field(
         ge=0,
@@ -203,10 +205,12 @@ class IntervalParams(TargetsParams):
 
 
 class RequestParams(TargetsParams):
+    targets: OrderTargets
     message: MessageName
 
 
 class StreamParams(TargetsParams):
+    targets: OrderTargets
     stream: NameOrId = Field(description='A MAV_DATA_STREAM by number or name, e.g. "POSITION".')
     rate_hz: float = Field(
         ge=0, le=MAX_RATE_HZ, description=f"Messages per second: 0 stops the stream, else 1 to {MAX_RATE_HZ:g}."
@@ -220,6 +224,7 @@ class StreamParams(TargetsParams):
 
 
 class CommandParams(TargetsParams):
+    targets: OrderTargets
     command: NameOrId = Field(description='A MAV_CMD by number or name, e.g. "MAV_CMD_DO_SET_SERVO" or "DO_SET_SERVO".')
     params: list[float | None] = Field(
         default_factory=list, max_length=7, description="param1 to param7; null is NaN (unset), missing ones are 0."
@@ -242,6 +247,7 @@ class CommandParams(TargetsParams):
 
 
 class LatestParams(TargetParams):
+    target: Annotated[Target, Field(description='One vehicle, or one component: "7/191", "alpha/191".')]
     name: MessageName
 
 
@@ -251,7 +257,7 @@ class SendParams(Params):
         default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."
     )
     target: Targets | None = Field(
-        None, description='Vehicles to send it to, each with its ids filled in; "all": everyone.'
+        None, description='Vehicles or components to send it to, each with its ids filled in; "all": everyone.'
     )
     link: str | None = Field(None, description="Send on this link only, to all that is there.")
     force: bool = Field(
@@ -280,7 +286,9 @@ class SubscribeParams(Params):
     topic: Literal["telemetry", "events", "messages"] = Field(
         description='The notifications are called "telemetry", "event", "message": one of them each time.'
     )
-    targets: Targets = "all"
+    targets: Annotated[
+        Targets, Field(description='Vehicles; for messages and events also components: "7/191", "all/100".')
+    ] = "all"
     rate_hz: float | None = Field(
         None,
         ge=LEAST_RATE_HZ,
@@ -346,7 +354,26 @@ class StatusText(Result):
     severity: str
     level: int
     text: str
+    compid: int = Field(description="Which component of the system said it.")
     age_s: float
+
+
+class Component(Result):
+    """One component of a system."""
+
+    compid: int
+    name: str | None = Field(description="What its id is meant for (MAV_COMPONENT), as ONBOARD_COMPUTER.")
+    type: str | None = Field(description="What its heartbeat says it is (MAV_TYPE); null: it has sent none.")
+    autopilot: bool = Field(description="It is a vehicle's autopilot, with a state of its own.")
+    age_s: float = Field(description="Since its newest message.")
+    messages: int = Field(description="How many were heard of it.")
+
+
+class SystemComponent(Component):
+    """One component, and whose."""
+
+    sysid: int
+    vehicle: str | None = Field(description="The vehicle to whose system it belongs; null: no autopilot was heard.")
 
 
 class VehicleState(Result):
@@ -401,6 +428,7 @@ class VehicleState(Result):
     high_latency: Part = Field(description="HIGH_LATENCY2: position, battery, failures in one message")
     last_ack: Part = Field(description="The last COMMAND_ACK")
     status_texts: list[StatusText]
+    components: list[Component] = Field(description="All that was heard of its system, its autopilot among them.")
     messages: dict[str, Any] = Field(description="By message name: rate_hz, age_s, count.")
     links: dict[str, Any] = Field(
         description="By link: frames, bytes, lost, loss_ratio, frames_per_s, bytes_per_s, age_s."
@@ -415,6 +443,8 @@ class MessageReading(Result):
     """The last message of one name."""
 
     name: str
+    sysid: int
+    compid: int = Field(description="The component that sent it.")
     fields: dict[str, Any]
     age_s: float
     rate_hz: float

@@ -11,7 +11,7 @@ from pydantic_core import to_json
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.errors import TargetError
-from skygcs.rpc.ports import Daemon, Sink, resolve
+from skygcs.rpc.ports import Daemon, Sink
 
 QUEUED = 256
 """Events or messages waiting per subscription: seconds of a busy fleet; further ones push out the oldest."""
@@ -76,7 +76,7 @@ class EventSubscription(QueuedSubscription):
         self._targets = targets
         self._kinds = kinds
         if targets != "all":
-            resolve(daemon, targets)
+            daemon.fleet.resolve_any(targets)
 
     def wants(self, event: Mapping[str, Any]) -> bool:
         if self._kinds and event.get("kind") not in self._kinds:
@@ -84,9 +84,11 @@ class EventSubscription(QueuedSubscription):
         if self._targets == "all":
             return True
         try:
-            return any(v.name == event.get("vehicle") for v in resolve(self._daemon, self._targets))
+            wanted = self._daemon.fleet.resolve_any(self._targets)
         except TargetError:
             return False
+        component = (event.get("sysid"), (event.get("data") or {}).get("compid"))
+        return any(s.name == event.get("vehicle") or (s.sysid, s.compid) == component for s in wanted)
 
 
 class EventFeed:
@@ -164,7 +166,7 @@ class MessageFeed:
         """Raises TargetError. ``names`` are the dialect's own spelling."""
         keys: set[int] | None = None
         if targets != "all":
-            keys = {v.sysid << 8 | v.compid for v in resolve(self._daemon, targets)}
+            keys = self._daemon.fleet.sources(targets)
 
         def on_frame(frame: Frame, _channel: object, _now: float) -> None:
             now = self._loop.time()
@@ -188,9 +190,10 @@ class MessageFeed:
         last, body = self._last
         if last is frame:
             return body
-        vehicle = self._daemon.fleet.vehicles.get(frame.sysid << 8 | frame.compid)
+        vehicle, source = self._daemon.fleet.names_of(frame.sysid, frame.compid)
         message = {
-            "vehicle": vehicle.name if vehicle is not None else None,
+            "vehicle": vehicle,
+            "source": source,
             "sysid": frame.sysid,
             "compid": frame.compid,
             "name": frame.name,

@@ -20,10 +20,13 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
 from skygcs.core.vehicle.orders import is_place
+from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.links.base import Noted
 from skygcs.runtime.commander import Carrier, SendFn
+from skygcs.runtime.components import ORDERS as COMPONENT_ORDERS
+from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.errands import Errands
 from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.param_cache import ParamCache
@@ -82,6 +85,10 @@ MAX_KEPT = 64
 """So many of them at once; further ones end with whoever gave them. Each lasts seconds."""
 
 
+Actor = VehicleActor | ComponentActor
+"""Whatever takes orders."""
+
+
 class Fleet:
     """`on_frame` for every good frame from a link, `tick` at 1 to 10 Hz. ``vehicles`` is keyed sysid << 8 | compid."""
 
@@ -123,11 +130,19 @@ class Fleet:
         self._param_cache = param_cache
         self._heard = heard
         self._kept = Errands(loop, on_event)
+        self._of_system: dict[int, set[int]] = {}
+        """The keys of ``vehicles`` by system id."""
         self._met_on: dict[int, str] = {}
         """By key, the link on which a vehicle was first heard."""
         self._duplicates: dict[int, str] = {}
         self._replayed: set[int] = set()
         self._decoder = Decoder(dialect)
+        own = (config.daemon.sysid, config.daemon.compid)
+        self.components = Components(
+            own, dialect, self._decoder, send, loop, on_event, self._name_of_system, self.vehicles_of
+        )
+        """All that is heard beside the autopilots of ``vehicles``."""
+        self.components.on_change = lambda: self.on_roster()
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
 
     def on_frame(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
@@ -137,6 +152,8 @@ class Fleet:
             actor.on_frame(frame, channel_label, now)
         elif frame.msgid == HEARTBEAT and discovers(frame):
             self._discover(key, frame, channel_label, now)
+        else:
+            self.components.on_frame(key, frame, now)
 
     def only_noted(self, key: int, frame: Frame, channel_label: str) -> Noted | None:
         """How frames like this one (heartbeats: of the same payload) are noted, until `on_roster` is called. None: each
@@ -144,7 +161,7 @@ class Fleet:
         actor = self.vehicles.get(key)
         if actor is not None:
             return actor.only_noted(frame, channel_label)
-        return None if discovers(frame) else Noted()
+        return None if discovers(frame) else self.components.state_update(key, frame)
 
     def tick(self, now: float) -> None:
         """Every vehicle's turn, whatever becomes of another's; the first exception is raised after the last turn."""
@@ -154,6 +171,7 @@ class Fleet:
                 actor.tick(now)
             except Exception as error:
                 fault = fault or error
+        self.components.tick(now)
         if fault is not None:
             raise fault
 
@@ -161,6 +179,7 @@ class Fleet:
         """End all orders in flight as cancelled."""
         for actor in self.vehicles.values():
             actor.close()
+        self.components.close()
         self._kept.close()
 
     def set_duplicate(self, key: int, where: str | None) -> None:
@@ -181,12 +200,61 @@ class Fleet:
             self._replayed.add(key)
         else:
             self._replayed.discard(key)
+        self.components.forget(key)
         if key in self.vehicles:
             self._drop(key)
 
     def resolve(self, expression: str | int | Sequence[str | int]) -> list[VehicleActor]:
         """The vehicles of a target expression, by sysid. Raises TargetError naming the part and what exists."""
         return targets.select(expression, self.vehicles.values())
+
+    def resolve_any(self, expression: str | int | Sequence[str | int]) -> list[Actor]:
+        """As `resolve`; "7/191" and "alpha/191" may also be components that are no vehicles. Raises TargetError."""
+        vehicles: list[Actor] = [*self.vehicles.values()]
+        return targets.select_any(expression, vehicles, [*self.components.all()])
+
+    def sources(self, expression: str | int | Sequence[str | int]) -> set[int]:
+        """The sources (sysid << 8 | compid) of a target expression; component 0 stands for a whole system, which is
+        what a vehicle's name or system id means. Raises TargetError."""
+        named = [
+            part for part in targets.parts_of(expression) if not targets.names_component(part, self.vehicles.values())
+        ]
+        keys = {actor.sysid << 8 | actor.compid for actor in self.resolve_any(expression)}
+        whole = self.resolve(named) if named else []
+        return keys | {actor.sysid << 8 for actor in whole if self._is_first(actor)}
+
+    def latest(self, target: str | int, message: str | int) -> dict[str, Any] | None:
+        """The last one of a message: a vehicle's autopilot's, else the newest of its system's other components; or
+        that of one component. None if none has come. Raises TargetError, RefusedError."""
+        found = self.resolve_any(target)
+        if len(found) != 1:
+            names = ", ".join(actor.name for actor in found[:10])
+            raise TargetError(f"{target} names {len(found)} vehicles ({names}); give one")
+        (actor,) = found
+        reading = actor.latest(message)
+        if reading is not None or actor.sysid << 8 not in self.sources(target):
+            return reading
+        others = [r for c in self.components.of_system(actor.sysid) if (r := c.latest(message)) is not None]
+        return min(others, key=lambda r: float(r["age_s"]), default=None)
+
+    def names_of(self, sysid: int, compid: int) -> tuple[str | None, str]:
+        """The vehicle to whose system a source belongs, if any, and its own name: "alpha" for an autopilot, "alpha/191"
+        for another component, "7/191" without a vehicle."""
+        actor = self.vehicles.get(sysid << 8 | compid)
+        if actor is not None:
+            return actor.name, actor.name
+        return self._name_of_system(sysid), self.components.name_of(sysid, compid)
+
+    def components_status(self) -> list[dict[str, Any]]:
+        """Every component of every system that was heard, ours excepted: as in a vehicle's state, with its system id
+        and the vehicle to which it belongs."""
+        now = self._loop.time()
+        sysids = {key >> 8 for key in self.vehicles} | {actor.sysid for actor in self.components.all()}
+        return [
+            {"sysid": sysid, "vehicle": self._name_of_system(sysid), **component}
+            for sysid in sorted(sysids)
+            for component in self._system(sysid, now)
+        ]
 
     def find(self, expression: str | int) -> VehicleActor:
         """Exactly one vehicle. Raises TargetError."""
@@ -237,10 +305,11 @@ class Fleet:
         """
         if order not in ORDERS:
             raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
-        actors = self.resolve(expression)
+        vehicles = [] if order in COMPONENT_ORDERS else self.resolve(expression)
+        actors: list[Actor] = [*vehicles] or self.resolve_any(expression)
         if order in ("stop", "disarm"):
             action = arguments["action"] if order == "stop" else "disarm"
-            twice = {actor.name: actor.vehicle.duplicate_where for actor in actors}
+            twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
         work = self._command(actors, order, args, arguments)
         if order not in KEPT or len(self._kept) >= MAX_KEPT:
@@ -278,30 +347,32 @@ class Fleet:
         return [actor for actor in self.vehicles.values() if actor.flight.pilot.active]
 
     async def _command(
-        self, actors: list[VehicleActor], order: str, args: tuple[Any, ...], arguments: dict[str, Any]
+        self, actors: list[Actor], order: str, args: tuple[Any, ...], arguments: dict[str, Any]
     ) -> dict[str, Outcome]:
-        own_arguments, staying = self._formation(actors, arguments) if order == "goto" else ({}, {})
-        carrier = self._carrier(actors, order)
-        tasks: dict[str, asyncio.Task[Outcome]] = {}
+        vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
+        own_arguments, staying = self._formation(vehicles, arguments) if order == "goto" else ({}, {})
+        carrier = self._carrier(vehicles, order)
+        names = {actor: actor.name for actor in actors}
+        tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
             async with asyncio.TaskGroup() as group:
-                for actor in (a for a in actors if a not in staying):
-                    own = {**arguments, **own_arguments.get(actor, {})}
-                    call = self._guarded(actor, order, args, own)
-                    tasks[actor.name] = group.create_task(call, name=f"{order} {actor.name}")
+                for actor in actors:
+                    if isinstance(actor, VehicleActor) and actor in staying:
+                        continue
+                    own = own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
+                    call = self._guarded(actor, order, args, {**arguments, **own})
+                    tasks[actor] = group.create_task(call, name=f"{order} {actor.name}")
                 if carrier is not None:
                     await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
                     self._broadcast(carrier)
         finally:
-            for actor in actors:
-                if actor.commander.carrier is carrier:
-                    actor.commander.carrier = None
+            for vehicle in vehicles:
+                if vehicle.commander.carrier is carrier:
+                    vehicle.commander.carrier = None
         refused = {actor.name: actor.refuse(order, reason) for actor, reason in staying.items()}
-        return {a.name: refused[a.name] if a in staying else tasks[a.name].result() for a in actors}
+        return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
-    async def _guarded(
-        self, actor: VehicleActor, order: str, args: tuple[Any, ...], arguments: dict[str, Any]
-    ) -> Outcome:
+    async def _guarded(self, actor: Actor, order: str, args: tuple[Any, ...], arguments: dict[str, Any]) -> Outcome:
         """A fault of ours in the order to one vehicle ends with that vehicle."""
         try:
             outcome: Outcome = await getattr(actor, order)(*args, **arguments)
@@ -404,6 +475,8 @@ class Fleet:
             timeout_s=daemon.vehicle_timeout_s,
             decoder=self._decoder,
         )
+        vehicle.system = lambda now: self._system(frame.sysid, now)
+        vehicle.other_texts = lambda: self._other_texts(key)
         vehicle.duplicate_elsewhere = self._duplicates.get(key)
         vehicle.replayed = key in self._replayed
         actor = VehicleActor(
@@ -423,7 +496,9 @@ class Fleet:
             heard=lambda: self._heard(key),
         )
         actor.commander.why_silent = actor.params.why_silent = lambda: self.why_silent(frame.sysid, frame.compid)
+        self.components.forget(key)
         self.vehicles[key] = actor
+        self._of_system.setdefault(frame.sysid, set()).add(key)
         self._met_on[key] = channel_label
         self.on_roster()
         self.world.join(actor)
@@ -436,6 +511,34 @@ class Fleet:
             text = f"the fleet file says {config.autopilot}, its heartbeat says {vehicle.family}"
             data = {"expected": config.autopilot, "autopilot": vehicle.family}
             self._on_event(Event("conflict", config.name, frame.sysid, text, data))
+
+    def _first(self, sysid: int) -> VehicleActor | None:
+        """The vehicle that stands for a system: that of the lowest component id."""
+        keys = self._of_system.get(sysid)
+        return self.vehicles[min(keys)] if keys else None
+
+    def vehicles_of(self, sysid: int) -> list[Vehicle]:
+        """The vehicles of one system: more than one only if it has two autopilots."""
+        return [self.vehicles[key].vehicle for key in sorted(self._of_system.get(sysid, ()))]
+
+    def _is_first(self, actor: Actor) -> bool:
+        return actor is self._first(actor.sysid)
+
+    def _name_of_system(self, sysid: int) -> str | None:
+        first = self._first(sysid)
+        return None if first is None else first.name
+
+    def _system(self, sysid: int, now: float) -> list[dict[str, Any]]:
+        """Its components, autopilots among them, by component id."""
+        own = [self.vehicles[key].describe(now) for key in self._of_system.get(sysid, ())]
+        others = [actor.component.describe(now) for actor in self.components.of_system(sysid)]
+        return sorted((*own, *others), key=lambda component: int(component["compid"]))
+
+    def _other_texts(self, key: int) -> list[tuple[StatusText, int]]:
+        first = self._first(key >> 8)
+        if first is None or first.vehicle.key != key:
+            return []
+        return [(text, c.compid) for c in self.components.of_system(key >> 8) for text in c.component.texts]
 
     def _has_place(self, sysid: int, link: str) -> bool:
         """Whether a vehicle that was not met before may be kept. The one that was lost first gives way, if any was."""
@@ -459,6 +562,7 @@ class Fleet:
 
     def _drop(self, key: int) -> VehicleActor:
         actor = self.vehicles.pop(key)
+        self._of_system[key >> 8].discard(key)
         del self._met_on[key]
         actor.close()
         self.on_roster()

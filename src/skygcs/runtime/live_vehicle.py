@@ -20,6 +20,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
+from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.pilot import PilotState
 from skygcs.core.vehicle.snapshot import latest_message
@@ -163,6 +164,18 @@ class LiveVehicle:
         if self.planned.active:
             self.planned.add_to(state)
         return state
+
+    def describe(self, now: float) -> dict[str, Any]:
+        """It as one component of its system; see `component.describe`."""
+        enums, slots = self._dialect.enums, self.vehicle.slots.values()
+        return describe(
+            self.compid,
+            enums.get("MAV_COMPONENT", {}).get(self.compid),
+            enums.get("MAV_TYPE", {}).get(self.vehicle.type, str(self.vehicle.type)),
+            autopilot=True,
+            age_s=now - max((slot.at for slot in slots), default=now),
+            messages=sum(slot.count for slot in slots),
+        )
 
     def latest(self, message: str | int) -> dict[str, Any] | None:
         """The last one of a message, whole: its fields, age, rate and count; None if none has come.

@@ -83,7 +83,7 @@ class Postman:
         """Two streams of setpoints to one vehicle would tear it to and fro."""
         system, _ = target_fields(info)
         sysid = int(fields.get(system or "", 0) or 0)
-        meant = None if target is None else {actor.sysid for actor in self._fleet.resolve(target)}
+        meant = None if target is None else {actor.sysid for actor in self._fleet.resolve_any(target)}
         for actor in self._fleet.flown():
             if actor.sysid in meant if meant is not None else sysid in (0, actor.sysid):
                 raise RefusedError(
@@ -109,9 +109,10 @@ class Postman:
         live = {key: actor for key, actor in self._fleet.vehicles.items() if not actor.vehicle.replayed}
         channels: set[int] | None = None if link is None else set(self._hub.channels_of_link(link))
         if target is not None:
-            meant = self._fleet.resolve(target)
-            if system is not None:
-                return [actor.vehicle for actor in meant]
+            meant = self._fleet.resolve_any(target)
+            if system is not None:  # an autopilot may take what is for a component that it does not know
+                sysids = sorted({actor.sysid for actor in meant})
+                return [vehicle for sysid in sysids for vehicle in self._fleet.vehicles_of(sysid)]
             channels = {way for actor in meant for way in self._hub.ways(actor.sysid, actor.compid)}
         sysid = 0 if system is None else int(fields.get(system, 0) or 0)
         if sysid:
@@ -132,7 +133,7 @@ class Postman:
         return self._answer(info, int(sent))
 
     def _to_vehicles(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str]) -> dict[str, Any]:
-        meant = [(actor.sysid, actor.compid) for actor in self._fleet.resolve(target)]
+        meant = [(actor.sysid, actor.compid) for actor in self._fleet.resolve_any(target)]
         system, component = target_fields(info)
         sent = 0
         if system is None:

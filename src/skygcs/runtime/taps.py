@@ -22,7 +22,8 @@ class Taps:
         self._on_change = on_change
 
     def add(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameTap) -> Callable[[], None]:
-        """Hand frames of these ids and sources (sysid<<8|compid; None: all) to ``tap``; returns how to stop it."""
+        """Hand frames of these ids and sources (sysid<<8|compid, component 0: the whole system; None: all) to ``tap``;
+        returns how to stop it."""
         entry = (msgids, keys, tap)
         self._entries.append(entry)
         self._changed()
@@ -36,12 +37,12 @@ class Taps:
 
     def watch(self, msgid: int, key: int) -> bool:
         """Whether somebody wants frames of this message and source."""
-        return any((m is None or msgid in m) and (k is None or key in k) for m, k, _ in self._entries)
+        return any((m is None or msgid in m) and (k is None or _has(k, key)) for m, k, _ in self._entries)
 
     def show(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
         """Hand it to whoever wants it."""
         for msgids, keys, tap in tuple(self._entries):
-            if (msgids is None or frame.msgid in msgids) and (keys is None or key in keys):
+            if (msgids is None or frame.msgid in msgids) and (keys is None or _has(keys, key)):
                 tap(frame, channel, now)
 
     def _changed(self) -> None:
@@ -50,3 +51,7 @@ class Taps:
             wanted = None if wanted is None or msgids is None else wanted | msgids
         self.msgids = None if wanted is None else frozenset(wanted)
         self._on_change()
+
+
+def _has(keys: set[int], key: int) -> bool:
+    return key in keys or key & ~0xFF in keys

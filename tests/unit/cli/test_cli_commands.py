@@ -249,7 +249,12 @@ def test_messages_are_watched_sent_and_looked_up(fleet: Fleet) -> None:
     assert fleet.daemon.sent[-1][1]["roll"] == -0.5
     assert "was not sent" in fleet.run("message", "send", "ATTITUDE", "--link", "dead", code=FAILED)
     assert "bravo got it as well" in fleet.run("message", "send", "ATTITUDE", "--to", "alpha,carol")
-    assert "pitch" in fleet.run("message", "last", "alpha", "ATTITUDE")
+    last = fleet.run("message", "last", "alpha", "ATTITUDE")
+    assert "pitch" in last and "ATTITUDE of 1/1, " in last
+    asked = fleet.run("message", "request", "alpha", "ATTITUDE").splitlines()
+    assert asked[0].startswith("ok") and asked[1].startswith("alpha ATTITUDE roll=")
+    heard = fleet.run("components").splitlines()
+    assert heard[1].split() == ["alpha", "1/191", "ONBOARD_COMPUTER", "ONBOARD_CONTROLLER", "42", "0.3", "s"]
     assert fleet.run("message", "list", "heartbeat").startswith("    0 HEARTBEAT: ")
     assert fleet.json("message", "list", "HIGH_LATENCY2")[0]["id"] == 235
 

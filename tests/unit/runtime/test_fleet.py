@@ -207,8 +207,9 @@ async def test_frames_before_the_first_heartbeat_make_no_vehicle() -> None:
     with pytest.raises(TargetError, match="no vehicle has been heard"):
         listening.fleet.resolve("all")
     listening.hear(Voice(1).beat())
-    assert [e.kind for e in listening.events] == ["vehicle_discovered"]
-    assert listening.events[0].text == "px4 quadrotor, system 1, AUTO.LOITER, over here"
+    assert [e.kind for e in listening.events] == ["statustext", "vehicle_discovered"]
+    assert listening.events[0].text == "1/1: hello"
+    assert listening.events[1].text == "px4 quadrotor, system 1, AUTO.LOITER, over here"
 
 
 async def test_other_components_of_a_vehicles_system_do_not_touch_its_state() -> None:

@@ -123,6 +123,8 @@ class EventLimiter:
         if kind == "statustext" and event.data.get("level", WARNING) < WARNING:
             kind = URGENT_TEXT
         key: Hashable = (event.vehicle or event.sysid or event.data.get("link"), kind)
+        if kind in ("statustext", URGENT_TEXT):
+            key = (event.vehicle or event.sysid, event.data.get("compid"), kind)
         bucket = self._buckets.get(key)
         if bucket is None and len(self._buckets) >= MAX_SOURCES:
             key = kind

@@ -192,13 +192,16 @@ def set_home(
 
 def message_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int, rate_hz: float | None) -> Plan:
     require_connected(vehicle, now)
+    return interval_plan(dialect, message, rate_hz, autopilot.firmware_name(vehicle))
+
+
+def interval_plan(dialect: Dialect, message: str | int, rate_hz: float | None, whose: str = "it") -> Plan:
+    """SET_MESSAGE_INTERVAL to whatever component; ``whose`` refusal it would be."""
     problem = None if rate_hz is None else rate_problem(rate_hz)
     if problem is not None:
         raise RefusedError(f"its rate {problem}")
     msgid, name = find_message(dialect, message)
-    return autopilot.message_interval(
-        msgid, rate_hz, refused=f"{autopilot.firmware_name(vehicle)} does not stream {name}"
-    )
+    return autopilot.message_interval(msgid, rate_hz, refused=f"{whose} does not stream {name}")
 
 
 def read_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
@@ -220,8 +223,13 @@ def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str
 
 
 def request_stream(vehicle: Vehicle, now: float, dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
-    """REQUEST_DATA_STREAM, which knows whole rates only; 0 stops it."""
+    """See `stream_plan`."""
     require_connected(vehicle, now)
+    return stream_plan(dialect, stream, rate_hz)
+
+
+def stream_plan(dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
+    """REQUEST_DATA_STREAM to whatever component. It knows whole rates only; 0 stops it."""
     if rate_hz != 0 and not 1 <= rate_hz <= MAX_RATE_HZ:
         raise RefusedError(f"a stream's rate must be 0 (off) or 1 to {MAX_RATE_HZ:g} Hz, not {rate_hz:g}")
     values = {
@@ -258,9 +266,23 @@ def raw_command(
     y: int | None = None,
     z: float | None = None,
 ) -> Plan:
-    """Any MAV_CMD. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it goes as COMMAND_INT,
-    x and y as on the wire: degrees * 1e7 in a global frame, metres * 1e4 in a local one."""
+    """See `command_plan`."""
     require_connected(vehicle, now)
+    return command_plan(dialect, command, params, int_frame=int_frame, x=x, y=y, z=z)
+
+
+def command_plan(
+    dialect: Dialect,
+    command: str | int,
+    params: Sequence[float | None],
+    *,
+    int_frame: int | str | None = None,
+    x: int | None = None,
+    y: int | None = None,
+    z: float | None = None,
+) -> Plan:
+    """Any MAV_CMD to whatever component. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it
+    goes as COMMAND_INT, x and y as on the wire: degrees * 1e7 in a global frame, metres * 1e4 in a local one."""
     number, name = find_command(dialect, command)
     values = tuple(math.nan if p is None else float(p) for p in params)
     most = 7 if int_frame is None else 4

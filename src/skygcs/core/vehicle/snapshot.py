@@ -10,7 +10,11 @@ from skygcs.core.geo import world_from_enu, wrap_deg_180
 from skygcs.core.vehicle.state import SEVERITY, SYSTEM_STATUS, Part, VehicleState, name_of
 
 if TYPE_CHECKING:
+    from skygcs.core.vehicle.readings import Slot
     from skygcs.core.vehicle.vehicle import Vehicle
+
+MAX_STATUS_TEXTS = 32
+"""Newest texts kept of one autopilot, and shown of one vehicle."""
 
 
 def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> VehicleState:
@@ -42,15 +46,8 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
         "control": None,  # filled in by whoever flies it
         **sections,
         "last_ack": _last_ack(vehicle, now),
-        "status_texts": [
-            {
-                "severity": name_of(SEVERITY, text.severity),
-                "level": text.severity,
-                "text": text.text,
-                "age_s": round(now - text.at, 1),
-            }
-            for text in vehicle.texts
-        ],
+        "status_texts": _texts(vehicle, now),
+        "components": vehicle.system(now),
         "messages": vehicle.readings.rates(now),
         "links": {},
     }
@@ -60,15 +57,40 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
 def latest_message(vehicle: Vehicle, msgid: int, now: float) -> dict[str, Any] | None:
     """The last one of a message, whole: its fields, age, rate and count; None if none has come."""
     slot = vehicle.slots.get(msgid)
-    if slot is None or slot.frame is None:
+    return None if slot is None else reading_of(slot, now, vehicle.sysid, vehicle.compid)
+
+
+def reading_of(slot: Slot, now: float, sysid: int, compid: int) -> dict[str, Any] | None:
+    """The last one of a message, and whose it is; None after a reboot."""
+    if slot.frame is None:
         return None
     return {
         "name": slot.name,
+        "sysid": sysid,
+        "compid": compid,
         "fields": {name: _json_able(value) for name, value in slot.frame.fields().items()},
         "age_s": round(now - slot.at, 3),
         "rate_hz": round(slot.rate_hz, 2),
         "count": slot.count,
     }
+
+
+def _texts(vehicle: Vehicle, now: float) -> list[dict[str, Any]]:
+    """The newest of the autopilot and of its system's other components, oldest first."""
+    texts = [(text, vehicle.compid) for text in vehicle.texts]
+    others = vehicle.other_texts()
+    if others:
+        texts = sorted((*texts, *others), key=lambda entry: entry[0].at)[-MAX_STATUS_TEXTS:]
+    return [
+        {
+            "severity": name_of(SEVERITY, text.severity),
+            "level": text.severity,
+            "text": text.text,
+            "compid": compid,
+            "age_s": round(now - text.at, 1),
+        }
+        for text, compid in texts
+    ]
 
 
 def _in_the_world(vehicle: Vehicle, position: Part) -> Part:

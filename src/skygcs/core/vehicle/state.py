@@ -47,6 +47,7 @@ class StatusTextEntry(TypedDict):
     severity: str
     level: int
     text: str
+    compid: int
     age_s: float
 
 
@@ -101,5 +102,6 @@ class VehicleState(TypedDict):
     high_latency: Part | None
     last_ack: Part | None
     status_texts: list[StatusTextEntry]
+    components: list[dict[str, Any]]
     messages: dict[str, MessageRate]
     links: dict[str, Any]

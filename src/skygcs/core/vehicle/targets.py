@@ -1,6 +1,7 @@
 """Which vehicles an order is for: ``1``, ``1,3``, ``2-5``, ``alpha``, a group, ``all``, and mixtures of them.
 
 A word is taken as a number or range of system ids first, then as ``all``, then as a vehicle's name, then as a group.
+With a component id behind a slash (``7/191``, ``alpha/191``, ``all/100``) it means that component of each system.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from skygcs.errors import TargetError
 MAX_PARTS = 1000
 """Longer lists are refused; a fleet has at most 250 vehicles."""
 
+_COMPONENT = re.compile(r"(.+?)\s*/\s*(\d{1,3})")
 _RANGE = re.compile(r"(\d{1,3})\s*-\s*(\d{1,3})")
 
 
@@ -35,6 +37,9 @@ class Targetable(Protocol):
 
 T = TypeVar("T", bound=Targetable)
 
+FOR_COMPONENTS = "message watch, last, request and send, interval, stream and command"
+"""What takes a component that is no vehicle, for a person."""
+
 
 def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -> list[T]:
     """The vehicles meant, each once, by system id. Raises TargetError naming the part that names none and what exists.
@@ -42,19 +47,60 @@ def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -
     A range takes those of it that exist and fails only if there is none.
     """
     known = sorted(vehicles, key=lambda v: (v.sysid, v.compid))
-    parts = _parts(expression)
+    parts = parts_of(expression)
     if not known:
         raise TargetError(f"{', '.join(parts)}: no vehicle has been heard yet")
     chosen: dict[int, T] = {}
     for part in parts:
-        found = _named(part, known)
+        whose, compid = _split(part, known)
+        found = [v for v in _named(whose, known) if compid in (None, v.compid)]
+        if not found and compid is not None:
+            raise TargetError(f"{part!r} is no vehicle; a component is a target of {FOR_COMPONENTS}")
         if not found:
             raise TargetError(f"no vehicle {part!r}; there are: {_listing(known)}")
         chosen.update((v.sysid << 8 | v.compid, v) for v in found)
     return [chosen[key] for key in sorted(chosen)]
 
 
-def _parts(expression: str | int | Sequence[str | int]) -> list[str]:
+def select_any(expression: str | int | Sequence[str | int], vehicles: Iterable[T], components: Iterable[T]) -> list[T]:
+    """As `select`; a part with a component id may also mean one of ``components``, whose system needs no vehicle.
+
+    Raises TargetError.
+    """
+    known, others = sorted(vehicles, key=lambda v: (v.sysid, v.compid)), list(components)
+    chosen: dict[int, T] = {}
+    for part in parts_of(expression):
+        whose, compid = _split(part, known)
+        if compid is None:
+            chosen.update((v.sysid << 8 | v.compid, v) for v in select(part, known))
+            continue
+        sysids = {v.sysid for v in _named(whose, known)}
+        if whose.isascii() and whose.isdigit():
+            sysids.add(int(whose))
+        found = [v for v in (*known, *others) if v.sysid in sysids and v.compid == compid]
+        if not found:
+            heard = [f"{v.sysid}/{v.compid}" for v in (*known, *others) if v.sysid in sysids]
+            there_is = f"; heard of it: {', '.join(heard[:20])}" if heard else ""
+            raise TargetError(f"no component {part!r} was heard{there_is}")
+        chosen.update((v.sysid << 8 | v.compid, v) for v in found)
+    return [chosen[key] for key in sorted(chosen)]
+
+
+def names_component(part: str, known: Iterable[Targetable]) -> bool:
+    """Whether a part of a target expression names a component ("7/191") and not whole vehicles."""
+    return _split(part, list(known))[1] is not None
+
+
+def _split(part: str, known: Sequence[Targetable]) -> tuple[str, int | None]:
+    """Whose component, and which; None: the vehicles themselves. A vehicle's or group's own name may have a slash."""
+    match = _COMPONENT.fullmatch(part)
+    if match is None or any(part == v.name or part in v.groups for v in known):
+        return part, None
+    return match[1], int(match[2])
+
+
+def parts_of(expression: str | int | Sequence[str | int]) -> list[str]:
+    """The words of a target expression. Raises TargetError for none, or too many."""
     items: Sequence[str | int] = [expression] if isinstance(expression, str | int) else expression
     parts = [part.strip() for item in items for part in str(item).split(",")]
     parts = [part for part in parts if part]

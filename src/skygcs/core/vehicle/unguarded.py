@@ -183,12 +183,21 @@ def command(
 ) -> Plan:
     """As `orders.raw_command`, which raises RefusedError, too; without ``force`` none that passes an order's checks."""
     plan = orders.raw_command(vehicle, now, dialect, name, params, int_frame=int_frame, x=x, y=y, z=z)
+    if not force:
+        require_guarded((vehicle,), now, dialect, name, params)
+    return plan
+
+
+def require_guarded(
+    vehicles: Iterable[Vehicle], now: float, dialect: Dialect, name: str | int, params: Sequence[float | None]
+) -> None:
+    """Raises RefusedError for a command to the system of these vehicles (none may be known) that passes the checks of
+    an order. Whichever component it is for: an autopilot may take what is addressed to one that it does not know."""
     number, what = orders.find_command(dialect, name)
     first = params[0] if params else 0.0
-    way = None if force else command_way(number, math.nan if first is None else float(first), what)
-    if way is not None and (refusal := way.refusal((vehicle,), now)) is not None:
+    way = command_way(number, math.nan if first is None else float(first), what)
+    if way is not None and (refusal := way.refusal(vehicles, now)) is not None:
         raise RefusedError(refusal)
-    return plan
 
 
 def _number(value: object) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from skygcs.core.exchange.command import Ack
@@ -21,7 +21,7 @@ from skygcs.core.vehicle.fold import Folded
 from skygcs.core.vehicle.launch import LaunchHeight
 from skygcs.core.vehicle.parameters import Parameters
 from skygcs.core.vehicle.readings import Readings, Slot
-from skygcs.core.vehicle.snapshot import take_snapshot
+from skygcs.core.vehicle.snapshot import MAX_STATUS_TEXTS, take_snapshot
 from skygcs.core.vehicle.state import (
     ACTIVE,
     AIRBORNE,
@@ -42,7 +42,6 @@ HIGH_LATENCY_FACTOR = 4
 """HIGH_LATENCY2 replaces the heartbeat and comes every 5 s: such a vehicle is given 20 s."""
 
 RATE_PERIOD_S = 1.0
-MAX_STATUS_TEXTS = 32
 LANDED_FRESH_S = 10.0
 """An EXTENDED_SYS_STATE older than this says nothing about now; autopilots stream it at 0.5 to 1 Hz."""
 
@@ -109,6 +108,10 @@ class Vehicle:
         self.firmware: str | None = None
         self.gcs_sysid: int | None = None
         """The ground station whose heartbeats its failsafe watches, once its parameter has been read by anybody."""
+        self.system: Callable[[float], list[dict[str, Any]]] = lambda now: []
+        """Every component of its system at a time, as `component.describe` has them."""
+        self.other_texts: Callable[[], Sequence[tuple[StatusText, int]]] = tuple
+        """Texts of its system's other components, with their component ids."""
         self.last_ack: Ack | None = None
         self.boot = BootClock()
         self.heartbeats = HeartbeatCheck(compid, timeout_s)

@@ -523,7 +523,13 @@ def test_status_texts_are_kept_newest_last_and_bounded() -> None:
         assert event.data == {"severity": "error", "level": 3, "text": f"text {n}"}
     texts = told(vehicle, now=100.0)["status_texts"]
     assert len(texts) == MAX_STATUS_TEXTS
-    assert texts[-1] == {"severity": "error", "level": 3, "text": f"text {MAX_STATUS_TEXTS + 4}", "age_s": 64.0}
+    assert texts[-1] == {
+        "severity": "error",
+        "level": 3,
+        "text": f"text {MAX_STATUS_TEXTS + 4}",
+        "compid": 1,
+        "age_s": 64.0,
+    }
 
 
 def test_a_text_that_is_never_completed_comes_with_a_tick() -> None:

@@ -1,0 +1,326 @@
+"""Every component that is no vehicle's autopilot: what it says, its texts as events, and the few orders it takes.
+
+A vehicle is its system. The autopilot has an actor (`vehicle_actor`), whose state is its own; the other components of
+its system are here, heard before it or after it, and also those of systems without any autopilot.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from skygcs.core.exchange.command import Ack, CommandSpec, Outcome
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle import orders
+from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
+from skygcs.core.vehicle.component import Component
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.plan import Plan, Step
+from skygcs.core.vehicle.snapshot import reading_of
+from skygcs.core.vehicle.state import SEVERITY, name_of
+from skygcs.core.vehicle.statustext import StatusText
+from skygcs.core.vehicle.unguarded import require_guarded
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from skygcs.links.base import Noted
+from skygcs.runtime.commander import Commander, SendFn
+
+MAX_OF_SYSTEM = 32
+"""Components kept of one system; a vehicle with gimbal, cameras, companion, ADS-B and winch has some ten."""
+
+MAX_COMPONENTS = 1024
+"""Of all systems; 64 messages of some 600 bytes each are 40 MB at the very most."""
+
+GIVES_WAY_S = 60.0
+"""One that was silent for so long gives its place to a new one where all are taken."""
+
+SILENT_S = 5.0
+"""Longer silence and it is not asked for anything, as a vehicle without heartbeats is not."""
+
+RATE_PERIOD_S = 1.0
+
+ANSWER_S = 2.0
+"""For a message that was asked for, after the command was accepted."""
+
+ORDERS = frozenset({"command", "request_message", "set_message_interval", "request_stream"})
+"""What a component may be ordered; all else is the autopilot's."""
+
+
+class Components:
+    """By sysid << 8 | compid. ``vehicle_of(sysid)`` is the name of the vehicle to which a system belongs, or None;
+    ``vehicles_of(sysid)`` are the autopilots of it."""
+
+    def __init__(
+        self,
+        own: tuple[int, int],
+        dialect: Dialect,
+        decoder: Decoder,
+        send: SendFn,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+        vehicle_of: Callable[[int], str | None],
+        vehicles_of: Callable[[int], list[Vehicle]],
+    ) -> None:
+        self.on_change: Callable[[], None] = lambda: None
+        """Called when frames are to be noted elsewhere than before."""
+        self.not_kept = 0
+        """Frames of components for which there was no place."""
+        self._own = own
+        self._dialect = dialect
+        self._decoder = decoder
+        self._send = send
+        self._loop = loop
+        self._on_event = on_event
+        self._vehicle_of = vehicle_of
+        self.vehicles_of = vehicles_of
+        self._by_key: dict[int, ComponentActor] = {}
+        self._systems: dict[int, dict[int, ComponentActor]] = {}
+        self._sampled_at: float | None = None
+
+    def __contains__(self, key: int) -> bool:
+        return key in self._by_key
+
+    def on_frame(self, key: int, frame: Frame, now: float) -> None:
+        """One frame of a component that is no vehicle. Never raises."""
+        actor = self._by_key.get(key) or self._meet(key, frame, now)
+        if actor is None:
+            self.not_kept += 1
+            return
+        texts = actor.component.on_frame(frame, now)
+        if texts:
+            self._publish(actor, texts)
+        actor.after(frame, now)
+
+    def state_update(self, key: int, frame: Frame) -> Noted | None:
+        """How frames like this one are noted (see `Fleet.only_noted`)."""
+        actor = self._by_key.get(key)
+        if actor is None:
+            return None  # each is counted, or finds a place that has become free
+        slot = actor.component.state_update(frame.msgid)
+        return None if slot is None else Noted(slot, actor.watches)
+
+    def tick(self, now: float) -> None:
+        """Once to ten times a second."""
+        period_s = None
+        if self._sampled_at is None:
+            self._sampled_at = now
+        elif now - self._sampled_at >= RATE_PERIOD_S:
+            period_s, self._sampled_at = now - self._sampled_at, now
+        for actor in self._by_key.values():
+            texts = actor.component.tick(now, period_s)
+            if texts:
+                self._publish(actor, texts)
+
+    def forget(self, key: int) -> None:
+        """It is an autopilot after all, or of a recording. Unknown keys are ignored."""
+        actor = self._by_key.pop(key, None)
+        if actor is not None:
+            siblings = self._systems[actor.sysid]
+            del siblings[actor.compid]
+            if not siblings:
+                del self._systems[actor.sysid]
+            actor.close()
+            self.on_change()
+
+    def forget_system(self, sysid: int) -> None:
+        """Forget all of one system."""
+        for compid in list(self._systems.get(sysid, ())):
+            self.forget(sysid << 8 | compid)
+
+    def of_system(self, sysid: int) -> list[ComponentActor]:
+        """By component id."""
+        siblings = self._systems.get(sysid, {})
+        return [siblings[compid] for compid in sorted(siblings)]
+
+    def all(self) -> list[ComponentActor]:
+        """By system, then by component id."""
+        return [self._by_key[key] for key in sorted(self._by_key)]
+
+    def get(self, sysid: int, compid: int) -> ComponentActor | None:
+        """The component, if it was heard."""
+        return self._by_key.get(sysid << 8 | compid)
+
+    def close(self) -> None:
+        """The daemon ends."""
+        for actor in self._by_key.values():
+            actor.close()
+
+    def name_of(self, sysid: int, compid: int) -> str:
+        """ "alpha/191"; "7/191" of a system without a vehicle."""
+        return f"{self._vehicle_of(sysid) or sysid}/{compid}"
+
+    def _meet(self, key: int, frame: Frame, now: float) -> ComponentActor | None:
+        if frame.info is None or frame.sysid == 0 or not self._make_room(frame.sysid, now):
+            return None
+        component = Component(frame.sysid, frame.compid, self._decoder)
+        actor = ComponentActor(component, self, self._dialect, self._decoder, self._loop)
+        self._by_key[key] = actor
+        self._systems.setdefault(frame.sysid, {})[frame.compid] = actor
+        return actor
+
+    def _make_room(self, sysid: int, now: float) -> bool:
+        siblings = self._systems.get(sysid, {})
+        if len(siblings) >= MAX_OF_SYSTEM:
+            crowd = list(siblings.values())
+        elif len(self._by_key) >= MAX_COMPONENTS:
+            crowd = list(self._by_key.values())
+        else:
+            return True
+        oldest = min(crowd, key=lambda actor: actor.component.heard_at())
+        if now - oldest.component.heard_at() < GIVES_WAY_S:
+            return False
+        self.forget(oldest.component.key)
+        return True
+
+    def _publish(self, actor: ComponentActor, texts: list[StatusText]) -> None:
+        for text in texts:
+            data = {
+                "severity": name_of(SEVERITY, text.severity),
+                "level": text.severity,
+                "text": text.text,
+                "compid": actor.compid,
+            }
+            vehicle = self._vehicle_of(actor.sysid)
+            self._on_event(Event("statustext", vehicle, actor.sysid, f"{actor.name}: {text.text}", data))
+
+    def new_commander(self, sysid: int, compid: int) -> Commander:
+        """For the first order to a component; from now on acknowledgements are waited for."""
+        self.on_change()
+        return Commander((sysid, compid), self._own, self._dialect, self._send, self._loop)
+
+    def report(self, actor: ComponentActor, order: str, outcome: Outcome) -> Outcome:
+        """An order to a component has ended."""
+        data = {"order": order, "compid": actor.compid, **outcome.as_dict()}
+        text = f"{actor.name}: {order}: {outcome.message}"
+        self._on_event(Event("command", self._vehicle_of(actor.sysid), actor.sysid, text, data))
+        return outcome
+
+
+class ComponentActor:
+    """One component, and the orders it takes: the coroutines. They never raise for what it or skygcs refuses."""
+
+    def __init__(
+        self,
+        component: Component,
+        table: Components,
+        dialect: Dialect,
+        decoder: Decoder,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.component = component
+        self._table = table
+        self._dialect = dialect
+        self._decoder = decoder
+        self._loop = loop
+        self._ack_id = decoder.msgid_of("COMMAND_ACK") if "COMMAND_ACK" in decoder.read else -1
+        self._commander: Commander | None = None
+
+    @property
+    def name(self) -> str:
+        """ "alpha/191"."""
+        return self._table.name_of(self.sysid, self.compid)
+
+    @property
+    def sysid(self) -> int:
+        return self.component.sysid
+
+    @property
+    def compid(self) -> int:
+        return self.component.compid
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """A group means vehicles."""
+        return ()
+
+    @property
+    def commander(self) -> Commander:
+        """Made for the first order."""
+        if self._commander is None:
+            self._commander = self._table.new_commander(self.sysid, self.compid)
+        return self._commander
+
+    @property
+    def watches(self) -> list[Any] | None:
+        """See `Noted.watches`."""
+        return None if self._commander is None else self._commander.watches
+
+    def after(self, frame: Frame, now: float) -> None:
+        """Whoever waits for something of it is given a frame that was noted just now."""
+        commander = self._commander
+        if commander is None:
+            return
+        if frame.msgid == self._ack_id:
+            commander.on_ack(Ack(*self._decoder.read["COMMAND_ACK"](frame.payload)), now)
+        if commander.busy:
+            commander.wake()
+
+    def latest(self, message: str | int) -> dict[str, Any] | None:
+        """As `LiveVehicle.latest`, of this component alone."""
+        msgid, _ = orders.find_message(self._dialect, message)
+        slot = self.component.slots.get(msgid)
+        return None if slot is None else reading_of(slot, self._loop.time(), self.sysid, self.compid)
+
+    def close(self) -> None:
+        if self._commander is not None:
+            self._commander.close()
+
+    # -- orders
+
+    async def command(
+        self, command: str | int, params: Sequence[float | None] = (), *, force: bool = False, **more: Any
+    ) -> Outcome:
+        """Any command; see `unguarded.require_guarded` and `orders.command_plan`."""
+
+        def plan() -> Plan:
+            if not force:
+                vehicles = self._table.vehicles_of(self.sysid)
+                require_guarded(vehicles, self._loop.time(), self._dialect, command, params)
+            return orders.command_plan(self._dialect, command, params, **more)
+
+        return await self._run("command", plan)
+
+    async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
+        """0 turns it off, None goes back to the component's own rate."""
+        return await self._run("interval", lambda: orders.interval_plan(self._dialect, message, rate_hz))
+
+    async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
+        """REQUEST_DATA_STREAM; nothing acknowledges it."""
+        return await self._run("stream", lambda: orders.stream_plan(self._dialect, stream, rate_hz))
+
+    async def request_message(self, message: str | int) -> Outcome:
+        """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
+        try:
+            msgid, name = orders.find_message(self._dialect, message)
+        except RefusedError as error:
+            return self._table.report(self, "request", Outcome.refused(str(error)))
+        before = self.component.count(name)
+        step = Step("request", CommandSpec(REQUEST_MESSAGE, (float(msgid),)))
+        outcome = await self._given(Plan("request", (step,), f"{name} came"))
+        if outcome.ok and not await self.commander.until(lambda: self.component.count(name) != before, ANSWER_S):
+            outcome = Outcome(False, "timeout", f"timeout: accepted, but no {name} came", outcome.attempts)
+        return self._table.report(self, "request", outcome)
+
+    async def _run(self, order: str, plan: Callable[[], Plan]) -> Outcome:
+        try:
+            outcome = await self._given(plan())
+        except RefusedError as error:
+            outcome = Outcome.refused(str(error))
+        return self._table.report(self, order, outcome)
+
+    async def _given(self, plan: Plan) -> Outcome:
+        """Carry out a plan of one step."""
+        silent_s = self._loop.time() - self.component.heard_at()
+        if silent_s > SILENT_S:
+            return Outcome.refused(f"nothing was heard of it for {silent_s:.0f} s")
+        (step,) = plan.steps
+        if step.message is not None:
+            if not self.commander.transmit(*step.message):
+                return Outcome(False, "lost", "could not be sent: no link leads to it")
+            return Outcome(True, "accepted", plan.done, 1)
+        assert step.command is not None
+        outcome = await self.commander.run(step.command)
+        return Outcome(True, "accepted", plan.done, outcome.attempts, outcome.elapsed_s) if outcome.ok else outcome
