@@ -1,4 +1,4 @@
-"""`skygcs`: the daemon, the demo, the simulated fleet and the file check.
+"""`skygcs`: the daemon, the demo, the simulated fleet, real firmware as simulators and the file check.
 
 argparse and late imports on purpose: a daemon that is restarted in flight should forward its first frame within half
 a second, and typer with rich would cost a third of that.
@@ -106,7 +106,39 @@ def _parser() -> argparse.ArgumentParser:
         help="a .params, .param or .parm file, for the vehicles of its firmware; may be repeated",
     )
     sim.set_defaults(run=_sim)
+    _add_sitl(commands)
     return parser
+
+
+def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    sitl = commands.add_parser(
+        "sitl",
+        help="run real autopilot firmware as simulators",
+        description="Run the autopilot binaries named by SKYGCS_PX4 and SKYGCS_ARDUCOPTER as simulated vehicles.",
+    )
+    sitl.add_argument("--px4", type=int, default=0, metavar="N", help="number of PX4 quadrotors (SIH)")
+    sitl.add_argument("--ardupilot", type=int, default=0, metavar="N", help="number of ArduCopters")
+    sitl.add_argument("--first-sysid", type=int, default=1, metavar="ID")
+    sitl.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL[,HEADING]")
+    sitl.add_argument(
+        "--spacing", type=float, default=10.0, metavar="M", help="between homes, to the east (default 10)"
+    )
+    sitl.add_argument(
+        "--port", type=int, default=0, metavar="PORT", help="UDP port of the daemon (default: a free one)"
+    )
+    sitl.add_argument(
+        "--param",
+        action="append",
+        default=[],
+        metavar="[px4:|ardupilot:]NAME=VALUE",
+        help="a parameter to begin with; may be repeated",
+    )
+    sitl.add_argument(
+        "--params", action="append", type=Path, default=[], metavar="FILE", help="a parameter file; may be repeated"
+    )
+    sitl.add_argument("--folder", type=Path, help="working folders, kept; default: temporary ones")
+    sitl.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second")
+    sitl.set_defaults(run=_sitl)
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -178,4 +210,23 @@ def _sim(args: argparse.Namespace) -> int:
             sensor_latency_s=args.sensor_latency,
         ),
         params=args.params,
+    )
+
+
+def _sitl(args: argparse.Namespace) -> int:
+    from skygcs.cli.sitl import SitlOptions, parse_home, run_sitl
+
+    return run_sitl(
+        SitlOptions(
+            px4=args.px4,
+            ardupilot=args.ardupilot,
+            first_sysid=args.first_sysid,
+            home=parse_home(args.home),
+            spacing_m=args.spacing,
+            port=args.port,
+            params=args.param,
+            param_files=args.params,
+            folder=args.folder,
+            speedup=args.speedup,
+        )
     )

@@ -1,0 +1,86 @@
+"""Where the user's autopilot binaries are: `SKYGCS_ARDUCOPTER` and `SKYGCS_PX4`. skygcs brings none."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from skygcs.errors import ConfigError
+
+ARDUCOPTER = "SKYGCS_ARDUCOPTER"
+ARDUCOPTER_DEFAULTS = "SKYGCS_ARDUCOPTER_DEFAULTS"
+PX4 = "SKYGCS_PX4"
+
+ARDUCOPTER_HELP = (
+    "build it in a clone of ArduPilot (./waf configure --board sitl && ./waf copter) and set "
+    f"{ARDUCOPTER}=…/ardupilot/build/sitl/bin/arducopter"
+)
+PX4_HELP = (
+    "build it in a clone of PX4-Autopilot (make px4_sitl_default) and set "
+    f"{PX4}=…/PX4-Autopilot/build/px4_sitl_default, or install PX4's package and set {PX4}=/opt/px4"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ArduCopter:
+    """The binary, and ArduPilot's own default parameters of a simulated quadrotor, without which it has no frame."""
+
+    binary: Path
+    defaults: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Px4:
+    """The binary and its startup files."""
+
+    binary: Path
+    etc: Path
+
+
+def find_arducopter(environment: Mapping[str, str] = os.environ) -> ArduCopter:
+    """Raises ConfigError, which says what to set, if it is not named or not there."""
+    binary = _named(environment, ARDUCOPTER, ARDUCOPTER_HELP)
+    if binary.is_dir():
+        binary = binary / "arducopter"
+    _check_executable(binary, ARDUCOPTER)
+    named = environment.get(ARDUCOPTER_DEFAULTS)
+    places = [Path(named).expanduser()] if named else [binary.with_name("copter.parm")]
+    if not named and len(binary.parents) > 3:  # ardupilot/build/sitl/bin/arducopter
+        places.append(binary.parents[3] / "Tools" / "autotest" / "default_params" / "copter.parm")
+    for place in places:
+        if place.is_file():
+            return ArduCopter(binary, place.resolve())
+    tried = " nor ".join(str(place) for place in places)
+    reason = f"its default parameters are not at {tried}: set {ARDUCOPTER_DEFAULTS} to ArduPilot's {places[-1].name}"
+    raise ConfigError(str(binary), [reason])
+
+
+def find_px4(environment: Mapping[str, str] = os.environ) -> Px4:
+    """A build folder or installation with ``bin/px4`` and ``etc``, or the binary within one. Raises ConfigError."""
+    named = _named(environment, PX4, PX4_HELP)
+    binary = named / "bin" / "px4" if named.is_dir() else named
+    _check_executable(binary, PX4)
+    binary = binary.resolve()  # a package links /usr/bin/px4 to its own folder
+    for etc in (binary.parent.parent / "etc", binary.parent / "etc"):
+        if (etc / "init.d-posix" / "rcS").is_file():
+            return Px4(binary, etc)
+    raise ConfigError(str(binary), [f"its startup files (etc/init.d-posix/rcS) are not in {binary.parent.parent}"])
+
+
+def _named(environment: Mapping[str, str], variable: str, help_text: str) -> Path:
+    value = environment.get(variable, "").strip()
+    if not value:
+        raise ConfigError(variable, [f"is not set: {help_text}"])
+    path = Path(value).expanduser()
+    if not path.exists():
+        raise ConfigError(variable, [f"{path} is not there: {help_text}"])
+    return path.absolute()
+
+
+def _check_executable(binary: Path, variable: str) -> None:
+    if not binary.is_file():
+        raise ConfigError(variable, [f"{binary} is not there"])
+    if not os.access(binary, os.X_OK):
+        raise ConfigError(variable, [f"{binary} is not executable"])
