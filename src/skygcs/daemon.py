@@ -340,7 +340,7 @@ class Daemon:
             "crowded": f"{where} has no room for a route to {who}: more sources were heard there, or on its link, than "
             f"the {MAX_CHANNEL_ROUTES} ({MAX_LINK_ROUTES}) that are kept; only autopilots find room, in place "
             "of others; other links are not affected; allow_from or signing keep strangers out",
-            "crowded_over": f"{where} has room for further routes again",
+            "crowded_over": f"{where}: the link has room for further routes again",
             "conflict": f"{where} sends frames with our own id {who}: they are dropped; "
             "give one of the two another daemon.sysid or daemon.compid",
             "echo": f"{who} in the recording {where} is heard live as well: the recorded one is not shown"
@@ -431,6 +431,7 @@ class Daemon:
             "uptime_s": round(self.now() - self.started_at, 1),
             "vehicles": len(self.fleet.vehicles),
             "faults": self.hub.faults,
+            "clients": self.rpc.stats(),
         }
 
     def air_status(self) -> list[dict[str, Any]]:

@@ -22,6 +22,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.rpc.server import RpcServer
@@ -523,6 +524,9 @@ class FakeDaemon:
     def listeners(self) -> int:
         """Subscriptions that clients hold here just now."""
         return len(self._on_event) + len(self._on_frame)
+
+    def on_event(self, event: Event) -> None:
+        self.emit(event.kind, event.vehicle, event.text, **event.data)
 
     def emit(self, kind: str, vehicle: str | None, text: str, **data: Any) -> None:
         event = {

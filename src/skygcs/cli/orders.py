@@ -11,7 +11,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from skygcs.cli import completion
-from skygcs.cli.connection import Exit, fail, run, waiting
+from skygcs.cli.connection import Exit, client, fail, run, waiting
 from skygcs.cli.options import ComponentTargets, Json, Targets
 from skygcs.cli.render import outcome_lines, screen_width
 from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
@@ -37,9 +37,9 @@ def order_confirmed(method: str, targets: str, json_output: bool, confirm: str |
     """As `order`; what the daemon wants confirmed by a word is asked of the person at the terminal."""
 
     async def command(gcs: Client) -> int:
-        async def ordered(word: str | None) -> int:
+        async def ordered(word: str | None, by: Client = gcs) -> int:
             async with waiting(f"{method} {targets}"):
-                answer = await gcs.call(f"vehicles.{method}", targets=targets, confirm=word, **params)
+                answer = await by.call(f"vehicles.{method}", targets=targets, confirm=word, **params)
             return tell_outcomes(answer["outcomes"], json_output)
 
         try:
@@ -52,7 +52,8 @@ def order_confirmed(method: str, targets: str, json_output: bool, confirm: str |
         if not word:
             fail("not confirmed; nothing was sent")
             return Exit.FAILED
-        return await ordered(word)
+        async with client() as again:  # a daemon with too many clients answers one request of a connection
+            return await ordered(word, again)
 
     run(command)
 

@@ -20,7 +20,6 @@ class Port:
         "bound",
         "broadcast",
         "conflict_at",
-        "crowded",
         "echoes",
         "filter_in",
         "filter_out",
@@ -31,8 +30,6 @@ class Port:
         "limited",
         "limiter_in",
         "limiter_out",
-        "note_tokens",
-        "noted_at",
         "of_system",
         "out_of_bounds",
         "policy",
@@ -58,13 +55,8 @@ class Port:
         self.vehicles: set[int] = set()
         self.broadcast: dict[int, tuple[Decision, tuple[Port, ...]]] = {}
         self.conflict_at = float("-inf")
-        self.crowded = False
-        """Whether it was full and has not emptied since (`core.route_room`)."""
         self.routes_refused = 0
         self.routes_evicted = 0
-        self.note_tokens = 0.0
-        self.noted_at = float("-inf")
-        """Of the limit to notes of routes: how many are left, and as of when."""
         self.filtered_in = 0
         self.filtered_out = 0
         self.limited = 0

@@ -27,16 +27,27 @@ KEPT_ROUTES = 16
 """Of each channel, whatever its link's others take: an autopilot and all that is on board of one vehicle."""
 
 AMPLE_SHARE = 0.9
-"""A channel that was full counts as such until it, and its link, are no fuller than this: no event per source."""
+CROWDED_QUIET_S = 10.0
+"""A link with a full channel counts as crowded until all are no fuller than this, and is reported no more often than
+that: no event per source, nor per client that comes, floods and goes."""
+
+ROUTE_NOTES = 64
+ROUTE_NOTES_PER_S = 1.0
+"""Routes of one link that are noted as learned or expired: the start of a large fleet, then one a second. A flood of
+forged sources would push everything else out of the daemon's events; what is left out is counted."""
 
 
 class RouteRoom:
     """Counts the routes of each link, and says which route gives way to a new one."""
 
-    __slots__ = ("_of_link", "evicted", "refused")
+    __slots__ = ("_notes", "_of_link", "_reported_at", "crowded", "evicted", "refused")
 
     def __init__(self) -> None:
         self._of_link: dict[str, int] = {}
+        self._notes: dict[str, tuple[float, float]] = {}
+        self._reported_at: dict[str, float] = {}
+        self.crowded: set[str] = set()
+        """Links of which it was reported that there is no room, and not yet that there is again."""
         self.refused = 0
         """Frames of sources that found no room."""
         self.evicted = 0
@@ -74,10 +85,28 @@ class RouteRoom:
             return None
         return crowded, min((s for s in crowded.heard if s not in crowded.vehicles), key=crowded.heard.__getitem__)
 
-    def is_ample(self, port: Port) -> bool:
-        """Whether a channel that was full is so no longer."""
-        in_link = self._of_link.get(port.policy.link, 0)
-        return len(port.heard) <= AMPLE_SHARE * MAX_CHANNEL_ROUTES and in_link <= AMPLE_SHARE * MAX_LINK_ROUTES
+    def became_crowded(self, link: str, now: float) -> bool:
+        """There was no room for a source of this link: whether that is to be reported."""
+        if link in self.crowded or now - self._reported_at.get(link, float("-inf")) < CROWDED_QUIET_S:
+            return False
+        self._reported_at[link] = now
+        self.crowded.add(link)
+        return True
+
+    def became_ample(self, ports: Iterable[Port]) -> list[str]:
+        """Links that are crowded no longer; each is named once."""
+        full = {p.policy.link for p in ports if len(p.heard) > AMPLE_SHARE * MAX_CHANNEL_ROUTES}
+        full |= {link for link, number in self._of_link.items() if number > AMPLE_SHARE * MAX_LINK_ROUTES}
+        over = sorted(self.crowded - full)
+        self.crowded -= set(over)
+        return over
+
+    def may_note(self, link: str, now: float) -> bool:
+        """Whether one more route of this link may be noted as learned or expired; counts it then."""
+        left, as_of = self._notes.get(link, (float(ROUTE_NOTES), now))
+        left = min(float(ROUTE_NOTES), left + (now - as_of) * ROUTE_NOTES_PER_S)
+        self._notes[link] = (left - 1.0 if left >= 1.0 else left), now
+        return left >= 1.0
 
 
 def _others(port: Port) -> int:

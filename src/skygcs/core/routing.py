@@ -55,11 +55,6 @@ RADIO_STATUS = 109
 RADIO = 166
 
 MAX_NOTES = 256
-ROUTE_NOTES = 64
-ROUTE_NOTES_PER_S = 1.0
-"""Routes of one channel that are noted as learned or expired: the start of a large fleet, then one a second. A flood
-of forged sources would push everything else out of the daemon's events; what is left out is counted."""
-
 CONFLICT_QUIET_S = 60.0
 """A conflict is noted again only after so long without one on the same channel."""
 
@@ -345,7 +340,7 @@ class Router:
     def _learn(self, port: Port, source: int, frame: Frame, now: float) -> None:
         if source >> 8 == 0:
             return  # system 0 is "all" as a target: a route to it would catch every broadcast
-        if not self._room.is_free(port) and not self._make_room(port, source, frame):
+        if not self._room.is_free(port) and not self._make_room(port, source, frame, now):
             return
         port.heard[source] = now
         port.of_system.setdefault(source >> 8, set()).add(source)
@@ -359,10 +354,9 @@ class Router:
             systems.append(port)
         self._note_route("learned", source, port, now)
 
-    def _make_room(self, port: Port, source: int, frame: Frame) -> bool:
+    def _make_room(self, port: Port, source: int, frame: Frame, now: float) -> bool:
         """Whether a new source may be kept on a channel that is full: an autopilot, if another source gives way."""
-        if not port.crowded:
-            port.crowded = True
+        if self._room.became_crowded(port.policy.link, now):
             self._note("crowded", source, port)
         place = None
         if frame.msgid == HEARTBEAT and discovers(frame):
@@ -399,9 +393,10 @@ class Router:
             for source in [s for s, at in port.heard.items() if at < limit]:
                 self._forget(port, source)
                 self._note_route("expired", source, port, now)
-            if port.crowded and self._room.is_ample(port):
-                port.crowded = False
-                self._note("crowded_over", 0, port)
+        if self._room.crowded:
+            for link in self._room.became_ample(self._ports.values()):
+                for port in [p for p in self._ports.values() if p.policy.link == link][:1]:
+                    self._note("crowded_over", 0, port)
 
     def _check_reboot(self, port: Port, frame: Frame, source: int) -> None:
         """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears what is known of the system's routes."""
@@ -491,14 +486,11 @@ class Router:
         return self._counted(_OUT_OF_BOUNDS)
 
     def _note_route(self, kind: str, source: int, port: Port, now: float) -> None:
-        """Note a route that came or went, up to the channel's rate of such notes."""
-        port.note_tokens = min(ROUTE_NOTES, port.note_tokens + (now - port.noted_at) * ROUTE_NOTES_PER_S)
-        port.noted_at = now
-        if port.note_tokens < 1.0:
+        """Note a route that came or went, up to the link's rate of such notes."""
+        if self._room.may_note(port.policy.link, now):
+            self._note(kind, source, port)
+        else:
             self.unnoted_routes += 1
-            return
-        port.note_tokens -= 1.0
-        self._note(kind, source, port)
 
     def _note(self, kind: str, source: int, port: Port, target: int = 0) -> None:
         self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id, target))

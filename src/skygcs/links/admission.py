@@ -20,7 +20,9 @@ MAX_REPORTED = 8
 """Addresses of one link that are reported as not allowed, each once; counted are all."""
 
 AMPLE_SHARE = 0.9
-"""A server that was full counts as such until so many of its places are taken, at most: no event per peer."""
+FULL_QUIET_S = 10.0
+"""A server that was full counts as such until no more of its places are taken than this, and is reported no more often
+than that: no event per peer, nor per client that connects and goes."""
 
 
 class AllowedNetworks:
@@ -66,6 +68,7 @@ class Admission:
         self._networks = AllowedNetworks(networks)
         self._reported: set[str] = set()
         self._full = False
+        self._reported_at = float("-inf")
 
     def allows(self, address: Address) -> bool:
         """Whether ``allow_from`` names this address. To be asked before anything that it sent is looked at."""
@@ -88,8 +91,10 @@ class Admission:
             self.refused += 1
         elif judgement.put_out is not None:
             self.put_out += 1
-        if not self._full and (judgement.put_out is not None or not judgement.admitted):
+        quiet = now - self._reported_at < FULL_QUIET_S
+        if not (self._full or quiet) and (judgement.put_out is not None or not judgement.admitted):
             self._full = True
+            self._reported_at = now
             became = "took the place of another" if judgement.admitted else "was refused"
             self._report(
                 f"all {self.places.places} places are taken: {format_address(address)} {became}; a peer without an "

@@ -23,6 +23,7 @@ import json
 import math
 import os
 import pwd
+import socket
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self, cast
@@ -36,6 +37,10 @@ Targets = str | int | Sequence[str | int]
 Outcomes = dict[str, dict[str, Any]]
 """By vehicle name: ok, result, message, attempts, elapsed_s, status_texts. Orders never raise for a vehicle's "no"."""
 
+
+CONNECT_WITHIN_S = 10.0
+CONNECT_AGAIN_S = 0.01
+"""A daemon takes connections every few milliseconds, 100 at a time."""
 
 EVENT_KINDS = (
     "vehicle_discovered",
@@ -103,7 +108,8 @@ class Client:
             if tcp is not None:
                 _, self._wire = await loop.create_connection(lambda: _Wire(self.address), *tcp)
             else:
-                _, self._wire = await loop.create_unix_connection(lambda: _Wire(self.address), self.address)
+                sock = await _connected_to(self.address)
+                _, self._wire = await loop.create_unix_connection(lambda: _Wire(self.address), sock=sock)
         except ValueError as error:
             raise DaemonUnreachable(self.address, str(error)) from None
         except PermissionError as error:
@@ -257,6 +263,28 @@ class Client:
     def _next_id(self) -> int:
         self._last_id += 1
         return self._last_id
+
+
+async def _connected_to(path: str) -> socket.socket:
+    """A Unix socket connected to the daemon's. Its queue of connections may be full for a moment: what asyncio then
+    takes for a connection in the making is none. Raises OSError."""
+    loop = asyncio.get_running_loop()
+    deadline = loop.time() + CONNECT_WITHIN_S
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        sock.setblocking(False)
+        while True:
+            try:
+                sock.connect(path)
+            except BlockingIOError:
+                if loop.time() > deadline:
+                    raise
+                await asyncio.sleep(CONNECT_AGAIN_S)
+            else:
+                return sock
+    except BaseException:
+        sock.close()
+        raise
 
 
 class Subscription:

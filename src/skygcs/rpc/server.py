@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 MAX_SUN_PATH_BYTES = 107
 """Linux's sockaddr_un holds 108 bytes with the closing NUL."""
 
+BACKLOG = 100
+"""Connections that the system keeps until they are taken; not more than `sessions.MAX_RESERVE`."""
+
 _log = structlog.get_logger(__name__)
 
 
@@ -96,7 +99,7 @@ class RpcServer:
 
             self._hub = hub = Sessions(self._daemon, Dispatcher(METHODS), loop)
             listener = self._bind()
-            server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener)
+            server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener, backlog=BACKLOG)
             self._servers.append(server)
             if self._tcp_listener is not None:
                 await self._listen_tcp(self._tcp_listener, lambda: Session(hub, self._token))
@@ -123,7 +126,7 @@ class RpcServer:
     async def _listen_tcp(self, listener: socket.socket, new_session: Callable[[], asyncio.BaseProtocol]) -> None:
         address = listener.getsockname()
         try:
-            server = await asyncio.get_running_loop().create_server(new_session, sock=listener)
+            server = await asyncio.get_running_loop().create_server(new_session, sock=listener, backlog=BACKLOG)
         except OSError as error:  # two that had bound it: the second to listen is told
             raise LinkError(f"cannot listen on 127.0.0.1:{address[1]}: {error.strerror or error}") from None
         self._tcp_listener = None  # the server's now

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
+import os
 import select
 import socket
+import struct
 from collections.abc import Coroutine
 from typing import Any, cast
 
@@ -24,12 +27,6 @@ MAX_LINE_BEFORE_AUTH_BYTES = 4096
 AUTH_TIMEOUT_S = 5.0
 """A TCP client that does not say its token by then is closed."""
 
-MAX_UNAUTHENTICATED = 8
-"""Further ones are closed at once: whoever has no token cannot use up the sessions of those who have."""
-
-MAX_SESSIONS = 64
-"""A fleet has a few dashboards and scripts; each open socket costs a file descriptor of the usual 1024."""
-
 MAX_BATCH = 128
 MAX_IN_FLIGHT = 64
 """Orders that one client waits for at the same time; one order to 250 vehicles is one of them."""
@@ -41,9 +38,20 @@ HIGH_WATER_BYTES = 256 * 1024
 MAX_OUTPUT_BYTES = 8 << 20
 """Beyond this much unread output it is closed. Replies of 1 MB (250 states) still fit several times."""
 
-TURN_S = 0.002
-TURN_LINES = 64
-"""A client's requests are worked on this long, then it is everybody else's turn (routing, too)."""
+EMERGENCY_METHODS = frozenset(
+    {
+        "vehicles.stop",
+        "vehicles.hold",
+        "vehicles.land",
+        "vehicles.rtl",
+        "vehicles.disarm",
+        "vehicles.list",
+        "vehicles.get",
+        "links.list",
+        "daemon.info",
+    }
+)
+"""What a connection may ask for that came when all places were taken: to end a flight, and to see what flies."""
 
 _log = structlog.get_logger(__name__)
 
@@ -55,6 +63,10 @@ class Session(asyncio.Protocol):
         self.daemon = hub.daemon
         self.tasks: set[asyncio.Task[None]] = set()
         self.authenticated = token is None
+        self.restricted = False
+        """Whether it came when all places were taken: one request, of EMERGENCY_METHODS, is answered."""
+        self.used_at = hub.loop.time()
+        """When its last whole line came."""
         self.writable = True
         self._hub = hub
         self._token = token
@@ -62,11 +74,12 @@ class Session(asyncio.Protocol):
         self._buffer = bytearray()
         self._scanned = 0
         self._skipping = False
-        self._turn_due = False
+        self._answered = False
+        self._unread_since = 0.0
         self._in_flight = 0
         self._subscriptions: dict[int, Subscription] = {}
         self._next_subscription = 1
-        self._auth_timer: asyncio.TimerHandle | None = None
+        self._deadline: asyncio.TimerHandle | None = None
         self._eof = False
 
     # -- asyncio.Protocol
@@ -77,17 +90,9 @@ class Session(asyncio.Protocol):
         self._transport = transport
         transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
         hub.counters["connections"] += 1
-        if len(hub.sessions) >= MAX_SESSIONS or (
-            not self.authenticated and hub.unauthenticated() >= MAX_UNAUTHENTICATED
-        ):
-            hub.counters["connections_refused"] += 1
-            self.write(error_reply(None, dispatch.LIMIT_EXCEEDED, f"too many clients ({len(hub.sessions)})") + b"\n")
-            transport.close()
-            self._transport = None
-            return
-        hub.sessions.add(self)
+        hub.admit(self)
         if not self.authenticated:
-            self._auth_timer = hub.loop.call_later(AUTH_TIMEOUT_S, self.close)
+            self.close_after(AUTH_TIMEOUT_S)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._end()
@@ -96,8 +101,7 @@ class Session(asyncio.Protocol):
         if self._transport is None:
             return
         self._buffer += data
-        if not self._turn_due:
-            self._turn()
+        self._hub.turns.add(self)
 
     def eof_received(self) -> bool:
         """The client sends no more. One that is still there (`echo … | nc -NU`) gets its answers, then it is closed;
@@ -107,20 +111,19 @@ class Session(asyncio.Protocol):
         self._eof = True
         if self._buffer and not self._buffer.endswith(b"\n"):
             self._buffer += b"\n"
-        if not self._turn_due:
-            self._turn()
-        return self._transport is not None
+        self._hub.turns.add(self)
+        return True
 
     def pause_writing(self) -> None:
         self.writable = False
+        self._unread_since = self._hub.loop.time()
 
     def resume_writing(self) -> None:
         self.writable = True
         for subscription in list(self._subscriptions.values()):
             subscription.flush()
         self._hub.feeds.resume()
-        if not self._turn_due:
-            self._turn()
+        self._hub.turns.add(self)
 
     # -- the session as methods see it (Context) and as subscriptions see it (Sink)
 
@@ -154,34 +157,81 @@ class Session(asyncio.Protocol):
         """Close; what was written still goes out, unless the client does not read."""
         if self._transport is not None:
             if self.writable:
-                self._transport.close()
+                self._hub.close_in_time(self._transport)
             else:
                 self._transport.abort()
         self._end()
 
+    # -- its place (Sessions)
+
+    @property
+    def busy(self) -> bool:
+        """Whether it waits for the outcome of what it asked for."""
+        return bool(self.tasks)
+
+    def idle_s(self, now: float) -> float:
+        """For how long it has wanted nothing, nor taken what it subscribed to; 0 if it does."""
+        if self.tasks:
+            return 0.0
+        if self._subscriptions:
+            return now - self._unread_since if not self.writable else 0.0
+        return now - self.used_at
+
+    def close_after(self, seconds: float) -> None:
+        """Close it then, unless a later call says otherwise or a request of it is answered first."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._deadline = self._hub.loop.call_later(seconds, self._on_deadline)
+
+    def keep(self) -> None:
+        """Close it no more at a certain time."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+
+    def dismiss(self, reason: str) -> None:
+        """Close it with an error that says why."""
+        if self.writable:
+            self._reply(error_reply(None, dispatch.LIMIT_EXCEEDED, reason))
+        self.close()
+
+    def peer_pid(self) -> int | None:
+        """The process at the other end of a Unix socket."""
+        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
+        if sock is None or sock.family != socket.AF_UNIX:
+            return None
+        with (
+            contextlib.suppress(OSError),
+            socket.socket(fileno=os.dup(sock.fileno())) as peer,
+        ):  # uvloop's has no options
+            credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+            return int(struct.unpack("3i", credentials)[0])
+        return None
+
+    def _on_deadline(self) -> None:
+        if not self.tasks:
+            self.close()
+
     # -- lines
 
-    def _turn(self) -> None:
-        """Work on complete lines for a while, as long as the client takes the replies."""
-        self._turn_due = False
-        loop = self._hub.loop
-        deadline = loop.time() + TURN_S
-        lines = 0
-        while self.writable and (line := self._next_line()) is not None:
-            self._on_line(line)
-            lines += 1
-            if lines >= TURN_LINES or loop.time() > deadline:
-                self._turn_due = True
-                loop.call_soon(self._turn)
-                break
-        self._pace_reading()
-        self._close_if_idle()
+    def work(self) -> bool:
+        """Work on one line that has come whole; whether there may be another one."""
+        if not self.writable or self._answered or (line := self._next_line()) is None:
+            self._pace_reading(more=False)
+            self._close_if_idle()
+            return False
+        self.used_at = self._hub.loop.time()
+        self._on_line(line)
+        return self._transport is not None
 
-    def _pace_reading(self) -> None:
+    def hold_back(self) -> None:
+        """Read no more of it before what has come is worked on."""
+        self._pace_reading(more=True)
+
+    def _pace_reading(self, *, more: bool) -> None:
         transport = self._transport
         if transport is None or transport.is_closing() or self._eof:
             return
-        if self._turn_due or not self.writable:
+        if more or not self.writable or self._answered:
             transport.pause_reading()
         elif not transport.is_reading():
             transport.resume_reading()
@@ -226,6 +276,8 @@ class Session(asyncio.Protocol):
             return
         if not self.authenticated:
             self._authenticate(request)
+        elif self._refused_for_now(request):
+            pass
         elif type(request) is list:
             self._on_batch(request)
         else:
@@ -234,6 +286,22 @@ class Session(asyncio.Protocol):
                 self._reply(reply)
             elif reply is not None:
                 self._run([reply], batch=False)
+
+    def _refused_for_now(self, request: object) -> bool:
+        """Whether this is not answered since all places are taken. A connection beyond them has one request."""
+        if not self.restricted or self._hub.promote(self):
+            return False
+        self._answered = True
+        method = request.get("method") if isinstance(request, dict) else None
+        if isinstance(method, str) and method in EMERGENCY_METHODS:
+            return False
+        self._hub.counters["requests_refused"] += 1
+        request_id = request.get("id") if isinstance(request, dict) else None
+        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+            request_id = None
+        text = f"too many clients: {self._hub.why_restricted()}; one request for {', '.join(sorted(EMERGENCY_METHODS))}"
+        self._reply(error_reply(request_id, dispatch.LIMIT_EXCEEDED, f"{text} is answered all the same"))
+        return True
 
     def _start(self, request: object) -> dispatch.Reply:
         """Begin one request, unless the client already waits for too many."""
@@ -319,14 +387,14 @@ class Session(asyncio.Protocol):
             self._hang_up()
             return
         self.authenticated = True
-        if self._auth_timer is not None:
-            self._auth_timer.cancel()
+        self.keep()
         self._reply(dispatch.result_reply(request_id, "auth", {"ok": True}))
+        self._hub.admit(self)
 
     def _hang_up(self) -> None:
         """Close after what was written has gone out."""
         if self._transport is not None:
-            self._transport.close()
+            self._hub.close_in_time(self._transport)
         self._end()
 
     # -- the end
@@ -344,17 +412,18 @@ class Session(asyncio.Protocol):
         return not poll.poll(0)
 
     def _close_if_idle(self) -> None:
-        """After the client's end of file: close once nothing is left to answer or to tell."""
-        if self._eof and self._transport is not None and not (self.tasks or self._subscriptions or self._buffer):
+        """After the client's end of file, or its one request: close once nothing is left to answer or to tell."""
+        if self._transport is None or self.tasks:
+            return
+        if self._answered or (self._eof and not (self._subscriptions or self._buffer)):
             self._hang_up()
 
     def _end(self) -> None:
         """Forget everything of this client. Its waiting calls are cancelled, except those that outlive it."""
         self._transport = None
         self.writable = False
-        self._hub.sessions.discard(self)
-        if self._auth_timer is not None:
-            self._auth_timer.cancel()
+        self._hub.remove(self)
+        self.keep()
         subscriptions, self._subscriptions = self._subscriptions, {}
         for subscription in subscriptions.values():
             self._hub.feeds.remove(subscription)

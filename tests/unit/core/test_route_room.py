@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.decision import Verdict
 from skygcs.core.filters import ChannelPolicy
-from skygcs.core.route_room import KEPT_ROUTES, MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
-from skygcs.core.routing import ROUTE_NOTES
+from skygcs.core.route_room import KEPT_ROUTES, MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES, ROUTE_NOTES
 from support.routed import RoutedNet, heartbeat, message
 
 NET = ChannelPolicy(link="net")
@@ -110,6 +109,19 @@ def test_a_full_channel_is_noted_once_with_the_source_and_once_when_it_has_empti
     assert kinds.count("crowded_over") == 1
     assert kinds.count("expired") <= ROUTE_NOTES
     assert net.router.routes() == []
+
+
+def test_channels_that_come_flood_and_go_are_reported_now_and_then_only() -> None:
+    net = RoutedNet()
+    for again in range(20):
+        net.open(f"client{again}", NET)
+        flood(net, f"client{again}", MAX_CHANNEL_ROUTES + 10)
+        net.close(f"client{again}")
+        net.now += 0.2
+        net.router.expire(net.now)
+    kinds = [note.kind for note in net.router.notes]
+    assert kinds.count("crowded") == 1
+    assert kinds.count("learned") <= ROUTE_NOTES + 5
 
 
 def test_a_closed_link_gives_all_its_room_back() -> None:

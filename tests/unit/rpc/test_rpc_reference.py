@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from skygcs.rpc import openrpc, session
+from skygcs.rpc import openrpc, session, sessions
 from skygcs.rpc.methods import METHODS
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "rpc.md"
@@ -56,7 +56,9 @@ def test_the_limits_are_those_of_the_server() -> None:
     for row in (
         f"| a line | {session.MAX_LINE_BYTES >> 20} MiB |",
         f"| requests in a batch | {session.MAX_BATCH} |",
-        f"| clients | {session.MAX_SESSIONS} |",
+        f"| clients | {sessions.MAX_SESSIONS} |",
+        f"| connections beyond | {sessions.MAX_RESERVE} |",
+        f"| TCP clients that have not said the token | {sessions.MAX_UNAUTHENTICATED} |",
         f"| requests of one client under way | {session.MAX_IN_FLIGHT} |",
         f"| subscriptions of one client | {session.MAX_SUBSCRIPTIONS} |",
         f"| unread output of one client | {session.MAX_OUTPUT_BYTES >> 20} MiB |",

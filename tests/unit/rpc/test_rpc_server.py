@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
 import os
 import socket
@@ -21,77 +20,7 @@ from skygcs.rpc import session
 from skygcs.rpc import sessions as session_table
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
-
-PATIENCE_S = 60.0
-"""Of every read: far more than any answer takes."""
-
-
-class Peer:
-    """A client that can also say what no client should."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.reader, self.writer = reader, writer
-
-    def send(self, *lines: object) -> None:
-        for line in lines:
-            raw = line if isinstance(line, bytes) else json.dumps(line).encode()
-            self.writer.write(raw + b"\n")
-
-    async def answer(self) -> Any:
-        """The next line; None at the end."""
-        line = await asyncio.wait_for(self.reader.readline(), PATIENCE_S)
-        return json.loads(line) if line else None
-
-    async def call(self, method: str, **params: Any) -> Any:
-        self.send({"jsonrpc": "2.0", "id": "c", "method": method, "params": params})
-        while True:
-            answer = await self.answer()
-            if answer is None or answer.get("id") == "c":
-                return answer
-
-    async def close(self) -> None:
-        self.writer.close()
-        with contextlib.suppress(ConnectionError):
-            await self.writer.wait_closed()
-
-
-class Bench:
-    """A server and its clients."""
-
-    def __init__(self, daemon: FakeDaemon, server: RpcServer) -> None:
-        self.daemon, self.server = daemon, server
-        self.peers: list[Peer] = []
-
-    async def connect(self) -> Peer:
-        path = os.fspath(self.server.socket_path)
-        peer = Peer(*await asyncio.open_unix_connection(path, limit=64 << 20))
-        self.peers.append(peer)
-        return peer
-
-    async def connect_tcp(self) -> Peer:
-        assert self.server.tcp_address is not None
-        peer = Peer(*await asyncio.open_connection(*self.server.tcp_address))
-        self.peers.append(peer)
-        return peer
-
-    async def until(self, condition: Any) -> None:
-        async with asyncio.timeout(PATIENCE_S):
-            while not condition():  # noqa: ASYNC110 - nothing announces what happens inside the server
-                await asyncio.sleep(0.005)
-
-
-@contextlib.asynccontextmanager
-async def running(folder: Path) -> AsyncIterator[Bench]:
-    daemon = FakeDaemon()
-    server = RpcServer(daemon, folder / "run" / "s.sock", tcp_port=0, token="open sesame")
-    await server.start()
-    bench = Bench(daemon, server)
-    try:
-        yield bench
-    finally:
-        for peer in bench.peers:
-            await peer.close()
-        await server.close()
+from support.rpc_bench import Bench, Peer, running
 
 
 @pytest.fixture
@@ -431,20 +360,6 @@ async def test_the_replies_of_one_batch_are_bounded(bench: Bench, monkeypatch: p
     assert "result" in answers[0] and answers[-1]["error"]["code"] == -32005
 
 
-async def test_sessions_are_limited_and_a_free_place_is_given_again(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(session, "MAX_SESSIONS", 2)
-    first, second = await bench.connect(), await bench.connect()
-    assert await first.call("daemon.info") and await second.call("daemon.info")
-    third = await bench.connect()
-    assert "too many clients" in (await third.answer())["error"]["message"]
-    assert await third.answer() is None
-    await first.close()
-    await bench.until(lambda: bench.server.stats()["sessions"] == 1)
-    assert "result" in await (await bench.connect()).call("daemon.info")
-
-
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(chunks=st.lists(st.binary(max_size=200), max_size=10), abrupt=st.booleans())
 async def test_no_bytes_disturb_another_client(bench: Bench, chunks: list[bytes], abrupt: bool) -> None:
@@ -583,15 +498,6 @@ async def test_tcp_does_nothing_for_a_client_without_the_token(bench: Bench, fir
         pass
     assert len(answers) <= 1 and all("error" in a for a in answers)
     assert bench.daemon.vehicle("alpha").orders == []
-
-
-async def test_clients_without_token_do_not_use_up_the_places(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "MAX_UNAUTHENTICATED", 2)
-    silent = [await bench.connect_tcp() for _ in range(2)]
-    await bench.until(lambda: bench.server.stats()["sessions"] == 2)
-    assert "too many" in (await (await bench.connect_tcp()).answer())["error"]["message"]
-    assert (await silent[0].call("auth", token="open sesame"))["result"] == {"ok": True}
-    assert "result" in await (await bench.connect()).call("daemon.info")
 
 
 async def test_a_silent_tcp_client_is_closed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
