@@ -240,7 +240,7 @@ async def test_a_socket_of_another_user_is_not_a_missing_daemon(
     async def denied(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(asyncio.get_running_loop(), "create_unix_connection", denied)
+    monkeypatch.setattr("skygcs.rpc.client._connected_to", denied)
     owner = pwd.getpwuid(os.geteuid()).pw_name
     monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
     with pytest.raises(DaemonForbidden) as caught:
@@ -255,6 +255,6 @@ async def test_a_forbidden_socket_of_ones_own_is_said_with_the_systems_reason(
     async def denied(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(asyncio.get_running_loop(), "create_unix_connection", denied)
+    monkeypatch.setattr("skygcs.rpc.client._connected_to", denied)
     with pytest.raises(DaemonUnreachable, match="Permission denied"):
         await connect(tmp_path / "own.sock").open()
