@@ -17,9 +17,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink, SimulatedLink
 from skygcs.config.signing import SigningSettings
+from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import is_signed_with, key_id, timestamp_at, timestamp_of
 from skygcs.daemon import Daemon
-from skygcs.errors import KeyFileError, LinkError, RefusedError
+from skygcs.errors import KeyFileError, LinkError, RefusedError, RpcError
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.rpc.client import connect
 from support.hosts import until
@@ -201,6 +202,128 @@ async def test_our_time_is_kept_and_never_goes_back(
     async with running(tmp_path, radio=radio) as daemon:
         await until(lambda: counts(daemon)["sent_signed"] > 0 and bool(wire(daemon).received))
         assert min(timestamp_of(raw) for raw in wire(daemon).received) > last
+
+
+async def test_only_who_signs_with_the_key_becomes_a_peer_where_it_is_required(tmp_path: Path) -> None:
+    links = {
+        "plain": {},
+        "keyed": {"signing": signing(tmp_path)},
+        "asked": {"signing": signing(tmp_path, link_id=1, accept_unsigned=("*",))},
+    }
+    async with running(tmp_path, **links) as daemon:
+        parser = FrameParser(daemon.dialect)
+        (unsigned,) = parser.feed_datagram(PymavPeer(7, 1).heartbeat())
+        (forged,) = parser.feed_datagram(SignedPeer(wire(daemon), OTHER).heartbeat())
+        (right,) = parser.feed_datagram(SignedPeer(wire(daemon)).heartbeat())
+        for name, wanted in (("plain", (True,) * 4), ("keyed", (False, False, True, True)), ("asked", (True,) * 4)):
+            config = daemon.links.configs[name]
+            judged = [daemon.hub.vouches_for(config, f) for f in ([unsigned], [forged], [right], [unsigned, right])]
+            assert tuple(judged) == wanted, name
+        wire(daemon, "keyed").send(right.raw)
+        await until(lambda: counts(daemon, "keyed")["signed"] == 1)  # to be asked moved no stream on
+
+
+# -- times of the future
+
+
+YEAR_2104 = (1 << 48) - 2
+
+
+def stamped(peer: SignedPeer, timestamp: int) -> bytes:
+    peer.mav.signing.timestamp = timestamp
+    return peer.heartbeat()
+
+
+async def test_a_frame_of_the_year_2104_is_dropped_told_and_pins_nothing(tmp_path: Path, state_home: Path) -> None:
+    async with running(tmp_path, radio={"signing": signing(tmp_path)}) as daemon:
+        peer = SignedPeer(wire(daemon))
+        wire(daemon).send(stamped(peer, YEAR_2104))
+        wire(daemon).send(stamped(peer, YEAR_2104))
+        await until(lambda: counts(daemon)["ahead"] == 2)
+        assert daemon.fleet.vehicles == {}
+        (told,) = [e for e in daemon.events if e["kind"] == "signing"]
+        assert (
+            "7/1" in told["text"] and "radio" in told["text"] and "days ahead of this computer's clock" in told["text"]
+        )
+        assert told["data"]["verdict"] == "ahead"
+        (key,) = daemon.signing_status()["keys"]
+        assert key["ahead_s"] < 60 and not key["pinned"]
+        peer = SignedPeer(wire(daemon))
+        peer.beat()
+        await until(lambda: VEHICLE in daemon.fleet.vehicles)
+    kept = json.loads((state_home / f"{key_id(KEY)}.json").read_text())
+    assert kept["timestamp"] < timestamp_at(time.time() + 86400)
+    assert kept["wall"] <= timestamp_at(time.time() + 1)
+
+
+async def test_max_ahead_s_allows_for_more(tmp_path: Path) -> None:
+    links = {"radio": {"signing": signing(tmp_path, max_ahead_s=90 * 86400)}}
+    async with running(tmp_path, **links) as daemon:
+        peer = SignedPeer(wire(daemon), behind_s=-60 * 86400)
+        peer.beat()
+        await until(lambda: VEHICLE in daemon.fleet.vehicles)
+        wire(daemon).send(stamped(peer, YEAR_2104))
+        await until(lambda: counts(daemon)["ahead"] == 1)
+
+
+def pin(state_home: Path) -> Path:
+    """What a frame of the year 2104 left on disk before there was a limit."""
+    state_home.mkdir(parents=True)
+    path = state_home / f"{key_id(KEY)}.json"
+    path.write_text(json.dumps({"format": 1, "timestamp": YEAR_2104, "exact": True}))
+    return path
+
+
+async def test_a_clock_that_was_pinned_before_is_told_and_mended(tmp_path: Path, state_home: Path) -> None:
+    path = pin(state_home)
+    radio = {"signing": signing(tmp_path)}
+    async with running(tmp_path, radio=radio) as daemon, connect(tmp_path / "s") as gcs:
+        (told,) = [e for e in daemon.events if e["kind"] == "warning"]
+        assert f"skygcs-cli signing reset-clock {key_id(KEY)}" in told["text"]
+        assert (await gcs.call("signing.status"))["keys"][0]["pinned"]
+        peer = SignedPeer(wire(daemon))
+        peer.beat()
+        await until(lambda: counts(daemon)["stale"] == 1)
+        answer = await gcs.call("signing.reset_clock", key_id=key_id(KEY))
+        assert "days ahead" in answer["message"]
+        key = (await gcs.call("signing.status"))["keys"][0]
+        assert not key["pinned"] and abs(key["ahead_s"]) < 60
+        assert json.loads(path.read_text())["timestamp"] < timestamp_at(time.time() + 60)
+        peer = SignedPeer(wire(daemon))
+        peer.beat()
+        await until(lambda: VEHICLE in daemon.fleet.vehicles)
+        daemon.send_message("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        await until(lambda: any(m.get_type() == "PARAM_REQUEST_READ" for m in peer.good()))
+    async with running(tmp_path, radio=radio) as daemon:
+        assert not [e for e in daemon.events if e["kind"] == "warning"]
+        assert not daemon.signing_status()["keys"][0]["pinned"]
+
+
+async def test_a_clock_is_not_set_back_while_a_vehicle_is_armed_nor_one_that_nobody_uses(
+    tmp_path: Path, state_home: Path
+) -> None:
+    pin(state_home)
+    async with (
+        running(tmp_path, radio={"signing": signing(tmp_path)}, other={}) as daemon,
+        connect(tmp_path / "s") as gcs,
+    ):
+        wire(daemon, "other").send(PymavPeer(9, 1).heartbeat(armed=True))
+        await until(lambda: 9 << 8 | 1 in daemon.fleet.vehicles)
+        with pytest.raises(RpcError, match="v9 armed"):
+            await gcs.call("signing.reset_clock", key_id=key_id(KEY))
+        with pytest.raises(RpcError, match=f"no key 'cafe' is in use; in use: {key_id(KEY)}"):
+            await gcs.call("signing.reset_clock", key_id="cafe", force=True)
+        assert "message" in await gcs.call("signing.reset_clock", key_id=key_id(KEY), force=True)
+
+
+async def test_a_vehicle_is_given_no_time_of_the_future(tmp_path: Path, state_home: Path) -> None:
+    pin(state_home)
+    async with running(tmp_path, sim=simulated(ardupilot=1)) as daemon:
+        await discovered(daemon, 1)
+        outcome = (await daemon.signing_setup.setup("1", key_file(tmp_path)))["v1"]
+        assert outcome.result == "refused" and "reset-clock" in outcome.message
+        daemon.signing.reset_clock(key_id(KEY))
+        assert (await daemon.signing_setup.setup("1", key_file(tmp_path)))["v1"].ok
 
 
 # -- giving vehicles their key

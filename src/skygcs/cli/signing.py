@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +16,7 @@ from skygcs.rpc.client import Client
 
 app = typer.Typer(help="Sign messages, so that only who has the key can command the vehicles.", no_args_is_help=True)
 
-DROPPED = ("unsigned", "bad_signature", "replayed", "stale", "too_many_streams")
+DROPPED = ("unsigned", "bad_signature", "replayed", "stale", "ahead", "too_many_streams")
 
 
 @app.command("status")
@@ -61,6 +62,19 @@ def off(targets: Targets, json_output: Json = False) -> None:
     run(command)
 
 
+@app.command("reset-clock")
+def reset_clock(
+    key_id: Annotated[str, typer.Argument(metavar="KEYID", help="As signing status shows it.")],
+    force: Annotated[bool, typer.Option("--force", help="Although a vehicle is armed.")] = False,
+) -> None:
+    """Set the clock of a key back to this computer's, after somebody has moved it far ahead."""
+
+    async def command(gcs: Client) -> None:
+        typer.echo((await gcs.call("signing.reset_clock", key_id=key_id, force=force))["message"])
+
+    run(command)
+
+
 @app.command("key")
 def key(file: Annotated[Path, typer.Argument(metavar="NEWFILE", help="Must not exist yet.")]) -> None:
     """Make a key file, mode 0600: 32 bytes of chance in hexadecimal. Needs no daemon."""
@@ -78,14 +92,11 @@ def key(file: Annotated[Path, typer.Argument(metavar="NEWFILE", help="Must not e
 def _lines(status: dict[str, Any]) -> list[str]:
     if not status["links"]:
         return ["no link has a key: set links.NAME.signing.key_file in the fleet file"]
-    ahead_s = {entry["key_id"]: entry["ahead_s"] for entry in status["keys"]}
     lines = []
     for link in status["links"]:
         allowed = ", ".join(map(str, link["accept_unsigned"])) or "none"
         signs = "signs" if link["sign_outgoing"] else "does not sign"
-        ahead = ahead_s[link["key_id"]]
-        clock = f", its clock {ahead:.0f} s ahead of ours" if ahead >= 1 else ""
-        lines.append(f"{link['link']}: key {link['key_id']}{clock}, link id {link['link_id']}, {signs}")
+        lines.append(f"{link['link']}: key {link['key_id']}, link id {link['link_id']}, {signs}")
         lines.append(f"  may come unsigned: {allowed}")
         for channel in link["channels"]:
             dropped = ", ".join(f"{channel[kind]} {kind}" for kind in DROPPED if channel[kind])
@@ -93,4 +104,18 @@ def _lines(status: dict[str, Any]) -> list[str]:
                 f"  {channel['peer']}: {channel['signed']} signed, {channel['unsigned_allowed']} unsigned let in, "
                 f"dropped: {dropped or 'none'}; sent {channel['sent_signed']}"
             )
+    return lines + [line for key in status["keys"] for line in _clock_lines(key)]
+
+
+def _clock_lines(key: dict[str, Any]) -> list[str]:
+    """The clock of one key, and what to do if somebody has moved it far ahead."""
+    shown = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(key["time_unix_s"]))
+    ahead_s = key["ahead_s"]
+    offset = f"{ahead_s:.0f} s ahead of this computer's clock" if ahead_s >= 1 else "as this computer's clock"
+    lines = [f"clock of key {key['key_id']}: {shown}, {offset}"]
+    if key["pinned"]:
+        lines.append(
+            "  somebody signed with a wrong time; if this computer's clock is right: "
+            f"skygcs-cli signing reset-clock {key['key_id']}"
+        )
     return lines

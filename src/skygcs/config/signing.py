@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skygcs.core.mavlink.signing import KEY_BYTES, key_from_passphrase
+from skygcs.core.mavlink.signing import KEY_BYTES, MAX_AHEAD_S, key_from_passphrase
 from skygcs.errors import KeyFileError
 
 PASSPHRASE = "passphrase:"
@@ -31,6 +31,8 @@ class SigningSettings(BaseModel):
     """Which of our links this is to others: two links of one key need two ids."""
     sign_outgoing: bool = True
     """Sign our own messages. What others sent is forwarded as it came, signed or not."""
+    max_ahead_s: Annotated[float, Field(ge=60, le=3.2e9)] = MAX_AHEAD_S
+    """What is stamped further ahead of this computer's clock is dropped, and nobody's clock follows it."""
     accept_unsigned: tuple[str | int, ...] = ("RADIO_STATUS", "RADIO")
     """Messages that may come unsigned (a telemetry radio has no key); [] for none, ["*"] for all."""
 

@@ -20,12 +20,22 @@ class SigningSetupParams(m.TargetsParams):
     force: bool = Field(False, description="Although others can hear the link; the key goes out in clear.")
 
 
+class SigningResetParams(m.Params):
+    key_id: str = Field(min_length=1, max_length=64, description="As signing.status names the key.")
+    force: bool = Field(False, description="Although a vehicle is armed.")
+
+
+class SigningReset(m.Result):
+    message: str
+
+
 class SigningKeyState(m.Result):
     """A key in use."""
 
     key_id: str = Field(description="Tells keys apart; the key cannot be had from it.")
     time_unix_s: float = Field(description="The key's clock: the highest of ours and of all that was heard.")
     ahead_s: float = Field(description="Of the system clock.")
+    pinned: bool = Field(description="It is ahead by more than anybody may move it: see signing.reset_clock.")
     links: list[str]
 
 
@@ -39,6 +49,7 @@ class SigningChannelState(m.Result):
     bad_signature: int = Field(description="Dropped: signed with another key, or changed.")
     replayed: int = Field(description="Dropped: not newer than the last of its stream.")
     stale: int = Field(description="Dropped: a new stream, and more than a minute behind.")
+    ahead: int = Field(description="Dropped: stamped more than max_ahead_s ahead of the system clock.")
     too_many_streams: int = Field(description="Dropped: the table of streams is full.")
     sent_signed: int = Field(description="Our own messages.")
 
@@ -84,10 +95,20 @@ def signing_status(context: Context, _: m.NoParams) -> JsonObject:
     return context.daemon.signing_status()
 
 
+def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObject:
+    """Set a key's clock back to the system clock, after somebody has moved it far ahead; not while a vehicle is armed.
+
+    Streams that are ahead of it are forgotten. Vehicles that have followed the later time take no order of ours until
+    they get their key again over a cable (signing.setup).
+    """
+    return {"message": context.daemon.signing_setup.reset_clock(params.key_id, force=params.force)}
+
+
 _TOLD = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
 METHODS: tuple[Method[Context], ...] = (
     Method("signing.status", m.NoParams, signing_status, SigningStatus),
     Method("signing.setup", SigningSetupParams, signing_setup, m.Outcomes, _TOLD),
+    Method("signing.reset_clock", SigningResetParams, signing_reset_clock, SigningReset, (dispatch.REFUSED,)),
     Method("signing.off", m.TargetsParams, signing_off, m.Outcomes, _TOLD),
 )

@@ -19,6 +19,7 @@ from skygcs.config.signing import EVERY_MESSAGE, read_key
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.signing import (
+    MAX_AHEAD_S,
     TICKS_PER_S,
     Gate,
     SigningClock,
@@ -32,7 +33,7 @@ from skygcs.core.mavlink.signing import (
     unix_time_of,
 )
 from skygcs.core.vehicle.events import Event
-from skygcs.errors import KeyFileError
+from skygcs.errors import KeyFileError, RefusedError
 from skygcs.links.base import Channel
 from skygcs.runtime.signing_store import SigningStore
 
@@ -50,6 +51,10 @@ _KEPT_OUT = {
     "links that carry the same vehicles belong in one group",
     Verdict.STALE: "is {behind_s:.0f} s older than what others signed: played from a recording, or its sender's clock "
     "is behind and will follow ours as soon as it hears us",
+    Verdict.AHEAD: "is stamped {ahead} ahead of this computer's clock ({now}), and nothing follows it: set this "
+    "computer's clock if that is wrong (a computer without a battery for its clock starts with an old time); else the "
+    "sender's is: give a vehicle its key again over a cable (skygcs-cli signing setup), set another station's clock; "
+    "links.{link}.signing.max_ahead_s allows for more",
     Verdict.CROWDED: "comes from one sender too many",
 }
 
@@ -165,7 +170,8 @@ class Signing:
         self._require_own_link_id(config, key)
         scope = config.name if config.group is not None else None
         streams = self._streams.setdefault((key.secret, scope), Streams(key.clock))
-        gate = Gate(key.secret, key.clock, streams, self._allowed(config.signing.accept_unsigned))
+        allowed = self._allowed(config.signing.accept_unsigned)
+        gate = Gate(key.secret, key.clock, streams, allowed, config.signing.max_ahead_s)
         self._links[config.name] = LinkSigning(config, key, gate, self._wall)
 
     def forget(self, name: str) -> None:
@@ -181,10 +187,56 @@ class Signing:
         """The key with its clock, which goes on from where it was on disk."""
         key = self._keys.get(secret)
         if key is None:
-            clock = SigningClock(self._store.load(key_id(secret)))
-            clock.advance(self._wall())
+            clock = SigningClock(*self._store.load(key_id(secret)))
+            clock.see_wall(self._wall())
             key = self._keys[secret] = _Key(secret, clock, saved=0)
+            if self.is_pinned(secret):
+                data = {"key_id": key.id, "ahead_s": round(self._ahead_s(key))}
+                self._on_event(Event("warning", None, None, f"signing: {self.pinned_text(secret)}", data))
         return key
+
+    def is_pinned(self, secret: bytes) -> bool:
+        """Whether the key's clock is further ahead of this computer's than anybody could move it now."""
+        return self._ahead_s(self.key_of(secret)) > MAX_AHEAD_S
+
+    def pinned_text(self, secret: bytes) -> str:
+        """What is wrong with a clock that `is_pinned`, and what to do."""
+        key = self.key_of(secret)
+        back_s = (key.clock.wall - self._wall()) / TICKS_PER_S
+        back = (
+            f"this computer's clock is {_duration(back_s)} behind what it was: set it; " if back_s > MAX_AHEAD_S else ""
+        )
+        return (
+            f"the clock of key {key.id} is {_duration(self._ahead_s(key))} ahead of this computer's "
+            f"({self._now_text()}): {back}if this computer's clock is right, somebody signed with a wrong time, and "
+            f"what we sign carries it on: set the key's clock back with skygcs-cli signing reset-clock {key.id}"
+        )
+
+    def reset_clock(self, wanted: str) -> str:
+        """Set a key's clock back to this computer's, in memory and on disk; what is said of it. Raises RefusedError."""
+        key = next((key for key in self._keys.values() if key.id == wanted), None)
+        if key is None:
+            in_use = ", ".join(key.id for key in self._keys.values()) or "none"
+            raise RefusedError(f"no key {wanted!r} is in use; in use: {in_use}")
+        wall = self._wall()
+        before_s = self._ahead_s(key)
+        key.clock.reset(wall)
+        for (secret, _), streams in self._streams.items():
+            if secret == key.secret:
+                streams.reset()
+        self._store.save(key.id, wall, wall=wall, exact=False)
+        key.saved = wall
+        self._tell_store()
+        text = f"the clock of key {key.id} was {_duration(before_s)} ahead of this computer's and is set back to it"
+        self._on_event(Event("signing", None, None, f"signing: {text}", {"key_id": key.id, "ahead_s": round(before_s)}))
+        return text
+
+    def _ahead_s(self, key: _Key) -> float:
+        """Of this computer's clock as it is now."""
+        return (key.clock.timestamp - self._wall()) / TICKS_PER_S
+
+    def _now_text(self) -> str:
+        return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(self._unix_s()))
 
     def stamp(self, secret: bytes) -> int:
         """A time for somebody who gets this key: not before any that was used with it."""
@@ -244,21 +296,26 @@ class Signing:
             return
         link.told.add((verdict, source))
         name = channel.link.name
-        behind_s = (link.key.clock.timestamp - timestamp_of(frame.raw)) / TICKS_PER_S if frame.signed else 0.0
-        why = _KEPT_OUT[verdict].format(behind_s=behind_s)
+        stamp, clock = (timestamp_of(frame.raw) if frame.signed else 0), link.key.clock
+        why = _KEPT_OUT[verdict].format(
+            behind_s=(clock.timestamp - stamp) / TICKS_PER_S,
+            ahead=_duration((stamp - clock.wall) / TICKS_PER_S),
+            now=self._now_text(),
+            link=name,
+        )
         text = f"{name} ({channel.peer}): {frame.name} of {frame.sysid}/{frame.compid} is dropped: it {why} (told once)"
         data = {"link": name, "compid": frame.compid, "verdict": verdict.value, "message": frame.name}
         self._on_event(Event("signing", None, frame.sysid, text, data))
 
     def status(self, channels: dict[str, list[Channel]]) -> dict[str, Any]:
         """Keys by their id with their time, links with their rules and counters; ``channels`` by link."""
-        wall = self._wall()
         used = {name: link.key.id for name, link in self._links.items()}
         keys = [
             {
                 "key_id": key.id,
                 "time_unix_s": round(unix_time_of(key.clock.timestamp), 5),
-                "ahead_s": round((key.clock.timestamp - wall) / TICKS_PER_S, 3),
+                "ahead_s": round(self._ahead_s(key), 3),
+                "pinned": self._ahead_s(key) > MAX_AHEAD_S,
                 "links": [name for name, used_id in used.items() if used_id == key.id],
             }
             for key in self._keys.values()
@@ -291,12 +348,13 @@ class Signing:
                 for key in list(self._keys.values()):
                     if key.clock.timestamp - key.saved > SAVE_EVERY_S * TICKS_PER_S or not key.saved:
                         stamp = max(key.clock.timestamp, self._wall())
-                        await asyncio.to_thread(self._store.save, key.id, stamp, exact=False)
+                        key.clock.see_wall(self._wall())
+                        await asyncio.to_thread(self._store.save, key.id, stamp, wall=key.clock.wall, exact=False)
                         key.saved = stamp
                     self._tell_store()
         finally:
             for key in self._keys.values():
-                self._store.save(key.id, key.clock.timestamp, exact=True)
+                self._store.save(key.id, key.clock.timestamp, wall=key.clock.wall, exact=True)
             self._tell_store()
 
     def _tell_store(self) -> None:
@@ -306,3 +364,10 @@ class Signing:
             text = f"{problem}: after a restart with a wrong system clock, vehicles may take our messages for old ones"
             self._on_event(Event("warning", None, None, f"signing: {text}", {}))
         self._store_failed = problem
+
+
+def _duration(seconds: float) -> str:
+    """ "28,502 days", "3.2 h", "80 s"."""
+    if seconds >= 2 * 86400:
+        return f"{seconds / 86400:,.0f} days"
+    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds:.0f} s"

@@ -64,6 +64,17 @@ class SigningSetup:
         """Have the vehicles forget their key. Raises TargetError."""
         return await self._tell(targets, None, force=False)
 
+    def reset_clock(self, wanted: str, *, force: bool = False) -> str:
+        """See `Signing.reset_clock`. Raises RefusedError, too, while a vehicle may be in use, unless ``force``."""
+        now = self._loop.time()
+        used = [a.name for a in self._fleet.vehicles.values() if a.vehicle.connected and why_not_idle(a.vehicle, now)]
+        if used and not force:
+            raise RefusedError(
+                f"{', '.join(used[:5])} armed or in the air: a vehicle that has heard the later time takes no order "
+                "signed with an earlier one; land first, or insist with force (--force)"
+            )
+        return self._signing.reset_clock(wanted)
+
     async def _tell(self, targets: str | list[str], key: bytes | None, *, force: bool) -> dict[str, Outcome]:
         vehicles = [actor.vehicle for actor in self._fleet.resolve(targets)]
         async with asyncio.TaskGroup() as group:
@@ -75,6 +86,8 @@ class SigningSetup:
             require_connected(vehicle, self._loop.time())
             if (why := why_not_idle(vehicle, self._loop.time())) is not None:
                 raise RefusedError(f"{why}: {ONLY_DISARMED}")
+            if key is not None and not force and self._signing.is_pinned(key):
+                raise RefusedError(f"{self._signing.pinned_text(key)}, or insist with force (--force)")
             channel = self._way(vehicle, with_key=key is not None, force=force)
         except RefusedError as error:
             outcome = Outcome(False, "refused", f"refused: {error}")

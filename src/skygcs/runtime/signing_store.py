@@ -6,6 +6,7 @@ import json
 import os
 import tempfile
 from pathlib import Path
+from typing import NamedTuple
 
 from skygcs.core.mavlink.signing import MAX_TIMESTAMP, TICKS_PER_S
 
@@ -28,6 +29,15 @@ def default_state_dir() -> Path | None:
     return folder / "skygcs" / "signing"
 
 
+class Kept(NamedTuple):
+    """What was kept of a key."""
+
+    timestamp: int
+    """To go on from: later than any that was used."""
+    wall: int
+    """What this computer's clock showed then; 0 in files of before it was kept."""
+
+
 class SigningStore:
     """One file per key, named by its id; it holds no key. ``problem`` says why the last access failed, or is empty."""
 
@@ -35,10 +45,10 @@ class SigningStore:
         self._folder = folder
         self.problem = "" if folder is not None else "there is no folder to keep the time of the keys in"
 
-    def load(self, key_id: str) -> int:
-        """The timestamp to go on from: later than any that was used; 0 if none was kept."""
+    def load(self, key_id: str) -> Kept:
+        """What was kept of the key; zeros if nothing was."""
         if self._folder is None:
-            return 0
+            return Kept(0, 0)
         path = self._path(key_id)
         try:
             with open(path, "rb") as file:
@@ -46,14 +56,16 @@ class SigningStore:
             if table["format"] != FORMAT:
                 raise ValueError(f"format {table['format']}")
             timestamp, exact = int(table["timestamp"]), bool(table["exact"])
+            wall = min(max(int(table.get("wall", 0)), 0), MAX_TIMESTAMP)
         except FileNotFoundError:
-            return 0
-        except (OSError, ValueError, KeyError, TypeError) as error:
+            return Kept(0, 0)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             self.problem = f"{path} cannot be read ({error})"
-            return 0
-        return min(max(timestamp, 0) + (0 if exact else int(AFTER_CRASH_S * TICKS_PER_S)), MAX_TIMESTAMP)
+            return Kept(0, 0)
+        margin = 0 if exact else int(AFTER_CRASH_S * TICKS_PER_S)
+        return Kept(min(max(timestamp, 0) + margin, MAX_TIMESTAMP), wall)
 
-    def save(self, key_id: str, timestamp: int, *, exact: bool) -> None:
+    def save(self, key_id: str, timestamp: int, *, wall: int, exact: bool) -> None:
         """Keep it, whole or not at all; ``exact``: none later will be used before the next `load`."""
         if self._folder is None:
             return
@@ -63,7 +75,7 @@ class SigningStore:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             handle, name = tempfile.mkstemp(dir=self._folder, suffix=".tmp")
             with os.fdopen(handle, "w", encoding="utf-8") as file:
-                json.dump({"format": FORMAT, "timestamp": timestamp, "exact": exact}, file)
+                json.dump({"format": FORMAT, "timestamp": timestamp, "wall": wall, "exact": exact}, file)
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(name, path)

@@ -28,6 +28,7 @@ CHANNEL = {
     "bad_signature": 0,
     "replayed": 2,
     "stale": 0,
+    "ahead": 0,
     "too_many_streams": 0,
     "sent_signed": 460,
 }
@@ -43,6 +44,10 @@ class FakeSetup:
             raise KeyFileError(str(key_file), "others can read or change it")
         return {"alpha": Outcome(True, "accepted", "it signs with key 2c6184d5", 1, 0.2)}
 
+    def reset_clock(self, wanted: str, *, force: bool = False) -> str:
+        self.asked.append((wanted, force))
+        return f"the clock of key {wanted} is set back"
+
     async def off(self, targets: str) -> dict[str, Outcome]:
         self.asked.append((targets,))
         return {"alpha": Outcome(False, "timeout", "it still signs", 3, 7.5)}
@@ -53,11 +58,12 @@ class SigningDaemon(FakeDaemon):
         super().__init__()
         self.signing_setup = FakeSetup()
         self.links_with_key = True
+        self.pinned = False
 
     def signing_status(self) -> dict[str, Any]:
         if not self.links_with_key:
             return {"keys": [], "links": []}
-        key = {"key_id": "2c6184d5", "time_unix_s": 1.8e9, "ahead_s": 61.2, "links": ["radio"]}
+        key = {"key_id": "2c6184d5", "time_unix_s": 1.8e9, "ahead_s": 61.2, "pinned": self.pinned, "links": ["radio"]}
         link = {"link": "radio", "key_id": "2c6184d5", "key_file": "/k", "link_id": 3, "sign_outgoing": True}
         return {"keys": [key], "links": [{**link, "accept_unsigned": ["RADIO_STATUS", 166], "channels": [CHANNEL]}]}
 
@@ -102,13 +108,22 @@ def test_off_fails_if_a_vehicle_still_signs(daemon: SigningDaemon) -> None:
 
 def test_status_tells_what_was_dropped(daemon: SigningDaemon) -> None:
     assert signing("status").splitlines() == [
-        "radio: key 2c6184d5, its clock 61 s ahead of ours, link id 3, signs",
+        "radio: key 2c6184d5, link id 3, signs",
         "  may come unsigned: RADIO_STATUS, 166",
         "  /dev/ttyUSB0: 2810 signed, 31 unsigned let in, dropped: 4 unsigned, 2 replayed; sent 460",
+        "clock of key 2c6184d5: 2027-01-15 08:00:00 UTC, 61 s ahead of this computer's clock",
     ]
+    daemon.pinned = True
+    assert signing("status").endswith("skygcs-cli signing reset-clock 2c6184d5\n")
     assert '"bad_signature": 0' in signing("status", "--json")
     daemon.links_with_key = False
     assert "no link has a key" in signing("status")
+
+
+def test_a_clock_is_set_back(daemon: SigningDaemon) -> None:
+    assert signing("reset-clock", "2c6184d5") == "the clock of key 2c6184d5 is set back\n"
+    signing("reset-clock", "2c6184d5", "--force")
+    assert daemon.signing_setup.asked == [("2c6184d5", False), ("2c6184d5", True)]
 
 
 def test_a_relative_key_file_is_refused_by_the_daemon(daemon: SigningDaemon) -> None:

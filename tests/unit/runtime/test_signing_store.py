@@ -14,52 +14,52 @@ NOW = 37_000_000_000_000
 
 
 def test_an_exact_time_comes_back_as_it_was(tmp_path: Path) -> None:
-    SigningStore(tmp_path / "new").save("ab", NOW, exact=True)
+    SigningStore(tmp_path / "new").save("ab", NOW, wall=NOW, exact=True)
     store = SigningStore(tmp_path / "new")
-    assert store.load("ab") == NOW
-    assert store.load("cd") == 0
+    assert store.load("ab").timestamp == NOW
+    assert store.load("cd").timestamp == 0
     assert (tmp_path / "new").stat().st_mode & 0o077 == 0
     assert store.problem == ""
 
 
 def test_after_a_crash_the_time_is_beyond_what_may_have_been_used(tmp_path: Path) -> None:
     store = SigningStore(tmp_path)
-    store.save("ab", NOW, exact=False)
-    assert store.load("ab") == NOW + AFTER_CRASH_S * TICKS_PER_S
-    store.save("ab", MAX_TIMESTAMP, exact=False)
-    assert store.load("ab") == MAX_TIMESTAMP
+    store.save("ab", NOW, wall=NOW, exact=False)
+    assert store.load("ab").timestamp == NOW + AFTER_CRASH_S * TICKS_PER_S
+    store.save("ab", MAX_TIMESTAMP, wall=NOW, exact=False)
+    assert store.load("ab").timestamp == MAX_TIMESTAMP
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[]", "7", '{"format": 2, "timestamp": 1, "exact": true}', "\0" * 50])
 def test_a_broken_file_is_told_and_is_no_time(tmp_path: Path, content: str) -> None:
     (tmp_path / "ab.json").write_text(content)
     store = SigningStore(tmp_path)
-    assert store.load("ab") == 0
+    assert store.load("ab").timestamp == 0
     assert "ab.json cannot be read" in store.problem
-    store.save("ab", NOW, exact=True)
-    assert (store.load("ab"), store.problem) == (NOW, "")
+    store.save("ab", NOW, wall=NOW, exact=True)
+    assert (store.load("ab").timestamp, store.problem) == (NOW, "")
 
 
 def test_a_save_that_fails_leaves_the_old_time_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = SigningStore(tmp_path)
-    store.save("ab", NOW, exact=True)
+    store.save("ab", NOW, wall=NOW, exact=True)
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    store.save("ab", NOW + 5, exact=True)
+    store.save("ab", NOW + 5, wall=NOW, exact=True)
     assert "ab.json cannot be written (No space left on device)" in store.problem
     assert [p.name for p in tmp_path.iterdir()] == ["ab.json"]
-    assert store.load("ab") == NOW
+    assert store.load("ab").timestamp == NOW
 
 
 def test_without_a_folder_nothing_is_kept_and_that_is_told() -> None:
     store = SigningStore(None)
-    store.save("ab", NOW, exact=True)
-    assert store.load("ab") == 0
+    store.save("ab", NOW, wall=NOW, exact=True)
+    assert store.load("ab").timestamp == 0
     assert "no folder" in store.problem
 
 
@@ -69,3 +69,36 @@ def test_the_folder_is_that_of_the_desktop_standard(monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv("XDG_STATE_HOME")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert default_state_dir() == tmp_path / ".local" / "state" / "skygcs" / "signing"
+
+
+def test_the_computers_clock_is_kept_and_files_of_before_have_none(tmp_path: Path) -> None:
+    store = SigningStore(tmp_path)
+    store.save("ab", NOW + 5, wall=NOW, exact=True)
+    assert store.load("ab") == (NOW + 5, NOW)
+    (tmp_path / "cd.json").write_text(f'{{"format": 1, "timestamp": {NOW}, "exact": true}}')
+    assert store.load("cd") == (NOW, 0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[]",
+        "5",
+        "null",
+        '{"format": 1, "timestamp": 1e999, "exact": true}',
+        '{"format": 1, "timestamp": 5, "exact": true, "wall": "x"}',
+        '{"format": 1, "timestamp": 5, "exact": true, "wall": null}',
+        '{"format": 1, "timestamp": {}, "exact": true}',
+        "[" * 4000,
+    ],
+)
+def test_a_file_that_is_no_state_is_told_and_not_believed(tmp_path: Path, text: str) -> None:
+    (tmp_path / "ab.json").write_text(text)
+    store = SigningStore(tmp_path)
+    assert store.load("ab") == (0, 0)
+    assert "cannot be read" in store.problem
+
+
+def test_times_beyond_the_range_are_brought_into_it(tmp_path: Path) -> None:
+    (tmp_path / "ab.json").write_text(f'{{"format": 1, "timestamp": {1 << 60}, "exact": true, "wall": {-1 << 60}}}')
+    assert SigningStore(tmp_path).load("ab") == (MAX_TIMESTAMP, 0)

@@ -43,6 +43,12 @@ NEW_STREAM_TICKS = 60 * TICKS_PER_S
 """A stream not met before may be this far behind our own clock (the guide's minute), and no further: else whatever was
 recorded of it earlier could be played to us."""
 
+MAX_AHEAD_S = 86_400.0
+"""A stamp further ahead of the computer's clock is neither believed nor followed: it would take the time of the key, of
+every vehicle that hears us and of what is kept on disk along, for good, and one of the year 2104 ends all signing. A
+day, and not the guide's minute, because honest clocks run ahead: an ArduPilot without GPS goes on a minute later at
+each start, and a computer whose clock was set to local time is up to 14 h off."""
+
 MAX_STREAMS = 512
 """As many sources as one channel's table of counters holds. Only who has the key can make one."""
 
@@ -63,6 +69,8 @@ class Verdict(StrEnum):
     """Not newer than the last of its stream: a copy, or one that was overtaken."""
     STALE = "stale"
     """The first of its stream, and more than a minute older than what we have seen from others."""
+    AHEAD = "ahead"
+    """Its time is too far ahead of this computer's clock."""
     CROWDED = "too_many_streams"
 
 
@@ -113,13 +121,26 @@ def is_signed_with(signed: bytes, key: bytes) -> bool:
 
 
 class SigningClock:
-    """The time of one key. It never goes back: it is the highest of the wall clock, of what was sent and of what was
-    seen, rightly signed, from others."""
+    """The time of one key. It never goes back by itself: it is the highest of the wall clock, of what was sent and of
+    what was seen, rightly signed, from others."""
 
-    __slots__ = ("timestamp",)
+    __slots__ = ("timestamp", "wall")
 
-    def __init__(self, timestamp: int = 0) -> None:
+    def __init__(self, timestamp: int = 0, wall: int = 0) -> None:
         self.timestamp = timestamp
+        self.wall = wall
+        """The latest that this computer's clock has shown, before a restart as well: a computer that starts with an old
+        time (it has no battery for its clock) does not take everybody else's for the future."""
+
+    def see_wall(self, wall: int) -> None:
+        """The computer's clock shows this."""
+        if wall > self.wall:
+            self.wall = min(wall, MAX_TIMESTAMP)
+        self.advance(wall)
+
+    def reset(self, wall: int) -> None:
+        """Back to the computer's clock, whatever was seen and sent."""
+        self.timestamp = self.wall = wall
 
     def advance(self, timestamp: int) -> None:
         """Somebody with the key is at this time, or the wall clock is."""
@@ -159,6 +180,10 @@ class Streams:
         self._clock.advance(timestamp)
         return Verdict.SIGNED
 
+    def reset(self) -> None:
+        """Forget streams that are ahead of our clock, which was set back: what their senders sign next is new."""
+        self._last = {stream: at for stream, at in self._last.items() if at <= self._clock.timestamp}
+
     def _make_room(self) -> bool:
         """Forget what is a minute old: anything that old, or older, is refused to a stream that is not known, too."""
         limit = self._clock.timestamp - NEW_STREAM_TICKS
@@ -168,14 +193,23 @@ class Streams:
 
 class Gate:
     """Checks the frames of one link with one key. ``allowed`` are the ids that may come unsigned; None: all of them.
+    ``max_ahead_s``: how far a stamp may be ahead of the computer's clock; None: by any time.
 
     A frame that is signed, and wrongly, is never let in, whatever its id.
     """
 
-    __slots__ = ("_allowed", "_clock", "_key", "_streams")
+    __slots__ = ("_allowed", "_clock", "_key", "_max_ahead", "_streams")
 
-    def __init__(self, key: bytes, clock: SigningClock, streams: Streams, allowed: frozenset[int] | None) -> None:
+    def __init__(
+        self,
+        key: bytes,
+        clock: SigningClock,
+        streams: Streams,
+        allowed: frozenset[int] | None,
+        max_ahead_s: float | None = None,
+    ) -> None:
         self._key = key
+        self._max_ahead = MAX_TIMESTAMP if max_ahead_s is None else int(max_ahead_s * TICKS_PER_S)
         self._clock = clock
         self._streams = streams
         self._allowed = allowed
@@ -188,5 +222,8 @@ class Gate:
         raw = frame.raw
         if not is_signed_with(raw, self._key):
             return Verdict.FORGED
-        self._clock.advance(wall)
-        return self._streams.check(link_id_of(raw), frame.sysid, frame.compid, timestamp_of(raw))
+        self._clock.see_wall(wall)
+        timestamp = timestamp_of(raw)
+        if timestamp > self._clock.wall + self._max_ahead:
+            return Verdict.AHEAD
+        return self._streams.check(link_id_of(raw), frame.sysid, frame.compid, timestamp)

@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import (
+    MAX_AHEAD_S,
     MAX_STREAMS,
     MAX_TIMESTAMP,
     NEW_STREAM_TICKS,
@@ -261,3 +262,88 @@ def test_the_table_of_streams_is_bounded_and_loses_nothing_that_protects() -> No
     assert streams.check(0, 99, 1, later) is Verdict.SIGNED
     assert len(streams) == 2
     assert streams.check(5, 1, 1, NOW + 5) is Verdict.STALE  # forgotten, and refused all the same
+
+
+# -- a stamp from the future
+
+LIMIT_S = MAX_AHEAD_S
+
+
+def signed_at(timestamp: int, *, link_id: int = 3, sysid: int = 7) -> Frame:
+    """A heartbeat signed by pymavlink at this time."""
+    end = pymav(timestamp=timestamp, link_id=link_id, sysid=sysid)
+    raw = end.heartbeat_encode(2, 3, 0, 0, 4, 3).pack(end)
+    (frame,) = FrameParser(dialect()).feed_datagram(bytes(raw))
+    return frame
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "verdict"),
+    [
+        (0, Verdict.SIGNED),
+        (60, Verdict.SIGNED),
+        (14 * 3600, Verdict.SIGNED),
+        (LIMIT_S - 1, Verdict.SIGNED),
+        (LIMIT_S + 1, Verdict.AHEAD),
+        (365 * 86400, Verdict.AHEAD),
+    ],
+)
+def test_a_stamp_far_ahead_of_the_computers_clock_is_not_believed(ahead_s: float, verdict: Verdict) -> None:
+    clock = SigningClock()
+    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
+    assert gate.check(signed_at(NOW + int(ahead_s * TICKS_PER_S)), NOW) is verdict
+    moved = clock.timestamp - NOW
+    assert moved <= (ahead_s * TICKS_PER_S + 1 if verdict is Verdict.SIGNED else 0)
+
+
+def test_a_stamp_of_the_year_2104_pins_no_clock_and_the_next_honest_frame_counts() -> None:
+    clock = SigningClock()
+    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
+    assert gate.check(signed_at(MAX_TIMESTAMP - 1), NOW) is Verdict.AHEAD
+    assert clock.timestamp == NOW
+    assert gate.check(signed_at(NOW + 5), NOW) is Verdict.SIGNED
+    assert gate.check(signed_at(NOW - 5, sysid=8), NOW) is Verdict.SIGNED
+    assert clock.stamp(NOW) < NOW + TICKS_PER_S
+
+
+def test_small_steps_walk_no_further_than_one_large_one() -> None:
+    clock = SigningClock()
+    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
+    verdicts = [gate.check(signed_at(NOW + int(step * LIMIT_S / 2 * TICKS_PER_S)), NOW) for step in range(5)]
+    assert verdicts[:2] == [Verdict.SIGNED] * 2
+    assert verdicts[3:] == [Verdict.AHEAD] * 2
+    assert clock.timestamp <= NOW + LIMIT_S * TICKS_PER_S
+
+
+def test_a_computer_that_starts_with_an_old_time_goes_by_what_it_showed_before() -> None:
+    clock = SigningClock(NOW, wall=NOW)
+    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
+    old = NOW - 30 * 86400 * TICKS_PER_S
+    assert gate.check(signed_at(NOW + 60 * TICKS_PER_S), old) is Verdict.SIGNED
+    assert gate.check(signed_at(MAX_TIMESTAMP - 1), old) is Verdict.AHEAD
+
+
+def test_a_clock_that_was_set_back_takes_the_streams_that_ran_ahead_anew() -> None:
+    clock = SigningClock()
+    streams = Streams(clock)
+    gate = Gate(KEY, clock, streams, frozenset())
+    assert gate.check(signed_at(MAX_TIMESTAMP - 9), NOW) is Verdict.SIGNED
+    honest = NOW + 100
+    assert gate.check(signed_at(honest), NOW) is Verdict.REPLAYED
+    assert gate.check(signed_at(honest, sysid=8), NOW) is Verdict.STALE
+    clock.reset(NOW)
+    streams.reset()
+    assert gate.check(signed_at(honest), NOW) is Verdict.SIGNED
+    assert gate.check(signed_at(honest, sysid=8), NOW) is Verdict.SIGNED
+    assert gate.check(signed_at(honest), NOW) is Verdict.REPLAYED
+
+
+def test_streams_that_are_not_ahead_are_remembered_when_the_clock_is_set_back() -> None:
+    clock = SigningClock()
+    streams = Streams(clock)
+    gate = Gate(KEY, clock, streams, frozenset())
+    frame = signed_at(NOW - 100, sysid=9)
+    assert gate.check(frame, NOW) is Verdict.SIGNED
+    clock.reset(NOW)
+    streams.reset()
+    assert gate.check(frame, NOW) is Verdict.REPLAYED
