@@ -213,8 +213,8 @@ async def test_only_who_signs_with_the_key_becomes_a_peer_where_it_is_required(t
     async with running(tmp_path, **links) as daemon:
         parser = FrameParser(daemon.dialect)
         (unsigned,) = parser.feed_datagram(PymavPeer(7, 1).heartbeat())
-        (forged,) = parser.feed_datagram(SignedPeer(wire(daemon), OTHER).heartbeat())
-        (right,) = parser.feed_datagram(SignedPeer(wire(daemon)).heartbeat())
+        (forged,) = parser.feed_datagram(SignedPeer(wire(daemon, "keyed"), OTHER).heartbeat())
+        (right,) = parser.feed_datagram(SignedPeer(wire(daemon, "keyed")).heartbeat())
         for name, wanted in (("plain", (True,) * 4), ("keyed", (False, False, True, True)), ("asked", (True,) * 4)):
             config = daemon.links.configs[name]
             judged = [daemon.hub.vouches_for(config, f) for f in ([unsigned], [forged], [right], [unsigned, right])]
