@@ -22,6 +22,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mission.firmware import Change, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mission.px4_events import EVENT, rejection
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.mission_orders import (
     converted,
@@ -45,7 +46,8 @@ NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_R
 """Messages without which a dialect cannot carry a mission."""
 
 MISSION_CURRENT, MISSION_ITEM_REACHED = 42, 46
-MESSAGES = frozenset({40, MISSION_CURRENT, 44, MISSION_ITEM_REACHED, 47, 51, 73})
+EVENT_ID = 410
+MESSAGES = frozenset({40, MISSION_CURRENT, 44, MISSION_ITEM_REACHED, 47, 51, 73, EVENT_ID})
 """Ids of what `on_frame` wants to see."""
 
 REPORT_STEP = 10
@@ -90,8 +92,8 @@ class Missions:
         self._told_percent = 0
         self._percent: int | None = None
         self._done_upload: tuple[MissionUpload, float] | None = None
-        self._texts: deque[str] = deque(maxlen=MAX_TEXTS)
-        """Status texts since the last upload began."""
+        self._rejections: deque[str] = deque(maxlen=MAX_TEXTS)
+        """Why a PX4 rejects its mission, since the last upload began."""
         self._alarm = Alarm(loop, self._on_timer)
         self._current = b""
         self._seq: int | None = None
@@ -110,7 +112,7 @@ class Missions:
             first_number=0 if home_first else 1,
             home_first=home_first,
         )
-        self._texts.clear()
+        self._rejections.clear()
         outcome = await self._run(exchange, f"{kind.word} upload")
         if outcome.ok:
             self._done_upload = (exchange, self._loop.time())
@@ -120,13 +122,13 @@ class Missions:
         return outcome
 
     async def _feasible(self, outcome: MissionOutcome) -> MissionOutcome:
-        """A PX4 takes a mission and then looks whether it can be flown; only a status text says that it cannot."""
+        """A PX4 takes a mission and then looks whether it can be flown; only an event or a text says that it cannot."""
         await asyncio.sleep(SETTLE_S)
-        rejected = [text for text in self._texts if "mission rejected" in text.lower()]
-        if not rejected:
+        if not self._rejections:
             return outcome
-        message = f"{outcome.message}, and it will not fly them: {'; '.join(rejected)}"
-        return replace(outcome, ok=False, result="denied", message=message, status_texts=tuple(rejected))
+        reasons = tuple(dict.fromkeys(self._rejections))
+        message = f"{outcome.message}, and it will not fly them: {'; '.join(reasons)}"
+        return replace(outcome, ok=False, result="denied", message=message)
 
     async def download(self, kind: MissionType) -> MissionOutcome:
         """Its ``items`` are as on the wire."""
@@ -232,12 +234,16 @@ class Missions:
             self._on_current(frame)
         elif frame.msgid == MISSION_ITEM_REACHED:
             self._on_reached(frame.fields()["seq"])
+        elif frame.name == EVENT:
+            if (reason := rejection(frame.fields()["id"])) is not None:
+                self._rejections.append(reason)
         elif frame.name in ANSWERS:
             self._on_answer(frame, now)
 
     def on_text(self, text: str) -> None:
         """A status text of this vehicle: it may say why something is refused."""
-        self._texts.append(text)
+        if "mission rejected" in text.lower():
+            self._rejections.append(text)
         if self._running is not None:
             self._running[0].on_text(text)
 

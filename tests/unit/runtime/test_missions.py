@@ -11,14 +11,27 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.airtime import Priority
+from skygcs.core.mavlink.frame import encode
 from skygcs.core.mission.fence import FencePlan, FencePolygon
 from skygcs.core.mission.firmware import for_firmware, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
+from skygcs.core.mission.px4_events import event_id
 from skygcs.runtime.missions import MAX_WAITING
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.mission_vehicle import ArduPilotMission, MissionVehicle, Px4Mission, Reply
-from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, Ground, ScriptedVehicle, Sent, accept_everything
+from support.vehicles import (
+    ARDUPILOT,
+    HOME,
+    PX4,
+    PX4_LOITER,
+    Ground,
+    ScriptedVehicle,
+    Sent,
+    accept_everything,
+    flight_dialect,
+    parsed,
+)
 
 pytestmark = pytest.mark.looptime
 
@@ -176,16 +189,23 @@ async def test_an_upload_says_what_it_changed_and_the_check_says_it_before() -> 
         assert "SET_CAMERA_MODE" not in (await actor.upload_plan(plan=fence, kinds=(FENCE,))).message
 
 
-async def test_a_mission_that_a_px4_takes_and_will_not_fly_is_no_success() -> None:
+@pytest.mark.parametrize("by", ["event", "text"])
+async def test_a_mission_that_a_px4_takes_and_will_not_fly_is_no_success(by: str) -> None:
     async with Site() as (_, storing, actor):
-        said = "Mission rejected: takeoff is not the first waypoint item"
-        text = storing.vehicle.say(mav.MAVLink_statustext_message(2, said.encode()[:50]))
-        asyncio.get_running_loop().call_later(0.9, storing.vehicle.tell, text)
+        if by == "event":
+            reason = "the take-off is not the first item with a place"
+            number = event_id("navigator_mis_takeoff_not_first")
+            fields = {"id": number, "arguments": bytes(40)}
+            raw = parsed(encode(flight_dialect().by_name["EVENT"], fields, sysid=1, compid=1, seq=0))
+        else:
+            reason = "Mission rejected: takeoff is not first"
+            raw = storing.vehicle.say(mav.MAVLink_statustext_message(2, reason.encode()))
+        asyncio.get_running_loop().call_later(0.9, storing.vehicle.tell, raw)
         outcome = await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
         assert (outcome.ok, outcome.result) == (False, "denied")
-        assert outcome.message == f"4 mission items taken, and it will not fly them: {said[:50]}"
+        assert outcome.message == f"4 mission items taken, and it will not fly them: {reason}"
         again = await actor.upload_plan(plan=PLAN, kinds=(MISSION,))
-        assert again.ok, "the text was of the last upload"
+        assert again.ok, "that was of the last upload"
 
 
 async def test_a_mission_that_flies_is_not_replaced_or_cleared_unless_insisted_on() -> None:

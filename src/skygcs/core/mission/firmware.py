@@ -196,7 +196,7 @@ def _without_place(item: MissionItem) -> tuple[MissionItem, bool]:
 def _px4_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator[tuple[bool, str]]:
     command, name = item.command, _name(item.command, names)
     if command in PX4_SINCE_1_17:
-        yield False, f"PX4 takes {name} from 1.17 on only"
+        yield True, f"PX4 takes {name} from 1.17 on only; to one of these it can be sent with --force"
     elif command not in PX4_PLACED | PX4_PLACELESS:
         yield True, f"PX4 takes no {name} in a mission"
         return

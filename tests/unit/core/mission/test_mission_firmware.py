@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as every_dialect
 
 from skygcs.config.dialects import load_dialect
-from skygcs.core.mission import firmware
+from skygcs.core.mission import firmware, px4_events
 from skygcs.core.mission.check import check_plan, errors
 from skygcs.core.mission.firmware import Family, convert, for_firmware, grouped, px4_order, refusals
 from skygcs.core.mission.formats import read_plan
@@ -130,6 +130,7 @@ def test_conversion(family: Family, given: MissionItem, becomes: MissionItem | N
         ("px4", item(187, 1, 0, 0, 0, 0.5), "with whole numbers in param5 and param6 only"),
         ("px4", item(201, 1, 0, 0, 0, LAT, LON, 5), "with param1 0 or 3 only"),
         ("px4", item(112, 5), "and then rejects the mission: use NAV_DELAY"),
+        ("px4", item(400, 0, frame=2), "from 1.17 on only"),
         ("ardupilot", item(214, 5), "ArduPilot takes no DO_SET_CAM_TRIGG_INTERVAL"),
         ("ardupilot", item(196, frame=2), "ArduPilot takes no DO_SET_ROI_WPNEXT_OFFSET"),
         ("ardupilot", item(17, 0, 0, 0, 0, 1, 1, 5, frame=1), "in frames 0 (AMSL)"),
@@ -150,7 +151,6 @@ def test_what_cannot_be_converted_is_an_error_of_the_check(family: Family, given
     [
         ("px4", item(3000, 4), "unless the vehicle is a VTOL"),
         ("px4", item(201, 0, 0, 0, 0, LAT, LON, 5), "reads param1 = 0 of DO_SET_ROI as: no region of interest"),
-        ("px4", item(400, 0, frame=2), "from 1.17 on only"),
         ("ardupilot", item(223, 1), "an ArduCopter takes DO_ENGINE_CONTROL and skips it"),
     ],
 )
@@ -219,6 +219,15 @@ def test_changes_of_a_kind_are_one_line() -> None:
     assert line.startswith("items 1, 2, 3, 4, 5, 6, 7, 8 and 4 more: the place of NAV_RETURN_TO_LAUNCH")
     assert grouped(for_firmware(many[:2], "px4", NAMES).changes)[0].startswith("items 1 and 2: ")
     assert grouped(()) == []
+
+
+def test_events_by_which_a_px4_rejects_a_mission() -> None:
+    """The ids are those that a PX4 1.16.1 sent for such missions."""
+    assert px4_events.rejection(33440290) == "the take-off is not the first item with a place"
+    assert px4_events.rejection(25552931) == "a command that it does not fly"
+    assert px4_events.rejection(1) is None and px4_events.rejection(0) is None
+    ids = [px4_events.event_id(name) for name in px4_events.REASONS]
+    assert len(set(ids)) == len(ids) and all(1 << 24 <= number < 1 << 25 for number in ids)
 
 
 COMMANDS = sorted(set(NAMES) - FENCE_COMMANDS - {RALLY_POINT})
