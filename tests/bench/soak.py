@@ -277,6 +277,7 @@ class Soak:
             if process.poll() is None:
                 process.kill()
             process.wait()
+            self.hostile.close()
             self.world.close()
 
     def _connect(self, process: subprocess.Popen[bytes]) -> Rpc:

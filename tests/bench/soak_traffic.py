@@ -12,7 +12,7 @@ import selectors
 import socket
 import struct
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -434,6 +434,11 @@ def _claimed(data: bytes) -> bytes:
     return bytes(changed)
 
 
+STRANGERS = 40
+"""Sockets that stay open for longer than the daemon sends there (a peer expires after 60 s): a port that is given to
+another program meanwhile would get what is none of its."""
+
+
 class HostilePeer:
     """One peer on the port "air" that sends what nobody should: forged heartbeats of vehicles, a sweep over ids, frames
     that are none, and huge datagrams. And, now and then, a stranger under a new address says one thing and is gone."""
@@ -451,6 +456,7 @@ class HostilePeer:
         self.swept = 0
         self.steps = 0
         self.sent: Counter[str] = Counter()
+        self.strangers: deque[socket.socket] = deque()
 
     def step(self) -> None:
         """To be called every STEP_S."""
@@ -525,8 +531,15 @@ class HostilePeer:
         source = self._source(221 + self.rng.randrange(15), 1)
         raw = source.telemetry(self.world.telemetry[0])
         self.world.book.sent(raw, 0, self.may)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
-            self.world._datagram(sock, raw, self.port)
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.strangers.append(sock)
+        self.world._datagram(sock, raw, self.port)
+        if len(self.strangers) > STRANGERS:
+            self.strangers.popleft().close()
+
+    def close(self) -> None:
+        for sock in self.strangers:
+            sock.close()
 
 
 def kernel_drops(inodes: set[int]) -> dict[int, int]:

@@ -386,8 +386,8 @@ def _any_frame(sender: Sender) -> bytes:
     return encoded("ATTITUDE", _attitude(rng), sysid, compid, seq)[: rng.randrange(1, 30)]
 
 
-COUNTS = (*[1] * 40, 2, 3, 4, 5, 6, 8, 10, 12, 30, 60, 0)
-"""Frames in a datagram; 0: one of SIZES. Some seven on the average."""
+COUNTS = (*[1] * 120, *[2] * 10, *[3] * 10, 4, 5, 6, 8, 10, 12, 20, 30, 60, 0)
+"""Frames in a datagram; 0: one of SIZES. Some three on the average."""
 
 MOODS = {"quiet": 0.998, "busy": 0.96, "wild": 0.2}
 """How many datagrams are a vehicle's telemetry in sequence. One that is not may end all flows."""
@@ -440,14 +440,14 @@ def _links(rng: random.Random) -> dict[str, dict[str, Any]]:
 def scenario(seed: int, *, length: int = 25) -> Scenario:
     """The scenario of this number, of ``length`` steps at most."""
     rng = random.Random(seed)
-    mood = rng.choice(("quiet", "quiet", "quiet", "busy", "busy", "wild"))
+    mood = rng.choice(("quiet", "quiet", "quiet", "quiet", "busy", "busy", "busy", "wild"))
     made = Scenario(seed, _links(rng), rng.random() < 0.7, rng.random() < 0.1, [])
     senders = [Sender(rng, n + 1 if n < PEERS else 250 + n) for n in range(SENDERS)]
     for _ in range(rng.randrange(2, length)):
         if rng.random() < 0.05:
             made.steps.append(rng.choice(("reopen", "tap", "silence")))
         step, room = [], MAX_FRAMES
-        for _ in range(rng.choice((0, 3, 20, 40, 70))):
+        for _ in range(rng.choice((0, 3, 20, 64, 70, 130))):
             sender = rng.randrange(PEERS) if rng.random() < 0.9 else rng.randrange(SENDERS)
             data, count = _datagram(senders[sender], mood, room)
             room -= count

@@ -600,16 +600,26 @@ static int tell_peer(Peer *peer) {
     }
 
 /* Make Python's objects say what they would have been made to say frame by frame. Calls nothing but `SourceStats.on_burst`,
-   which only counts. */
+   which only counts; but with it come signal handlers and the garbage collector, which may do anything. */
+static int tell_lane(Lane *lane) {
+    Faults faults = {0};
+    Out *out;
+    Source *source;
+    Peer *peer;
+    TELL(lane->touched_outs, out, out_tell(out), &faults, (PyObject *)lane);
+    TELL(lane->touched_sources, source, tell_source(source), &faults, (PyObject *)lane);
+    TELL(lane->touched_peers, peer, tell_peer(peer), &faults, (PyObject *)lane);
+    return none_of(&faults);
+}
+
+/* The same of all lanes of a table. One that is closed meanwhile ends the list early: it was the next to be told. */
 static int tell_counts(Lane *lanes) {
     Faults faults = {0};
-    for (Lane *lane = lanes; lane; lane = lane->next) {
-        Out *out;
-        Source *source;
-        Peer *peer;
-        TELL(lane->touched_outs, out, out_tell(out), &faults, (PyObject *)lane);
-        TELL(lane->touched_sources, source, tell_source(source), &faults, (PyObject *)lane);
-        TELL(lane->touched_peers, peer, tell_peer(peer), &faults, (PyObject *)lane);
+    for (Lane *lane = lanes, *next; lane; lane = next) {
+        Py_INCREF(lane);
+        if (!tell_lane(lane)) set_aside(&faults, (PyObject *)lane);
+        next = lane->next;
+        Py_DECREF(lane);
     }
     return none_of(&faults);
 }
@@ -624,12 +634,23 @@ static void release(Lane *lane) {
     Py_CLEAR(lane->broken);
 }
 
+/* Flows are linked newest first; they are shown in the order in which they were first touched, as events follow it. */
+static Flow *in_order(Flow *list) {
+    Flow *done = NULL;
+    while (list) {
+        Flow *next = list->next;
+        list->next = done, done = list, list = next;
+    }
+    return done;
+}
+
 /* Send what waits and show the newest frames. That calls Python, which may close the lane: its flows live until the end. */
 static int settle(Lane *lane, PyObject *now) {
     Faults faults = {0};
     Flow *flow;
     flush_waiting(lane);
     lane->settling = 1;
+    lane->touched_flows = in_order(lane->touched_flows);
     TELL(lane->touched_flows, flow, tell_flow(lane, flow, now), &faults, (PyObject *)lane);
     lane->settling = 0;
     if (lane->fd < 0) release(lane);
@@ -744,7 +765,7 @@ static PyObject *lane_close(Lane *lane, PyObject *unused) {
     (void)unused;
     if (!lane_is_open(lane)) Py_RETURN_NONE;
     flush_waiting(lane);
-    int told = tell_counts(lane->table->lanes);
+    int told = tell_lane(lane);
     PyObject *fault = told ? NULL : take_exception();
     lane->fd = -1;
     for (Lane **at = &lane->table->lanes; *at; at = &(*at)->next)
@@ -758,11 +779,15 @@ static PyObject *lane_close(Lane *lane, PyObject *unused) {
     Py_RETURN_NONE;
 }
 
-static void lane_dealloc(Lane *lane) {
-    PyObject *pending = take_exception(), *done = lane_close(lane, NULL);
+static void lane_finalize(PyObject *lane) {
+    PyObject *pending = take_exception(), *done = lane_close((Lane *)lane, NULL);
     if (!done) PyErr_WriteUnraisable(NULL);
     Py_XDECREF(done);
     if (pending) raise_exception(pending);
+}
+
+static void lane_dealloc(Lane *lane) {
+    if (PyObject_CallFinalizerFromDealloc((PyObject *)lane) < 0) return; /* somebody has taken it up again */
     Py_XDECREF(lane->table);
     Py_TYPE(lane)->tp_free(lane);
 }
@@ -811,6 +836,7 @@ PyMODINIT_FUNC PyInit__express(void) {
     if (getrandom(&hash_seed, sizeof hash_seed, GRND_NONBLOCK) != sizeof hash_seed)
         hash_seed = unix_time_us() ^ (uint64_t)getpid() << 40; /* so early after boot that there is no randomness yet */
     if (!slots && !(slots = PyMem_RawMalloc((size_t)BURST * DATAGRAM_BYTES))) return PyErr_NoMemory();
+    LaneType.tp_finalize = lane_finalize;
     PyObject *made = PyModule_Create(&module);
     if (made && !PyModule_AddType(made, &TableType) && !PyModule_AddType(made, &OutType) && !PyModule_AddType(made, &LaneType)) return made;
     Py_XDECREF(made);

@@ -168,7 +168,7 @@ def test_a_link_closed_amid_the_newest_frames_is_let_go_of_after_the_last(bench:
         bench.open_flow(source=0x0101 + n, slot=slot, again=close(n))
     bench.send(*[attitude(1, compid=1 + n) for n in range(8)], b"?")
     bench.lane.ready()
-    assert sorted(called) == list(range(8))
+    assert called == list(range(8))  # in the order in which they came
     assert [slot.count for slot in slots] == [1] * 8
     assert len(bench.received()) == 8
     assert not bench.left  # the link was closed before it was this one's turn
@@ -402,3 +402,22 @@ def test_both_are_made_once(bench: Bench) -> None:
         bench.table.__init__({}, int, False)  # type: ignore[misc]
     with pytest.raises(TypeError):
         bench.out.__init__(1, ("127.0.0.1", 1), bench.channel, True)
+
+
+def test_a_lane_that_nobody_closed_tells_what_it_knows_when_it_goes(bench: Bench) -> None:
+    bench.learn()
+    server = bench.socket()
+    lane = bench.new_lane(server)
+    lane.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
+    lane.let_through(
+        bench.vehicle.getsockname(), 0x0101, 30, bench.stats, bench.heard, (bench.out,), None, None, None, None
+    )
+    bench.vehicle.sendto(attitude(1), server.getsockname())
+    lane.ready()
+    del lane
+    gc.collect()
+    assert (bench.channel.rx_frames, bench.target.tx_frames, bench.stats.frames) == (1, 1, 1)
+    bench.send(b"?")
+    bench.lane.ready()
+    assert bench.left == [b"?"]
+    assert bench.table.take()[0] == 1

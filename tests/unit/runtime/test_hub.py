@@ -15,7 +15,7 @@ from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.frame import Frame
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
 from skygcs.runtime.channel_policy import channel_policy
-from skygcs.runtime.hub import MAX_PARTED, MAX_PARTED_SOURCES, OTHER_SOURCES, Hub
+from skygcs.runtime.hub import MAX_CHANNEL_ID, MAX_PARTED, MAX_PARTED_SOURCES, OTHER_SOURCES, Hub
 from support.routed import DIALECT, heartbeat, message
 
 
@@ -318,3 +318,25 @@ def test_a_policy_has_the_message_ids_of_its_names() -> None:
     assert policy.forward_unknown is False
     with pytest.raises(KeyError, match="no message 'ATITUDE'"):
         channel_policy(MemoryLink(name="x", allow_msg_id_in=("ATITUDE",)), DIALECT)
+
+
+async def test_ids_of_channels_stay_within_what_the_compiled_path_remembers() -> None:
+    """A peer that comes under ever new addresses gets there in hours. Ids that are taken are left out."""
+    bench = Bench()
+    first, second = bench.channel("a"), bench.channel("b")
+    bench.hub._next_id = MAX_CHANNEL_ID
+    assert bench.channel("c").id == MAX_CHANNEL_ID
+    assert (first.id, second.id, bench.channel("d").id) == (1, 2, 3)
+
+
+async def test_a_fault_behind_a_whole_datagram_stays_in_the_hub() -> None:
+    bench = Bench()
+    radio, gcs = bench.channel("radio"), bench.channel("gcs")
+
+    def fail(*_: object) -> bool:
+        raise RuntimeError("a fault behind a datagram")
+
+    radio.in_datagrams = True
+    gcs.send = fail  # type: ignore[method-assign]
+    bench.feed(radio, heartbeat(7) + heartbeat(7, seq=1))
+    assert bench.faults == ["RuntimeError: a fault behind a datagram"]
