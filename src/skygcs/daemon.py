@@ -56,6 +56,13 @@ MAX_EVENTS = 1000
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
 
+UNDO_S = 3.0
+"""For what undoes itself when the daemon is stopped: five round trips of a nine-node radio. With PARK_S after it the
+links are open for 5 s at most; what could not be undone by then is in the journal."""
+
+NOTE_S = 0.5
+"""For files that say what was not undone; the disk may be stuck."""
+
 PARK_S = 2.0
 """Two transmissions of the order to hold; who stops the daemon is not to wait for a vehicle that does not answer."""
 
@@ -80,7 +87,7 @@ _NOTE_KINDS = {
 def _is_warning(event: Event) -> bool:
     """True for what a person should look at although the daemon goes on: a link that is down (not one that has come to
     its end), an internal fault, a warning."""
-    return event.kind in ("warning", "fault") or (event.kind == "link_down" and not event.data.get("finished"))
+    return event.kind in ("warning", "fault", "undo") or (event.kind == "link_down" and not event.data.get("finished"))
 
 
 class Daemon:
@@ -160,6 +167,7 @@ class Daemon:
     async def run(self) -> None:
         """Run until `stop`. Raises LinkError/ConfigError-like SkygcsErrors only before `ready` is set."""
         self.rpc.claim()
+        self.fleet.undo.report()
         try:
             async with asyncio.TaskGroup() as outer:
                 recording = None
@@ -196,12 +204,14 @@ class Daemon:
                 await self.rpc.start()  # after the links: a restart in flight forwards first
                 self.ready.set()
                 await self._stopping.wait()
+                await self.fleet.wind_down(UNDO_S)  # while the links are open
                 await self._park()
             finally:  # also if a part of the daemon has failed: nothing flies on then
                 for clock in clocks:
                     clock.cancel()
                 self.watchman.close()
                 self.fleet.close()  # who waits for an outcome is told before the links are gone
+                await self.fleet.ended(NOTE_S)
             await self.links.close()
             signing.cancel()  # after the last message that was signed
 
@@ -432,6 +442,7 @@ class Daemon:
             "vehicles": len(self.fleet.vehicles),
             "faults": self.hub.faults,
             "clients": self.rpc.stats(),
+            "to_undo": len(self.fleet.journal.left()),
         }
 
     def air_status(self) -> list[dict[str, Any]]:

@@ -299,11 +299,42 @@ class FakeVehicle:
         }
 
 
+class FakeUndo:
+    """One change that waits to be undone, until it is."""
+
+    def __init__(self) -> None:
+        values: dict[str, Any] = {"before": {"GF_ACTION": 1.0}, "changed": {"GF_ACTION": 3.0}}
+        names = {
+            "vehicle": "alpha",
+            "sysid": 1,
+            "autopilot": "px4",
+            "what": "fence test",
+            "began": "2026-01-02T03:04:05Z",
+        }
+        self.changes: list[dict[str, Any]] = [{"id": "1-a", **names, **values}]
+        self.asked: list[tuple[str, str, bool]] = []
+
+    def left(self) -> dict[str, Any]:
+        return {"changes": list(self.changes), "problems": []}
+
+    async def run(self, id: str, *, force: bool = False) -> FakeOutcome:
+        self.asked.append(("run", id, force))
+        self.changes = [c for c in self.changes if c["id"] != id]
+        return FakeOutcome(True, "accepted", "it is as before (GF_ACTION set)")
+
+    def drop(self, id: str) -> None:
+        if id not in [c["id"] for c in self.changes]:
+            raise RefusedError(f"nothing of id {id!r} waits to be undone")
+        self.asked.append(("drop", id, False))
+        self.changes = [c for c in self.changes if c["id"] != id]
+
+
 class FakeFleet:
     """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
 
     def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
         self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
+        self.undo = FakeUndo()
         self.origin: Origin | None = None
         self.generation = 0
         self.origin_asked: list[tuple[Any, ...]] = []
@@ -424,6 +455,8 @@ class FakeDaemon:
 
     def now(self) -> float:
         return time.monotonic()
+
+    stopping = False
 
     def info(self) -> dict[str, Any]:
         return {"version": "0.1.0", "pid": 1, "uptime_s": 12.5, "sysid": 255, "compid": 25, "dialect": "common"}

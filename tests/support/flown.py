@@ -87,6 +87,8 @@ class Flown:
     sent: list[Sent] = field(default_factory=list)
     told: list[Told] = field(default_factory=list)
     truth: dict[int, list[Truth]] = field(default_factory=dict)
+    running: asyncio.Task[None] | None = None
+    """The daemon's life."""
     cut: bool = False
     """Nothing passes the link any more, in either direction: so a daemon looks that was killed."""
 
@@ -138,6 +140,15 @@ class Flown:
 
     def control(self, name: str = "v1") -> dict[str, Any]:
         return self.actor(name).control_state(self.now)
+
+    async def stopped(self, within_s: float) -> None:
+        """SIGTERM: until the daemon has ended, which it must within so long."""
+        assert self.running is not None
+        began = self.now
+        self.daemon.stop()
+        await asyncio.wait({self.running}, timeout=60.0)
+        assert self.running.done() and self.now - began <= within_s, self.now - began
+        self.running.result()
 
     async def until(self, condition: Callable[[], object], timeout_s: float = 30.0) -> float:
         """Wait for it; when it was."""
@@ -295,7 +306,7 @@ async def flown(
     await daemon.ready.wait()
     link = daemon.links.link("air")
     assert isinstance(link, MemoryLink)
-    gcs = Flown(daemon, sims, link)
+    gcs = Flown(daemon, sims, link, running=running)
     living = asyncio.create_task(gcs.live())
     try:
         await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))

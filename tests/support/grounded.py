@@ -21,7 +21,7 @@ async def on_the_ground(tmp_path: Path, **link: float) -> AsyncIterator[Flown]:
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False},
-            "links": {"air": {"type": "memory", "role": "radio", "seed": 7, **link}},
+            "links": {"air": {"type": "memory", "role": "radio", **{"seed": 7, **link}}},
         }
     )
     daemon = Daemon(config, load_dialect(config.dialect))
@@ -40,6 +40,7 @@ async def on_the_ground(tmp_path: Path, **link: float) -> AsyncIterator[Flown]:
     assert isinstance(air, MemoryLink)
     gcs = Flown(daemon, sims, air)
     living = asyncio.create_task(gcs.live())
+    gcs.running = running
     try:
         await gcs.until(lambda: len(daemon.fleet.vehicles) == 2)
         await asyncio.sleep(15)
@@ -49,4 +50,5 @@ async def on_the_ground(tmp_path: Path, **link: float) -> AsyncIterator[Flown]:
         living.cancel()
         await asyncio.gather(living, return_exceptions=True)
         daemon.stop()
-        await running
+        if not running.cancelled():
+            await running

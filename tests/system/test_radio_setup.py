@@ -65,7 +65,10 @@ def test_two_radios_are_provisioned_and_the_one_that_fails_is_told_from_the_othe
         assert bad.saved[24] == 2
 
 
-def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_came(tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_came(
+    tmp_path: Path, how: signal.Signals
+) -> None:
     port = tmp_path / "ttyRADIO"
     with on_a_pty(port, AtRadio()) as radio:
         work = subprocess.Popen(
@@ -78,7 +81,7 @@ def test_ctrl_c_in_the_middle_leaves_the_radio_as_it_was_and_says_how_far_it_cam
         wait_until(lambda: "ATS2=125" in radio.commands, "the second setting is being written")
         radio.faults.silent = False
         time.sleep(0.1)
-        work.send_signal(signal.SIGINT)
+        work.send_signal(how)
         _, told = work.communicate(timeout=120)
         assert work.returncode == 130
         assert "interrupted" in told

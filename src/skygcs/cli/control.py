@@ -30,6 +30,7 @@ from skygcs.cli import (
     signing,
     table,
     track,
+    undo,
 )
 from skygcs.cli.corrections import corrections
 from skygcs.cli.link import link
@@ -144,6 +145,7 @@ setpoint.add_to(app)
 table.add_to(app)
 app.add_typer(loops.app, name="control", rich_help_panel="Orders")
 app.add_typer(signing.app, name="signing", rich_help_panel="Orders")
+app.add_typer(undo.app, name="undo", rich_help_panel="Orders")
 plot.add_to(app)
 
 

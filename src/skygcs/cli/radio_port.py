@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import os
+import signal
 import termios
 from typing import TypeVar
 
@@ -39,11 +41,13 @@ class RadioPort:
     async def run(self, procedure: Procedure[T], visit: Visit) -> T:
         """Carry the procedure out; what it raises comes out, and LinkError where the port breaks.
 
-        Ended in the middle (Ctrl-C), the radio is told the visit's farewell.
+        Ended in the middle (Ctrl-C, SIGTERM), the radio is told the visit's farewell: left in its command mode it would
+        carry nothing until its power is cut.
         """
         loop = asyncio.get_running_loop()
         readable = asyncio.Event()
         loop.add_reader(self._port.fileno(), readable.set)
+        terminated = _cancelled_by_sigterm(loop)
         dialogue = None
         try:
             dialogue = Dialogue(procedure, loop.time())
@@ -63,7 +67,12 @@ class RadioPort:
                 dialogue.advance(loop.time())
         except (OSError, termios.error, ValueError) as error:
             raise LinkError(f"{self.device}: {explain(error)}") from None
+        except asyncio.CancelledError:
+            if terminated.is_set():
+                raise KeyboardInterrupt from None  # as Ctrl-C, whose exit code says that it was ended
+            raise
         finally:
+            loop.remove_signal_handler(signal.SIGTERM)
             loop.remove_reader(self._port.fileno())
             if dialogue is None or not dialogue.done:
                 self._say_farewell(visit)
@@ -84,6 +93,21 @@ class RadioPort:
             self._port.flush()
         except (OSError, termios.error):  # it broke: that is being told already
             return
+
+
+def _cancelled_by_sigterm(loop: asyncio.AbstractEventLoop) -> asyncio.Event:
+    """Have SIGTERM cancel the present task; what is returned says whether it did."""
+    terminated = asyncio.Event()
+    task = asyncio.current_task()
+    assert task is not None
+
+    def terminate() -> None:
+        terminated.set()
+        task.cancel()
+
+    with contextlib.suppress(ValueError, RuntimeError):  # not the main thread
+        loop.add_signal_handler(signal.SIGTERM, terminate)
+    return terminated
 
 
 def _read_means_data(fd: int) -> None:

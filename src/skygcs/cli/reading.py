@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skygcs.cli import completion, render
-from skygcs.cli.connection import Exit, run, waiting
+from skygcs.cli.connection import Exit, fail, run, waiting
 from skygcs.cli.options import Json, OptionalTargets
 from skygcs.cli.render import State
 from skygcs.cli.values import finite, parse_json
@@ -39,6 +39,8 @@ def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
             screen.print(render.status_table(states, width=screen.width))
         else:
             typer.echo("no vehicle heard yet (skygcs-cli links shows what arrives)")
+        if left := (await gcs.call("daemon.info")).get("to_undo"):
+            fail(f"{left} change{'s' if left > 1 else ''} in vehicles not undone: skygcs-cli undo list")
 
     run(command)
 

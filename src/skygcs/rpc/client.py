@@ -70,6 +70,7 @@ EVENT_KINDS = (
     "recorder",
     "params",
     "foreign",
+    "undo",
     "warning",
     "fault",
 )

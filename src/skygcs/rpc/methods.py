@@ -12,7 +12,20 @@ from itertools import islice
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
-from skygcs.rpc import air, control, corrections, dispatch, fence, missions, openrpc, origin, params, preflight, signing
+from skygcs.rpc import (
+    air,
+    control,
+    corrections,
+    dispatch,
+    fence,
+    missions,
+    openrpc,
+    origin,
+    params,
+    preflight,
+    signing,
+    undo,
+)
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
@@ -384,6 +397,7 @@ METHODS: dict[str, Method[Context]] = {
         *fence.METHODS,
         *signing.METHODS,
         *preflight.METHODS,
+        *undo.METHODS,
         Method("rpc.discover", m.NoParams, rpc_discover),
     )
 }

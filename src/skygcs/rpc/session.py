@@ -53,6 +53,15 @@ EMERGENCY_METHODS = frozenset(
 )
 """What a connection may ask for that came when all places were taken: to end a flight, and to see what flies."""
 
+WHILE_STOPPING = frozenset(
+    {
+        *("vehicles.stop", "vehicles.hold", "vehicles.land", "vehicles.rtl", "vehicles.disarm", "control.setpoint"),
+        *("daemon.info", "vehicles.list", "vehicles.get", "messages.latest", "links.list", "events.recent"),
+        *("undo.list", "recorder.status", "subscribe", "unsubscribe"),
+    }
+)
+"""What is answered while the daemon ends, which takes 5 s at most: what ends a flight, and looking at how it ends."""
+
 _log = structlog.get_logger(__name__)
 
 
@@ -310,6 +319,11 @@ class Session(asyncio.Protocol):
             text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
             return error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
         self._hub.daemon.client_alive()
+        if self._hub.daemon.stopping and isinstance(request, dict):
+            method, request_id = request.get("method"), request.get("id")
+            if isinstance(method, str) and method not in WHILE_STOPPING and isinstance(request_id, str | int | None):
+                text = "skygcs is shutting down: it takes no further orders but those that end a flight"
+                return error_reply(request_id, dispatch.REFUSED, text) if "id" in request else None
         reply = self._hub.dispatcher.start(self, request)
         if isinstance(reply, Coroutine):
             self._in_flight += 1

@@ -38,6 +38,11 @@ class Errands:
         task.add_done_callback(self._ended)
         return task
 
+    async def settled(self) -> None:
+        """Until none is under way."""
+        while self._tasks:
+            await asyncio.wait(set(self._tasks))
+
     def close(self) -> None:
         """Cancel those that are under way."""
         for task in self._tasks:

@@ -23,6 +23,7 @@ from skygcs.core.vehicle.orders import require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.params import VehicleParams
+from skygcs.runtime.undo_journal import Change, UndoJournal
 
 LOOK_S = 0.25
 ASK_S = 1.0
@@ -32,6 +33,9 @@ AFTER_S = 12.0
 """From the first sign of a breach: a PX4 holds for COM_FAIL_ACT_T (5 s) before it acts, for a pilot to take over."""
 
 STATUS_S = 3.0
+
+FINISH_S = 1.0
+"""For the parameter under way when a test is cancelled: two round trips of a nine-node radio."""
 
 SIGNS_MAX = 20
 
@@ -86,6 +90,7 @@ class VehicleFence:
         ask: Callable[[str], Awaitable[Outcome]],
         *,
         log_dir: Path,
+        journal: UndoJournal,
     ) -> None:
         self._vehicle = vehicle
         self._params = params
@@ -94,11 +99,32 @@ class VehicleFence:
         self._on_event = on_event
         self._ask = ask
         self._log_dir = log_dir
+        self._journal = journal
         self._testing = False
+        self._tester: asyncio.Task[FenceOutcome] | None = None
+        self._ended_with: Outcome | None = None
+        """Of the last test."""
         self._walk: _Walk | None = None
         self._endings: set[asyncio.Task[Outcome]] = set()
         """Tests that put back what was there; a task that nobody holds may be thrown away."""
         self._last_text: str | None = None
+
+    @property
+    def testing(self) -> bool:
+        """Whether a test is under way, its end included."""
+        return self._testing
+
+    async def wind_down(self) -> None:
+        """End the test under way; until its fence is put back, or is known not to be."""
+        if self._tester is not None:
+            self._tester.cancel()
+            await asyncio.wait({self._tester})
+        await self.ended()
+
+    async def ended(self) -> None:
+        """Until no test is being ended any more."""
+        if self._endings:
+            await asyncio.wait(set(self._endings))
 
     def on_text(self, text: str) -> None:
         """A status text of this vehicle."""
@@ -150,10 +176,21 @@ class VehicleFence:
         """The walk. Ok: it told of the breach, and did what its fence asks for if it was armed."""
         if self._testing:
             return FenceOutcome(_UNDER_TEST)
-        self._testing = True
+        self._testing, self._ended_with = True, None
+        # a task of its own, which the daemon's end can cancel without its caller
+        work = self._tested(radius_m, action, timeout_s)
+        self._tester = self._loop.create_task(work, name=f"{self._vehicle.name} fence test")
         try:
-            return await self._tested(radius_m, action, timeout_s)
+            return await self._tester
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if task is None or not task.cancelling():  # the test was ended, and not whoever waits for it
+                return FenceOutcome(self._ended_with or Outcome(False, "cancelled", "cancelled"))
+            self._tester.cancel()
+            await asyncio.wait({self._tester})
+            raise
         finally:
+            self._tester = None
             self._testing = bool(self._endings)
 
     async def _tested(self, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
@@ -184,14 +221,26 @@ class VehicleFence:
         except OSError as error:
             text = f"refused: the record cannot be written to {self._log_dir}: {error.strerror or error}"
             return FenceOutcome(Outcome(False, "refused", text))
+        back = fence.back_to(vehicle.family, held, wanted)
+        try:
+            change = self._journal.begin(
+                vehicle.name,
+                vehicle.sysid,
+                vehicle.family,
+                "fence test",
+                back,
+                {n: wanted.get(n, back[n]) for n in back},
+            )
+        except RefusedError as error:
+            return FenceOutcome(_refused(error))
         outcome = Outcome(False, "cancelled", "cancelled")
         self._walk = walk = _Walk(self._loop.time(), vehicle.mode, vehicle.armed, vehicle.armed)
         try:
-            failed = await self._put(wanted)
+            failed = await self._put_whole(wanted)
             outcome = failed or await self._walked(walk, action, timeout_s)
         finally:
             self._walk = None
-            ending = self._loop.create_task(self._end(path, record, walk, held, outcome))
+            ending = self._loop.create_task(self._end(path, record, walk, change, outcome))
             self._endings.add(ending)
             ending.add_done_callback(self._ended)
             outcome = await asyncio.shield(ending)
@@ -249,16 +298,19 @@ class VehicleFence:
         message = f"{text}; it was not armed, so that what it does then was not tested"
         return Outcome(True, "accepted", message, elapsed_s=elapsed_s)
 
-    async def _end(
-        self, path: Path, record: dict[str, Any], walk: _Walk, held: Mapping[str, float], outcome: Outcome
-    ) -> Outcome:
+    async def _end(self, path: Path, record: dict[str, Any], walk: _Walk, change: Change, outcome: Outcome) -> Outcome:
         """Put back what it held, write the record, tell."""
-        failed = await self._put(fence.back_to(self._vehicle.family, held))
+        failed = await self._put_back(change.before)
         message = outcome.message
         if failed is None:
             message += "; the fence is as before"
+            try:
+                self._journal.undone(change)
+            except OSError as error:
+                message += f" (its note {change.id} in {self._journal.folder} cannot be removed: {error.strerror})"
         else:
-            message += f"; THE FENCE IS NOT AS BEFORE ({failed.message}): what it held is in {path}"
+            self._journal.left_over(change)
+            message += f"; THE FENCE IS NOT AS BEFORE ({failed.message}): skygcs-cli undo run {change.id} puts it back"
         ok = outcome.ok and failed is None
         ended = Outcome(
             ok, outcome.result if ok or not outcome.ok else "failed", message, elapsed_s=self._loop.time() - walk.began
@@ -284,6 +336,7 @@ class VehicleFence:
             record["file"] = None
             self._tell(f"fence test: {path} cannot be written: {error.strerror or error}", {})
         self._tell(f"fence test: {message}", {"state": "done", "ok": ok, "file": record["file"]})
+        self._ended_with = ended
         return ended
 
     def _ended(self, ending: asyncio.Task[Outcome]) -> None:
@@ -315,6 +368,30 @@ class VehicleFence:
         if not wrong:
             return None
         return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
+
+    async def _put_back(self, values: Mapping[str, float]) -> Outcome | None:
+        """What switches the fence first, then all others at the same time: a daemon that ends has little of it."""
+        first = {name: value for name, value in list(values.items())[:1] if name == "FENCE_ENABLE"}
+        failed = await self._put(first) if first else None
+        rest = [self._put({name: value}) for name, value in values.items() if name not in first]
+        outcomes = [failed, *await asyncio.gather(*rest)]
+        wrong = "; ".join(outcome.message for outcome in outcomes if outcome is not None)
+        return Outcome(False, "failed", wrong) if wrong else None
+
+    async def _put_whole(self, values: Mapping[str, float]) -> Outcome | None:
+        """As `_put`; when cancelled it lets the parameter under way be finished first: an answer to it that comes later
+        could be taken for one to the undo, which would have to wait for that."""
+        for name, value in values.items():
+            setting = self._loop.create_task(self._put({name: value}), name=f"{self._vehicle.name} {name}")
+            try:
+                failed = await asyncio.shield(setting)
+            except asyncio.CancelledError:
+                await asyncio.wait({setting}, timeout=FINISH_S)
+                setting.cancel()
+                raise
+            if failed is not None:
+                return failed
+        return None
 
     @property
     def _tells_status(self) -> bool:

@@ -27,10 +27,12 @@ from skygcs.links.base import Noted
 from skygcs.runtime.commander import Carrier, SendFn
 from skygcs.runtime.components import ORDERS as COMPONENT_ORDERS
 from skygcs.runtime.components import ComponentActor, Components
-from skygcs.runtime.errands import Errands
+from skygcs.runtime.errands import Errands, fault
 from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_all import examine_all, meant
+from skygcs.runtime.undo_journal import UndoJournal
+from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.world import World
 
@@ -132,6 +134,9 @@ class Fleet:
         self._kept = Errands(loop, on_event)
         self._of_system: dict[int, set[int]] = {}
         """The keys of ``vehicles`` by system id."""
+        self._ending = False
+        self.journal = UndoJournal(config.daemon.log_dir / "undo")
+        self.undo = UndoOrders(self.journal, self.vehicles, loop.time, on_event)
         self._met_on: dict[int, str] = {}
         """By key, the link on which a vehicle was first heard."""
         self._duplicates: dict[int, str] = {}
@@ -174,6 +179,30 @@ class Fleet:
         self.components.tick(now)
         if fault is not None:
             raise fault
+
+    async def wind_down(self, timeout_s: float) -> None:
+        """The daemon ends: take no order but those that end a flight, cancel what undoes itself, and give it so long to
+        be undone. What is not stays in the journal."""
+        self._ending = True
+        tasks = {
+            self._loop.create_task(actor.wind_down(), name=f"{actor.name} undo") for actor in self.vehicles.values()
+        }
+        if not tasks:
+            return
+        done, late = await asyncio.wait(tasks, timeout=timeout_s)
+        for task in late:
+            task.cancel()
+        for task in done:
+            if (text := fault(task)) is not None:
+                self._on_event(Event("fault", None, None, text, {}))
+
+    async def ended(self, timeout_s: float) -> None:
+        """After `close`: until what could not be undone has been noted."""
+        tasks = {self._loop.create_task(actor.fence.ended()) for actor in self.vehicles.values()}
+        if tasks:
+            _, late = await asyncio.wait(tasks, timeout=timeout_s)
+            for task in late:
+                task.cancel()
 
     def close(self) -> None:
         """End all orders in flight as cancelled."""
@@ -305,6 +334,8 @@ class Fleet:
         """
         if order not in ORDERS:
             raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
+        if self._ending and order not in KEPT:
+            raise RefusedError("skygcs is shutting down: it takes no further orders but land, rtl, hold, stop, disarm")
         vehicles = [] if order in COMPONENT_ORDERS else self.resolve(expression)
         actors: list[Actor] = [*vehicles] or self.resolve_any(expression)
         if order in ("stop", "disarm"):
@@ -494,6 +525,7 @@ class Fleet:
             configured=config.named if self.config.vehicles else None,
             preflight_valid_s=60 * daemon.preflight_valid_minutes,
             heard=lambda: self._heard(key),
+            journal=self.journal,
         )
         actor.commander.why_silent = actor.params.why_silent = lambda: self.why_silent(frame.sysid, frame.compid)
         self.components.forget(key)

@@ -242,6 +242,10 @@ class FlightControl:
             "recording": None if path is None else str(path),
         }
 
+    async def settled(self) -> None:
+        """Until a vehicle that is given back, held or asked for its own rates again has been."""
+        await self._errands.settled()
+
     def close(self) -> None:
         self.release("skygcs is shutting down")
         self._errands.close()

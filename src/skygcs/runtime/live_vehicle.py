@@ -37,11 +37,14 @@ from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.params import VehicleParams
 from skygcs.runtime.planned_streams import PlannedStreams
 from skygcs.runtime.preflight import Preflight
+from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.upkeep import Upkeep
 
 HEARTBEAT = 0
 COMMAND_ACK = 77
 TIMESYNC = 111
+
+ENDING = "skygcs is shutting down"
 
 OnEvent = Callable[[Event], None]
 
@@ -67,12 +70,13 @@ class LiveVehicle:
         configured: bool | None = None,
         preflight_valid_s: float = math.inf,
         heard: Callable[[], Mapping[str, LinkFacts]] = dict,
+        journal: UndoJournal | None = None,
     ) -> None:
         """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints;
         ``stream_refusal`` (whether it is a PX4): why it bears no stream of them.
 
         ``param_cache``: where its parameters are kept; None: nowhere. ``configured``, ``preflight_valid_s``, ``heard``
-        (how, by link): see `Preflight`.
+        (how, by link): see `Preflight`. ``journal``: of what is to be undone; None: one of its own, in ``log_dir``.
         """
         self.vehicle = vehicle
         self.config = config
@@ -116,7 +120,8 @@ class LiveVehicle:
         async def ask(message: str) -> Outcome:
             return await self._orders.attempt(lambda now: orders.request_message(vehicle, now, dialect, message))
 
-        self.fence = VehicleFence(vehicle, self.params, dialect, loop, on_event, ask, log_dir=log_dir)
+        journal = journal or UndoJournal(log_dir / "undo")
+        self.fence = VehicleFence(vehicle, self.params, dialect, loop, on_event, ask, log_dir=log_dir, journal=journal)
         self.preflight = Preflight(
             vehicle,
             config,
@@ -249,6 +254,15 @@ class LiveVehicle:
         self._upkeep.tick(now)
         if self.flight.pilot.active:
             self.flight.refresh_budget()
+
+    async def wind_down(self) -> None:
+        """The daemon ends: begin nothing more that has to be undone, and end what has; until all of it is undone."""
+        if not self.flight.pilot.active:
+            self.flight.release(ENDING)  # whoever is about to take it over goes no further
+        self.missions.stop("cancelled", ENDING)
+        self.params.stop_list()
+        self._orders.plans.wind_down()
+        await asyncio.gather(self.fence.wind_down(), self._orders.plans.settled(), self.flight.settled())
 
     def close(self) -> None:
         self.flight.close()

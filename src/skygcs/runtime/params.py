@@ -123,6 +123,7 @@ class VehicleParams:
         """What it has said while a file was read: newer than what is in it."""
         self._loading: asyncio.Task[Loaded] | None = None
         self._waiting = 0
+        self._closed = False
         self._cancelled = 0
         self._told_at = -math.inf
         self._alarm = Alarm(loop, self._on_timer)
@@ -195,8 +196,14 @@ class VehicleParams:
         """Somebody wants it to stop; how many requests were under way. Safe at any moment."""
         return self.stop_all("cancelled", "cancelled")
 
+    def stop_list(self) -> None:
+        """Give up the list that is being read, if there is one."""
+        if self._loading is not None:
+            self._loading.cancel()
+
     def close(self) -> None:
         """The daemon ends, or the vehicle is forgotten."""
+        self._closed = True
         self._book.save()
         self.stop_all("cancelled", "skygcs is shutting down")
         if self._loading is not None:
@@ -292,6 +299,8 @@ class VehicleParams:
 
     def _refusal(self) -> tuple[str, str] | None:
         """Why nothing is to be asked of it now: the word of the outcome, and the text."""
+        if self._closed:
+            return "cancelled", "cancelled: skygcs is shutting down"
         if not self._able:
             return "refused", f"refused: dialect {self._dialect.name} has no parameter messages"
         if self._vehicle.replayed:

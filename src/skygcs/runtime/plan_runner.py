@@ -40,6 +40,22 @@ Attempt = Callable[[Planner], Awaitable[Outcome]]
 Execute = Callable[[Plan], Awaitable[Outcome]]
 
 
+class _Run:
+    """A plan under way: the steps to come, the one that is carried out, whether somebody ended it."""
+
+    __slots__ = ("end_asked", "order", "plan", "queue", "step")
+
+    def __init__(self, plan: Plan, order: int) -> None:
+        self.plan = plan
+        self.order = order
+        self.queue = list(plan.steps)
+        self.step: Step | None = None
+        self.end_asked = False
+
+    def ended(self) -> bool:
+        return self.end_asked
+
+
 class PlanRunner:
     """One per vehicle. ``order`` counts the orders that moved it; ``on_report(order, percent)`` is told of progress."""
 
@@ -58,26 +74,76 @@ class PlanRunner:
         self._loop = loop
         self._report = on_report
         self._newest: Plan | None = None
+        self._ending = False
+        self._running: dict[asyncio.Task[Outcome], _Run] = {}
+        """Plans that know how to be undone: tasks of their own, which go on with that when their callers are gone."""
 
     async def execute(self, plan: Plan) -> Outcome:
-        """Carry out a plan; what was done is undone if a later step fails and knows how."""
+        """Carry out a plan; what was done is undone if a later step fails and knows how.
+
+        One whose caller is cancelled, or that is under way when `wind_down` is called, while a step for the sake of
+        later ones is (arming for a take-off), undoes that step. Once the last step has begun nothing is undone: the
+        vehicle may be flying by it.
+        """
         if plan.order in MOVING:
             self.order += 1
             self._newest = plan
             self._commander.supersede(_commands(plan))
-        order, started = self.order, self._loop.time()
+        run = _Run(plan, self.order)
+        if all(step.undo is None for step in plan.steps[:-1]):
+            return await self._steps(run)
+        if self._ending:
+            return Outcome.refused("skygcs is shutting down")
+        task = self._loop.create_task(self._steps(run), name=f"{self._vehicle.name} {plan.order}")
+        self._running[task] = run
+        task.add_done_callback(self._running.pop)
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if not self._end(run):
+                task.cancel()
+            raise
+
+    def wind_down(self) -> None:
+        """The daemon ends: steps that are there for the sake of later ones are ended and undone."""
+        self._ending = True
+        for run in list(self._running.values()):
+            self._end(run)
+
+    async def settled(self) -> None:
+        """After `wind_down`: until what was ended is undone."""
+        if undoing := {task for task, run in self._running.items() if run.ended()}:
+            await asyncio.wait(undoing)
+
+    def _end(self, run: _Run) -> bool:
+        """End it before its last step; False if that has begun."""
+        if not run.queue:
+            return False
+        run.end_asked = True
+        if run.step is not None and run.step.command is not None:
+            self._commander.stop(run.step.command.command, "cancelled", "cancelled")
+        self._commander.wake()
+        return True
+
+    async def _steps(self, run: _Run) -> Outcome:
+        plan, order, queue = run.plan, run.order, run.queue
+        started = self._loop.time()
         attempts, texts = 0, []
         done: list[Step] = []
-        queue = list(plan.steps)
         while queue:
-            step = queue.pop(0)
+            if run.ended():
+                return await self._ended(run, done, attempts, started)
+            step = run.step = queue.pop(0)
             if step.skip_if_met and step.expect is not None and step.expect.met(self._vehicle, self._loop.time()):
                 continue
-            outcome = await self._given(step, plan, order)
+            outcome = await self._given(step, plan, run)
+            if run.ended() and order == self.order:
+                done += [step] if outcome.attempts else []  # what was sent may have been taken
+                return await self._ended(run, done, max(attempts, outcome.attempts), started)
             attempts = max(attempts, outcome.attempts)  # steps are no repeats of each other
             texts += [t for t in outcome.status_texts if t not in texts]
             if outcome.result == "unsupported" and step.instead:
-                queue = list(step.instead) + queue
+                queue[:0] = step.instead
                 continue
             if not outcome.ok and step.optional and order == self.order:
                 continue
@@ -105,19 +171,26 @@ class PlanRunner:
                 )
         return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
 
-    async def _given(self, step: Step, plan: Plan, order: int) -> Outcome:
+    async def _ended(self, run: _Run, done: list[Step], attempts: int, started: float) -> Outcome:
+        """It was cancelled before its last step."""
+        told = await self._undo(done, run.plan) if run.order == self.order else ""
+        rest = run.queue[-1].name if run.queue else "the last step"
+        return Outcome(False, "cancelled", f"cancelled before {rest}{told}", attempts, self._loop.time() - started)
+
+    async def _given(self, step: Step, plan: Plan, run: _Run) -> Outcome:
         """One step, again and again if the plan persists: what is answered by silence may have been heard by nobody."""
         started, attempts = self._loop.time(), 0
         while True:
-            outcome = await self._step(step, plan, order)
+            outcome = await self._step(step, plan, run)
             attempts += outcome.attempts
             elapsed_s = self._loop.time() - started
-            newer = order != self.order and not plan.final
+            newer = run.order != self.order and not plan.final
             if outcome.ok or newer or elapsed_s >= plan.persist_s or outcome.result not in UNHEARD:
                 return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
             self._report(plan.order, None)
 
-    async def _step(self, step: Step, plan: Plan, order: int) -> Outcome:
+    async def _step(self, step: Step, plan: Plan, run: _Run) -> Outcome:
+        order = run.order
         if self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate):
             return two_of_one_id(self._vehicle)
         expect = step.expect
@@ -140,7 +213,7 @@ class PlanRunner:
         )
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
             return outcome
-        if await self._commander.until(lambda: met() or self.order != order, step.expect_s):
+        if await self._commander.until(lambda: met() or self.order != order or run.ended(), step.expect_s):
             return outcome
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
@@ -186,7 +259,7 @@ class PlanRunner:
         for step in reversed(done):
             if step.undo is None:
                 continue
-            outcome = await self._step(step.undo, plan, self.order)
+            outcome = await self._step(step.undo, plan, _Run(plan, self.order))
             told += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
         return told
 

@@ -82,6 +82,7 @@ class SigningSetup:
         return {name: task.result() for name, task in tasks.items()}
 
     async def _tell_one(self, vehicle: Vehicle, key: bytes | None, *, force: bool) -> Outcome:
+        what = "signing off" if key is None else f"signing setup (key {key_id(key)})"
         try:
             require_connected(vehicle, self._loop.time())
             if (why := why_not_idle(vehicle, self._loop.time())) is not None:
@@ -92,8 +93,14 @@ class SigningSetup:
         except RefusedError as error:
             outcome = Outcome(False, "refused", f"refused: {error}")
         else:
-            outcome = await self._exchange(vehicle, key, channel)
-        what = "signing off" if key is None else f"signing setup (key {key_id(key)})"
+            try:
+                outcome = await self._exchange(vehicle, key, channel)
+            except asyncio.CancelledError:
+                text = (
+                    f"{vehicle.name}: {what}: cancelled; it may or may not have been taken: skygcs-cli signing status"
+                )
+                self._on_event(Event("signing", vehicle.name, vehicle.sysid, text, {"result": "cancelled"}))
+                raise
         text = f"{vehicle.name}: {what}: {outcome.message}"
         self._on_event(Event("signing", vehicle.name, vehicle.sysid, text, {"result": outcome.result}))
         return outcome

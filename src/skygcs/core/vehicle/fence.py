@@ -137,11 +137,13 @@ def changes(
     return {**told, "FENCE_TYPE": float(kinds), "FENCE_ENABLE": 1.0}
 
 
-def back_to(family: str, held: Mapping[str, float]) -> dict[str, float]:
-    """Parameters in the order in which they are put back: a fence that was off is switched off first."""
+def back_to(family: str, held: Mapping[str, float], changed: Mapping[str, float]) -> dict[str, float]:
+    """What was held of the parameters that were changed, in the order in which they are put back: a fence that was off
+    is switched off first."""
+    back = {name: value for name, value in held.items() if name in changed and changed[name] != value}
     if family == "ardupilot" and not held["FENCE_ENABLE"]:
-        return {"FENCE_ENABLE": 0.0, **held}
-    return dict(held)
+        return {"FENCE_ENABLE": 0.0, **back}
+    return back
 
 
 def tells_of_breach(text: str) -> bool:

@@ -1,0 +1,198 @@
+"""What skygcs has changed in a vehicle for a while and is to put back: on disk, from before the change until the undo.
+
+One file per change in `log_dir`/undo, written whole before anything is sent, removed when the vehicle holds again what
+it held. What a daemon finds there at its start was left by one that was killed, or that could not reach the vehicle in
+time. It is reported and offered for undoing, and never undone by itself: somebody may have set something else since.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from skygcs.errors import RefusedError
+
+FORMAT = 1
+
+MAX_ENTRIES = 256
+"""One per vehicle of a full fleet. Beyond that nothing is changed that would have to be put back."""
+
+MAX_FILE_BYTES = 64 * 1024
+"""Of an entry; its parameters are a few."""
+
+MAX_PARAMETERS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Parameters of one vehicle that were ``before`` and are ``changed`` for the time of ``what``, in the order in
+    which they are put back. ``id`` names the entry."""
+
+    id: str
+    vehicle: str
+    sysid: int
+    autopilot: str
+    what: str
+    began: str
+    before: Mapping[str, float]
+    changed: Mapping[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self) | {"before": dict(self.before), "changed": dict(self.changed)}
+
+    def __str__(self) -> str:
+        values = ", ".join(f"{name} {value:g}" for name, value in self.before.items())
+        return f"{self.vehicle} (system {self.sysid}): {self.what} of {self.began} was not undone; before it: {values}"
+
+
+class UndoJournal:
+    """One per daemon. `left` is what an earlier life of it left, or this one could not undo."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._under_way: set[str] = set()
+        self._number = 0
+        self.problems: list[str] = []
+        """Files of the folder that cannot be read, and why; from the last `left`."""
+
+    @property
+    def folder(self) -> Path:
+        return self._folder
+
+    def begin(
+        self,
+        vehicle: str,
+        sysid: int,
+        autopilot: str,
+        what: str,
+        before: Mapping[str, float],
+        changed: Mapping[str, float],
+    ) -> Change:
+        """Keep it on disk, before anything is changed. Raises RefusedError if that cannot be done."""
+        self._number += 1
+        stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
+        change = Change(
+            f"{sysid}-{stamp}-{os.getpid()}-{self._number}",
+            vehicle,
+            sysid,
+            autopilot,
+            what,
+            time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            dict(before),
+            dict(changed),
+        )
+        try:
+            if len(self._files()) >= MAX_ENTRIES:
+                raise RefusedError(
+                    f"{MAX_ENTRIES} changes wait to be undone already: skygcs-cli undo list, run or drop them first"
+                )
+            self._write(change)
+        except OSError as error:
+            raise RefusedError(
+                f"what is to be undone cannot be kept in {self._folder}: {error.strerror or error}"
+            ) from None
+        self._under_way.add(change.id)
+        return change
+
+    def undone(self, change: Change) -> None:
+        """The vehicle holds again what it held. Raises OSError if the entry cannot be removed."""
+        self._under_way.discard(change.id)
+        self._path(change.id).unlink(missing_ok=True)
+
+    def left_over(self, change: Change) -> None:
+        """It could not be undone now: it stays."""
+        self._under_way.discard(change.id)
+
+    def left(self) -> list[Change]:
+        """What waits to be undone, oldest first; not what is under way. Files that are none of ours are `problems`."""
+        self.problems = []
+        found = []
+        for path in self._files():
+            try:
+                change = _read(path)
+            except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+                if len(self.problems) < MAX_ENTRIES:
+                    self.problems.append(f"{path.name} cannot be read: {error}"[:200])
+                continue
+            if change.id not in self._under_way:
+                found.append(change)
+        return sorted(found, key=lambda c: (c.began, c.id))
+
+    def find(self, id: str) -> Change:
+        """Raises RefusedError for what is not there, or is under way."""
+        for change in self.left():
+            if change.id == id:
+                return change
+        raise RefusedError(f"nothing of id {id[:80]!r} waits to be undone; skygcs-cli undo list shows what does")
+
+    def drop(self, change: Change) -> None:
+        """Forget it: it is not to be undone. Raises RefusedError if the file cannot be removed."""
+        try:
+            self._path(change.id).unlink(missing_ok=True)
+        except OSError as error:
+            raise RefusedError(f"{self._path(change.id)} cannot be removed: {error.strerror or error}") from None
+
+    def _files(self) -> list[Path]:
+        try:
+            return sorted(self._folder.glob("*.json"))[: 2 * MAX_ENTRIES]
+        except OSError:
+            return []
+
+    def _path(self, id: str) -> Path:
+        return self._folder / f"{id}.json"
+
+    def _write(self, change: Change) -> None:
+        """Whole or not at all, and on the disk before this returns."""
+        self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=self._folder, suffix=".tmp")  # of mode 0600
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                json.dump({"format": FORMAT, **change.as_dict()}, file, indent=1)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(name, self._path(change.id))
+        except BaseException:
+            with contextlib.suppress(OSError):
+                os.unlink(name)
+            raise
+        folder = os.open(self._folder, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _read(path: Path) -> Change:
+    """Raises OSError, and ValueError, KeyError or TypeError for what is no entry."""
+    with path.open("rb") as file:
+        table = json.loads(file.read(MAX_FILE_BYTES))
+    if table["format"] != FORMAT:
+        raise ValueError(f"format {table['format']!r}")
+    change = Change(
+        path.stem,
+        str(table["vehicle"])[:64],
+        int(table["sysid"]),
+        str(table["autopilot"])[:32],
+        str(table["what"])[:64],
+        str(table["began"])[:32],
+        _numbers(table["before"]),
+        _numbers(table["changed"]),
+    )
+    if not 1 <= change.sysid <= 255:
+        raise ValueError(f"system {change.sysid}")
+    return change
+
+
+def _numbers(table: Mapping[str, Any]) -> dict[str, float]:
+    numbers = {str(name): float(value) for name, value in table.items()}
+    if len(numbers) > MAX_PARAMETERS or not all(math.isfinite(v) and 0 < len(n) <= 16 for n, v in numbers.items()):
+        raise ValueError("it holds no parameters")
+    return numbers

@@ -1,0 +1,123 @@
+"""Undoing what was left changed in a vehicle, when somebody asks for it: see `UndoJournal`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from skygcs.core.exchange.command import Outcome
+from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
+from skygcs.errors import RefusedError
+from skygcs.runtime.undo_journal import Change, UndoJournal
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+SAME = 1e-6
+"""Relative difference below which two values of a parameter are the same: it is a float of 24 bits on the wire."""
+
+
+class UndoOrders:
+    """`left`, `run` and `drop` for the RPC. ``vehicles`` by sysid << 8 | compid."""
+
+    def __init__(
+        self,
+        journal: UndoJournal,
+        vehicles: Mapping[int, VehicleActor],
+        now: Callable[[], float],
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self._journal = journal
+        self._vehicles = vehicles
+        self._now = now
+        self._on_event = on_event
+        self._running: set[str] = set()
+
+    def report(self) -> None:
+        """One event for each change that was left, and one for files that cannot be read."""
+        for change in self._journal.left():
+            text = f"{change}; skygcs-cli undo run {change.id} puts it back, undo drop forgets it"
+            self._tell(change, text, {"id": change.id, "state": "left"})
+        if problems := self._journal.problems:
+            text = f"{self._journal.folder}: {'; '.join(problems[:5])}; what they say is not undone"
+            self._on_event(Event("undo", None, None, text, {"state": "unreadable"}))
+
+    def left(self) -> dict[str, Any]:
+        """JSON-able: what waits to be undone, and files that cannot be read."""
+        changes = [change.as_dict() for change in self._journal.left()]
+        return {"changes": changes, "problems": list(self._journal.problems)}
+
+    def drop(self, id: str) -> None:
+        """Forget one. Raises RefusedError."""
+        change = self._journal.find(id)
+        if id in self._running:
+            raise RefusedError(f"{id} is being undone just now")
+        self._journal.drop(change)
+        self._tell(change, f"{change.what} of {change.began} is not to be undone", {"id": id, "state": "dropped"})
+
+    async def run(self, id: str, *, force: bool = False) -> Outcome:
+        """Put back what one of them changed, and read it back. Raises RefusedError for an id that is not there.
+
+        Refused to an armed vehicle, and where a parameter has neither the value of before nor that of the change,
+        unless ``force``: then somebody else has set it since.
+        """
+        change = self._journal.find(id)
+        if id in self._running:
+            raise RefusedError(f"{id} is being undone just now")
+        self._running.add(id)
+        try:
+            outcome = await self._undo(change, force=force)
+        except RefusedError as error:
+            outcome = Outcome.refused(str(error))
+        finally:
+            self._running.discard(id)
+        text = f"undo of {change.what}: {outcome.message}"
+        self._tell(change, text, {"id": id, "state": "undone" if outcome.ok else "left", "result": outcome.result})
+        return outcome
+
+    async def _undo(self, change: Change, *, force: bool) -> Outcome:
+        actor = self._actor(change)
+        require_connected(actor.vehicle, self._now())
+        if actor.vehicle.armed and not force:
+            raise RefusedError(f"it is armed; {FORCE_HINT}")
+        if actor.fence.testing:
+            raise RefusedError("its fence is being tested")
+        to_set: dict[str, float] = {}
+        for name, before in change.before.items():
+            held = await actor.params.get(name)
+            if held.param is None:
+                return Outcome(False, held.result, f"{name} cannot be read: {held.message}")
+            value = float(held.param.value)
+            if _same(value, before):
+                continue
+            if not force and not _same(value, change.changed.get(name, before)):
+                by_test = change.changed.get(name, before)
+                raise RefusedError(
+                    f"{name} is {value:g}, neither {before:g} as before nor {by_test:g} as the {change.what} set it: "
+                    f"somebody has changed it since; {FORCE_HINT}"
+                )
+            to_set[name] = before
+        told = await actor.params.set(to_set) if to_set else {}
+        wrong = [outcome for outcome in told.values() if not outcome.ok]
+        if wrong:
+            return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
+        try:
+            self._journal.undone(change)
+        except OSError as error:
+            return Outcome(False, "failed", f"it is as before, but {change.id} cannot be removed: {error.strerror}")
+        return Outcome(True, "accepted", "it is as before" + (f" ({', '.join(to_set)} set)" if to_set else " already"))
+
+    def _actor(self, change: Change) -> VehicleActor:
+        found = [a for a in self._vehicles.values() if a.sysid == change.sysid and not a.vehicle.replayed]
+        if not found:
+            raise RefusedError(f"no vehicle with system id {change.sysid} is heard")
+        for actor in found:
+            if actor.vehicle.family == change.autopilot:
+                return actor
+        raise RefusedError(f"system {change.sysid} is no {change.autopilot} now: another vehicle has its id")
+
+    def _tell(self, change: Change, text: str, data: dict[str, Any]) -> None:
+        self._on_event(Event("undo", change.vehicle, change.sysid, text, data))
+
+
+def _same(one: float, other: float) -> bool:
+    return abs(one - other) <= SAME * max(abs(one), abs(other))
