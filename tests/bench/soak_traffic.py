@@ -486,11 +486,12 @@ class HostilePeer:
         )
 
     def _sweep(self) -> None:
-        """Systems 100 to 220, all components of each; some claim to be autopilots."""
+        """Systems 100 to 220, all components of each. Two a second claim to be autopilots: the fleet is full of them
+        within the warm-up, and replaces them from then on."""
         self.swept += 1
         sysid, compid = 100 + self.swept // 255 % 121, 1 + self.swept % 255
         source = self._source(sysid, compid)
-        if compid % 64 == 1:
+        if compid % 32 == 1:
             self._frames("swept autopilots", [source.heartbeat(2, 12)])
         else:
             self._frames("swept sources", [source.telemetry(self.rng.choice(self.world.telemetry))])
