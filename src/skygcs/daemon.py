@@ -76,12 +76,49 @@ _QUIET_KINDS = frozenset({"statustext", "command", "route"})
 
 _NOTE_KINDS = {
     "conflict": "conflict",
-    "duplicate": "duplicate",
-    "duplicate_over": "duplicate",
     "out_of_bounds": "warning",
     "crowded": "warning",
     "crowded_over": "warning",
 }
+
+
+_STATE_NOTES = {
+    "duplicate": "duplicate",
+    "duplicate_over": "duplicate",
+    "ignored": "conflict",
+    "switched": "route",
+    "replaced": "conflict",
+}
+
+
+def _named(channel: Channel | None) -> str:
+    """A channel for a person: its link and the peer's address."""
+    return "a closed channel" if channel is None else f"{channel.link.name} ({channel.peer})"
+
+
+def _state_text(note: RouteNote, here: str, there: str) -> str:
+    """What a person is shown of a change of a vehicle's channels: ``here`` is the present one, ``there`` the other."""
+    ids = f"{note.sysid}/{note.compid}"
+    if note.kind == "duplicate":
+        return (
+            f"two vehicles with system id {note.sysid} are on the air: one over {here}, which supplies its state, "
+            f"another over {there} ({note.why}), which is ignored; until that ends it takes only hold, land, rtl and "
+            "stop, which go to both, and a confirmed disarm; switch one off and give it another id (PX4: MAV_SYS_ID, "
+            "ArduPilot: SYSID_THISMAV)"
+        )
+    if note.kind == "duplicate_over":
+        return f"only one vehicle with system id {note.sysid} is heard any more: it takes all orders again"
+    if note.kind == "ignored":
+        return (
+            f"{note.count} frames with the ids {ids} over {there} contradict the vehicle over {here} ({note.why}): "
+            "they are ignored"
+        )
+    if note.kind == "switched":
+        return f"{ids} is followed over {there} now, before over {here}"
+    return (
+        f"{ids} is another vehicle now, or has restarted: it is heard over {there}, before over {here}; nothing that "
+        "was known of it counts any more"
+    )
 
 
 def _is_warning(event: Event) -> bool:
@@ -141,6 +178,8 @@ class Daemon:
             only_noted=self.fleet.only_noted,
             on_event=self.on_event,
         )
+        self.hub.router.known = self.fleet.known
+        self.hub.router.on_replaced = self.fleet.replaced
         self.link_watch = LinkWatch(self.hub)
         self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
         self.fleet.on_roster = self.hub.forget_lanes
@@ -337,11 +376,11 @@ class Daemon:
                 log.error("an event watcher failed and was removed", error=repr(error))
 
     def _on_note(self, note: RouteNote, channel: Channel | None) -> None:
-        where = f"{channel.link.name} ({channel.peer})" if channel is not None else "a closed channel"
-        who = f"{note.sysid}/{note.compid}"
+        if note.kind in _STATE_NOTES:
+            self._on_state_note(note, channel)
+            return
+        where, who = _named(channel), f"{note.sysid}/{note.compid}"
         recorded = channel is not None and channel.config.type == "replay"
-        if note.kind in ("duplicate", "duplicate_over"):
-            self.fleet.set_duplicate(note.sysid << 8 | note.compid, where if note.kind == "duplicate" else None)
         text = {
             "out_of_bounds": _beyond(note, where, channel),
             "learned": f"{who} heard on {where}",
@@ -356,15 +395,22 @@ class Daemon:
             "echo": f"{who} in the recording {where} is heard live as well: the recorded one is not shown"
             if recorded
             else f"{where} hands back frames of {who}, which is heard on a link of its own: they are dropped",
-            "duplicate": f"two vehicles with system id {note.sysid} are on the air, one of them on {where}: orders to "
-            "it are refused, but for a forced disarm; switch one off and give it another id "
-            "(PX4: MAV_SYS_ID, ArduPilot: SYSID_THISMAV)",
-            "duplicate_over": f"only one vehicle with system id {note.sysid} is heard any more: it takes orders again",
         }[note.kind]
         kind = _NOTE_KINDS.get(note.kind, "route")
-        vehicle = self.fleet.vehicles.get(note.sysid << 8 | note.compid)
-        name = vehicle.name if vehicle is not None and kind == "duplicate" else None
-        self.on_event(Event(kind, name, note.sysid, text, {"change": note.kind, "compid": note.compid}))
+        self.on_event(Event(kind, None, note.sysid, text, {"change": note.kind, "compid": note.compid}))
+
+    def _on_state_note(self, note: RouteNote, channel: Channel | None) -> None:
+        """What has changed about the channels of a vehicle (`core.state_source`)."""
+        key = note.sysid << 8 | note.compid
+        there, here = _named(channel), _named(self.hub.channels.get(note.present_id))
+        if note.kind in ("duplicate", "duplicate_over"):
+            where = f"its state comes over {here}, the other one sends over {there}"
+            self.fleet.set_duplicate(key, where if note.kind == "duplicate" else None)
+        text = _state_text(note, here, there)
+        data = {"change": note.kind, "compid": note.compid, "link": there, "present": here, "ignored": note.count}
+        vehicle = self.fleet.vehicles.get(key)
+        name = None if vehicle is None else vehicle.name
+        self.on_event(Event(_STATE_NOTES[note.kind], name, note.sysid, text, data))
 
     def _on_key(self, sysid: int, channel: Channel) -> None:
         """Told once per link: who sends it will repeat it."""

@@ -242,7 +242,9 @@ async def test_two_vehicles_of_one_id_are_told_and_refused_until_one_is_gone(tmp
     async with with_vehicles(tmp_path) as daemon:
         key = 7 << 8 | 1
         channel = next(iter(daemon.hub.channels))
-        daemon.hub.router.notes.append(RouteNote("duplicate", 7, 1, channel))
+        daemon.hub.router.notes.append(
+            RouteNote("duplicate", 7, 1, channel, present_id=channel, why="boot time differ")
+        )
         daemon.hub.tick(daemon.now())
         event = daemon.events[-1]
         assert (event["kind"], event["vehicle"], event["sysid"]) == ("duplicate", "v7", 7)

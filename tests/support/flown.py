@@ -89,6 +89,8 @@ class Flown:
     truth: dict[int, list[Truth]] = field(default_factory=dict)
     running: asyncio.Task[None] | None = None
     """The daemon's life."""
+    also: list[Callable[[bytes], None]] = field(default_factory=list)
+    """Called with each frame of the vehicles beside the link: their further radios."""
     cut: bool = False
     """Nothing passes the link any more, in either direction: so a daemon looks that was killed."""
 
@@ -228,6 +230,9 @@ class Flown:
             frames = self._fleet.step(self.now)
             if frames and not self.cut:
                 self.link.peer.send(b"".join(frames))
+            for radio in self.also:
+                for frame in frames:
+                    radio(frame)
             if self.now - looked >= 0.1 - 1e-6:
                 looked = self.now
                 for sim in self.sims:
@@ -276,15 +281,16 @@ async def flown(
     settings: Mapping[str, Any] | None = None,
     conditions: Conditions = CALM,
     params: Mapping[str, float] | None = None,
+    links: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> AsyncIterator[Flown]:
     """Vehicles that hover at ``height_m`` in the mode a take-off leaves them in. ``control``, ``settings``: the tables
     defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4, any of
-    an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, …"""
+    an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, … ``links``: further ones."""
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False, **(settings or {})},
             "origin": {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m},
-            "links": {"air": {"type": "memory", "role": "radio", "delay_s": delay_s}},
+            "links": {"air": {"type": "memory", "role": "radio", "delay_s": delay_s}, **(links or {})},
             "defaults": {"control": dict(control or {})},
         }
     )

@@ -6,7 +6,7 @@ from collections import defaultdict
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
-from skygcs.core.decision import Decision
+from skygcs.core.decision import Decision, Verdict
 from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
@@ -37,6 +37,8 @@ class RoutedNet:
         self.parsers: dict[str, FrameParser] = {}
         self.got: dict[str, list[bytes]] = defaultdict(list)
         self.decisions: list[Decision] = []
+        self.counted: list[tuple[str, bool]] = []
+        """Of vehicles on several channels: where each frame came, and whether it counted for the state."""
 
     def open(self, name: str, policy: ChannelPolicy | None = None) -> None:
         self._opened += 1
@@ -61,6 +63,9 @@ class RoutedNet:
         names = {v: k for k, v in self.ids.items()}
         for frame in frames:
             decision = self.router.decide(self.ids[name], frame, self.now)
+            if frame.sysid << 8 | frame.compid in self.router.state_sources:
+                copy = decision.verdict is Verdict.DUPLICATE
+                self.counted.append((name, self.router.supplies(self.ids[name], frame, self.now, copy=copy)))
             self.decisions.append(decision)
             for channel_id in decision.destinations:
                 self.got[names[channel_id]].append(frame.raw)

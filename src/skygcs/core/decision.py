@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -37,14 +36,13 @@ class Standing:
     destinations: tuple[int, ...]
     heard: dict[int, float]
     """Where the router wants their time noted, under sysid << 8 | compid."""
-    again: Callable[[float], None] | None = None
-    """To be called with the time when there were some; several at one time count as one."""
 
 
 @dataclass(frozen=True, slots=True)
 class RouteNote:
-    """A change worth a log line: learned, expired, cleared, crowded (and over), conflict, echo, duplicate,
-    duplicate_over, or a target that was out_of_bounds."""
+    """A change worth a log line: learned, expired, cleared, crowded (and over), conflict, echo, a target that was
+    out_of_bounds, and of a vehicle's channels (`core.state_source`): duplicate (and over), ignored, switched, replaced.
+    """
 
     kind: str
     sysid: int
@@ -52,3 +50,9 @@ class RouteNote:
     channel_id: int
     target: int = 0
     """Of out_of_bounds: the system that was addressed; 0: all."""
+    present_id: int = 0
+    """Of a vehicle's channels: the present one, or of switched and replaced the one before; 0: closed."""
+    why: str = ""
+    """Of duplicate and ignored: what contradicted."""
+    count: int = 0
+    """Of duplicate and ignored: frames that were ignored."""

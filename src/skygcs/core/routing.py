@@ -45,14 +45,17 @@ from skygcs.core.decision import Decision, RouteNote, Standing, Verdict
 from skygcs.core.dedup import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers, shown_by
-from skygcs.core.rivals import RivalWatch
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.route_port import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
 from skygcs.core.route_room import RouteRoom
+from skygcs.core.state_source import DEFAULT_LOST_S, Known, Report, StateSource
 
 SYSTEM_TIME = 2
 RADIO_STATUS = 109
 RADIO = 166
+
+FORGOTTEN_S = 10.0
+"""A vehicle is on one channel again when no other one has had a frame with its ids for so long."""
 
 MAX_NOTES = 256
 CONFLICT_QUIET_S = 60.0
@@ -81,6 +84,7 @@ class Router:
         own_compid: int,
         *,
         route_timeout_s: float = 60.0,
+        vehicle_timeout_s: float = DEFAULT_LOST_S,
         duplicates: FirstHeard | None = None,
     ) -> None:
         """``duplicates``: who remembers which frame was heard where first, if it is not to be a `DuplicateFilter`."""
@@ -88,6 +92,7 @@ class Router:
         self._own_source = own_sysid << 8 | own_compid
         self._own_compid = own_compid
         self._route_timeout_s = route_timeout_s
+        self._vehicle_timeout_s = vehicle_timeout_s
         self._ports: dict[int, Port] = {}
         self._by_source: dict[int, list[Port]] = {}
         self._by_system: dict[int, list[Port]] = {}
@@ -98,7 +103,15 @@ class Router:
         self._any_bound = False
         self._parallel: dict[int, ParallelChannels] = {}
         self._anchored: set[int] = set()
-        self._rivals = RivalWatch()
+        self._first_channel_id = 0
+        """Where the last copy was heard first."""
+        self.state_sources: dict[int, StateSource] = {}
+        """By sysid<<8|compid: the vehicles that are heard on several channels, or were just now; see `supplies`."""
+        self.known: Callable[[int], Known | None] = lambda source: None
+        """The last frames of a vehicle that somebody keeps the state of; None for any other source."""
+        self.on_replaced: Callable[[int], None] = lambda source: None
+        """Called before the first frame counts of another vehicle that has taken a known one's place (or of the same,
+        restarted on another channel)."""
         self._room = RouteRoom()
         self.counters: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
         self.unnoted_routes = 0
@@ -119,7 +132,8 @@ class Router:
         port = self._ports.pop(channel_id, None)
         if port is None:
             return
-        self._rivals.forget(channel_id)
+        for state in self.state_sources.values():
+            state.closed(channel_id)
         for source in list(port.heard):
             self._forget(port, source)
         for system, parallel in list(self._parallel.items()):
@@ -139,7 +153,13 @@ class Router:
             for port in self._ports.values()
             if port.policy.role != "gcs" and not port.policy.replayed
             for source in port.vehicles
+            if source not in self.state_sources or not self._is_station(self.state_sources[source].present_id)
         }
+
+    def _is_station(self, channel_id: int | None) -> bool:
+        """Whether this is the channel of a ground station."""
+        port = self._ports.get(channel_id or 0)
+        return port is not None and port.policy.role == "gcs"
 
     # -- one frame
 
@@ -193,6 +213,8 @@ class Router:
         source = frame.sysid << 8 | frame.compid
         if frame.info is None or frame.msgid == SYSTEM_TIME or port.policy.replayed or not self._dedup:
             return None
+        if source in self.state_sources:
+            return None  # each of its frames is looked at
         if port.bound:
             return None  # a lane would remember its frames, and take equal ones of another program for copies
         if source == self._own_source or source not in port.heard or frame.sysid in self._parallel:
@@ -211,14 +233,7 @@ class Router:
                 return None
             if not other.filter_out.passes(frame.msgid, frame.sysid, frame.compid):
                 return None
-        again = None
-        if frame.msgid == HEARTBEAT and source in port.vehicles:
-            shown = shown_by(frame)
-
-            def again(now: float) -> None:
-                self._watch_rivals(port, source, shown, now)
-
-        return Standing(decision.destinations, port.heard, again)
+        return Standing(decision.destinations, port.heard)
 
     def _counted(self, decision: Decision) -> Decision:
         self.counters[decision.verdict] += 1
@@ -297,10 +312,12 @@ class Router:
         return Decision(Verdict.LOCAL if decision.local else Verdict.NOBODY, (), decision.local)
 
     def _preferred(self, ports: list[Port], system: int, now: float) -> list[Port]:
-        """Of parallel channels the better one; channels that are not parallel all stay."""
+        """Of parallel channels the one that supplies the vehicle's state, or the better one; channels that are not
+        parallel all stay."""
         parallel = self._parallel[system]
-        heard = {p.id: self._last_heard(p, system) for p in ports}
-        best = parallel.choose(heard, now)
+        best = next((s.present_id for key, s in self.state_sources.items() if key >> 8 == system), None)
+        if best is None:
+            best = parallel.choose({p.id: self._last_heard(p, system) for p in ports}, now)
         if best is None:
             return ports
         same = parallel.channel_ids
@@ -313,7 +330,8 @@ class Router:
     # -- our own messages
 
     def route_own(self, sysid: int, compid: int, now: float, *, everywhere: bool = False) -> tuple[int, ...]:
-        """Channels for a message of ours: all for system 0; else the best one to that component or system.
+        """Channels for a message of ours: all for system 0; else the best one to that component or system: of a vehicle
+        the one that supplies its state.
 
         ``everywhere`` (emergencies) takes every channel on which it was heard. () if it was never heard. Never one that
         is bound to vehicles.
@@ -330,6 +348,9 @@ class Router:
             return ()
         if len(ports) == 1 or everywhere:
             return tuple(p.id for p in ports)
+        state = self.state_sources.get(sysid << 8 | compid)
+        if state is not None and any(p.id == state.present_id for p in ports):
+            return (state.present_id,)  # type: ignore[return-value]  # it is the id of one of them
         heard = {p.id: self._last_heard(p, sysid) for p in ports}
         parallel = self._parallel.get(sysid)
         best = parallel.choose(heard, now) if parallel is not None else None
@@ -340,6 +361,7 @@ class Router:
     def _learn(self, port: Port, source: int, frame: Frame, now: float) -> None:
         if source >> 8 == 0:
             return  # system 0 is "all" as a target: a route to it would catch every broadcast
+        self._share_state(port, source, now)
         if not self._room.is_free(port) and not self._make_room(port, source, frame, now):
             return
         port.heard[source] = now
@@ -386,6 +408,79 @@ class Router:
             port.vehicles.discard(source)
             self._topology_changed()
 
+    # -- vehicles on several channels
+
+    def _share_state(self, port: Port, source: int, now: float) -> None:
+        """A channel has frames of a source for the first time: if it is a vehicle that others hear, or that was heard
+        before, one of them supplies its state from now on."""
+        if source in self.state_sources or port.policy.replayed or port.bound:
+            return
+        others = [p for p in self._by_source.get(source, ()) if p is not port and not p.policy.replayed and not p.bound]
+        replayed = any(p.policy.replayed for p in self._by_source.get(source, ()))  # which stations hand back
+        hearing = [p for p in others if source in p.vehicles and not (replayed and p.policy.role == "gcs")]
+        known = self.known(source)
+        if hearing:
+            before = max(hearing, key=lambda p: p.heard[source])
+            state = StateSource(before.id, before.policy.link, known, now, lost_s=self._vehicle_timeout_s)
+        elif known is not None and not others:
+            state = StateSource(None, "", known, now, lost_s=self._vehicle_timeout_s)
+        else:
+            return
+        self.state_sources[source] = state
+        self._topology_changed()
+
+    def supplies(self, channel_id: int, frame: Frame, now: float, *, copy: bool) -> bool:
+        """Whether this frame, of one of `state_sources`, counts for the vehicle's state; to be asked after `decide`.
+        ``copy``: the verdict was DUPLICATE."""
+        port = self._ports[channel_id]
+        source = frame.sysid << 8 | frame.compid
+        state = self.state_sources[source]
+        if port.policy.replayed or port.bound or frame.info is None:
+            return False
+        if source in self._anchored and port.policy.role == "gcs":
+            return False
+        counts = state.accepts(channel_id, port.policy.link, frame, now, of=self._first_channel_id if copy else None)
+        handed_back = not counts and port.policy.role != "gcs" and self._is_station(state.present_id)
+        if handed_back and state.is_original(channel_id):
+            state.take_over(channel_id, now)
+            counts = True
+        if state.reports:
+            self._report(source, state)
+        return counts
+
+    def _report(self, source: int, state: StateSource) -> None:
+        reports, state.reports = state.reports, []
+        for report in reports:
+            self._note_report(source, report)
+            if report.kind in ("switched", "replaced"):
+                self._topology_changed()
+                self._drop_echo_routes(source)
+            if report.kind == "replaced":
+                self.on_replaced(source)
+
+    def _note_report(self, source: int, report: Report) -> None:
+        channel_id, present_id = report.channel_id or 0, report.present_id or 0
+        note = RouteNote(
+            report.kind,
+            source >> 8,
+            source & 0xFF,
+            channel_id,
+            present_id=present_id,
+            why=report.why,
+            count=report.count,
+        )
+        self.notes.append(note)
+
+    def _tick_state(self, source: int, state: StateSource, now: float) -> None:
+        state.tick(now)
+        if state.reports:
+            self._report(source, state)
+        ports = self._by_source.get(source, [])
+        alone = not ports or (len(ports) == 1 and ports[0].id == state.present_id)
+        if alone and not state.duplicate and now - state.heard_elsewhere_at() > FORGOTTEN_S:
+            del self.state_sources[source]
+            self._topology_changed()
+
     def expire(self, now: float) -> None:
         """Forget what has not been heard for the route timeout. To be called about once a second."""
         limit = now - self._route_timeout_s
@@ -397,17 +492,22 @@ class Router:
             for link in self._room.became_ample(self._ports.values()):
                 for port in [p for p in self._ports.values() if p.policy.link == link][:1]:
                     self._note("crowded_over", 0, port)
+        for source, state in list(self.state_sources.items()):
+            self._tick_state(source, state, now)
 
     def _check_reboot(self, port: Port, frame: Frame, source: int) -> None:
         """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears what is known of the system's routes."""
         boot_ms = struct.unpack_from("<I", frame.payload + bytes(12), 8)[0]
         before = port.boot_ms.get(source, 0)
-        if boot_ms < before and (boot_ms < JUST_BOOTED_MS or boot_ms < before - BOOT_JITTER_MS):
+        state = self.state_sources.get(source)
+        believed = state is None or state.present_id in (None, port.id)
+        if believed and boot_ms < before and (boot_ms < JUST_BOOTED_MS or boot_ms < before - BOOT_JITTER_MS):
             system = source >> 8
             # of programs with one id behind bound channels each has a clock of its own
             for other in [port] if port.bound else [p for p in self._ports.values() if not p.bound]:
                 for known in sorted(other.of_system.get(system, ())):
-                    self._forget(other, known)
+                    if (other, known) != (port, source):  # which is heard there right now
+                        self._forget(other, known)
             if not port.bound:
                 self._parallel.pop(system, None)
             self.on_change()
@@ -421,16 +521,18 @@ class Router:
             return
         if source not in port.vehicles:
             port.vehicles.add(source)
+            if len(self._by_source[source]) > 1:
+                self._share_state_of_new(port, source, now)
             self._topology_changed()
             self._drop_echo_routes(source)
-        if source in port.heard and not port.policy.replayed:  # and not just found to be an echo
-            self._watch_rivals(port, source, shown_by(frame), now)
 
-    def _watch_rivals(self, port: Port, source: int, shown: bytes, now: float) -> None:
-        copies = source >> 8 in self._parallel
-        change = self._rivals.on_beat(source, port.id, port.policy.link, shown, copies=copies, now=now)
-        if change is not None:
-            self._note(change, source, port)
+    def _share_state_of_new(self, port: Port, source: int, now: float) -> None:
+        """A source that several channels hear shows on this one that it is a vehicle."""
+        if source in self.state_sources or port.policy.replayed or port.bound:
+            return
+        if any(p is not port and not p.policy.replayed and not p.bound for p in self._by_source[source]):
+            state = StateSource(port.id, port.policy.link, None, now, lost_s=self._vehicle_timeout_s)
+            self.state_sources[source] = state
 
     def _drop_echo_routes(self, source: int) -> None:
         """A vehicle found on its own link was perhaps met first through a ground station or a recording."""
@@ -452,6 +554,7 @@ class Router:
         system = source >> 8
         parallel = self._parallel.get(system)
         copy = first != port.id and first in self._ports
+        self._first_channel_id = first
         if copy and parallel is None:
             self.on_change()
             parallel = self._parallel[system] = ParallelChannels(first)
@@ -510,7 +613,7 @@ class Router:
     @property
     def duplicates(self) -> set[int]:
         """Autopilots (sysid<<8|compid) that two vehicles claim to be."""
-        return self._rivals.duplicates
+        return {source for source, state in self.state_sources.items() if state.duplicate}
 
     def channels_of(self, source: int) -> tuple[int, ...]:
         """Ids of the channels on which this sysid<<8|compid is heard."""

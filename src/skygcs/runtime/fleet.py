@@ -15,6 +15,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, stop, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.events import Event
@@ -221,6 +222,18 @@ class Fleet:
         actor = self.vehicles.get(key)
         if actor is not None:
             actor.set_duplicate(where)
+
+    def known(self, key: int) -> Known | None:
+        """The last frames of a live vehicle, for whoever compares them with what another channel hears; None: there is
+        no such vehicle."""
+        actor = self.vehicles.get(key)
+        return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
+
+    def replaced(self, key: int) -> None:
+        """Another vehicle has taken the place of this one, or the same has restarted and is heard elsewhere."""
+        actor = self.vehicles.get(key)
+        if actor is not None:
+            actor.restarted("another vehicle, or this one restarted, is heard over another channel", self._loop.time())
 
     def set_replayed(self, key: int, replayed: bool) -> None:
         """From now on ``key`` is heard in a recording only, or on the air after all. What was known of it is of another

@@ -94,7 +94,13 @@ class Hub:
         self.express: Table | None = None
         if (record is None or record_many is not None) and (on_vehicle_frame is None or only_noted is not None):
             self.express = new_table(dialect, recording=record is not None)
-        self.router = Router(own.sysid, own.compid, route_timeout_s=own.route_timeout_s, duplicates=self.express)
+        self.router = Router(
+            own.sysid,
+            own.compid,
+            route_timeout_s=own.route_timeout_s,
+            vehicle_timeout_s=own.vehicle_timeout_s,
+            duplicates=self.express,
+        )
         self.router.on_change = self.forget_lanes
         self._record_many = record_many
         self._only_noted = only_noted
@@ -183,6 +189,7 @@ class Hub:
         if channel.endpoint is not None:
             frames = channel.endpoint.inward(frames)
         decide = self.router.decide
+        state_sources = self.router.state_sources
         on_vehicle_frame = self._on_vehicle_frame
         channels = self.channels
         channel_id = channel.id
@@ -213,6 +220,9 @@ class Hub:
                 continue
             try:
                 decision = decide(channel_id, frame, now)
+                counts = True
+                if state_sources and key in state_sources:
+                    counts = self._counts(channel, frame, decision.verdict, now)
                 if together is None:
                     for destination in decision.destinations:
                         if destination in renumbering:
@@ -225,7 +235,7 @@ class Hub:
                     continue
                 if self._record is not None:
                     self._record(raw, unix_us)
-                if frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
+                if counts and frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
                     on_vehicle_frame(key, frame, label, now)
                 if taps.msgids is None or frame.msgid in taps.msgids:
                     taps.show(frame, channel, key, now)
@@ -240,6 +250,17 @@ class Hub:
                 self.fault(error)
         if self.router.notes:
             self._drain_notes()
+
+    def _counts(self, channel: Channel, frame: Frame, verdict: Verdict, now: float) -> bool:
+        """Whether a frame of a vehicle that is heard on several channels counts for its state. A copy that does is
+        shown here: the frame that came first did not count."""
+        copy = verdict is Verdict.DUPLICATE
+        if verdict in _DROPPED and not copy:
+            return False
+        counts = self.router.supplies(channel.id, frame, now, copy=copy)
+        if counts and copy and self._on_vehicle_frame is not None:
+            self._on_vehicle_frame(frame.sysid << 8 | frame.compid, frame, channel.link.name, now)
+        return counts
 
     def _send_together(self, frames: list[tuple[Frame, tuple[int, ...]]]) -> None:
         """What came in one datagram: on in one, to channels that take it, if all of it goes the same way."""
@@ -319,19 +340,16 @@ class Hub:
             return None
         if frame.msgid != HEARTBEAT:
             return Way(outs, stats, standing.heard, noted)
-        again = [call for call in (standing.again, noted.again) if call is not None]
-        noted = noted._replace(again=partial(self._on_beats, again) if again else None)
+        if noted.again is not None:
+            noted = noted._replace(again=partial(self._on_heartbeats, noted.again))
         return Way(outs, stats, standing.heard, noted, steady=frame.payload)
 
-    def _on_beats(self, calls: list[Callable[[float], None]], now: float) -> None:
+    def _on_heartbeats(self, again: Callable[[float], None], now: float) -> None:
         """Heartbeats like the last one have passed a lane."""
-        for call in calls:
-            try:
-                call(now)
-            except Exception as error:
-                self.fault(error)
-        if self.router.notes:
-            self._drain_notes()
+        try:
+            again(now)
+        except Exception as error:
+            self.fault(error)
 
     def _shown_of(self, channel: Channel) -> Callable[[int], bool] | None:
         """Which sources of this channel are shown to the fleet; None: all, and no source is known from a recording."""

@@ -202,6 +202,10 @@ class LiveVehicle:
         if where is not None:
             self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air: {where}")
 
+    def restarted(self, text: str, now: float) -> None:
+        """What was known of it is of another life."""
+        self._publish(self.vehicle.restart(now, text), now)
+
     def set_origin(self, origin: Origin | None, generation: int) -> None:
         """The fleet's world frame from now on, and its number; see `World`."""
         self.vehicle.origin = origin

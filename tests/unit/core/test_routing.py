@@ -265,6 +265,7 @@ def beats(net: RoutedNet, seconds: float, *ports: str, **modes: int) -> None:
     """Heartbeats of vehicle 1 on these ports, once a second, never as copies."""
     for n in range(int(seconds)):
         net.now += 1.0
+        net.router.expire(net.now)
         for at, port in enumerate(ports):
             net.datagram(
                 port,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from skygcs.core.exchange.command import Ack
@@ -255,6 +255,11 @@ class Vehicle:
         """Whether it flies; None if nothing tells."""
         landed = self.landed(now)
         return None if landed == "undefined" else landed in AIRBORNE
+
+    def last_frames(self, msgids: Iterable[int]) -> list[tuple[Frame, float]]:
+        """The last frame of each of these messages, with the time it came, as far as they have come."""
+        slots = [self.slots[msgid] for msgid in msgids if msgid in self.slots]
+        return [(slot.frame, slot.at) for slot in slots if slot.frame is not None]
 
     def slot(self, message: str) -> Slot | None:
         """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""

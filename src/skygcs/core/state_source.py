@@ -1,0 +1,485 @@
+"""Which channel supplies the state of a vehicle that is heard on several, and what others send with its ids.
+
+One vehicle may be heard on two channels: it has two radios, two receivers hear one radio, its ground station hands back
+its frames, or it came back from another UDP port. Two vehicles may have one system id, and anybody may forge frames. So
+one channel at a time, *the present one*, supplies the state, and orders are sent there:
+
+    another channel ...                                         what becomes of its frames
+    --------------------------------------------------------    -----------------------------------------------------
+    while the present one is heard                              ignored, but for answers to us if the channel agrees
+    the present one is silent for SILENT_S, or hears clearly    takes over, if it agrees: boot time and position are
+    less for WORSE_WINDOWS in a row                             those of the vehicle
+    the present one is closed                                   takes over, unless it contradicts
+    the present one is silent for the vehicle's timeout         takes over; if it contradicts or cannot be compared, as
+                                                                a new start: another vehicle, or the same rebooted
+    the present one is a ground station's that hands back       takes over
+    what came over this one
+
+    contradicts for CONTRADICTED_S: boot time, position, mode   a duplicate: reported with both channels, orders that do
+    or arming state, firmware or type                           not end a flight are refused while it lasts
+    the same link, and nothing shows that it is one vehicle     the same
+    contradicts for less, and nothing explains it               reported as ignored
+
+Numbering differs per radio, so a second way of one vehicle is in general no copy byte by byte: it agrees by its clock
+(time_boot_ms) and by where it is.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from skygcs.core.geo import distance_m
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers, heartbeat_fields
+from skygcs.core.mavlink.modes import SAFETY_ARMED
+
+SILENT_S = 2.5
+"""Two heartbeats may be lost; a channel that is silent for longer does not hear the vehicle now."""
+
+DEFAULT_LOST_S = 5.0
+"""`daemon.vehicle_timeout_s`."""
+
+HIGH_LATENCY_FACTOR = 4
+"""A satellite channel sends HIGH_LATENCY2 every 5 s instead of heartbeats (as `core.vehicle`)."""
+
+BOOT_AGREES_S = 3.0
+"""Two channels of one vehicle show the same clock but for their delays: a second or two on a multipoint radio. Two
+vehicles that were switched on together may agree by this; they differ by place or state then."""
+
+PLACE_MARGIN_M = 10.0
+"""Two messages of one estimator differ by its drift; two receivers on one vehicle by GPS noise."""
+
+PLACE_DELAY_S = 1.5
+"""Difference of the channels' delays, in which the vehicle may have moved, where their clocks cannot be compared."""
+
+PLACE_STEP_S = 0.3
+"""Of one clock, positions of the same time differ by what the vehicle flies between two steps of its estimator."""
+
+ACCELERATION_MPS2 = 5.0
+"""Of a multirotor at 27 degrees of tilt."""
+
+PLACE_FRESH_S = 3.0
+"""An older position is compared with no other channel's while the present one is heard."""
+
+CONTRADICTED_S = 4.0
+"""A mode change shows on a slow link within one or two heartbeats, and a vehicle that moved to another channel is
+silent on its old one; what lasts longer is two vehicles."""
+
+CONTRADICTIONS = 3
+"""So many frames at least."""
+
+OVER_S = 5.0
+"""A duplicate is over after so long without a contradiction: several heartbeats of the slowest link."""
+
+WINDOW_S = 10.0
+WORSE_BY = 4
+WORSE_WINDOWS = 3
+"""The present channel is worse if in each of three windows of 10 s in a row it heard the heartbeat in at least four
+seconds less than the other: at equal loss of 20 % that is a matter of days."""
+
+HANDED_BACK = 3
+"""Heartbeats in a row that a ground station's channel has only as copies of what came over another one: it echoes."""
+
+REPORT_AGAIN_S = 60.0
+"""Frames that were ignored are reported at most this often per channel."""
+
+MAX_CHANNELS = 16
+"""Channels remembered for one vehicle; the one that agrees least, and was silent for longest, gives way to another."""
+
+MAX_STATES = 8
+
+SYSTEM_TIME = 2
+GLOBAL_POSITION_INT = 33
+BOOT_MS_AT = {SYSTEM_TIME: 8, 30: 0, 31: 0, 32: 0, GLOBAL_POSITION_INT: 0}
+"""Where time_boot_ms stands: SYSTEM_TIME, ATTITUDE, ATTITUDE_QUATERNION, LOCAL_POSITION_NED, GLOBAL_POSITION_INT."""
+
+HIGH_LATENCY2 = 235
+
+KNOWN_BY = (HEARTBEAT, HIGH_LATENCY2, *BOOT_MS_AT)
+
+ANSWERS = frozenset({22, 39, 40, 44, 47, 51, 73, 77, 110, 148, 322, 324})
+"""Messages of which every one counts and none is a state: PARAM_VALUE, MISSION_ITEM, MISSION_REQUEST, MISSION_COUNT,
+MISSION_ACK, MISSION_REQUEST_INT, MISSION_ITEM_INT, COMMAND_ACK, FILE_TRANSFER_PROTOCOL, AUTOPILOT_VERSION,
+PARAM_EXT_VALUE, PARAM_EXT_ACK."""
+
+_WRAP_S = 2**32 / 1000
+
+Kind = Literal["boot time", "position", "mode", "firmware", "link"]
+ReportKind = Literal["duplicate", "duplicate_over", "switched", "replaced", "ignored"]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A position as reported, with the vehicle's time since boot and the time it came."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+    speed_mps: float
+    boot_s: float
+    at: float
+
+
+Known = Iterable[tuple[Frame, float]]
+"""The last frames of a vehicle, each with the time it came: what is known of it when a second channel hears it, or when
+it is heard again. (`KNOWN_BY` lists the messages.)"""
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """``channel_id`` is the other channel (of switched and replaced: the new one), ``present_id`` the present one (of
+    switched and replaced: the one before); None: closed. ``why``: what contradicted, in words."""
+
+    kind: ReportKind
+    channel_id: int | None
+    present_id: int | None
+    why: str = ""
+    count: int = 0
+
+
+class _Heard:
+    """What one channel shows of the vehicle."""
+
+    __slots__ = (
+        "beat_at",
+        "booted_at",
+        "contradicted",
+        "first_at",
+        "heard_at",
+        "high_latency",
+        "identity",
+        "ignored",
+        "link",
+        "only_copies",
+        "place",
+        "reported_at",
+        "seconds",
+        "shown",
+        "worse",
+    )
+
+    def __init__(self, link: str, now: float) -> None:
+        self.link = link
+        self.first_at = now
+        self.heard_at = now
+        self.beat_at = -math.inf
+        self.booted_at: float | None = None
+        self.place: Place | None = None
+        self.identity: tuple[int, int] | None = None
+        self.shown: tuple[bool, int] | None = None
+        self.high_latency = False
+        self.only_copies = 0
+        self.contradicted: dict[Kind, tuple[float, float, int]] = {}
+        """Since when, when last, how often."""
+        self.ignored = 0
+        self.reported_at = -math.inf
+        self.seconds: set[int] = set()
+        """Of the present window, those in which a heartbeat came."""
+        self.worse = 0
+        """Windows in a row in which the present channel heard less than this one."""
+
+    def look(self, frame: Frame, now: float) -> None:
+        """Take what this frame says of who sends it."""
+        msgid = frame.msgid
+        if msgid == HEARTBEAT:
+            if discovers(frame):
+                custom_mode, vehicle_type, autopilot, base_mode = heartbeat_fields(frame)
+                self.beat_at, self.high_latency = now, False
+                self.identity = vehicle_type, autopilot
+                self.shown = bool(base_mode & SAFETY_ARMED), custom_mode
+                self.seconds.add(int(now))
+            return
+        if msgid == HIGH_LATENCY2:
+            self.beat_at, self.high_latency = now, True
+            return
+        at = BOOT_MS_AT.get(msgid)
+        if at is None:
+            return
+        payload = frame.payload.ljust(28, b"\0")
+        boot_s = int.from_bytes(payload[at : at + 4], "little") / 1000
+        self.booted_at = now - boot_s
+        if msgid == GLOBAL_POSITION_INT:
+            lat, lon, alt, _, vx, vy, vz = struct.unpack_from("<iiiihhh", payload, 4)
+            if (lat or lon) and abs(lat) <= 900_000_000:
+                speed = math.sqrt(vx * vx + vy * vy + vz * vz) / 100
+                self.place = Place(lat / 1e7, lon / 1e7, alt / 1000, speed, boot_s, now)
+
+
+class StateSource:
+    """Of one vehicle (sysid and compid) that may be heard on several channels. `accepts` for every frame of it, `tick`
+    once a second; ``reports`` are to be taken away."""
+
+    def __init__(
+        self, present_id: int | None, link: str, known: Known | None, now: float, *, lost_s: float = DEFAULT_LOST_S
+    ) -> None:
+        """``present_id``: the channel on which it was heard until now, on that link; None: that one is closed."""
+        self.present_id = present_id
+        self.duplicate = False
+        self.reports: list[Report] = []
+        self._lost_s = lost_s
+        self._heard: dict[int | None, _Heard] = {present_id: _Heard(link, now)}
+        self._present = self._heard[present_id]
+        self._states: dict[tuple[bool, int], float] = {}
+        """Modes and arming states that the present channel showed, and when last."""
+        self._unproven: _Heard | None = None
+        """The channel before, while the present one has not shown that it is of the same vehicle."""
+        self._window = now
+        last_at = -math.inf
+        for frame, at in known or ():
+            self._present.look(frame, at)
+            last_at = max(last_at, at)
+        self._present.seconds.clear()
+        if present_id is None:
+            self._present.heard_at = last_at
+        if self._present.shown is not None:
+            self._note_state(self._present.shown, now)
+
+    # -- frames
+
+    def accepts(self, channel_id: int, link: str, frame: Frame, now: float, *, of: int | None = None) -> bool:
+        """Whether this frame counts for the vehicle's state. ``of``: it is a copy of what came over that channel.
+
+        A takeover has taken place when this returns; see ``reports``.
+        """
+        heard = self._heard.get(channel_id)
+        if heard is None:
+            if len(self._heard) >= MAX_CHANNELS:
+                self._give_way()
+            heard = self._heard[channel_id] = _Heard(link, now)
+        heard.heard_at = now
+        if frame.msgid == HEARTBEAT:
+            heard.only_copies = 0 if of is None else heard.only_copies + 1
+        if of is None or frame.msgid == HEARTBEAT:
+            heard.look(frame, now)  # what is only a copy proves nothing of its sender
+        if heard is self._present:
+            if heard.shown is not None and frame.msgid == HEARTBEAT:
+                self._note_state(heard.shown, now)
+            if self._unproven is not None and heard.booted_at is not None:
+                self._prove(heard)
+            return not (of is not None and frame.msgid in ANSWERS and self._answers(of, now))
+        self._compare(heard, frame, of, now)
+        if self._may_take_over(channel_id, heard, now):
+            self._take_over(channel_id, heard, now)
+            return True
+        heard.ignored += 1
+        return frame.msgid in ANSWERS and of is None and self._answers(channel_id, now)
+
+    def is_original(self, channel_id: int) -> bool:
+        """Whether this is the vehicle's own channel, the present one being a ground station's: it hands back what came
+        over this one, or this one agrees."""
+        heard = self._heard.get(channel_id)
+        if heard is None or heard is self._present or heard.beat_at == -math.inf:
+            return False
+        return self._present.only_copies >= HANDED_BACK or self._agrees(heard)
+
+    def take_over(self, channel_id: int, now: float) -> None:
+        """This channel is the present one from now on."""
+        self._take_over(channel_id, self._heard[channel_id], now)
+
+    def closed(self, channel_id: int) -> None:
+        """The channel is gone."""
+        if channel_id == self.present_id:
+            self._heard[None] = self._heard.pop(channel_id)
+            self.present_id = None
+        else:
+            self._heard.pop(channel_id, None)
+
+    def tick(self, now: float) -> None:
+        """What time alone brings: a duplicate that is over, ignored frames to report, a window of heartbeats."""
+        others = [(c, h) for c, h in self._heard.items() if h is not self._present]
+        for channel_id, heard in others:
+            for kind, (since, last, count) in list(heard.contradicted.items()):
+                if now - last > CONTRADICTED_S:
+                    del heard.contradicted[kind]
+                    if not self._is_duplicate(since, last, count):
+                        self._report_ignored(channel_id, heard, kind, now)
+        if self.duplicate and not any(h.contradicted and self._last(h) > now - OVER_S for _, h in others):
+            self.duplicate = False
+            self.reports.append(Report("duplicate_over", None, self.present_id))
+        if now - self._window >= WINDOW_S:
+            self._end_window(now)
+
+    def heard_elsewhere_at(self) -> float:
+        """When a channel that is not the present one was heard last."""
+        return max((h.heard_at for h in self._heard.values() if h is not self._present), default=-math.inf)
+
+    def ignored(self) -> int:
+        """Frames that changed nothing, of all channels."""
+        return sum(h.ignored for h in self._heard.values())
+
+    # -- is it the same vehicle
+
+    def _boot_agrees(self, heard: _Heard) -> bool | None:
+        """None: not known of one of the two."""
+        if heard.booted_at is None or self._present.booted_at is None:
+            return None
+        return _same_boot(heard.booted_at, self._present.booted_at)
+
+    def _place_agrees(self, heard: _Heard) -> bool | None:
+        """None: not known of one of the two."""
+        there, here = heard.place, self._present.place
+        if there is None or here is None:
+            return None
+        if self._boot_agrees(heard):
+            within_s = abs(there.boot_s - here.boot_s) + PLACE_STEP_S
+        else:
+            within_s = abs(there.at - here.at) + PLACE_DELAY_S
+        reach_m = PLACE_MARGIN_M + here.speed_mps * within_s + ACCELERATION_MPS2 / 2 * within_s**2
+        away_m = distance_m(here.lat_deg, here.lon_deg, there.lat_deg, there.lon_deg)
+        return math.hypot(away_m, there.alt_amsl_m - here.alt_amsl_m) <= reach_m
+
+    def _firmware_agrees(self, heard: _Heard) -> bool | None:
+        if heard.identity is None or self._present.identity is None:
+            return None
+        return heard.identity == self._present.identity
+
+    def _agrees(self, heard: _Heard) -> bool:
+        """Shown to be the same vehicle."""
+        place = self._place_agrees(heard)
+        if self._boot_agrees(heard) is not True or self._firmware_agrees(heard) is False:
+            return False
+        return place is True or (place is None and self._present.place is None)
+
+    def _may_be(self, heard: _Heard) -> bool:
+        """Nothing shows that it is another one."""
+        return False not in (self._boot_agrees(heard), self._place_agrees(heard), self._firmware_agrees(heard))
+
+    def _answers(self, channel_id: int, now: float) -> bool:
+        """Whether what answers us over this channel is believed."""
+        heard = self._heard.get(channel_id)
+        return heard is not None and heard is not self._present and not heard.contradicted and self._agrees(heard)
+
+    # -- takeover
+
+    def _may_take_over(self, channel_id: int, heard: _Heard, now: float) -> bool:
+        patience_s = self._lost_s * (HIGH_LATENCY_FACTOR if heard.high_latency else 1)
+        if now - heard.beat_at > patience_s:
+            return False  # it does not hear the autopilot
+        silent_s = now - self._present.heard_at
+        if silent_s > self._lost_s * (HIGH_LATENCY_FACTOR if self._present.high_latency else 1):
+            return True
+        if self.present_id is None:
+            return self._may_be(heard)
+        return (silent_s > SILENT_S or heard.worse >= WORSE_WINDOWS) and self._agrees(heard)
+
+    def _take_over(self, channel_id: int, heard: _Heard, now: float) -> None:
+        before_id, before = self.present_id, self._present
+        same = self._may_be(heard)
+        unproven = same and heard.booted_at is None and before.booted_at is not None
+        self._unproven = before if unproven else None
+        self.present_id, self._present = channel_id, heard
+        if before_id is None:
+            del self._heard[None]
+        for other in self._heard.values():
+            other.contradicted.clear()
+            other.worse = 0
+            other.seconds.clear()
+        self._window = now
+        self._states.clear()
+        if heard.shown is not None:
+            self._note_state(heard.shown, now)
+        self.reports.append(Report("switched" if same else "replaced", channel_id, before_id))
+        if self.duplicate:
+            self.duplicate = False
+            self.reports.append(Report("duplicate_over", None, channel_id))
+
+    def _prove(self, heard: _Heard) -> None:
+        """The present channel took over unseen, and now shows a clock."""
+        before, self._unproven = self._unproven, None
+        assert before is not None and before.booted_at is not None and heard.booted_at is not None
+        if not _same_boot(heard.booted_at, before.booted_at):
+            self.reports.append(Report("replaced", self.present_id, None))
+
+    def _give_way(self) -> None:
+        """One channel is forgotten."""
+        others = [c for c, h in self._heard.items() if h is not self._present]
+        del self._heard[min(others, key=lambda c: (self._may_be(self._heard[c]), self._heard[c].heard_at))]
+
+    def _end_window(self, now: float) -> None:
+        for heard in self._heard.values():
+            if heard is not self._present:
+                whole = now - heard.first_at >= WINDOW_S and not heard.contradicted
+                better = whole and len(heard.seconds) >= len(self._present.seconds) + WORSE_BY
+                heard.worse = heard.worse + 1 if better else 0
+        for heard in self._heard.values():
+            heard.seconds.clear()
+        self._window = now
+
+    # -- contradictions
+
+    def _compare(self, heard: _Heard, frame: Frame, of: int | None, now: float) -> None:
+        """Note what this frame, which is not of the present channel, contradicts while that one is heard."""
+        present = self._present
+        if self.present_id is None or now - present.heard_at > SILENT_S:
+            return
+        msgid = frame.msgid
+        if msgid == HEARTBEAT:
+            if not discovers(frame):
+                self._report_ignored(self._id_of(heard), heard, "firmware", now)  # of no second vehicle
+            elif self._firmware_agrees(heard) is False:
+                self._contradicted(heard, "firmware", now)
+            elif heard.shown is not None and heard.shown != present.shown and present.shown is not None:
+                self._contradicted(heard, "mode", now)
+            elif of is None and heard.link == present.link and self._agrees_unproven(heard):
+                self._contradicted(heard, "link", now)
+            return
+        if of is not None or msgid not in BOOT_MS_AT:
+            return
+        if self._boot_agrees(heard) is False:
+            self._contradicted(heard, "boot time", now)
+        fresh = present.place is not None and now - present.place.at <= PLACE_FRESH_S
+        if msgid == GLOBAL_POSITION_INT and fresh and self._place_agrees(heard) is False:
+            self._contradicted(heard, "position", now)
+
+    def _agrees_unproven(self, heard: _Heard) -> bool:
+        """Neither clock nor place of this channel is known: nothing shows that it is one vehicle."""
+        return heard.booted_at is None and heard.place is None
+
+    def _contradicted(self, heard: _Heard, kind: Kind, now: float) -> None:
+        since, last, count = heard.contradicted.get(kind, (now, now, 0))
+        if now - last > CONTRADICTED_S:
+            since, count = now, 0
+        heard.contradicted[kind] = since, now, count + 1
+        if not self.duplicate and self._is_duplicate(since, now, count + 1):
+            self.duplicate = True
+            channel_id = self._id_of(heard)
+            self.reports.append(Report("duplicate", channel_id, self.present_id, self._why(heard), heard.ignored))
+
+    def _id_of(self, heard: _Heard) -> int | None:
+        return next(c for c, h in self._heard.items() if h is heard)
+
+    @staticmethod
+    def _is_duplicate(since: float, last: float, count: int) -> bool:
+        return last - since >= CONTRADICTED_S and count >= CONTRADICTIONS
+
+    @staticmethod
+    def _last(heard: _Heard) -> float:
+        return max((last for _, last, _ in heard.contradicted.values()), default=-math.inf)
+
+    @staticmethod
+    def _why(heard: _Heard) -> str:
+        kinds = sorted(kind for kind in heard.contradicted if kind != "link")
+        return f"{' and '.join(kinds)} differ" if kinds else "nothing shows that both are one"
+
+    def _report_ignored(self, channel_id: int | None, heard: _Heard, kind: Kind, now: float) -> None:
+        """Frames that contradicted for a moment: of a mode that the vehicle showed as well, it was a delay."""
+        explained = kind == "link" or (kind == "mode" and heard.shown in self._states)
+        if explained or now - heard.reported_at < REPORT_AGAIN_S:
+            return
+        heard.reported_at = now
+        self.reports.append(Report("ignored", channel_id, self.present_id, kind, heard.ignored))
+
+    def _note_state(self, shown: tuple[bool, int], now: float) -> None:
+        if shown not in self._states and len(self._states) >= MAX_STATES:
+            del self._states[min(self._states, key=self._states.__getitem__)]
+        self._states[shown] = now
+
+
+def _same_boot(booted_at: float, other: float) -> bool:
+    """Whether two moments of start, in our time, are of one clock of 32 bits."""
+    off_s = (booted_at - other) % _WRAP_S
+    return min(off_s, _WRAP_S - off_s) <= BOOT_AGREES_S
