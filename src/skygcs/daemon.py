@@ -44,6 +44,7 @@ from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
+from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.signing import Signing, why_silent
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.signing_store import SigningStore, default_state_dir
@@ -194,6 +195,7 @@ class Daemon:
         self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, self.on_event)
         self.hub.add_tap(set(WATCHED) & set(dialect.messages), None, self.leftover_streams.on_frame)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
+        self.renumbering = Renumbering(self.hub, self.fleet, self.loop, self.on_event, source)
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()
         self._corrections = CorrectionFeed(self.hub, self.fleet, self.now)

@@ -371,6 +371,12 @@ class FakeFleet:
     def preflight_status(self, targets: str | list[str]) -> dict[str, Any]:
         return {vehicle.name: {"state": "never"} for vehicle in self.resolve(targets)}
 
+    def forget(self, targets: str | list[str], *, force: bool = False) -> dict[str, FakeOutcome]:
+        there = self.resolve(targets)
+        gone = {v.name: FakeOutcome(force or not v.connected, "accepted", f"{v.name} is forgotten", 0) for v in there}
+        self.vehicles = {k: v for k, v in self.vehicles.items() if v.name not in gone or not gone[v.name].ok}
+        return gone
+
     def resolve_any(self, targets: str | list[str]) -> list[FakeVehicle]:
         return self.resolve(targets)
 
@@ -523,6 +529,18 @@ class FakeDaemon:
         if name not in self.links:
             raise LinkError(f"no link {name}; there are: {', '.join(self.links)}")
         del self.links[name]
+
+    @property
+    def renumbering(self) -> FakeDaemon:
+        return self
+
+    async def run(self, target: str, sysid: int, *, force: bool = False) -> dict[str, FakeOutcome]:
+        (vehicle,) = self.fleet.resolve(target)
+        taken = [v.name for v in self.fleet.vehicles.values() if v.sysid == sysid and v is not vehicle]
+        if taken and not force:
+            return {vehicle.name: FakeOutcome(False, "refused", f"refused: {taken[0]} has it", 0)}
+        vehicle.sysid = sysid
+        return {vehicle.name: FakeOutcome(True, "accepted", f"{vehicle.name} is system {sysid} now", 0)}
 
     def router_stats(self) -> dict[str, Any]:
         return {"forwarded": 17, "routes": {}}

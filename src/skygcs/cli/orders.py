@@ -213,6 +213,38 @@ def reboot(
     order("reboot", targets, json_output, force=force)
 
 
+def forget(
+    targets: Targets,
+    force: Annotated[
+        bool, typer.Option("--force", help="Although it is heard, or was lost armed in the last half hour.")
+    ] = False,
+    json_output: Json = False,
+) -> None:
+    """Forget vehicles that are gone: `all` no longer means them. One that is heard again is met anew."""
+    order("forget", targets, json_output, force=force)
+
+
+def sysid(
+    target: Annotated[
+        str,
+        typer.Argument(metavar="TARGET", help="One vehicle.", autocompletion=completion.targets, show_default=False),
+    ],
+    number: Annotated[int, typer.Argument(metavar="N", help="Its new system id, 1 to 250.", show_default=False)],
+    force: Annotated[
+        bool, typer.Option("--force", help="Although the fleet file gives N to a vehicle that is not heard.")
+    ] = False,
+    json_output: Json = False,
+) -> None:
+    """Give a vehicle another system id: set, restart, find it again, read back. On the ground, disarmed."""
+
+    async def command(gcs: Client) -> int:
+        async with waiting(f"sysid {target} {number}"):
+            answer = await gcs.call("vehicles.renumber", target=target, sysid=number, force=force)
+        return tell_outcomes(answer["outcomes"], json_output)
+
+    run(command)
+
+
 def home(
     targets: Targets,
     place: Annotated[
@@ -294,7 +326,7 @@ def command(
 def add_to(app: typer.Typer) -> None:
     """All orders, in the order of a flight."""
     functions: tuple[Callable[..., None], ...] = (arm, takeoff, goto, hold, mode, rtl, land, disarm)
-    further: tuple[Callable[..., None], ...] = (reboot, home, interval, stream, command)
+    further: tuple[Callable[..., None], ...] = (reboot, sysid, forget, home, interval, stream, command)
     with_numbers = (takeoff, goto, home, interval, stream, command)
     for function in (*functions, *further):
         if function in with_numbers:

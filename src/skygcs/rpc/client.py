@@ -46,6 +46,7 @@ EVENT_KINDS = (
     "vehicle_discovered",
     "vehicle_lost",
     "vehicle_back",
+    "vehicle_forgotten",
     "armed",
     "disarmed",
     "mode",

@@ -103,6 +103,21 @@ async def vehicles_reboot(context: Context, params: m.RebootParams) -> JsonObjec
     return await order(context, "reboot", params)
 
 
+def vehicles_forget(context: Context, params: m.ForgetParams) -> JsonObject:
+    """Forget vehicles that are gone, so that "all" no longer means them. One that is heard again is met anew."""
+    told = context.daemon.fleet.forget(params.targets, force=params.force)
+    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+
+
+async def vehicles_renumber(context: Context, params: m.RenumberParams) -> JsonObject:
+    """Give a vehicle another system id: set the parameter, restart it, find it under the new id, read it back there.
+
+    Refused while it is not surely disarmed, and for an id that is taken. It keeps its name until the daemon ends.
+    """
+    told = await context.daemon.renumbering.run(params.target, params.sysid, force=params.force)
+    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+
+
 async def vehicles_set_home(context: Context, params: m.SetHomeParams) -> JsonObject:
     """Set the autopilot's home: a place, or (without one) where it stands."""
     return await order(context, "set_home", params)
@@ -363,6 +378,8 @@ METHODS: dict[str, Method[Context]] = {
         Method("vehicles.stop", m.StopParams, vehicles_stop, m.Outcomes, _STOP, outlives_client=True),
         Method("vehicles.goto", m.GotoParams, vehicles_goto, m.Outcomes, _ORDER),
         Method("vehicles.reboot", m.RebootParams, vehicles_reboot, m.Outcomes, _ORDER),
+        Method("vehicles.forget", m.ForgetParams, vehicles_forget, m.Outcomes, _ORDER),
+        Method("vehicles.renumber", m.RenumberParams, vehicles_renumber, m.Outcomes, _ORDER, outlives_client=True),
         Method("vehicles.set_home", m.SetHomeParams, vehicles_set_home, m.Outcomes, _ORDER),
         Method("vehicles.interval", m.IntervalParams, vehicles_interval, m.Outcomes, _ORDER),
         Method("vehicles.request", m.RequestParams, vehicles_request, m.Outcomes, _ORDER),

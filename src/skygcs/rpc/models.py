@@ -177,6 +177,15 @@ class RebootParams(TargetsParams):
     force: bool = Field(False, description="Reboot although it is armed.")
 
 
+class ForgetParams(TargetsParams):
+    force: bool = Field(False, description="Although it is heard, or was lost armed in the last half hour.")
+
+
+class RenumberParams(TargetParams):
+    sysid: int = Field(ge=1, le=250, description="The new system id; 251 to 255 are ground stations'.")
+    force: bool = Field(False, description="Although the fleet file gives it to a vehicle that is not heard.")
+
+
 class SetHomeParams(TargetsParams):
     lat_deg: Lat | None = None
     lon_deg: Lon | None = None

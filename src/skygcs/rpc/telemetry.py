@@ -34,7 +34,7 @@ class TelemetrySubscription:
         self.tail = b',"subscription":%d}}\n' % number
         self.pending: dict[int, Vehicle] = {}
         self.vehicles: dict[int, Vehicle] = {}
-        self.known = -1
+        self.known: list[Vehicle] = []
 
     def due(self, before: int, tick: int) -> bool:
         """Whether an update belongs to the grid ticks (before, tick]. Equal rates are due together."""
@@ -112,16 +112,16 @@ class TelemetryFeed:
 
     def _find_vehicles(self, subscription: TelemetrySubscription, *, first: bool = False) -> None:
         """Vehicles that came since the last time belong to "all", a group or a range as well."""
-        fleet = self._daemon.fleet
-        if subscription.known == len(fleet.vehicles):
+        there = list(self._daemon.fleet.vehicles.values())
+        if not first and subscription.known == there:  # the very same ones: identity decides, which is quick
             return
         try:
             found = resolve(self._daemon, subscription.targets)
         except TargetError:
             if first:
                 raise
-            return
-        subscription.known = len(fleet.vehicles)
+            found = []  # they were forgotten
+        subscription.known = there
         subscription.vehicles = {v.sysid << 8 | v.compid: v for v in found}
 
     def _start_drain(self) -> None:

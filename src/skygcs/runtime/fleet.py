@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
 from skygcs.core.airtime import Priority
@@ -88,6 +88,20 @@ MAX_KEPT = 64
 """So many of them at once; further ones end with whoever gave them. Each lasts seconds."""
 
 
+MAYBE_FLYING_S = 1800.0
+"""A vehicle that was lost armed may still fly for so long; hardly a battery lasts longer."""
+
+
+class Expected(NamedTuple):
+    """The vehicle ``key`` is expected under another system id, on this link and until then. ``when_lost``: only once it
+    is no longer heard under the old one."""
+
+    key: int
+    link: str
+    until: float
+    when_lost: bool = False
+
+
 Actor = VehicleActor | ComponentActor
 """Whatever takes orders."""
 
@@ -150,6 +164,8 @@ class Fleet:
         """All that is heard beside the autopilots of ``vehicles``."""
         self.components.on_change = lambda: self.on_roster()
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
+        self.expected: dict[int, Expected] = {}
+        """By the system id under which a vehicle will come back (`Renumbering`)."""
 
     def on_frame(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
         """Hot: one dict lookup for the frames of vehicles, one comparison for all others. Never raises."""
@@ -297,6 +313,37 @@ class Fleet:
             for sysid in sorted(sysids)
             for component in self._system(sysid, now)
         ]
+
+    def forget(self, expression: str | int | Sequence[str | int], *, force: bool = False) -> dict[str, Outcome]:
+        """Forget vehicles that are gone: they are in no "all" any more, and the next heartbeat finds each anew.
+
+        Refused without ``force`` for one that is connected, or that was lost armed and may still fly. Routes to it
+        expire by themselves. Raises TargetError.
+        """
+        return {actor.name: self._forget(actor, force=force) for actor in self.resolve(expression)}
+
+    def _forget(self, actor: VehicleActor, *, force: bool) -> Outcome:
+        now = self._loop.time()
+        silence_s = actor.vehicle.silence_s(now) or 0.0
+        ago = f"{silence_s:.0f} s" if silence_s < 120 else f"{silence_s / 60:.0f} min"
+        refusal = None
+        if actor.vehicle.connected:
+            refusal = f"it is heard, {ago} ago; {orders.FORCE_HINT}: its next heartbeat finds it anew"
+        elif actor.vehicle.armed and silence_s < MAYBE_FLYING_S:
+            refusal = f"it was lost armed {ago} ago and may still fly; {orders.FORCE_HINT}"
+        if refusal is not None and not force:
+            return actor.refuse("forget", refusal)
+        self._drop(actor.vehicle.key)
+        if not self.vehicles_of(actor.sysid):
+            self.components.forget_system(actor.sysid)
+        text = f"{actor.name} (system {actor.sysid}) is forgotten, last heard {ago} ago"
+        self._on_event(Event("vehicle_forgotten", actor.name, actor.sysid, text, {"compid": actor.compid}))
+        return Outcome(True, "accepted", text)
+
+    def configured_name(self, sysid: int) -> str | None:
+        """The vehicle to which the fleet file gives this system id, after any `Renumbering`."""
+        config = self._configs.get(sysid)
+        return None if config is None else config.name
 
     def find(self, expression: str | int) -> VehicleActor:
         """Exactly one vehicle. Raises TargetError."""
@@ -508,6 +555,7 @@ class Fleet:
                 data = {"limit": MAX_VEHICLES, "limit_of_link": MAX_VEHICLES_OF_LINK, "link": channel_label}
                 self._on_event(Event("conflict", None, frame.sysid, text, data))
             return
+        self._make_way(frame, channel_label, now)
         config = self._config_of(frame.sysid, frame.compid)
         daemon = self.config.daemon
         vehicle = Vehicle(
@@ -604,6 +652,26 @@ class Fleet:
         text = f"{actor.name}, which is lost, gives its place among {MAX_VEHICLES} vehicles to another"
         self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"forgotten": True}))
         return True
+
+    def _make_way(self, heartbeat: Frame, link: str, now: float) -> None:
+        """If this is a vehicle that was given this system id, the entry of its old one goes and its name stays."""
+        expected = self.expected.get(heartbeat.sysid)
+        if expected is None or now > expected.until or link != expected.link:
+            return
+        old = self.vehicles.get(expected.key)
+        fields = heartbeat.fields()
+        if old is None or (fields["type"], fields["autopilot"]) != (old.vehicle.type, old.vehicle.autopilot):
+            return
+        if expected.when_lost and old.vehicle.connected:
+            return
+        del self.expected[heartbeat.sysid]
+        config = self._configs.pop(old.sysid, None)
+        if config is not None and heartbeat.sysid not in self._configs:
+            self._configs[heartbeat.sysid] = config.model_copy(update={"sysid": heartbeat.sysid})
+        self._drop(expected.key)
+        self.components.forget_system(old.sysid)
+        text = f"{old.name} was system {old.sysid} and is {heartbeat.sysid} now"
+        self._on_event(Event("vehicle_forgotten", old.name, old.sysid, text, {"sysid": heartbeat.sysid}))
 
     def _drop(self, key: int) -> VehicleActor:
         actor = self.vehicles.pop(key)

@@ -259,6 +259,19 @@ def test_messages_are_watched_sent_and_looked_up(fleet: Fleet) -> None:
     assert fleet.json("message", "list", "HIGH_LATENCY2")[0]["id"] == 235
 
 
+def test_a_vehicle_is_renumbered_and_forgotten(fleet: Fleet) -> None:
+    assert "alpha is system 22 now" in fleet.run("sysid", "alpha", "22")
+    assert "bravo has it" in fleet.run("sysid", "alpha", "2", code=FAILED)
+    assert "alpha is system 23 now" in fleet.run("sysid", "alpha", "23", "--force")
+    for wrong in ("0", "251"):
+        assert "sysid" in fleet.run("sysid", "alpha", wrong, code=USAGE)
+    fleet.daemon.vehicle("carol").connected = False
+    assert fleet.json("forget", "carol")["outcomes"]["carol"]["ok"]
+    fleet.run("forget", "alpha,bravo", code=FAILED)
+    fleet.run("forget", "all", "--force")
+    assert not fleet.daemon.fleet.vehicles
+
+
 def test_links_are_listed_added_changed_and_removed(fleet: Fleet) -> None:
     assert "/dev/ttyUSB0" in fleet.run("links")
     assert fleet.json("links")[0]["name"] == "radio"

@@ -60,6 +60,8 @@ class CopterVehicle(SimVehicle):
     armed_reboot_result = m.MAV_RESULT_FAILED
     can_sign = True
     named_param_index = 65535
+    renumbers_at_once = False
+    """Whether a new system id takes effect when it is set: GCS::update_send from 4.7 on; before, GCS::init reads it."""
     attitude_timeout_s: float | None = 1.0
     """GUIDED_ATTITUDE_TIMEOUT_MS of ArduCopter up to 4.0. None: GUID_TIMEOUT (3 s), as from 4.1 on."""
 
@@ -288,7 +290,7 @@ class CopterVehicle(SimVehicle):
                 self._set_group(group, rate_hz, now)
 
     def on_param(self, name: str, now: float) -> None:
-        if name == self.sysid_param:
+        if name == self.sysid_param and self.renumbers_at_once:
             self.sysid = self.tx.sysid = self.sysid_of_params()
         for stream, (param, _) in STREAM_GROUPS.items():
             if param == name:

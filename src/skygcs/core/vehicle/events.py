@@ -12,9 +12,9 @@ class Event:
     """One change of state. ``text`` is a sentence for a person, ``data`` (JSON-able) is for programs.
 
     ``vehicle`` and ``sysid`` are None where it concerns no vehicle. Kinds in use:
-    vehicle_discovered vehicle_lost vehicle_back armed disarmed mode landed system_status statustext reboot failsafe
-    command control mission fence origin conflict duplicate link_up link_down link_degraded link_recovered route
-    signing recorder params foreign undo warning fault
+    vehicle_discovered vehicle_lost vehicle_back vehicle_forgotten armed disarmed mode landed system_status statustext
+    reboot failsafe command control mission fence origin conflict duplicate link_up link_down link_degraded
+    link_recovered route signing recorder params foreign undo warning fault
     """
 
     kind: str

@@ -8,7 +8,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.sim.ardupilot import FORCE
+from skygcs.core.sim.ardupilot import FORCE, CopterVehicle
 from skygcs.core.sim.copter_setup import CopterMode
 from support.sim_pilot import COPTER_GUIDED, Pilot, copter
 
@@ -277,12 +277,21 @@ def test_stream_parameters_take_effect_at_once() -> None:
     assert pilot.last("RAW_IMU").zacc == pytest.approx(-1000, abs=5)
 
 
-def test_a_new_system_id_holds_at_once() -> None:
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_new_system_id_holds_from_the_next_start_on_or_at_once(
+    monkeypatch: pytest.MonkeyPatch, at_once: bool
+) -> None:
+    monkeypatch.setattr(CopterVehicle, "renumbers_at_once", at_once)
     pilot = Pilot(copter(1))
     pilot.send(mav.MAVLink_param_set_message(1, 1, b"SYSID_THISMAV", 12, mav.MAV_PARAM_TYPE_INT16))
     pilot.forget()
     pilot.run(3)
-    assert {x.get_srcSystem() for x in pilot.heard} == {12}
+    assert {x.get_srcSystem() for x in pilot.heard} == {12 if at_once else 1}
+    if not at_once:
+        assert pilot.command(mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1) == ACCEPTED
+        pilot.forget()
+        pilot.run(5)
+        assert {x.get_srcSystem() for x in pilot.heard} == {12}
     assert pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 148, to=12) == ACCEPTED
 
 
