@@ -126,9 +126,10 @@ class Census:
             return
         source.count += 1
         self._types[frame.name] += 1
+        own = self._heartbeats.own(frame, entry.at_s)
         if frame.msgid == HEARTBEAT:
             source.on_heartbeat(frame)
-            if self._heartbeats.own(frame, entry.at_s):
+            if own:
                 vehicle = self._vehicles.get(key)
                 if vehicle is None:
                     vehicle = self._vehicles[key] = SeenVehicle(frame.sysid, frame.compid, elapsed_s)

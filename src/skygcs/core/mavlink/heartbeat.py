@@ -45,8 +45,24 @@ without a restart)."""
 
 ALTERNATION_S = 6.0
 RETURNS = 3
-"""A mode or arming state that was left and comes back within 6 s has returned. Once or twice happens (an order right
-after another, a switch that was moved too far); three times is two senders: at 1 Hz each that shows after 3 s."""
+RETURNS_SPREAD_S = 1.9
+"""A mode or arming state that was left and comes back within 6 s has returned. Once or twice happens, and a quick series
+does: a switch that was moved too far, heartbeats that come late. Three returns with 1.9 s between the first and the last
+are two senders: at 1 Hz each that shows after 3 s."""
+
+EXPECTED_S = 3.0
+EXPECTED_BEFORE_S = 1.0
+"""A vehicle that has acknowledged an order for a mode or arming shows it in a heartbeat up to 3 s later, or did so up to
+1 s before (both firmwares send a heartbeat with the change, ArduCopter 4.6 before the acknowledgement). Such returns
+are its own: ArduCopter went GUIDED, RTL, GUIDED, BRAKE, GUIDED within 2 s by five orders."""
+
+STATE_COMMANDS = frozenset({11, 20, 21, 22, 24, 176, 192, 252, 300, 400})
+"""Commands whose acceptance changes mode or arming: SET_MODE (ArduPilot acknowledges the message by its id),
+NAV_RETURN_TO_LAUNCH, NAV_LAND, NAV_TAKEOFF, NAV_TAKEOFF_LOCAL, DO_SET_MODE, DO_REPOSITION, OVERRIDE_GOTO,
+MISSION_START, COMPONENT_ARM_DISARM."""
+
+COMMAND_ACK = 77
+MAV_RESULT_ACCEPTED = 0
 
 ALTERNATION_OVER_S = 4.0
 """Two senders are one again when only one of the states was shown for so long: four heartbeats."""
@@ -102,6 +118,7 @@ class HeartbeatCheck:
     __slots__ = (
         "_alternating",
         "_compid",
+        "_expected_until",
         "_kept",
         "_kept_at",
         "_left",
@@ -124,6 +141,7 @@ class HeartbeatCheck:
         self._left: dict[tuple[bool, int], tuple[float, list[float]]] = {}
         """By state: when it was left, and when it came back."""
         self._alternating = False
+        self._expected_until = float("-inf")
 
     @property
     def alternating(self) -> bool:
@@ -139,6 +157,15 @@ class HeartbeatCheck:
     def heard(self, now: float) -> None:
         """It was heard by another message that says who it is (HIGH_LATENCY2)."""
         self._own_at = now
+
+    def expect_change(self, command: int, result: int, now: float) -> None:
+        """The vehicle answered a command (COMMAND_ACK): a change of state that it accepted is its own."""
+        if result != MAV_RESULT_ACCEPTED or command not in STATE_COMMANDS:
+            return
+        self._expected_until = now + EXPECTED_S
+        for _, returns in self._left.values():
+            while returns and now - returns[-1] <= EXPECTED_BEFORE_S:
+                returns.pop()
 
     def judge(self, vehicle_type: int, autopilot: int, base_mode: int, custom_mode: int, now: float) -> HeartbeatOrigin:
         """Whose this heartbeat is."""
@@ -182,12 +209,14 @@ class HeartbeatCheck:
             del self._left[next(iter(self._left))]
         left_at, returns = self._left.get(state, (float("-inf"), []))
         returns = [at for at in returns if now - at <= ALTERNATION_S]
-        if now - left_at <= ALTERNATION_S:
+        if now - left_at <= ALTERNATION_S and now > self._expected_until:
             returns.append(now)
         self._left[self._kept] = now, self._left.get(self._kept, (now, []))[1]
         self._left[state] = left_at, returns
         self._kept, self._kept_at = state, now
-        if len(returns) >= RETURNS:  # of two that alternate the first one is the first to have come back so often
+        if (
+            len(returns) >= RETURNS and returns[-1] - returns[0] >= RETURNS_SPREAD_S
+        ):  # of two that alternate the first one is the first to have come back so often
             self._alternating = True
             self.contradicted_at = now
             del self._left[state]
@@ -220,11 +249,17 @@ class HeartbeatChecks:
         self._checks: dict[tuple[int, int], HeartbeatCheck] = {}
 
     def judge(self, frame: Frame, now: float) -> HeartbeatOrigin | None:
-        """Whose heartbeat this is; None: no heartbeat, or of nobody who is known as a vehicle."""
-        if frame.msgid != HEARTBEAT or frame.info is None:
+        """Whose heartbeat this is; None: no heartbeat, or of nobody who is known as a vehicle. To be given all frames of
+        vehicles: an acknowledged order explains a change."""
+        if frame.info is None or frame.msgid not in (HEARTBEAT, COMMAND_ACK):
             return None
         key = frame.sysid, frame.compid
         check = self._checks.get(key)
+        if frame.msgid == COMMAND_ACK:
+            if check is not None:
+                fields = frame.fields()
+                check.expect_change(fields["command"], fields["result"], now)
+            return None
         if check is None:
             if not discovers(frame) or len(self._checks) >= MAX_SOURCES:
                 return None

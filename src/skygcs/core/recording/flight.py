@@ -140,7 +140,7 @@ class Flight:
             if vehicle is not None:
                 self._on_frame(vehicle, frame, now)
             return
-        own = frame.msgid == HEARTBEAT and self._heartbeats.own(frame, now)
+        own = self._heartbeats.own(frame, now)
         if own:
             vehicle = self._known(frame, now)
         if vehicle is None:

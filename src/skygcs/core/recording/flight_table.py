@@ -50,8 +50,9 @@ class FlightTables:
         if frame is None or frame.info is None:
             return None
         key = frame.sysid, frame.compid
+        own = self._heartbeats.own(frame, entry.at_s)
         if frame.msgid == HEARTBEAT:
-            if self._heartbeats.own(frame, entry.at_s):
+            if own:
                 self._vehicles.setdefault(key, _Newest()).mode = _mode(frame)
             return None
         vehicle = self._vehicles.get(key)

@@ -491,6 +491,7 @@ class Vehicle:
 
     def _on_command_ack(self, payload: bytes, now: float) -> Events:
         self.last_ack = Ack(*self._decoder.read["COMMAND_ACK"](payload))
+        self.heartbeats.expect_change(self.last_ack.command, self.last_ack.result, now)
         return ()
 
     def _on_autopilot_version(self, payload: bytes, now: float) -> Events:

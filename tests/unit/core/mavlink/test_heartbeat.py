@@ -77,6 +77,41 @@ def test_arming_and_disarming_once_is_its_own() -> None:
     assert [check.judge(*COPTER, base, 0, float(n)) for n, base in enumerate(bases)] == ["own"] * 4
 
 
+def test_a_quick_series_of_changes_is_its_own() -> None:
+    """As ArduCopter 4.6 shows five orders within two seconds: a heartbeat with each change, and once a second."""
+    check = HeartbeatCheck()
+    modes = [4, 4, 6, 4, 17, 4, 4, 17, 4, 4]
+    times = [0.0, 1.0, 1.2, 1.5, 1.8, 2.1, 2.2, 2.6, 2.9, 3.2]
+    assert [check.judge(*COPTER, ARMED, mode, at) for mode, at in zip(modes, times, strict=True)] == ["own"] * 10
+    assert not check.alternating
+
+
+@pytest.mark.parametrize("ack_after_s", [-0.05, 0.4])
+def test_changes_that_the_vehicle_acknowledged_are_its_own_however_long_they_go_on(ack_after_s: float) -> None:
+    check = HeartbeatCheck()
+    happened = [(float(n), None) for n in range(20)]
+    happened += [(n + 0.5 + ack_after_s, 176) for n in range(20)]
+    mode = 4
+    for at, command in sorted(happened, key=lambda item: item[0]):
+        if command is not None:
+            check.expect_change(command, 0, at)
+        else:
+            mode = 4 if mode != 4 else 5
+            assert check.judge(*COPTER, ARMED, mode, at) == "own"
+            assert check.judge(*COPTER, ARMED, mode, at + 0.45) == "own"
+    assert not check.alternating
+
+
+def test_a_refused_order_and_one_for_something_else_explain_no_change() -> None:
+    check = HeartbeatCheck()
+    for n in range(12):
+        check.expect_change(176, 4, n + 0.1)
+        check.expect_change(511, 0, n + 0.1)
+        check.judge(*COPTER, ARMED, 4, float(n))
+        check.judge(*COPTER, DISARMED, 0, n + 0.5)
+    assert check.alternating
+
+
 @pytest.mark.parametrize("period_s", [0.02, 0.2, 0.5, 1.0])
 def test_of_two_that_alternate_the_first_stays(period_s: float) -> None:
     """The second one begins at any time and sends at any rate."""
