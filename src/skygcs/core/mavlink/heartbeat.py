@@ -46,14 +46,14 @@ without a restart)."""
 ALTERNATION_S = 6.0
 RETURNS = 3
 RETURNS_SPREAD_S = 1.9
-"""A mode or arming state that was left and comes back within 6 s has returned. Once or twice happens, and a quick series
-does: a switch that was moved too far, heartbeats that come late. Three returns with 1.9 s between the first and the last
-are two senders: at 1 Hz each that shows after 3 s."""
+"""A mode or arming state that was left and comes back within 6 s has returned. Once or twice happens, and a quick
+series does: a switch that was moved too far, heartbeats that come late. Three returns with 1.9 s between the first and the
+last are two senders: at 1 Hz each that shows after 3 s."""
 
 EXPECTED_S = 3.0
 EXPECTED_BEFORE_S = 1.0
-"""A vehicle that has acknowledged an order for a mode or arming shows it in a heartbeat up to 3 s later, or did so up to
-1 s before (both firmwares send a heartbeat with the change, ArduCopter 4.6 before the acknowledgement). Such returns
+"""A vehicle that has acknowledged an order for a mode or arming shows it in a heartbeat up to 3 s later, or did so up
+to 1 s before (both firmwares send a heartbeat with the change, ArduCopter 4.6 before the acknowledgement). Such returns
 are its own: ArduCopter went GUIDED, RTL, GUIDED, BRAKE, GUIDED within 2 s by five orders."""
 
 STATE_COMMANDS = frozenset({11, 20, 21, 22, 24, 176, 192, 252, 300, 400})
@@ -249,8 +249,10 @@ class HeartbeatChecks:
         self._checks: dict[tuple[int, int], HeartbeatCheck] = {}
 
     def judge(self, frame: Frame, now: float) -> HeartbeatOrigin | None:
-        """Whose heartbeat this is; None: no heartbeat, or of nobody who is known as a vehicle. To be given all frames of
-        vehicles: an acknowledged order explains a change."""
+        """Whose heartbeat this is; None: no heartbeat, or of a source that is not known as a vehicle.
+
+        It wants every frame of the log: an acknowledged order explains a change of state.
+        """
         if frame.info is None or frame.msgid not in (HEARTBEAT, COMMAND_ACK):
             return None
         key = frame.sysid, frame.compid
