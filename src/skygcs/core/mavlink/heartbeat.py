@@ -47,8 +47,8 @@ ALTERNATION_S = 6.0
 RETURNS = 3
 RETURNS_SPREAD_S = 1.9
 """A mode or arming state that was left and comes back within 6 s has returned. Once or twice happens, and a quick
-series does: a switch that was moved too far, heartbeats that come late. Three returns with 1.9 s between the first and the
-last are two senders: at 1 Hz each that shows after 3 s."""
+series does: a switch that was moved too far, heartbeats that come late. Three returns with 1.9 s between the first
+and the last are two senders: at 1 Hz each that shows after 3 s."""
 
 EXPECTED_S = 3.0
 EXPECTED_BEFORE_S = 1.0
