@@ -217,7 +217,7 @@ def test_orders_are_in_the_log_of_the_vehicle_they_were_for(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", captures("tlog"))
-def test_every_public_log_is_split_and_merged_whole(name: str, tmp_path: Path) -> None:
+def test_every_log_is_split_and_merged_whole(name: str, tmp_path: Path) -> None:
     path = public_file(f"tlog/{name}")
     run("split", path, "-o", tmp_path)
     out = tmp_path / "again"

@@ -17,7 +17,7 @@ from skygcs.core.mavlink.signing import sign
 from skygcs.core.tlog import encode_record
 from skygcs.errors import DialectError, SkygcsError
 from support.frames import dialect, frame, heartbeat, noise, unknown_frame
-from support.public_data import CAPTURE, OWN, ROOT, captures, expected, public_file
+from support.public_data import CAPTURE, OWN, ROOT, captures, expected, public_file, vehicles_of
 
 T0 = 1_700_000_000_000_000
 KEYS = [
@@ -41,10 +41,11 @@ def tlog(path: Path, *frames: bytes) -> Path:
 
 
 @pytest.mark.parametrize("name", captures("tlog"))
-def test_a_public_tlog_is_counted_exactly(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tlog_is_counted_exactly(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     answer = info(public_file(f"tlog/{name}"), capsys)
     wanted = expected()[name]
     status = wanted["status"]
+    assert (answer["signed"], answer["backwards"] + answer["clock_steps"]) == (wanted["signed"], wanted["ts_backwards"])
     assert (answer["ok"], answer["bad_crc"], answer["unknown"], answer["skipped_bytes"]) == tuple(
         status.get(key, 0) for key in ("ok", "badcrc", "unknown", "skipped_bytes")
     )
@@ -56,21 +57,12 @@ def test_a_public_tlog_is_counted_exactly(name: str, capsys: pytest.CaptureFixtu
         assert count == wanted["types"][kind] or (count < wanted["types"][kind] and status.get("badcrc"))
 
 
-def heartbeats_of_vehicles(name: str) -> dict[str, int]:
-    """By expected.json: a real autopilot and not a GCS."""
-    return {
-        f"{sysid}/{compid}": count
-        for sysid, compid, autopilot, kind, _, count in expected()[name]["heartbeats"]
-        if autopilot != "MAV_AUTOPILOT_INVALID" and kind != "MAV_TYPE_GCS"
-    }
-
-
 @pytest.mark.parametrize("name", captures("tlog") + captures("raw"))
 def test_vehicles_are_the_autopilots_and_nothing_else(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """No radio, no companion 1/0, no flood of 2/2, no GCS that calls itself ArduPilot."""
     answer = info(public_file(f"tlog/{name}"), capsys)
     found = {f"{v['sysid']}/{v['compid']}": v["heartbeats"] for v in answer["vehicles"]}
-    wanted = heartbeats_of_vehicles(name)
+    wanted = vehicles_of(name)
     assert found.keys() == wanted.keys()
     if not expected()[name]["status"].get("unknown"):  # there the list also counts heartbeats inside unknown records
         assert found == wanted

@@ -19,7 +19,7 @@ from skygcs.core.recording.selection import Selection
 from skygcs.core.tlog import encode_record, iter_records
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline
-from support.public_data import CAPTURE, captures, public_file
+from support.public_data import CAPTURE, captures, public_file, vehicles_of
 
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -118,11 +118,12 @@ def test_the_page_needs_nothing_else_and_shows_texts_as_text(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", captures("tlog") + captures("raw"))
-def test_every_public_log_has_a_picture(name: str, tmp_path: Path) -> None:
+def test_every_log_has_a_picture(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out.svg"
     run(public_file(f"tlog/{name}"), "-o", out)
     found = words(out.read_text())
-    assert f"{name}: 1 vehicle, " in found and "modes" in found and "link" in found
+    vehicles = len(vehicles_of(name))
+    assert f"{name}: {vehicles} vehicle{'s' * (vehicles > 1)}, " in found and "modes" in found and "link" in found
 
 
 def test_more_modes_than_colours_still_look_different(tmp_path: Path) -> None:

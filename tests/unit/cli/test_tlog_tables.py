@@ -20,7 +20,7 @@ from skygcs.cli.control import app
 from skygcs.core.tlog import encode_record, iter_records
 from support.flight_log import T0_US, FlightLog
 from support.frames import frame, heartbeat, offline
-from support.public_data import captures, expected, public_file
+from support.public_data import captures, expected, present, public_file, vehicles_of
 
 DONE, FAILED, USAGE = 0, 1, 2
 
@@ -37,7 +37,10 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("name", ["binus-hexa-5src-mixed.tlog", "px4-v2-2020.tlog"])
+DECODED = ["made-v1-v2-mixed.tlog", "made-retrimmed.tlog", "binus-hexa-5src-mixed.tlog", "px4-v2-2020.tlog"]
+
+
+@pytest.mark.parametrize("name", present("tlog", DECODED))
 def test_every_value_is_the_one_that_pymavlink_decodes(name: str, tmp_path: Path) -> None:
     """An independent reader of the same file: its records by the times and lengths, its fields by pymavlink."""
     path = public_file(f"tlog/{name}")
@@ -82,19 +85,23 @@ def same(cell: str, wanted: Any) -> bool:
 
 
 @pytest.mark.parametrize("name", captures("tlog") + captures("raw"))
-def test_every_public_log_makes_a_flight_and_tables_of_the_counts_expected(name: str, tmp_path: Path) -> None:
+def test_every_log_makes_flights_and_tables_of_the_counts_expected(name: str, tmp_path: Path) -> None:
     path = public_file(f"tlog/{name}")
     told = run(path, "-o", tmp_path)
-    (file,) = tmp_path.iterdir()
-    rows = table(file)
-    assert file.name == f"{path.stem}-1.csv" and told.stdout == f"{file}: {len(rows):,} rows\n"
-    assert list(rows[0]) == ["time", "mode", "lat", "lon", "alt", "vx", "vy", "vz", "roll", "pitch", "yaw"]
-    times = [float(row["time"]) for row in rows]
-    steps_back = expected()[name].get("ts_backwards", 0)
-    assert sum(b < a for a, b in pairwise(times)) <= (steps_back or 0)
-    for row in rows:
-        assert row["lat"] == "" or (-90 <= float(row["lat"]) <= 90 and float(row["lat"]) != 0)
-        assert row["yaw"] == "" or -180 <= float(row["yaw"]) < 180
+    files = sorted(tmp_path.iterdir(), key=lambda file: int(file.stem.rsplit("-", 1)[1]))
+    assert [file.name for file in files] == [
+        f"{path.stem}-{sysid}.csv" for sysid in sorted(int(key.partition("/")[0]) for key in vehicles_of(name))
+    ]
+    assert sorted(told.stdout.splitlines()) == sorted(f"{file}: {len(table(file)):,} rows" for file in files)
+    for file in files:
+        rows = table(file)
+        assert list(rows[0]) == ["time", "mode", "lat", "lon", "alt", "vx", "vy", "vz", "roll", "pitch", "yaw"]
+        times = [float(row["time"]) for row in rows]
+        steps_back = expected()[name].get("ts_backwards", 0)
+        assert sum(b < a for a, b in pairwise(times)) <= (steps_back or 0)
+        for row in rows:
+            assert row["lat"] == "" or (-90 <= float(row["lat"]) <= 90 and float(row["lat"]) != 0)
+            assert row["yaw"] == "" or -180 <= float(row["yaw"]) < 180
     if expected()[name]["kind"] == "tlog":
         whole = tmp_path / "all"
         run(path, "--all", "-o", whole)

@@ -38,7 +38,7 @@ def run(*args: str | Path, code: int = 0) -> None:
 NO_TCP = "[General]\nTcpServerPort=0\n"
 
 
-def test_every_public_configuration_becomes_a_fleet_file_that_loads(
+def test_every_configuration_becomes_a_fleet_file_that_loads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for path in public_folder("router"):
@@ -48,19 +48,26 @@ def test_every_public_configuration_becomes_a_fleet_file_that_loads(
         assert "Traceback" not in capsys.readouterr().err
 
 
-def test_the_public_jetson_configuration_is_brought_over_link_by_link() -> None:
-    found = links(public_file("router/ark-jetson-main.conf").read_text())
+@pytest.mark.parametrize(
+    ("name", "device", "last", "port"),
+    [
+        ("made-companion.conf", "/dev/serial/by-id/usb-Made_FMU-if00", "local5", 14556),
+        ("ark-jetson-main.conf", "/dev/serial/by-id/usb-ARK_ARK_FMU_v6X.x_0-if00", "ark_ui", 14571),
+    ],
+)
+def test_a_companions_configuration_is_brought_over_link_by_link(name: str, device: str, last: str, port: int) -> None:
+    found = links(public_file(f"router/{name}").read_text())
     assert len(found) == 8
-    device = "/dev/serial/by-id/usb-ARK_ARK_FMU_v6X.x_0-if00"
     assert found["FCUSB"] == {"type": "serial", "device": device, "baud": 2000000}
     assert found["GCS"] == {"type": "udp_server", "host": "0.0.0.0", "port": 14550}
-    assert found["ark_ui"] == {"type": "udp_client", "host": "127.0.0.1", "port": 14571}
+    assert found[last] == {"type": "udp_client", "host": "127.0.0.1", "port": port}
 
 
-def test_a_key_without_counterpart_is_noted_with_its_line_and_stands_in_the_file() -> None:
-    text = public_file("router/apsync-kakute.conf").read_text()
-    assert "line 112: PortLock = 0: no such key" in notes(text)
-    assert "# not brought over (line 112): PortLock = 0" in import_router(text, "x").text
+@pytest.mark.parametrize(("name", "line"), [("made-eavesdropping.conf", 12), ("apsync-kakute.conf", 112)])
+def test_a_key_without_counterpart_is_noted_with_its_line_and_stands_in_the_file(name: str, line: int) -> None:
+    text = public_file(f"router/{name}").read_text()
+    assert f"line {line}: PortLock = 0: no such key" in notes(text)
+    assert f"# not brought over (line {line}): PortLock = 0" in import_router(text, "x").text
 
 
 def test_the_tcp_server_is_there_unless_it_is_turned_off() -> None:

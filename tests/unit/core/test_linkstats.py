@@ -226,6 +226,17 @@ def test_two_senders_on_one_link_lose_nothing_where_a_count_per_link_would() -> 
     assert [s.lost for s in stats.values()] == [0, 0]
 
 
+def test_the_loss_of_a_made_capture_is_what_was_left_out() -> None:
+    """Three frames of the vehicle in each of five seconds."""
+    data, _ = capture("made-v1-v2-mixed.tlog")
+    stats: dict[tuple[int, int], SourceStats] = {}
+    for record in iter_records(data, dialect()):
+        assert record.frame is not None
+        source = (record.frame.sysid, record.frame.compid)
+        stats.setdefault(source, SourceStats(*source)).on_frame(record.frame.seq, len(record.raw), record.elapsed_s)
+    assert {source: s.lost for source, s in stats.items()} == {(1, 1): 15, (255, 190): 0, (51, 68): 0, (1, 0): 0}
+
+
 def test_a_lossless_public_capture_shows_almost_no_loss_per_source() -> None:
     data, expected = capture("binus-hexa-5src-mixed.tlog")
     stats: dict[tuple[int, int], SourceStats] = {}

@@ -33,7 +33,7 @@ def verdicts(records: list[Record]) -> list[str]:
 
 
 @pytest.mark.parametrize("name", captures("tlog"))
-def test_counts_of_a_public_tlog_are_exact(name: str) -> None:
+def test_counts_of_a_tlog_are_exact(name: str) -> None:
     data, expected = capture(name)
     status = expected["status"]
     records, skipped = read(data, offline())
@@ -158,6 +158,18 @@ def test_empty_and_tiny_files_hold_nothing() -> None:
         assert sniff(data, dialect()) is None
 
 
+def test_records_whose_crc_is_wrong_and_years_apart_are_read_one_after_the_other() -> None:
+    v1 = bytes.fromhex("fe04891101360102030400ff")
+    v2 = bytes.fromhex("fd0400008a11013600000102030400ff")
+    data = encode_record(1_410_491_717_000_037, v1) + encode_record(1_442_027_717_000_064, v2)
+    records, skipped = read(data)
+    assert [(r.raw, r.verdict, r.unix_us // 31_536_000_000_000) for r in records] == [
+        (v1, "bad_crc", 44),
+        (v2, "bad_crc", 45),
+    ]
+    assert skipped == 0
+
+
 def test_framing_vector_with_years_between_its_records() -> None:
     """Both CRCs are wrong on purpose; the records are one after the other all the same."""
     import json
@@ -209,7 +221,7 @@ def test_a_file_need_not_be_in_memory() -> None:
 
 
 @pytest.mark.parametrize("name", captures("tlog") + captures("raw"))
-def test_public_captures_are_told_apart_without_their_names(name: str) -> None:
+def test_captures_are_told_apart_without_their_names(name: str) -> None:
     data, expected = capture(name)
     assert sniff(data, offline()) == expected["kind"]
 

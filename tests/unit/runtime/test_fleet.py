@@ -20,6 +20,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.vehicle.events import Event
 from skygcs.errors import RefusedError, TargetError
 from skygcs.runtime.fleet import MAX_KEPT, MAX_VEHICLES, MAX_VEHICLES_OF_LINK, Fleet
+from support.public_data import present, public_file
 from support.vehicles import (
     ARDUPILOT,
     CAPTURE,
@@ -33,8 +34,6 @@ from support.vehicles import (
     accept_everything,
     flight_dialect,
 )
-
-PUBLIC = Path(__file__).parents[4] / "shared" / "data" / "public" / "tlog"
 
 
 def tlog(path: Path) -> Iterator[tuple[float, Frame]]:
@@ -142,11 +141,26 @@ async def test_the_capture_flew_up_and_never_down_on_the_way_up() -> None:
     assert signs[False] < 0.03 * signs[True]  # an estimator corrects itself by a jump now and then
 
 
+OWN_FLEET = {**dict.fromkeys(("1/1", "2/1", "3/1"), "ardupilot"), **dict.fromkeys(("11/1", "12/1"), "px4")}
 EXPECTED_VEHICLES = {
     "dronekit-v1-sik.tlog": {"1/1": "ardupilot"},
     "dronekit-2012-16k-truncated.tlog": {"1/1": "ardupilot"},
     "eagle-c2-v2-sik-mp-mavproxy.tlog": {"1/1": "ardupilot"},
     "qgc-ardusub-v2-badcrc.tlog": {"1/1": "ardupilot"},
+    "made-flood.tlog": {"1/1": "ardupilot"},
+    "made-v1-v2-mixed.tlog": {"1/1": "ardupilot"},
+    "made-signed.tlog": {"1/1": "px4"},
+    "made-unknown-ids.tlog": {"1/1": "ardupilot"},
+    "made-everything.tlog": {"1/1": "ardupilot"},
+    "made-plane.tlog": {"1/1": "ardupilot"},
+    "made-submarine.tlog": {"1/1": "ardupilot"},
+    "made-indoors.tlog": {"1/1": "px4"},
+    "sitl-3ardupilot-2px4.tlog": {
+        **dict.fromkeys(("1/1", "2/1", "3/1"), "ardupilot"),
+        **dict.fromkeys(("4/1", "5/1"), "px4"),
+    },
+    "forged-heartbeat-50hz.tlog": OWN_FLEET,
+    "second-heartbeat-1hz.tlog": OWN_FLEET,
     "bluerobotics-mavlink-server.tlog": {"1/1": "ardupilot"},
     "px4-v2-2020.tlog": {"1/1": "px4"},
     "wlichon-flood-sysid2-v1.tlog": {"1/1": "ardupilot"},
@@ -156,11 +170,9 @@ EXPECTED_VEHICLES = {
 }
 
 
-@pytest.mark.parametrize("name", sorted(EXPECTED_VEHICLES))
-async def test_in_other_peoples_captures_only_their_autopilots_are_vehicles(name: str) -> None:
-    path = PUBLIC / name
-    if not path.exists():
-        pytest.skip("public captures are not here")
+@pytest.mark.parametrize("name", present("tlog", sorted(EXPECTED_VEHICLES)))
+async def test_in_captures_only_their_autopilots_are_vehicles(name: str) -> None:
+    path = public_file(f"tlog/{name}")
     listening = Listening()
     for at, frame in tlog(path):
         listening.hear(frame, at)

@@ -80,6 +80,62 @@ def test_own_capture_decodes_whole() -> None:
     assert (parser.stats.good, parser.stats.unknown, parser.stats.bad_crc) == (8144, 0, 0)
 
 
+def pymavlink_frame(message: Any, *, seq: int, v1: bool = False, key: bytes | None = None) -> bytes:
+    from pymavlink.dialects.v20 import all as mavlink
+
+    encoder = mavlink.MAVLink(None, 1, 2)
+    encoder.seq = seq
+    if key is not None:
+        encoder.signing.secret_key, encoder.signing.link_id = key, 3
+        encoder.signing.timestamp, encoder.signing.sign_outgoing = (1 << 48) - 2, True
+    return bytes(message.pack(encoder, force_mavlink1=v1))
+
+
+@pytest.mark.parametrize("v1", [True, False])
+@pytest.mark.parametrize("seq", [0, 0xEF, 0xFD, 0xFE, 0xFF])
+def test_frames_that_pymavlink_packs(seq: int, v1: bool) -> None:
+    """Trimmed ones, strings, extensions, sequence numbers that look like a magic byte, with and without signature."""
+    from pymavlink.dialects.v20 import all as mavlink
+
+    messages: list[tuple[Any, dict[str, Any]]] = [
+        (mavlink.MAVLink_heartbeat_message(2, 3, 89, 5, 3, 3), {"custom_mode": 5, "base_mode": 89, "autopilot": 3}),
+        (
+            mavlink.MAVLink_command_long_message(0, 0, 511, 0, 115.0, 5000.0, 0, 0, 0, 0, 0),
+            {"command": 511, "param1": 115.0, "param2": 5000.0},
+        ),
+        (
+            mavlink.MAVLink_param_value_message(b"BAT1_R_INTERNAL", -1.0, 9, 1013, 4),
+            {"param_id": "BAT1_R_INTERNAL", "param_value": -1.0, "param_count": 1013, "param_index": 4},
+        ),
+        (mavlink.MAVLink_statustext_message(6, b"hello"), {"severity": 6, "text": "hello"}),
+        (mavlink.MAVLink_attitude_message(7, 0.5, 0.0, -0.25, 0, 0, 0), {"time_boot_ms": 7, "roll": 0.5, "yaw": -0.25}),
+    ]
+    for key in (None, bytes(range(32))) if not v1 else (None,):
+        for message, wanted in messages:
+            raw = pymavlink_frame(message, seq=seq, v1=v1, key=key)
+            frames, _ = parsed(noise(20, seq) + raw + raw)
+            assert [f.raw for f in frames] == [raw, raw]
+            frame = frames[0]
+            assert (frame.name, frame.sysid, frame.compid, frame.seq) == (message.get_type(), 1, 2, seq)
+            assert frame.signed == (key is not None)
+            fields = frame.fields()
+            assert {name: fields[name] for name in wanted} == wanted
+
+
+def test_what_stands_inside_a_damaged_frame_comes_out() -> None:
+    inner = heartbeat(1, seq=0xFD)
+    outer = bytes.fromhex("fd150000010101000000") + inner + b"\0\0"
+    assert [f.raw for f in parsed(outer)[0]] == [inner]
+    flags = bytearray(heartbeat(1))
+    flags[2] = 0x02  # an incompatibility flag that nobody knows
+    assert parsed(bytes(flags))[0] == []
+
+
+def test_a_frame_without_its_first_bytes_is_none() -> None:
+    raw = frame("ATTITUDE", {"roll": 0.3, "pitch": 0.1, "yaw": 1.2}, seq=0xFD)
+    assert parsed(raw[2:])[0] == []
+
+
 def test_wire_vectors_of_other_implementations() -> None:
     vectors = json.loads(public_file("vectors/wire_vectors.json").read_text())
     for vector in vectors["frames"]:

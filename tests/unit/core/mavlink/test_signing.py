@@ -87,6 +87,23 @@ def gate(*, clock: SigningClock | None = None, allowed: frozenset[int] | None = 
 # -- what others signed
 
 
+@pytest.mark.parametrize("key", [bytes(32), KEY])
+@pytest.mark.parametrize("stamp", [0, 28309687961616, MAX_TIMESTAMP - 1])
+def test_a_frame_that_pymavlink_signed_is_its_own(key: bytes, stamp: int) -> None:
+    """Mission Planner signs with an all-zero key when none is set."""
+    encoder = mav.MAVLink(None, 255, 190)
+    encoder.seq = 32
+    encoder.signing.secret_key, encoder.signing.link_id = key, 56
+    encoder.signing.timestamp, encoder.signing.sign_outgoing = stamp, True
+    raw = bytes(mav.MAVLink_statustext_message(6, b"Mission Planner 1.3.80").pack(encoder))
+    frame = one(raw)
+    assert frame.signed and frame.info is not None
+    assert (frame.sysid, frame.name, link_id_of(raw), timestamp_of(raw)) == (255, "STATUSTEXT", 56, stamp)
+    assert is_signed_with(raw, key) and not is_signed_with(raw, bytes(31) + b"1")
+    unsigned = encode(frame.info, frame.fields(), sysid=255, compid=190, seq=32)
+    assert sign(unsigned, frame.info.crc_extra_byte, key, 56, stamp) == raw
+
+
 @pytest.mark.parametrize("number", range(7))
 def test_a_frame_that_mission_planner_signed_is_its_own(number: int) -> None:
     vectors = json.loads(public_file("vectors/signed_real.json").read_text())["frames"]

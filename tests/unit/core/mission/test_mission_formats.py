@@ -15,7 +15,7 @@ from skygcs.core.mission.formats import MAX_FILE_BYTES, Imported, format_of, rea
 from skygcs.core.mission.item import UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings, from_wire, to_wire
 from skygcs.errors import PlanFileError
-from support.public_data import public_file, public_folder
+from support.public_data import present, public_file, public_folder
 
 # what the data's own README counts, home lines taken off: (mission, polygons, circles, has home)
 PUBLIC = {
@@ -34,7 +34,26 @@ PUBLIC = {
     "ap-mission_pyramids.plan": (10, 0, 0, True),
     "px4-geofence_avoid.plan": (5, 2, 1, True),
 }
+MADE = {
+    "made-mission-planner.txt": (4, 0, 0, False),
+    "made-sample.plan": (6, 0, 0, True),
+    "made-structure-scan.plan": (1 + 18, 0, 0, True),
+    "made-survey.plan": (1 + 12, 0, 0, True),
+    "made-without-mission.plan": (0, 0, 0, False),
+    "made-sample.waypoints": (3, 0, 0, True),
+    "made-fence.waypoints": (0, 1, 2, True),
+    "made-spaces.waypoints": (5, 0, 0, True),
+    "made-old.mission": (6, 0, 0, True),
+    "made-oldest.mission": (6, 0, 0, True),
+    "made-copter-mission.txt": (6, 0, 0, True),
+    "made-fenced.plan": (5, 2, 1, True),
+}
+"""As made in support.made_files, in the forms of the public ones."""
+
+COUNTS = MADE | PUBLIC
 WRONG_VERSIONS = {
+    "made-wrong-mission-version.plan": "mission: version 7",
+    "made-wrong-overall-version.plan": "version 42",
     "mavsdk-qgroundcontrol_sample_wrong_mission_version.plan": "mission: version 7",
     "mavsdk-qgroundcontrol_sample_wrong_overall_version.plan": "version 42",
 }
@@ -67,23 +86,23 @@ def refusal(content: bytes, name: str = "a.plan") -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("name", PUBLIC)
-def test_a_public_file_imports_with_the_counts_that_were_counted_independently(name: str) -> None:
+@pytest.mark.parametrize("name", present("missions", COUNTS))
+def test_a_file_imports_with_the_counts_that_were_counted_independently(name: str) -> None:
     plan = public(name).plan
     counts = (len(plan.mission), len(plan.fence.polygons), len(plan.fence.circles), plan.home is not None)
-    assert counts == PUBLIC[name]
+    assert counts == COUNTS[name]
 
 
-@pytest.mark.parametrize("name", WRONG_VERSIONS)
-def test_only_the_two_files_of_a_wrong_version_are_refused(name: str) -> None:
+@pytest.mark.parametrize("name", present("missions", WRONG_VERSIONS))
+def test_only_the_files_of_a_wrong_version_are_refused(name: str) -> None:
     assert WRONG_VERSIONS[name] in refusal(public_file(f"missions/{name}").read_bytes(), name)
 
 
 def test_every_public_file_is_in_this_test() -> None:
-    assert {path.name for path in public_folder("missions")} == PUBLIC.keys() | WRONG_VERSIONS.keys()
+    assert {path.name for path in public_folder("missions")} <= COUNTS.keys() | WRONG_VERSIONS.keys()
 
 
-@pytest.mark.parametrize("name", PUBLIC)
+@pytest.mark.parametrize("name", present("missions", COUNTS))
 def test_import_export_import_is_identical(name: str) -> None:
     plan = public(name).plan
     assert read_plan(write_plan(plan, "out.plan").encode(), "out.plan").plan == plan
@@ -95,21 +114,27 @@ def test_import_export_import_is_identical(name: str) -> None:
         assert write_plan(again, "out.waypoints") == text
 
 
-def test_the_surveys_items_are_those_stored_in_the_file() -> None:
-    stored = json.loads(public_file("missions/mavsdk-qgroundcontrol_sample_with_survey.plan").read_text())
+@pytest.mark.parametrize(
+    "name", present("missions", ["made-survey.plan", "mavsdk-qgroundcontrol_sample_with_survey.plan"])
+)
+def test_the_surveys_items_are_those_stored_in_the_file(name: str) -> None:
+    stored = json.loads(public_file(f"missions/{name}").read_text())
     inner = stored["mission"]["items"][1]["TransectStyleComplexItem"]["Items"]
-    imported = public("mavsdk-qgroundcontrol_sample_with_survey.plan")
+    imported = public(name)
     assert [item.command for item in imported.plan.mission[1:]] == [entry["command"] for entry in inner]
     assert imported.plan.mission[1].seven[4:] == pytest.approx(inner[0]["params"][4:], abs=1e-7)
     assert "12 stored items" in imported.notes[0]
 
 
-def test_the_structure_scan_flies_round_the_outline_at_its_distance() -> None:
-    plan = public("mavsdk-qgroundcontrol_sample_with_structured_scan.plan").plan
+@pytest.mark.parametrize(
+    "name", present("missions", ["made-structure-scan.plan", "mavsdk-qgroundcontrol_sample_with_structured_scan.plan"])
+)
+def test_the_structure_scan_flies_round_the_outline_at_its_distance(name: str) -> None:
+    plan = public(name).plan
     assert [item.command for item in plan.mission] == [530, 16, 196, *([16, 206, 16, 16, 16, 16, 206] * 2), 197, 16]
     heights = [item.z for item in plan.mission if item.command == 16]
     assert heights == [50.0, *[87.5] * 5, *[62.5] * 5, 50.0]  # layers of 25 m from 100 m down
-    stored = json.loads(public_file("missions/mavsdk-qgroundcontrol_sample_with_structured_scan.plan").read_text())
+    stored = json.loads(public_file(f"missions/{name}").read_text())
     outline = stored["mission"]["items"][1]["polygon"]
     corner = plan.mission[1].position
     assert corner is not None
@@ -117,8 +142,9 @@ def test_the_structure_scan_flies_round_the_outline_at_its_distance() -> None:
     assert 50.0 < min(distance_m(*corner, *known) for known in outline) < 100.0
 
 
-def test_all_items_of_a_fence_are_read_and_their_counts_are_theirs() -> None:
-    plan = public("px4-geofence_avoid.plan").plan
+@pytest.mark.parametrize("name", present("missions", ["made-fenced.plan", "px4-geofence_avoid.plan"]))
+def test_all_items_of_a_fence_are_read_and_their_counts_are_theirs(name: str) -> None:
+    plan = public(name).plan
     assert [(p.inclusion, len(p.corners)) for p in plan.fence.polygons] == [(False, 4), (True, 4)]
     items = plan.items(MissionType.FENCE)
     assert [(item.command, item.params[0]) for item in items[:8]] == [(5002, 4.0)] * 4 + [(5001, 4.0)] * 4

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from skygcs.core.mavlink.param import Param, ParamType, float32
 from skygcs.core.params.file import Entry, ParamFile, of_vehicle, parse, write
 from skygcs.errors import ConfigError
-from support.public_data import PUBLIC
+from support.public_data import present, public_file, public_folder
 
 QGC = """# Onboard parameters for Vehicle 4
 #
@@ -91,12 +91,11 @@ def test_comments_keep_their_places() -> None:
     assert write(parse(text, "a.param")) == text
 
 
-FILES = sorted((PUBLIC / "params").glob("*")) if (PUBLIC / "params").is_dir() else []
+FILES = public_folder("params")
 
 
-@pytest.mark.skipif(not FILES, reason="the public parameter files are not here")
 @pytest.mark.parametrize("path", FILES, ids=lambda p: p.name)
-def test_public_files_survive_a_round_trip(path: object) -> None:
+def test_files_survive_a_round_trip(path: object) -> None:
     text = path.read_text()  # type: ignore[attr-defined]
     first = parse(text, str(path))
     assert len(first.entries) == sum(bool(line.strip()) and line[0] != "#" for line in text.splitlines())
@@ -164,7 +163,12 @@ def test_who_rounds_shows_in_the_digits(text: str, rounding: str) -> None:
     assert any(entry.slack for entry in file.entries) == (rounding != "exact")
 
 
-PUBLIC_ROUNDING = {
+ROUNDING = {
+    "made-px4.params": "18 decimals",
+    "made-px4-mavproxy.parm": "6 decimals",
+    "made-copter-mavproxy.parm": "6 decimals",
+    "made-copter-seven-digits.param": "7 digits",
+    "made-copter-comments.param": "exact",
     "apcopter-4.5-eagle-mavproxy.parm": "6 decimals",
     "px4-mavproxy.parm": "6 decimals",
     "apcopter-x500v2-comments.param": "7 digits",
@@ -173,9 +177,6 @@ PUBLIC_ROUNDING = {
 }
 
 
-@pytest.mark.parametrize("name", PUBLIC_ROUNDING)
-def test_who_rounds_in_public_files(name: str) -> None:
-    path = next((p for p in FILES if p.name == name), None)
-    if path is None:
-        pytest.skip("the public files are not here")
-    assert parse(path.read_text(encoding="utf-8"), name).rounding == PUBLIC_ROUNDING[name]
+@pytest.mark.parametrize("name", present("params", ROUNDING))
+def test_who_rounds_in_files(name: str) -> None:
+    assert parse(public_file(f"params/{name}").read_text(encoding="utf-8"), name).rounding == ROUNDING[name]

@@ -13,7 +13,7 @@ from skygcs.core.recording.reading import LogReader
 from skygcs.core.tlog import encode_record
 from support.flight_log import ORIGIN, T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline, unknown_frame
-from support.public_data import CAPTURE, capture, captures, own_capture
+from support.public_data import CAPTURE, capture, captures, own_capture, vehicles_of
 
 
 def flown(data: bytes, origin: Origin | None = None, kind: str = "tlog") -> Flight:
@@ -168,15 +168,15 @@ def test_our_own_capture_has_five_flights() -> None:
 
 
 @pytest.mark.parametrize("name", captures("tlog") + captures("raw"))
-def test_every_public_log_gives_its_vehicle_and_bounded_figures(name: str) -> None:
+def test_every_log_gives_its_vehicles_and_bounded_figures(name: str) -> None:
     data, expected = capture(name)
     flight = flown(data, kind=expected["kind"])
-    assert list(flight.vehicles) == [(1, 1)]
-    vehicle = flight.vehicles[1, 1]
-    assert 0 < vehicle.frames <= expected["sources"]["1/1"]
-    assert 0 <= vehicle.loss_ratio < 1
-    assert vehicle.last_s <= flight.end_s
-    assert len(vehicle.track.points) <= 4000
+    assert {f"{sysid}/{compid}" for sysid, compid in flight.vehicles} == vehicles_of(name).keys()
+    for (sysid, compid), vehicle in flight.vehicles.items():
+        assert 0 < vehicle.frames <= expected["sources"][f"{sysid}/{compid}"] + expected["status"].get("unknown", 0)
+        assert 0 <= vehicle.loss_ratio < 1
+        assert vehicle.last_s <= flight.end_s
+        assert len(vehicle.track.points) <= 4000
 
 
 def played(*frames: bytes) -> list[bool]:

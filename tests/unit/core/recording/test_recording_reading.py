@@ -26,7 +26,7 @@ def log(*records: tuple[float, bytes]) -> bytes:
 
 
 @pytest.mark.parametrize("name", captures("tlog"))
-def test_faults_of_a_public_tlog_are_those_that_an_independent_walker_found(name: str) -> None:
+def test_faults_of_a_tlog_are_those_that_an_independent_walker_found(name: str) -> None:
     data, expected = capture(name)
     entries, reader = read(data)
     status, faults = expected["status"], reader.faults

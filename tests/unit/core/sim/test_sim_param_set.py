@@ -9,10 +9,14 @@ from skygcs.core.params.file import parse
 from skygcs.core.sim.fleet import make_vehicles
 from skygcs.core.sim.param_set import param_set
 from skygcs.errors import ConfigError
-from support.public_data import public_file
+from support.public_data import present, public_file
 from support.sim_pilot import FIELD, Pilot, sim_dialect
 
-PUBLIC = [
+FILES = [
+    ("made-px4.params", "px4", 1000),
+    ("made-px4-mavproxy.parm", "px4", 700),
+    ("made-copter-mavproxy.parm", "ardupilot", 1000),
+    ("made-copter-comments.param", "ardupilot", 5),
     ("px4-amovlab-f410-v1.15.4.params", "px4", 1000),
     ("px4-mavproxy.parm", "px4", 700),
     ("apcopter-4.5-eagle-mavproxy.parm", "ardupilot", 1000),
@@ -20,8 +24,8 @@ PUBLIC = [
 ]
 
 
-@pytest.mark.parametrize(("name", "family", "at_least"), PUBLIC)
-def test_a_public_file_is_taken_in_by_the_vehicles_of_its_firmware(name: str, family: str, at_least: int) -> None:
+@pytest.mark.parametrize(("name", "family", "at_least"), [f for f in FILES if present("params", f[:1])])
+def test_a_file_is_taken_in_by_the_vehicles_of_its_firmware(name: str, family: str, at_least: int) -> None:
     text = public_file(f"params/{name}").read_text()
     taken = param_set(parse(text, name), name)
     assert (taken.family, len(taken.params) >= at_least) == (family, True)
@@ -35,8 +39,9 @@ def test_a_public_file_is_taken_in_by_the_vehicles_of_its_firmware(name: str, fa
     assert second.params["MPC_XY_CRUISE"] != 9.0, "each has its own"
 
 
-def test_a_taken_in_vehicle_lists_and_flies() -> None:
-    text = public_file("params/px4-amovlab-f410-v1.15.4.params").read_text()
+@pytest.mark.parametrize("name", present("params", ["made-px4.params", "px4-amovlab-f410-v1.15.4.params"]))
+def test_a_taken_in_vehicle_lists_and_flies(name: str) -> None:
+    text = public_file(f"params/{name}").read_text()
     taken = param_set(parse(text, "f410"), "f410")
     pilot = Pilot(*make_vehicles(sim_dialect(), px4=1, ardupilot=0, first_sysid=1, home=FIELD, params=[taken]))
     pilot.send(mav.MAVLink_param_request_list_message(1, 1))
