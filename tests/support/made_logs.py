@@ -314,7 +314,7 @@ def indoors() -> MadeLog:
         log.put(mavlink.MAVLink_local_position_ned_message(1000 * n, n / 10, 2.0, -1.5, 0.1, 0.0, 0.0))
         if n == 10:
             returns = struct.unpack("<f", struct.pack("<i", 2))[0]  # an integer as PX4 sends it
-            log.put(mavlink.MAVLink_param_value_message(b"NAV_RCL_ACT", returns, 6, 900, 7))
+            log.put(mavlink.MAVLink_param_value_message(b"COM_OBL_RC_ACT", returns, 6, 900, 7))
         log.put(mavlink.MAVLink_attitude_message(1000 * n, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0))
         log.put(mavlink.MAVLink_statustext_message(4, f"warning number {n}".encode()))
         log.now_us += 1_000_000
