@@ -4,12 +4,16 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test check bench bench-control bench-radio soak fuzz clean format
+.PHONY: demo test test-firmware check bench bench-control bench-radio soak fuzz clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
 test: $(STAMP)
 	$(BIN)/pytest -n auto --dist worksteal
+
+# Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
+test-firmware: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m firmware $(if $(FULL),--full)
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -1,0 +1,375 @@
+"""Two real autopilots in simulation, a relay that can cut and delay, and a real `skygcs run`."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pymavlink import mavutil
+
+from support.process import ROOT, DaemonProcess, free_port
+from support.udp_relay import Truth, UdpRelay
+
+HOME = (43.7806, -79.4653, 180.0)
+SPACING_M = 10.0
+START_S = 150.0
+"""For an ArduCopter's estimator on a loaded machine; it takes 42 s of its own."""
+
+TELEMETRY_HZ = 10
+HEIGHT_M = 10.0
+
+PARAMS = {
+    "px4": ("MIS_TKO_LAND_REQ=0",),
+    # Failsafes that a user with a ground station has switched on; and no drift of the simulated battery meanwhile.
+    "ardupilot": ("FS_GCS_ENABLE=1",),
+}
+FIRST_SYSID = {"px4": 11, "ardupilot": 21}
+
+
+class Watcher(threading.Thread):
+    """Events and telemetry of the daemon, kept with the time at which they came; connects again and again."""
+
+    def __init__(self, address: Path) -> None:
+        super().__init__(name="watcher", daemon=True)
+        self._address = address
+        self.events: list[tuple[float, dict[str, Any]]] = []
+        self.states: list[tuple[float, dict[str, Any]]] = []
+        self._ending = threading.Event()
+
+    def stop(self) -> None:
+        self._ending.set()
+
+    def run(self) -> None:
+        while not self._ending.is_set():
+            try:
+                self._listen()
+            except OSError:
+                time.sleep(0.1)
+
+    def _listen(self) -> None:
+        with socket.socket(socket.AF_UNIX) as link:
+            link.settimeout(2.0)
+            link.connect(str(self._address))
+            topics: list[dict[str, Any]] = [
+                {"topic": "events"},
+                {"topic": "telemetry", "rate_hz": TELEMETRY_HZ, "names": ["position", "attitude", "battery"]},
+            ]
+            for number, params in enumerate(topics):
+                call = {"jsonrpc": "2.0", "id": number, "method": "subscribe", "params": params}
+                link.sendall(json.dumps(call).encode() + b"\n")
+            buffer = b""
+            while not self._ending.is_set():
+                try:
+                    data = link.recv(65536)
+                except TimeoutError:
+                    continue
+                if not data:
+                    raise OSError("closed")
+                *lines, buffer = (buffer + data).split(b"\n")
+                for line in lines:
+                    self._take(json.loads(line), time.monotonic())
+
+    def _take(self, message: Mapping[str, Any], now: float) -> None:
+        if message.get("method") == "event":
+            self.events.append((now, message["params"]["event"]))
+        elif message.get("method") == "telemetry":
+            self.states.append((now, message["params"]["state"]))
+
+    def events_since(self, at: float, *kinds: str, vehicle: str | None = None) -> list[dict[str, Any]]:
+        return [
+            event
+            for when, event in list(self.events)
+            if when > at and (not kinds or event["kind"] in kinds) and (vehicle is None or event["vehicle"] == vehicle)
+        ]
+
+
+class Stream(threading.Thread):
+    """Setpoints from a function of the time since the start, until `end`."""
+
+    def __init__(
+        self, address: Path, target: str, reference: Callable[[float], dict[str, Any]], rate_hz: float
+    ) -> None:
+        super().__init__(name="setpoints", daemon=True)
+        self._address = address
+        self._target = target
+        self._reference = reference
+        self._period_s = 1 / rate_hz
+        self._ending = threading.Event()
+        self.refused: list[Any] = []
+        self.sent: list[tuple[float, dict[str, Any]]] = []
+
+    def __enter__(self) -> Stream:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ending.set()
+        self.join(5)
+
+    def run(self) -> None:
+        began = time.monotonic()
+        with socket.socket(socket.AF_UNIX) as link:
+            link.settimeout(5.0)
+            try:
+                link.connect(str(self._address))
+                with link.makefile("rb") as answers:
+                    while not self._ending.wait(self._period_s):
+                        t = time.monotonic() - began
+                        params = {"targets": self._target, **self._reference(t)}
+                        call = {"jsonrpc": "2.0", "id": 1, "method": "control.setpoint", "params": params}
+                        link.sendall(json.dumps(call).encode() + b"\n")
+                        answer = json.loads(answers.readline() or b"{}")
+                        self.sent.append((time.monotonic(), params))
+                        outcomes = answer.get("result", {}).get("outcomes", {})
+                        if "error" in answer or not all(o["ok"] for o in outcomes.values()):
+                            self.refused.append(answer)
+            except (OSError, ValueError) as error:
+                self.refused.append(str(error))
+
+
+class Field:
+    """``names`` are the vehicles, ``one`` the first of them."""
+
+    def __init__(self, firmware: str, folder: Path) -> None:
+        self.firmware = firmware
+        self.folder = folder
+        self.px4 = firmware == "px4"
+        self.sysids = [FIRST_SYSID[firmware], FIRST_SYSID[firmware] + 1]
+        self.names = [f"{'px' if self.px4 else 'copter'}{sysid}" for sysid in self.sysids]
+        self.one, self.two = self.names
+        self.daemon_port, self.gcs_port, self.bound_port = free_port(), free_port(), free_port()
+        self.relay = UdpRelay(self.daemon_port)
+        self.sitl_log = folder / "sitl.log"
+        self.sitl: subprocess.Popen[bytes] | None = None
+        self.daemon = DaemonProcess(folder, self.toml())
+        self.watcher = Watcher(self.daemon.socket)
+
+    def toml(self, *, link: str = "", control: str = "") -> str:
+        autopilot = "px4" if self.px4 else "ardupilot"
+        expected = {"px4": "RTL_RETURN_ALT = 25", "ardupilot": "RTL_ALT = 2500"}[self.firmware]
+        text = f"""
+record_max_mb = 500
+
+[origin]
+lat_deg = {HOME[0]}
+lon_deg = {HOME[1]}
+alt_amsl_m = {HOME[2]}
+
+[links.vehicles]
+type = "udp_server"
+host = "127.0.0.1"
+port = {self.daemon_port}
+role = "vehicle"
+{link}
+[links.gcs]
+type = "udp_server"
+host = "127.0.0.1"
+port = {self.gcs_port}
+role = "gcs"
+
+[links.bound]
+type = "udp_server"
+host = "127.0.0.1"
+port = {self.bound_port}
+role = "gcs"
+vehicles = ["{self.one}"]
+present_as = 1
+
+[defaults.control]
+fence = {{ x_m = [-60, 60], y_m = [-60, 60], up_m = [0, 30] }}
+{control}
+[defaults.preflight.params]
+{expected}
+"""
+        for name, sysid in zip(self.names, self.sysids, strict=True):
+            text += f'\n[vehicles.{name}]\nsysid = {sysid}\nautopilot = "{autopilot}"\n'
+        return text
+
+    # -- life
+
+    def start(self) -> None:
+        self.relay.start()
+        self.launch()
+        self.daemon.start()
+        self.watcher.start()
+        self.wait(lambda: self.said("all are ready"), START_S, "every vehicle is ready")
+        self.wait(lambda: self.daemon.known() == 2 and self.connected(), 30, "the daemon knows both")
+
+    def launch(self) -> None:
+        """Start the firmware; returns at once."""
+        words = [sys.executable, "-m", "skygcs", "sitl", f"--{'px4' if self.px4 else 'ardupilot'}", "2"]
+        words += ["--first-sysid", str(self.sysids[0]), "--port", str(self.relay.port)]
+        words += ["--home", ",".join(map(str, HOME)), "--spacing", str(SPACING_M)]
+        words += ["--folder", str(self.folder / "vehicles")]
+        words += [word for param in PARAMS[self.firmware] for word in ("--param", param)]
+        with self.sitl_log.open("wb") as log:
+            self.sitl = subprocess.Popen(words, stdout=log, stderr=log, cwd=ROOT)
+
+    def said(self, text: str) -> bool:
+        assert self.sitl is not None
+        assert self.sitl.poll() is None, self.sitl_log.read_text()
+        return text in self.sitl_log.read_text()
+
+    def stop(self) -> None:
+        self.watcher.stop()
+        self.daemon.stop()
+        if self.sitl is not None and self.sitl.poll() is None:
+            self.sitl.send_signal(signal.SIGTERM)
+            self.sitl.wait(20)
+        self.relay.stop()
+
+    def restart_daemon(self, toml: str | None = None) -> None:
+        """End it, and start it with the same or another fleet file."""
+        self.daemon.stop()
+        if toml is not None:
+            head = f'[daemon]\nsocket = "{self.daemon.socket}"\nlog_dir = "{self.daemon.logs}"\n'
+            self.daemon.file.write_text(head + toml)
+        self.daemon.start()
+        self.wait(lambda: self.daemon.known() == 2 and self.connected(), 60, "the daemon knows both")
+
+    def firmware_pids(self) -> list[int]:
+        return [int(pid) for pid in re.findall(r"pid (\d+)", self.sitl_log.read_text())]
+
+    # -- looking
+
+    def truth(self, name: str) -> Truth:
+        """What the vehicle says of itself before the relay."""
+        return self.relay.truths[self.sysids[self.names.index(name)]]
+
+    def state(self, name: str) -> dict[str, Any]:
+        state: dict[str, Any] = self.daemon.call("vehicles.get", target=name)
+        return state
+
+    def connected(self) -> bool:
+        return all(v["connected"] for v in self.daemon.vehicles().values())
+
+    def control(self, name: str) -> dict[str, Any]:
+        status: list[dict[str, Any]] = self.daemon.call("control.status", targets=name)
+        return status[0]
+
+    def enu(self, name: str) -> tuple[float, float, float]:
+        """Where the vehicle says it is, about `HOME`, from its own frames."""
+        truth = self.truth(name)
+        east = (truth.lon_deg - HOME[1]) * math.cos(math.radians(HOME[0])) * 111_319.5
+        north = (truth.lat_deg - HOME[0]) * 111_132.0
+        return east, north, truth.alt_rel_m
+
+    def wait(self, condition: Callable[[], Any], limit_s: float, what: str) -> float:
+        """Seconds until the condition held; fails with ``what`` after the limit."""
+        began = time.monotonic()
+        while time.monotonic() - began < limit_s:
+            if condition():
+                return time.monotonic() - began
+            time.sleep(0.05)
+        raise AssertionError(f"not within {limit_s:g} s: {what}; {self.summary()}")
+
+    def summary(self) -> str:
+        parts = []
+        for name in self.names:
+            truth = self.relay.truths.get(self.sysids[self.names.index(name)])
+            if truth is not None:
+                armed = "armed" if truth.armed else "disarmed"
+                parts.append(f"{name} {truth.mode} {armed} {truth.alt_rel_m:.1f} m {truth.texts[-1:]}")
+        return "; ".join(parts)
+
+    def holds(self, condition: Callable[[], Any], seconds: float, what: str) -> None:
+        """Fails if the condition ceases to hold within this time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            assert condition(), f"{what}; {self.summary()}"
+            time.sleep(0.05)
+
+    # -- orders
+
+    def order(self, method: str, targets: str | Sequence[str], **params: Any) -> dict[str, Any]:
+        """The outcomes; fails unless all are ok."""
+        answer = self.daemon.call(method, targets=targets if isinstance(targets, str) else list(targets), **params)
+        outcomes: dict[str, Any] = answer["outcomes"]
+        flat = {n: o for n, o in outcomes.items() if "ok" in o}
+        flat |= {f"{n} {p}": o for n, params in outcomes.items() if n not in flat for p, o in params.items()}
+        failed = {name: o["message"] for name, o in flat.items() if not o["ok"]}
+        assert not failed, f"{method}: {failed}; {self.summary()}"
+        return outcomes
+
+    def takeoff(self, targets: str = "all", height_m: float = HEIGHT_M) -> float:
+        """Seconds until all of them are up; those that are in the air already are only sent to the height."""
+        names = self.names if targets == "all" else [targets]
+        for name in names:
+            if self.truth(name).armed and self.truth(name).alt_rel_m > 2:
+                self.order("vehicles.hold", name)
+                self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
+            else:
+                self.order("vehicles.takeoff", name, height_m=height_m, wait_s=60)
+        return self.wait(
+            lambda: all(abs(self.truth(n).alt_rel_m - height_m) < 1.5 for n in names), 90, f"{names} are up"
+        )
+
+    def stand(self, name: str) -> tuple[float, float]:
+        """Where it took off from, in metres east and north."""
+        return self.names.index(name) * SPACING_M, 0.0
+
+    def land(self) -> float:
+        """Seconds until all are on the ground and disarmed; where they are."""
+        self.relay.clear()
+        flying = [name for name in self.names if self.truth(name).armed]
+        for name in flying:
+            self.order("vehicles.land", name)
+        return self.wait(lambda: not any(self.truth(n).armed for n in self.names), 120, "all have landed")
+
+    def ready_on_ground(self) -> None:
+        """All disarmed, in a mode that arms, and near where they began."""
+        self.relay.clear()
+        if any(self.truth(n).armed for n in self.names):
+            self.land()
+        for name in self.names:
+            mode = "AUTO.LOITER" if self.px4 else "GUIDED"
+            if self.state(name)["mode"] != mode:
+                self.order("vehicles.mode", name, mode=mode)
+
+    # -- others
+
+    @contextmanager
+    def ground_station(self, port: int | None = None, sysid: int = 250) -> Iterator[Any]:
+        """Another program: a pymavlink connection to a link of the daemon; its first heartbeat is sent."""
+        connection = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{port or self.gcs_port}",
+            source_system=sysid,
+            source_component=190,
+            dialect="ardupilotmega",
+        )
+        connection.mav.heartbeat_send(6, 8, 0, 0, 4)
+        try:
+            yield connection
+        finally:
+            connection.close()
+
+    @contextmanager
+    def peer(self, sysid: int, compid: int = 1) -> Iterator[Any]:
+        """Somebody at the vehicles' link who is no vehicle; MAVLink of pymavlink."""
+        connection = mavutil.mavlink_connection(
+            f"udpout:127.0.0.1:{self.daemon_port}",
+            source_system=sysid,
+            source_component=compid,
+            dialect="ardupilotmega",
+        )
+        try:
+            yield connection
+        finally:
+            connection.close()
+
+
+def available() -> list[str]:
+    """Firmwares that the environment names."""
+    return [f for f, v in (("px4", "SKYGCS_PX4"), ("ardupilot", "SKYGCS_ARDUCOPTER")) if os.environ.get(v)]

@@ -1,0 +1,182 @@
+"""Between vehicles and the daemon: a UDP relay that cuts, delays and watches.
+
+Every vehicle keeps a socket of its own towards the daemon, so that the daemon sees the peers that it would see without
+the relay. What the vehicles send is read here with pymavlink before any cut or delay: the truth of what a vehicle does
+does not depend on the daemon.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import selectors
+import socket
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+TICK_S = 0.005
+EARTH_M_PER_DEG = 111_319.5
+
+
+@dataclass
+class Truth:
+    """What one vehicle's autopilot says of itself, as it leaves the vehicle."""
+
+    sysid: int
+    armed: bool = False
+    mode: str = ""
+    modes: list[tuple[float, str]] = field(default_factory=list)
+    """Time (monotonic) and name of every change of mode."""
+    lat_deg: float = 0.0
+    lon_deg: float = 0.0
+    alt_rel_m: float = 0.0
+    speed_mps: float = 0.0
+    heartbeat_at: float = -math.inf
+    texts: list[tuple[float, str]] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    track: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """Time, latitude, longitude, height above home."""
+
+    def on_message(self, message: Any, now: float) -> None:
+        kind = message.get_type()
+        self.counts[kind] += 1
+        if kind == "HEARTBEAT" and message.autopilot != mav.MAV_AUTOPILOT_INVALID:
+            self.heartbeat_at = now
+            self.armed = bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+            mode = mavutil.mode_string_v10(message)
+            if mode != self.mode:
+                self.mode = mode
+                self.modes.append((now, mode))
+        elif kind == "GLOBAL_POSITION_INT":
+            self.lat_deg, self.lon_deg = message.lat / 1e7, message.lon / 1e7
+            self.alt_rel_m = message.relative_alt / 1000
+            self.speed_mps = math.hypot(message.vx, message.vy, message.vz) / 100
+            self.track.append((now, self.lat_deg, self.lon_deg, self.alt_rel_m))
+        elif kind == "STATUSTEXT":
+            self.texts.append((now, message.text.rstrip("\0")))
+
+    def modes_since(self, at: float) -> list[str]:
+        """The mode at that time and those that followed."""
+        before = [name for when, name in self.modes if when <= at]
+        return before[-1:] + [name for when, name in self.modes if when > at]
+
+    def texts_since(self, at: float) -> list[str]:
+        return [text for when, text in self.texts if when > at]
+
+    def metres_from(self, lat_deg: float, lon_deg: float) -> float:
+        """Horizontal distance of where it is."""
+        return metres(self.lat_deg, self.lon_deg, lat_deg, lon_deg)
+
+
+def metres(lat_a: float, lon_a: float, lat_b: float, lon_b: float) -> float:
+    """Horizontal distance of near places (degrees)."""
+    east = (lon_b - lon_a) * math.cos(math.radians(lat_a))
+    return math.hypot(lat_b - lat_a, east) * EARTH_M_PER_DEG
+
+
+class UdpRelay(threading.Thread):
+    """``port`` is where vehicles send to, ``daemon_port`` where it goes on. `cut_down`, `cut_up` (system ids),
+    `delay_down_s` and `delay_up_s` may be set at any time; down is from the vehicle."""
+
+    def __init__(self, daemon_port: int) -> None:
+        super().__init__(name="relay", daemon=True)
+        self._front = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._front.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        self._front.bind(("127.0.0.1", 0))
+        self.port = int(self._front.getsockname()[1])
+        self.daemon_port = daemon_port
+        self.cut_down: set[int] = set()
+        self.cut_up: set[int] = set()
+        self.delay_down_s = 0.0
+        self.delay_up_s = 0.0
+        self.sent_up: Counter[str] = Counter()
+        self.truths: dict[int, Truth] = {}
+        self._backs: dict[tuple[str, int], socket.socket] = {}
+        self._sysids: dict[tuple[str, int], int] = {}
+        self._readers: dict[Any, Any] = {}
+        self._due: list[tuple[float, int, socket.socket, bytes, tuple[str, int] | None]] = []
+        self._order = itertools.count()
+        self._ending = threading.Event()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._front, selectors.EVENT_READ)
+
+    def clear(self) -> None:
+        """Pass everything on at once again."""
+        self.cut_down, self.cut_up = set(), set()
+        self.delay_down_s = self.delay_up_s = 0.0
+
+    def stop(self) -> None:
+        self._ending.set()
+        self.join(5)
+        for link in (self._front, *self._backs.values()):
+            link.close()
+
+    def run(self) -> None:
+        while not self._ending.is_set():
+            for key, _ in self._selector.select(TICK_S):
+                link = key.fileobj
+                assert isinstance(link, socket.socket)
+                try:
+                    data, address = link.recvfrom(65535)
+                except OSError:
+                    continue  # the daemon is not there just now
+                if link is self._front:
+                    self._down(data, address)
+                else:
+                    self._up(data, key.data)
+            now = time.monotonic()
+            while self._due and self._due[0][0] <= now:
+                _, _, link, data, to = heapq.heappop(self._due)
+                self._send(link, data, to)
+
+    def _down(self, data: bytes, address: tuple[str, int]) -> None:
+        now = time.monotonic()
+        back = self._backs.get(address)
+        if back is None:
+            back = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            back.connect(("127.0.0.1", self.daemon_port))
+            back.setblocking(False)
+            self._backs[address] = back
+            self._selector.register(back, selectors.EVENT_READ, address)
+        reader = self._readers.setdefault(address, _reader())
+        for message in reader.parse_buffer(data) or []:
+            if message.get_srcComponent() == 1 and message.get_type() != "BAD_DATA":
+                sysid = message.get_srcSystem()
+                self._sysids[address] = sysid
+                self.truths.setdefault(sysid, Truth(sysid)).on_message(message, now)
+        if self._sysids.get(address) in self.cut_down:
+            return
+        self._later(self.delay_down_s, back, data, None)
+
+    def _up(self, data: bytes, address: tuple[str, int]) -> None:
+        reader = self._readers.setdefault(("up", address), _reader())
+        for message in reader.parse_buffer(data) or []:
+            self.sent_up[message.get_type()] += 1
+        if self._sysids.get(address) in self.cut_up:
+            return
+        self._later(self.delay_up_s, self._front, data, address)
+
+    def _later(self, delay_s: float, link: socket.socket, data: bytes, to: tuple[str, int] | None) -> None:
+        if delay_s <= 0:
+            self._send(link, data, to)
+        else:
+            heapq.heappush(self._due, (time.monotonic() + delay_s, next(self._order), link, data, to))
+
+    def _send(self, link: socket.socket, data: bytes, to: tuple[str, int] | None) -> None:
+        try:
+            link.send(data) if to is None else link.sendto(data, to)
+        except OSError:
+            return  # nobody listens there just now
+
+
+def _reader() -> Any:
+    reader = mav.MAVLink(None)
+    reader.robust_parsing = True
+    return reader
