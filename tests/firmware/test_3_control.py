@@ -51,7 +51,7 @@ def trace_rms(path: Path, began_s: float) -> tuple[float, float]:
 @pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
 def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> None:
     air.order("control.set", air.one, mode=mode, force=True)
-    record = air.daemon.call("control.record", targets=air.one, on=True)
+    air.daemon.call("control.record", targets=air.one, on=True)
     figures["way"] = air.control(air.one)["way"]
     assert figures["way"] == mode, air.control(air.one)
     try:
@@ -78,8 +78,7 @@ def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> 
     finally:
         air.daemon.call("control.record", targets=air.one, on=False)
         air.daemon.call("control.set", targets=air.one, mode="off")
-    trace = Path(record["outcomes"][air.one]["file"]) if "file" in record["outcomes"][air.one] else newest_trace(air)
-    figures["circle RMS m"], figures["circle largest m"] = trace_rms(trace, CIRCLE_S - 5)
+    figures["circle RMS m"], figures["circle largest m"] = trace_rms(newest_trace(air), CIRCLE_S - 5)
     assert figures["circle RMS m"] < RMS_LIMIT_M[mode]
     figures["after off"] = air.truth(air.one).mode
 

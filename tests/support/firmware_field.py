@@ -20,7 +20,7 @@ from typing import Any
 from pymavlink import mavutil
 
 from support.process import ROOT, DaemonProcess, free_port
-from support.udp_relay import Truth, UdpRelay
+from support.udp_relay import Truth, UdpRelay, metres
 
 HOME = (43.7806, -79.4653, 180.0)
 SPACING_M = 10.0
@@ -188,7 +188,7 @@ vehicles = ["{self.one}"]
 present_as = 1
 
 [defaults.control]
-fence = {{ x_m = [-60, 60], y_m = [-60, 60], up_m = [0, 30] }}
+fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
 {control}
 [defaults.preflight.params]
 {expected}
@@ -303,17 +303,46 @@ fence = {{ x_m = [-60, 60], y_m = [-60, 60], up_m = [0, 30] }}
         assert not failed, f"{method}: {failed}; {self.summary()}"
         return outcomes
 
+    @contextmanager
+    def controlled(self, mode: str) -> Iterator[Stream]:
+        """The first vehicle under control, holding its place by a stream of setpoints; off again at the end."""
+        place = [*self.stand(self.one), HEIGHT_M]
+        self.order("control.set", self.one, mode=mode, force=True)
+        try:
+            with Stream(self.daemon.socket, self.one, lambda t: {"pos_enu_m": place}, 20.0) as stream:
+                self.wait(lambda: self.truth(self.one).speed_mps < 0.5, 20, "it stands under control")
+                yield stream
+        finally:
+            self.relay.clear()
+            if self.daemon.process is not None and self.daemon.process.poll() is None:
+                self.daemon.call("control.set", targets=self.one, mode="off")
+
+    def steady(self, name: str, seconds: float = 1.0) -> bool:
+        """Whether it has not moved by more than half a metre for so long, by its own positions."""
+        now = time.monotonic()
+        recent = [p for p in self.truth(name).track[-int(60 * seconds) :] if p[0] > now - seconds]
+        return len(recent) > 1 and all(
+            metres(p[1], p[2], recent[-1][1], recent[-1][2]) < 0.5 and abs(p[3] - recent[-1][3]) < 0.7 for p in recent
+        )
+
     def takeoff(self, targets: str = "all", height_m: float = HEIGHT_M) -> float:
         """Seconds until all of them are up; those that are in the air already are only sent to the height."""
         names = self.names if targets == "all" else [targets]
+        self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in names), 20, "no duplicate is reported")
         for name in names:
             if self.truth(name).armed and self.truth(name).alt_rel_m > 2:
-                self.order("vehicles.hold", name)
+                if not self.px4:
+                    self.order("vehicles.mode", name, mode="GUIDED")
                 self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
             else:
                 self.order("vehicles.takeoff", name, height_m=height_m, wait_s=60)
         return self.wait(
-            lambda: all(abs(self.truth(n).alt_rel_m - height_m) < 1.5 for n in names), 90, f"{names} are up"
+            lambda: all(
+                abs(self.truth(n).alt_rel_m - height_m) < 1.5 and math.dist(self.enu(n)[:2], self.stand(n)) < 3
+                for n in names
+            ),
+            90,
+            f"{names} are up",
         )
 
     def stand(self, name: str) -> tuple[float, float]:
@@ -333,6 +362,7 @@ fence = {{ x_m = [-60, 60], y_m = [-60, 60], up_m = [0, 30] }}
         self.relay.clear()
         if any(self.truth(n).armed for n in self.names):
             self.land()
+        self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in self.names), 20, "no duplicate is reported")
         for name in self.names:
             mode = "AUTO.LOITER" if self.px4 else "GUIDED"
             if self.state(name)["mode"] != mode:

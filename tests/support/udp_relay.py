@@ -21,6 +21,8 @@ from typing import Any
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from support.firmware_air import EmulatedAir
+
 TICK_S = 0.005
 EARTH_M_PER_DEG = 111_319.5
 
@@ -98,6 +100,8 @@ class UdpRelay(threading.Thread):
         self.delay_up_s = 0.0
         self.sent_up: Counter[str] = Counter()
         self.truths: dict[int, Truth] = {}
+        self.air: EmulatedAir | None = None
+        """Radios that everything goes through instead, while it is set."""
         self._backs: dict[tuple[str, int], socket.socket] = {}
         self._sysids: dict[tuple[str, int], int] = {}
         self._readers: dict[Any, Any] = {}
@@ -131,6 +135,7 @@ class UdpRelay(threading.Thread):
                     self._down(data, address)
                 else:
                     self._up(data, key.data)
+            self._over_the_air()
             now = time.monotonic()
             while self._due and self._due[0][0] <= now:
                 _, _, link, data, to = heapq.heappop(self._due)
@@ -151,6 +156,10 @@ class UdpRelay(threading.Thread):
                 sysid = message.get_srcSystem()
                 self._sysids[address] = sysid
                 self.truths.setdefault(sysid, Truth(sysid)).on_message(message, now)
+                if self.air is not None and sysid not in self.cut_down:
+                    self.air.from_vehicle(sysid, bytes(message.get_msgbuf()))
+        if self.air is not None:
+            return
         if self._sysids.get(address) in self.cut_down:
             return
         self._later(self.delay_down_s, back, data, None)
@@ -162,6 +171,14 @@ class UdpRelay(threading.Thread):
         if self._sysids.get(address) in self.cut_up:
             return
         self._later(self.delay_up_s, self._front, data, address)
+
+    def _over_the_air(self) -> None:
+        if self.air is None:
+            return
+        addresses = {sysid: address for address, sysid in self._sysids.items()}
+        for sysid, raw in self.air.step():
+            if sysid in addresses and sysid not in self.cut_up:
+                self._send(self._front, raw, addresses[sysid])
 
     def _later(self, delay_s: float, link: socket.socket, data: bytes, to: tuple[str, int] | None) -> None:
         if delay_s <= 0:

@@ -1,0 +1,254 @@
+"""Each fault that the guard knows, on a real autopilot under control: what skygcs says, and what the vehicle does."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from support.firmware_field import HEIGHT_M, Field, Stream
+
+SAFE_M = 3.0
+"""A vehicle that held its place may be this far from it when the fault is over."""
+
+
+def first_report(field: Field, since: float, *kinds: str) -> dict[str, Any]:
+    """When the first event of these kinds came, and what it said."""
+    wanted = kinds or ("control", "warning", "link_degraded", "vehicle_lost")
+    for when, event in list(field.watcher.events):
+        if when > since and event["kind"] in wanted and event["vehicle"] in (field.one, None):
+            return {"after s": round(when - since, 2), "text": event["text"][:90]}
+    return {}
+
+
+def stays_up(field: Field, seconds: float) -> tuple[float, float]:
+    """Watch it for so long: the largest distance from its place, and the least height."""
+    place = field.stand(field.one)
+    far, low = 0.0, math.inf
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        x, y, up = field.enu(field.one)
+        far, low = max(far, math.dist((x, y), place)), min(low, up)
+        time.sleep(0.05)
+    return far, low
+
+
+@pytest.mark.parametrize("mode", ["velocity", "attitude"])
+def test_telemetry_is_cut(air: Field, figures: dict[str, Any], mode: str) -> None:
+    with air.controlled(mode):
+        began = time.monotonic()
+        air.relay.cut_down = set(air.sysids)
+        figures["farthest m"], figures["lowest m"] = stays_up(air, 6)
+        figures["report"] = first_report(air, began)
+        figures["mode then"] = air.truth(air.one).mode
+        air.relay.clear()
+        figures["events"] = [e["text"][:80] for e in air.watcher.events_since(began, "control", vehicle=air.one)]
+        assert figures["farthest m"] < SAFE_M
+        assert figures["lowest m"] > HEIGHT_M - 3
+        assert figures["report"]
+    air.wait(air.connected, 20, "both are heard again")
+
+
+@pytest.mark.parametrize("mode", ["velocity", "attitude"])
+def test_the_uplink_is_cut(air: Field, figures: dict[str, Any], mode: str) -> None:
+    with air.controlled(mode):
+        began = time.monotonic()
+        air.relay.cut_up = {air.sysids[0]}
+        figures["farthest m"], figures["lowest m"] = stays_up(air, 8)
+        figures["report"] = first_report(air, began)
+        figures["mode then"] = air.truth(air.one).mode
+        figures["texts"] = air.truth(air.one).texts_since(began)[:3]
+        assert figures["farthest m"] < SAFE_M
+        assert figures["lowest m"] > HEIGHT_M - 3
+        assert figures["report"], "nobody was told"
+    air.wait(air.connected, 20, "both are heard again")
+
+
+def test_a_delay_brings_attitude_down_to_velocity_and_position(air: Field, figures: dict[str, Any]) -> None:
+    with air.controlled("attitude"):
+        began = time.monotonic()
+        air.relay.delay_down_s = air.relay.delay_up_s = 0.12
+        figures["velocity after s"] = air.wait(
+            lambda: air.control(air.one)["way"] == "velocity", 30, "velocity instead of attitude"
+        )
+        air.relay.delay_down_s = air.relay.delay_up_s = 0.45
+        figures["position after s"] = air.wait(
+            lambda: air.control(air.one)["way"] == "position", 30, "position instead of velocity"
+        )
+        figures["farthest m"], figures["lowest m"] = stays_up(air, 4)
+        figures["events"] = [e["text"][:80] for e in air.watcher.events_since(began, "control", vehicle=air.one)]
+        assert figures["farthest m"] < SAFE_M
+
+
+def battery(field: Field, low: bool) -> None:
+    if field.px4:
+        field.order("params.set", field.one, params={"SIM_BAT_DRAIN": 1 if low else 60}, settle=False)
+        field.order("params.set", field.one, params={"SIM_BAT_MIN_PCT": 17 if low else 100}, settle=False)
+    else:
+        field.order("params.set", field.one, params={"BATT_CAPACITY": 10 if low else 30000}, settle=False)
+
+
+def test_the_battery_is_low(air: Field, figures: dict[str, Any]) -> None:
+    with air.controlled("velocity"):
+        began = time.monotonic()
+        battery(air, low=True)
+        try:
+            figures["hold after s"] = air.wait(lambda: air.control(air.one)["state"] == "off", 30, "control ends")
+            figures["report"] = first_report(air, began, "control")
+            figures["percent"] = air.state(air.one)["battery"]["percent"]
+            figures["farthest m"], figures["lowest m"] = stays_up(air, 3)
+            assert "battery" in json.dumps(air.watcher.events_since(began, "control"))
+        finally:
+            battery(air, low=False)
+        assert figures["farthest m"] < SAFE_M
+    air.wait(lambda: air.state(air.one)["battery"]["percent"] > 50, 20, "the battery is full again")
+
+
+def test_setpoints_beyond_the_fence(air: Field, figures: dict[str, Any]) -> None:
+    with air.controlled("velocity"):
+        began = time.monotonic()
+        with Stream(air.daemon.socket, air.one, lambda t: {"vel_enu_mps": [0, 4, 0]}, 20.0) as stream:
+            far = 0.0
+            while time.monotonic() - began < 18:
+                far = max(far, air.enu(air.one)[1])
+                time.sleep(0.05)
+        figures["farthest north m"] = far
+        figures["refused setpoints"] = len(stream.refused)
+        figures["events"] = [e["text"][:80] for e in air.watcher.events_since(began, "control", vehicle=air.one)]
+        assert 15 < far < 32  # the fence is at 30
+    air.order("vehicles.goto", air.one, enu_m=[0, 0, HEIGHT_M])
+
+
+def test_another_ground_station_takes_over(air: Field, figures: dict[str, Any]) -> None:
+    with air.controlled("velocity"), air.ground_station() as program:
+        time.sleep(1)
+        params = (1, 4, 3) if air.px4 else (1, 17, 0)  # AUTO.LOITER, BRAKE
+        program.mav.command_long_send(air.sysids[0], 1, 176, 0, *params, 0, 0, 0, 0)
+        figures["control ends after s"] = air.wait(
+            lambda: air.control(air.one)["state"] == "off", 10, "control ends when another changes the mode"
+        )
+        time.sleep(0.5)
+        names = ("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_GLOBAL_INT")
+        before = sum(air.relay.sent_up[n] for n in names)
+        time.sleep(3)
+        figures["setpoints after it"] = sum(air.relay.sent_up[n] for n in names) - before
+        assert figures["setpoints after it"] == 0
+        assert air.truth(air.one).mode == ("LOITER" if air.px4 else "BRAKE")
+
+
+def after_the_end(field: Field, figures: dict[str, Any], seconds: float) -> None:
+    """What the first vehicle does while no daemon is there."""
+    began = time.monotonic()
+    figures["farthest m"], figures["lowest m"] = stays_up(field, 4)
+    time.sleep(max(0.0, seconds - 4))
+    figures["modes"] = field.truth(field.one).modes_since(began - 2)
+    figures["texts"] = field.truth(field.one).texts_since(began - 2)[:4]
+
+
+@pytest.mark.parametrize("mode", ["velocity", "attitude"])
+@pytest.mark.parametrize("end", ["SIGTERM", "SIGKILL"])
+def test_the_daemon_ends_in_flight(air: Field, figures: dict[str, Any], end: str, mode: str) -> None:
+    with air.controlled(mode):
+        process = air.daemon.process
+        assert process is not None
+        began = time.monotonic()
+        os.kill(process.pid, getattr(signal, end))
+        process.wait(30)
+        figures["exit s"] = time.monotonic() - began
+    after_the_end(air, figures, 12)
+    air.daemon.start()
+    air.wait(lambda: air.daemon.known() == 2 and air.connected(), 30, "the new daemon knows both")
+    assert air.truth(air.one).armed
+    assert figures["lowest m"] > HEIGHT_M - 3
+    assert figures["farthest m"] < SAFE_M
+    if not air.px4:  # FS_GCS_ENABLE is 1: without a ground station it returns after FS_GCS_TIMEOUT (5 s)
+        assert "RTL" in figures["modes"], figures["modes"]
+
+
+@pytest.mark.only("ardupilot")
+@pytest.mark.parametrize("order", ["hold", "stop"])
+def test_the_gcs_failsafe_after_our_hold_and_stop(air: Field, figures: dict[str, Any], order: str) -> None:
+    air.order(f"vehicles.{order}", air.one)
+    air.wait(lambda: air.steady(air.one), 20, "it stands")
+    figures["mode"] = air.truth(air.one).mode
+    air.daemon.kill()
+    began = time.monotonic()
+    time.sleep(10)
+    truth = air.truth(air.one)
+    figures["modes"], figures["texts"] = truth.modes_since(began), truth.texts_since(began)[:3]
+    air.daemon.start()
+    air.wait(lambda: air.daemon.known() == 2 and air.connected(), 30, "the new daemon knows both")
+    if order == "hold":
+        assert figures["mode"] == "GUIDED"
+        assert "RTL" in figures["modes"], figures
+    else:  # BRAKE ignores setpoints; with FS_OPTIONS 16 the failsafe leaves it alone, as preflight says
+        assert figures["mode"] == "BRAKE"
+
+
+def test_sigterm_in_a_fence_test_leaves_no_fence(ground: Field, figures: dict[str, Any]) -> None:
+    names = (
+        ["GF_MAX_HOR_DIST", "GF_ACTION"]
+        if ground.px4
+        else ["FENCE_ENABLE", "FENCE_RADIUS", "FENCE_TYPE", "FENCE_ACTION"]
+    )
+
+    def fence() -> dict[str, Any]:
+        answer = ground.daemon.call("params.get", targets=ground.one, names=names)["outcomes"][ground.one]
+        return {name: answer[name]["value"] for name in names}
+
+    before = fence()
+    cli = Path(sys.executable).with_name("skygcs-cli")
+    command = [str(cli), "--socket", str(ground.daemon.socket), "fence", "test", ground.one]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as test:
+        ground.wait(lambda: fence() != before, 20, "the test's fence is there")
+        process = ground.daemon.process
+        assert process is not None
+        began = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        process.wait(60)
+        figures["exit s"] = time.monotonic() - began
+        test.wait(30)
+    ground.daemon.start()
+    ground.wait(lambda: ground.daemon.known() == 2 and ground.connected(), 30, "the new daemon knows both")
+    after = fence()
+    figures["fence"] = after
+    assert after == before
+    assert figures["exit s"] < 8
+
+
+def gps(field: Field, on: bool) -> None:
+    if field.px4:
+        # MAV_CMD_INJECT_FAILURE: FAILURE_UNIT_SENSOR_GPS, FAILURE_TYPE_OFF or _OK
+        field.order("vehicles.command", field.one, command=420, params=[4, 0 if on else 1, 0])
+    else:
+        field.order("params.set", field.one, params={"SIM_GPS1_ENABLE": 1 if on else 0}, settle=False)
+
+
+def test_gps_is_lost(air: Field, figures: dict[str, Any]) -> None:
+    with air.controlled("velocity"):
+        began = time.monotonic()
+        gps(air, on=False)
+        try:
+            figures["control ends after s"] = air.wait(
+                lambda: air.control(air.one)["state"] != "following" and first_report(air, began, "control"),
+                40,
+                "the guard acts",
+            )
+            figures["report"] = first_report(air, began, "control")
+            time.sleep(5)
+            figures["mode"] = air.truth(air.one).mode
+            figures["texts"] = air.truth(air.one).texts_since(began)[:4]
+        finally:
+            gps(air, on=True)
+    time.sleep(10)
+    field = air
+    field.land()
+    field.wait(lambda: field.state(field.one)["position"]["age_s"] < 2, 60, "it has a position again")
