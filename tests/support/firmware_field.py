@@ -31,9 +31,10 @@ TELEMETRY_HZ = 10
 HEIGHT_M = 10.0
 
 PARAMS = {
-    "px4": ("MIS_TKO_LAND_REQ=0",),
+    # Without a transmitter PX4 goes to Position mode when setpoints cease, and sinks: hold instead.
+    "px4": ("MIS_TKO_LAND_REQ=0", "COM_OBL_RC_ACT=5"),
     # Failsafes that a user with a ground station has switched on; and no drift of the simulated battery meanwhile.
-    "ardupilot": ("FS_GCS_ENABLE=1",),
+    "ardupilot": ("FS_GCS_ENABLE=1", "BATT_CAPACITY=30000"),
 }
 FIRST_SYSID = {"px4": 11, "ardupilot": 21}
 
@@ -304,12 +305,13 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         return outcomes
 
     @contextmanager
-    def controlled(self, mode: str) -> Iterator[Stream]:
-        """The first vehicle under control, holding its place by a stream of setpoints; off again at the end."""
-        place = [*self.stand(self.one), HEIGHT_M]
+    def controlled(self, mode: str, reference: Callable[[float], dict[str, Any]] | None = None) -> Iterator[Stream]:
+        """The first vehicle under control by a stream of setpoints, its place unless there is another reference (of
+        the seconds since the start); off again at the end."""
+        place = {"pos_enu_m": [*self.stand(self.one), HEIGHT_M]}
         self.order("control.set", self.one, mode=mode, force=True)
         try:
-            with Stream(self.daemon.socket, self.one, lambda t: {"pos_enu_m": place}, 20.0) as stream:
+            with Stream(self.daemon.socket, self.one, reference or (lambda t: place), 20.0) as stream:
                 self.wait(lambda: self.truth(self.one).speed_mps < 0.5, 20, "it stands under control")
                 yield stream
         finally:
