@@ -24,6 +24,7 @@ from support.flown import FIELD, Flown, flown
 from support.pymav import PymavPeer
 
 COPTER = {"px4": 0, "ardupilot": 1}
+pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, COPTER], ids=["px4", "ardupilot"])
 ARMED, DISARMED = 0x81, 0x51
 
@@ -107,9 +108,11 @@ class Other:
         asyncio.get_running_loop().call_later(self.delay_s, self.peer.send, raw)
 
     def _on_bytes(self, data: bytes) -> None:
-        self.got += [frame.name for frame in self._parser.feed(data) if frame.target()[0] == 1]
-        if self.reaches:
-            self.gcs._to_vehicles(data)
+        for frame in self._parser.feed(data):
+            if frame.target()[0] == 1:
+                self.got.append(frame.name)
+            if self.reaches:
+                self.gcs.to_vehicles(frame)
 
 
 @contextlib.asynccontextmanager

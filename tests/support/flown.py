@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
+from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.sim.conditions import CALM, Conditions
 from skygcs.core.sim.copter_setup import CopterMode
@@ -222,6 +223,10 @@ class Flown:
 
     def other_sets_mode(self, main: int, sub: int = 0, sysid: int = 1) -> None:
         self.by_other_station(mav.MAVLink_command_long_message(sysid, 1, 176, 0, 1, main, sub, 0, 0, 0, 0))
+
+    def to_vehicles(self, frame: Frame) -> None:
+        """A frame reaches the vehicles, over whatever radio."""
+        self._fleet.on_frame(frame, self.now)
 
     async def live(self) -> None:
         """The vehicles' own clock; to be run as a task."""

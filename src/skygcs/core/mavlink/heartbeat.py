@@ -9,7 +9,7 @@
     known ids, same autopilot and type                       the vehicle's own
     known ids, another autopilot or type                     of another vehicle ("contradicts"), until the known one has
                                                              been silent for so long that it counts as lost
-    known ids, mode or arming state that alternates          two senders: the state before the alternation stays, the
+    known ids, mode or arming state that alternates          two senders: the one that was there before stays, the
                                                              other one contradicts
 
 Seen in the wild: 2/2 flooding heartbeats with autopilot INVALID, 1/0 as ADS-B and as a second quadrotor with autopilot
@@ -66,6 +66,10 @@ MAV_RESULT_ACCEPTED = 0
 
 ALTERNATION_OVER_S = 4.0
 """Two senders are one again when only one of the states was shown for so long: four heartbeats."""
+
+SETTLED_S = 2.5
+"""A state that was shown for so long without a break was the vehicle's: of two that alternate, the one with the same
+arming state is believed."""
 
 CHANGED_S = 1.5
 """While two senders alternate, the kept one has changed its state if it was not shown for so long (one heartbeat may be
@@ -124,6 +128,8 @@ class HeartbeatCheck:
         "_left",
         "_lost_s",
         "_own_at",
+        "_settled_armed",
+        "_since",
         "contradicted_at",
         "identity",
         "other_at",
@@ -137,6 +143,10 @@ class HeartbeatCheck:
         self._lost_s = lost_s
         self._own_at = float("-inf")
         self._kept = (False, 0)
+        self._since = float("-inf")
+        """When the kept state came."""
+        self._settled_armed = False
+        """Whether it was armed while it showed one state for SETTLED_S."""
         self._kept_at = float("-inf")
         self._left: dict[tuple[bool, int], tuple[float, list[float]]] = {}
         """By state: when it was left, and when it came back."""
@@ -176,7 +186,8 @@ class HeartbeatCheck:
         if self.identity is None or now - self._own_at > self._lost_s:
             self.forget()
             self.identity, self._own_at = (vehicle_type, autopilot), now
-            self._kept, self._kept_at = state, now
+            self._kept, self._kept_at, self._since = state, now, now
+            self._settled_armed = state[0]
             return "own"
         if self.identity != (vehicle_type, autopilot) and not self._becomes(vehicle_type, autopilot, now):
             self.contradicted_at = now
@@ -213,14 +224,19 @@ class HeartbeatCheck:
             returns.append(now)
         self._left[self._kept] = now, self._left.get(self._kept, (now, []))[1]
         self._left[state] = left_at, returns
-        self._kept, self._kept_at = state, now
-        if (
-            len(returns) >= RETURNS and returns[-1] - returns[0] >= RETURNS_SPREAD_S
-        ):  # of two that alternate the first one is the first to have come back so often
-            self._alternating = True
-            self.contradicted_at = now
-            del self._left[state]
-        return True
+        if now - self._since >= SETTLED_S:
+            self._settled_armed = self._kept[0]
+        before = self._kept
+        self._kept, self._kept_at, self._since = state, now, now
+        if len(returns) < RETURNS or returns[-1] - returns[0] < RETURNS_SPREAD_S:
+            return True
+        self._alternating = True
+        self.contradicted_at = now
+        # The first one is the first to have come back so often; but its mode may have changed meanwhile.
+        if state[0] != self._settled_armed == before[0]:
+            self._kept = before
+        del self._left[self._kept]
+        return self._kept == state
 
     def _alternates(self, state: tuple[bool, int], now: float) -> bool:
         """As `_shows`, while two senders are there."""
