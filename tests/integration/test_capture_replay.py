@@ -111,3 +111,26 @@ def _modes(states: list[dict[str, Any]], name: str) -> list[str]:
         if name in state and (not seen or seen[-1] != state[name]["mode"]):
             seen.append(state[name]["mode"])
     return seen
+
+
+@pytest.mark.parametrize("name", ["px4-late-frames", "second-heartbeat-1hz"])
+async def test_a_flight_that_lost_nothing_shows_no_loss(name: str, tmp_path: Path) -> None:
+    """PX4 sent frames up to 12 places late, and another program a vehicle's heartbeat: 276 and 5,610 were counted."""
+    config = FleetConfig(
+        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
+        links={"capture": ReplayLink(name="capture", file=CAPTURE.with_name(f"{name}.tlog"), speed=1.0)},
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    quality: dict[str, dict[str, Any]] = {}
+    for _ in range(45):
+        await asyncio.sleep(1.0)
+        now = {actor.name: daemon.link_quality(key).get("capture") for key, actor in daemon.fleet.vehicles.items()}
+        quality |= {vehicle: of for vehicle, of in now.items() if of is not None}
+    daemon.stop()
+    await running
+    assert sorted(quality) == ["v1", "v11", "v12", "v2", "v3"]
+    assert {vehicle: (of["lost"], of["loss_ratio"]) for vehicle, of in quality.items()} == dict.fromkeys(
+        quality, (0, 0.0)
+    )

@@ -70,11 +70,13 @@ class StreamRequests:
         self.not_noted = 0
         """Requests beyond MOST_ITEMS and MOST_PROGRAMS."""
 
-    def on_request(self, vehicle: int, program: Program, stream: Stream, rates_hz: Mapping[str, float]) -> None:
-        """``rates_hz``: what the vehicle sends now; kept if nobody else has asked for anything yet."""
+    def on_request(
+        self, vehicle: int, program: Program, stream: Stream, rates_hz: Callable[[], Mapping[str, float]]
+    ) -> None:
+        """``rates_hz()``: what the vehicle sends now; asked for if nobody else has requested anything yet."""
         requests = self._vehicles.get(vehicle)
         if requests is None:
-            requests = self._vehicles[vehicle] = _Requests({n: hz for n, hz in rates_hz.items() if hz > 0})
+            requests = self._vehicles[vehicle] = _Requests({n: hz for n, hz in rates_hz().items() if hz > 0})
         for one in _groups(stream):
             programs = requests.programs.get(one)
             if programs is None and len(requests.programs) < MOST_ITEMS:

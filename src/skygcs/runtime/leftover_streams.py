@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from skygcs.core.airtime import Priority
 from skygcs.core.foreign_frames import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL
@@ -25,6 +26,10 @@ SETTLE_S = 8.0
 
 ATTEMPTS = 3
 """Then it is left as it is, and reported: the vehicle may not obey, or another program's request did not pass here."""
+
+NOTED_PER_S = 1000
+"""Requests, one for each vehicle that they are addressed to: ten for each of a hundred vehicles. More are a flood; what
+a program asks for again later is noted then."""
 
 _COMMAND = struct.Struct("<2f20xH")
 """param1, param2 and command of COMMAND_LONG and COMMAND_INT."""
@@ -59,6 +64,7 @@ class LeftoverStreams:
         self._requests = StreamRequests()
         self._tasks: dict[int, dict[Stream, _Task]] = {}
         self._now = 0.0
+        self._room = NOTED_PER_S
 
     def on_frame(self, frame: Frame, channel: Channel, now: float) -> None:
         """A message of another program that may ask for streams."""
@@ -67,13 +73,27 @@ class LeftoverStreams:
             return
         program = channel.id, frame.sysid << 8 | frame.compid
         system, component = frame.target()
-        for key, actor in self._fleet.vehicles.items():
-            if system not in (0, actor.sysid) or component not in (0, actor.compid) or not self._is_kept(actor):
-                continue
-            if stream.group is not None and actor.vehicle.family != "ardupilot":
-                continue  # PX4 does nothing with such a request
-            self._requests.on_request(key, program, stream, _rates(actor))
+        for key, actor in self._addressed(system, component):
+            if self._room <= 0:
+                self._requests.not_noted += 1
+                return
+            self._room -= 1
+            if not self._is_kept(actor) or (stream.group is not None and actor.vehicle.family != "ardupilot"):
+                continue  # PX4 does nothing with a request for a group
+            self._requests.on_request(key, program, stream, partial(_rates, actor))
             self._tasks.get(key, {}).pop(stream, None)
+
+    def _addressed(self, system: int, component: int) -> list[tuple[int, VehicleActor]]:
+        """The vehicles of these ids, of which 0 is any."""
+        vehicles = self._fleet.vehicles
+        if system and component:
+            actor = vehicles.get(system << 8 | component)
+            return [] if actor is None else [(system << 8 | component, actor)]
+        return [
+            (key, actor)
+            for key, actor in vehicles.items()
+            if system in (0, actor.sysid) and component in (0, actor.compid)
+        ]
 
     def forget(self, key: int) -> None:
         """The vehicle rebooted: it streams as its parameters say."""
@@ -83,6 +103,7 @@ class LeftoverStreams:
     def tick(self, now: float) -> None:
         """See who is gone, and ask for what is to be put back."""
         self._now = now
+        self._room = NOTED_PER_S
         for key, leftovers in self._requests.left_behind(self._is_connected).items():
             tasks = self._tasks.setdefault(key, {})
             for leftover in leftovers:

@@ -248,3 +248,20 @@ def test_a_lossless_public_capture_shows_almost_no_loss_per_source() -> None:
     assert expected["seq_lost"]["1/1"] == 0
     assert stats[1, 1].lost == 0 and stats[255, 230].lost == 0
     assert stats[1, 190].lost == 0
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 255), st.sampled_from([0.0, 0.01, 0.7, 2.5])), max_size=300), st.integers(0, 9)
+)
+def test_whatever_comes_the_loss_is_none_or_some_and_no_more_than_the_numbers_allow(
+    frames: list[tuple[int, float]], restart_every: int
+) -> None:
+    stats, now = SourceStats(1, 1), 0.0
+    for n, (seq, pause_s) in enumerate(frames, 1):
+        now += pause_s
+        stats.on_frame(seq, 20, now)
+        if restart_every and n % (10 * restart_every) == 0:
+            stats.restart()
+        assert 0 <= stats.lost <= 256 * n
+        assert 0.0 <= stats.loss_ratio < 1.0
+    assert stats.frames == len(frames)

@@ -30,10 +30,10 @@ def left(requests: StreamRequests, *connected: tuple[int, int]) -> dict[int, set
 
 def test_a_stream_is_left_behind_when_the_last_that_asked_is_gone() -> None:
     requests = StreamRequests()
-    requests.on_request(1, MAVPROXY, POSITION, {"ATTITUDE": 1.0})
-    requests.on_request(1, QGC, POSITION, {"ATTITUDE": 4.0})
-    requests.on_request(1, MAVPROXY, RAW, {"ATTITUDE": 4.0})
-    requests.on_request(2, QGC, ATTITUDE, {})
+    requests.on_request(1, MAVPROXY, POSITION, lambda: {"ATTITUDE": 1.0})
+    requests.on_request(1, QGC, POSITION, lambda: {"ATTITUDE": 4.0})
+    requests.on_request(1, MAVPROXY, RAW, lambda: {"ATTITUDE": 4.0})
+    requests.on_request(2, QGC, ATTITUDE, lambda: {})
     assert left(requests, MAVPROXY, QGC) == {}
     assert left(requests, QGC) == {1: {RAW}}
     (leftover,) = requests.left_behind(lambda program: False)[1]
@@ -43,14 +43,14 @@ def test_a_stream_is_left_behind_when_the_last_that_asked_is_gone() -> None:
 
 def test_all_streams_are_each_of_the_groups() -> None:
     requests = StreamRequests()
-    requests.on_request(1, MAVPROXY, Stream(ALL_GROUPS, None), {})
-    requests.on_request(1, QGC, POSITION, {})
+    requests.on_request(1, MAVPROXY, Stream(ALL_GROUPS, None), lambda: {})
+    requests.on_request(1, QGC, POSITION, lambda: {})
     assert left(requests, QGC) == {1: {Stream(group, None) for group in GROUPS} - {POSITION}}
 
 
 def test_a_rebooted_vehicle_knows_of_no_request() -> None:
     requests = StreamRequests()
-    requests.on_request(1, MAVPROXY, POSITION, {})
+    requests.on_request(1, MAVPROXY, POSITION, lambda: {})
     requests.forget(1)
     assert left(requests) == {}
 
@@ -58,8 +58,8 @@ def test_a_rebooted_vehicle_knows_of_no_request() -> None:
 def test_a_flood_of_requests_is_bounded_and_counted() -> None:
     requests = StreamRequests()
     for n in range(100):
-        requests.on_request(1, MAVPROXY, Stream(None, f"M{n}"), {})
-        requests.on_request(2, (n, n), POSITION, {})
+        requests.on_request(1, MAVPROXY, Stream(None, f"M{n}"), lambda: {})
+        requests.on_request(2, (n, n), POSITION, lambda: {})
     found = left(requests)
     assert len(found[1]) == MOST_ITEMS and found[2] == {POSITION}
     assert requests.not_noted == 100 - MOST_ITEMS + 100 - MOST_PROGRAMS
