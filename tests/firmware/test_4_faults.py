@@ -209,8 +209,9 @@ def test_sigterm_in_a_fence_test_leaves_no_fence(ground: Field, figures: dict[st
 
     before = fence()
     cli = Path(sys.executable).with_name("skygcs-cli")
-    command = [str(cli), "--socket", str(ground.daemon.socket), "fence", "test", ground.one]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as test:
+    command = [str(cli), "--socket", str(ground.daemon.socket), "fence", "test", ground.one, "--yes"]
+    output = (ground.folder / "fence-test.txt").open("wb")
+    with output, subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output) as test:
         ground.wait(lambda: fence() != before, 20, "the test's fence is there")
         process = ground.daemon.process
         assert process is not None
@@ -228,11 +229,9 @@ def test_sigterm_in_a_fence_test_leaves_no_fence(ground: Field, figures: dict[st
 
 
 def gps(field: Field, on: bool) -> None:
-    if field.px4:
-        # MAV_CMD_INJECT_FAILURE: FAILURE_UNIT_SENSOR_GPS, FAILURE_TYPE_OFF or _OK
-        field.order("vehicles.command", field.one, command=420, params=[4, 0 if on else 1, 0])
-    else:
-        field.order("params.set", field.one, params={"SIM_GPS1_ENABLE": 1 if on else 0}, settle=False)
+    # By the simulators' own parameters: satellites in use, and (4.6) a receiver that says nothing.
+    params = {"SIM_GPS_USED": 10 if on else 0} if field.px4 else {"SIM_GPS_DISABLE": 0 if on else 1}
+    field.order("params.set", field.one, params=params, settle=False)
 
 
 def test_gps_is_lost(air: Field, figures: dict[str, Any]) -> None:

@@ -33,8 +33,8 @@ HEIGHT_M = 10.0
 PARAMS = {
     # Without a transmitter PX4 goes to Position mode when setpoints cease, and sinks: hold instead.
     "px4": ("MIS_TKO_LAND_REQ=0", "COM_OBL_RC_ACT=5"),
-    # Failsafes that a user with a ground station has switched on; and no drift of the simulated battery meanwhile.
-    "ardupilot": ("FS_GCS_ENABLE=1", "BATT_CAPACITY=30000"),
+    # The failsafe that a user with a ground station has switched on, a battery that lasts, thrust by setpoints.
+    "ardupilot": ("FS_GCS_ENABLE=1", "BATT_CAPACITY=30000", "GUID_OPTIONS=8"),
 }
 FIRST_SYSID = {"px4": 11, "ardupilot": 21}
 
@@ -340,7 +340,9 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
                 self.order("vehicles.takeoff", name, height_m=height_m, wait_s=60)
         return self.wait(
             lambda: all(
-                abs(self.truth(n).alt_rel_m - height_m) < 1.5 and math.dist(self.enu(n)[:2], self.stand(n)) < 3
+                abs(self.truth(n).alt_rel_m - height_m) < 1.5
+                and math.dist(self.enu(n)[:2], self.stand(n)) < 3
+                and self.truth(n).mode != "TAKEOFF"  # a PX4 goes from it to LOITER by itself
                 for n in names
             ),
             90,
