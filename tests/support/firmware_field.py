@@ -367,6 +367,9 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         if any(self.truth(n).armed for n in self.names):
             self.land()
         self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in self.names), 20, "no duplicate is reported")
+        self.wait(
+            lambda: all(self.state(n)["landed"] in ("on_ground", None) for n in self.names), 20, "all are seen landed"
+        )
         for name in self.names:
             mode = "AUTO.LOITER" if self.px4 else "GUIDED"
             if self.state(name)["mode"] != mode:
