@@ -33,7 +33,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench.soak_traffic import OWN, HostilePeer, World, kernel_drops, wait_until
+from bench.soak_traffic import OWN, HostilePeer, UdpSocket, World, udp_sockets, wait_until
 from support import router_bench as bench
 
 OUT = bench.ROOT / "build" / "bench"
@@ -48,7 +48,7 @@ STEP_S = 0.01
 
 LEG_S = 10.0
 QUIET_S = 2.0
-"""What has not come after so long without anything coming is lost."""
+"""What has not come after so long without anything coming, with every socket's queue empty, is lost."""
 
 SAMPLE_S = 5.0
 HANG_S = 60.0
@@ -61,13 +61,14 @@ END_S = 60.0
 KEPT_LOGS = 2
 LOG_MB = 50
 
-WARM_UP_S = 600.0
-"""At most, and a quarter of short soaks: rings and queues fill, tables of sources get full of the hostile peer's, the
-allocator finds its level."""
+WARM_UP_S = 900.0
+"""At most, and a quarter of short soaks: rings and queues fill, the fleet gets full of the hostile peer's vehicles
+(20 MB), the allocator finds its level."""
 
 LIMIT_MB = 110.0
-GROWTH_MB = 1.0
-"""What a line through the samples may rise by in an hour; one small object a second and vehicle is 4 MB."""
+GROWTH_MB = 2.0
+"""What a line through the samples may rise by: vehicles that replace each other twice a second scatter over the
+allocator's arenas. One small object kept of each frame would be 500 MB an hour, 10 kB of each forged vehicle 70."""
 
 JUDGED_S = 600.0
 """Less than this after the warm-up shows no slope: memory rises in steps when a buffer is as full as never before."""
@@ -293,15 +294,19 @@ class Soak:
 
     def _legs(self, process: subprocess.Popen[bytes], sampler: Sampler, rpc: Rpc, until: float) -> None:
         began = time.monotonic()
-        self._inodes = _udp_inodes(process.pid)
+        self._inodes = _socket_inodes(process.pid)
+        self._own = {os.fstat(r.sock.fileno()).st_ino: r.name for r in self.world.receivers}
         self._tx_dropped = 0
         self._dropped()  # what was dropped before counts for no leg
         self._tx_lost(rpc)
         while time.monotonic() < until and process.poll() is None and not sampler.hung.is_set():
             self._leg(min(LEG_S, until - time.monotonic()))
-            self._settle(sampler)
-            if not sampler.hung.is_set():
-                self._account(rpc, time.monotonic() - began)
+            try:
+                self._settle(sampler, rpc)
+                if not sampler.hung.is_set():
+                    self._account(rpc, time.monotonic() - began)
+            except TimeoutError:  # the sampler may have asked later
+                sampler.hung.set()
             if len(self.legs) % 6 == 0:
                 self._show(sampler.samples, time.monotonic() - began)
         if process.poll() is not None:
@@ -324,16 +329,20 @@ class Soak:
             world.receive(0)
             time.sleep(max(0.0, began + elapsed + STEP_S - time.monotonic()))
 
-    def _settle(self, sampler: Sampler) -> None:
-        """Until all has come, or nothing has for a while; the daemon's own messages do not count."""
+    def _settle(self, sampler: Sampler, rpc: Rpc) -> None:
+        """Until all has come, or nothing has for a while although nothing waits anywhere: a busy machine may keep the
+        daemon waiting for seconds. Its own messages do not count."""
         totals = self.world.book.totals
         heard_at, delivered = time.monotonic(), totals["frames delivered"]
         while self.world.book.missing() and not sampler.hung.is_set():
             self.world.receive(0.05)
-            if totals["frames delivered"] != delivered:
+            if totals["frames delivered"] != delivered or any(row.waiting for row in self._sockets().values()):
                 heard_at, delivered = time.monotonic(), totals["frames delivered"]
             elif time.monotonic() - heard_at > QUIET_S:
-                return
+                rpc.call("daemon.info")  # what it had taken from a socket it has sent when it answers
+                self.world.receive(0.2)
+                if totals["frames delivered"] == delivered:
+                    return
 
     def _account(self, rpc: Rpc, at_s: float) -> None:
         """What was lost in this leg, and why."""
@@ -359,14 +368,16 @@ class Soak:
 
     def _dropped(self) -> dict[str, int]:
         """Datagrams that the kernel dropped since the last call, for want of room in a socket, by whose it was."""
-        own = {os.fstat(r.sock.fileno()).st_ino: r.name for r in self.world.receivers}
-        now = kernel_drops(set(own) | self._inodes)
-        fresh = {inode: count - self.drops[inode] for inode, count in now.items() if count > self.drops[inode]}
-        self.drops.update(fresh)
         named: Counter[str] = Counter()
-        for inode, count in fresh.items():
-            named[own.get(inode, "daemon")] += count
+        for inode, row in self._sockets().items():
+            if row.drops > self.drops[inode]:
+                named[self._own.get(inode, "daemon")] += row.drops - self.drops[inode]
+                self.drops[inode] = row.drops
         return dict(named)
+
+    def _sockets(self) -> dict[int, UdpSocket]:
+        """Every UDP socket of the daemon's and of the load's, by inode."""
+        return udp_sockets(set(self._own) | self._inodes)
 
     def _tx_lost(self, rpc: Rpc) -> int:
         """Frames that a socket did not take from the daemon since the last call."""
@@ -465,7 +476,7 @@ class Soak:
 WRONG = ("unknown or damaged", "misdelivered", "doubled", "not a frame", "the daemon's, misdelivered")
 
 
-def _udp_inodes(pid: int) -> set[int]:
+def _socket_inodes(pid: int) -> set[int]:
     """The sockets of a process."""
     found = set()
     for fd in Path(f"/proc/{pid}/fd").iterdir():

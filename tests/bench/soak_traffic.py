@@ -16,6 +16,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -112,7 +113,10 @@ class Book:
             known.may |= must | may
 
     def received(self, raw: bytes, receiver: int, name: str) -> None:
-        entry = self.entries.get(raw) or self.before.get(raw)
+        entry = self.entries.get(raw)
+        late = self.before.get(raw)
+        if late is not None and (entry is None or late.got.get(receiver, 0) < late.sent):
+            entry = late  # of two equal heartbeats the one of the leg before came late
         if entry is None:
             self.wrong("unknown or damaged", raw, name)
             return
@@ -543,15 +547,22 @@ class HostilePeer:
             sock.close()
 
 
-def kernel_drops(inodes: set[int]) -> dict[int, int]:
-    """Datagrams for which these UDP sockets had no room, by inode (/proc/net/udp)."""
-    drops = {}
+class UdpSocket(NamedTuple):
+    """What the kernel says of one: bytes that wait to be received, and datagrams for which there was no room."""
+
+    waiting: int
+    drops: int
+
+
+def udp_sockets(inodes: set[int]) -> dict[int, UdpSocket]:
+    """Those of these inodes that are UDP sockets (/proc/net/udp)."""
+    found = {}
     with open("/proc/net/udp") as table:
         for line in table.readlines()[1:]:
             words = line.split()
             if int(words[9]) in inodes:
-                drops[int(words[9])] = int(words[12])
-    return drops
+                found[int(words[9])] = UdpSocket(int(words[4].partition(":")[2], 16), int(words[12]))
+    return found
 
 
 def wait_until(condition: Callable[[], bool], world: World, limit_s: float) -> bool:

@@ -86,6 +86,20 @@ def test_what_comes_after_its_leg_is_not_misdelivered() -> None:
     assert not book.strange
 
 
+def test_a_heartbeat_of_the_leg_before_may_come_after_an_equal_one_was_sent() -> None:
+    book = Book()
+    raw = Source(1, AUTOPILOT).heartbeat(2, 12)
+    book.sent(raw, TO_A, 0)
+    book.next_leg()
+    book.sent(raw, TO_A, 0)
+    book.received(raw, A, "a")
+    book.received(raw, A, "a")
+    assert not book.strange
+    assert not book.missing()
+    book.received(raw, A, "a")
+    assert book.totals["doubled"] == 1
+
+
 def test_junk_holds_no_frame_and_all_else_does() -> None:
     world = World({"field": (1, 2), "air": (2, 3), "near": (3, 1)}, seed=7)
     try:

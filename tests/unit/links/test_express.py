@@ -116,6 +116,24 @@ def test_a_fault_behind_one_datagram_does_not_drop_the_rest_of_the_burst(
     assert bench.received() == [attitude(1), attitude(2)]
 
 
+def test_a_fault_behind_the_newest_frames_does_not_drop_the_datagram_after_them(bench: Bench) -> None:
+    bench.learn()
+
+    calls: list[float] = []
+
+    def fail(now: float) -> None:
+        calls.append(now)
+        if len(calls) == 1:
+            raise ValueError("behind a heartbeat")
+
+    bench.open_flow(again=fail)
+    bench.send(attitude(1), b"?", attitude(2))
+    with pytest.raises(ValueError, match="behind a heartbeat"):
+        bench.lane.ready()
+    assert bench.left == [b"?"]
+    assert bench.received() == [attitude(1), attitude(2)]
+
+
 @pytest.mark.parametrize("error", [OSError(5, "disk"), BlockingIOError(11, "later"), KeyboardInterrupt()])
 def test_an_error_of_python_code_is_not_taken_for_the_sockets(bench: Bench, error: BaseException) -> None:
     def fail(*_: object) -> None:
@@ -360,6 +378,34 @@ def test_nothing_is_left_half_done_when_memory_runs_out() -> None:
     assert failed > 100
     bench.close()
     faulthandler.cancel_dump_traceback_later()
+
+
+@pytest.mark.skipif(not hasattr(_testcapi, "set_nomemory"), reason="this Python cannot pretend that memory runs out")
+def test_a_peer_that_cannot_be_replaced_stays(bench: Bench) -> None:
+    """The map of peers is made anew when the 128th is put into it, also if that one is known already."""
+    bench.learn()
+    for port in range(1, 127):
+        bench.lane.add_peer(("10.0.0.1", port), bench.channel, bench.counts, 2)
+    bench.open_flow()
+    failed = 0
+    for start in range(12):
+        bench.table.take()
+        _testcapi.set_nomemory(start, start + 1)
+        try:
+            bench.lane.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
+        except MemoryError:
+            failed += 1
+        finally:
+            _testcapi.remove_mem_hooks()
+        if start == failed - 1:  # the peer of before, with its flow
+            bench.send(attitude(start))
+            bench.lane.ready()
+            assert bench.received() == [attitude(start)]
+    assert 0 < failed < 12
+    bench.lane.remove_peer(bench.vehicle.getsockname())
+    bench.send(b"?")
+    bench.lane.ready()
+    assert bench.left == [b"?"]
 
 
 # -- contracts
