@@ -20,6 +20,7 @@ import structlog
 from skygcs import __version__
 from skygcs.config.endpoints import endpoint_text
 from skygcs.config.models import FleetConfig
+from skygcs.config.regular_file import open_regular
 from skygcs.core.airtime import Priority
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.decision import RouteNote
@@ -53,6 +54,8 @@ from skygcs.runtime.watchman import Watchman
 
 MAX_EVENTS = 1000
 """Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
+
+MAX_TOKEN_BYTES = 4096
 
 HEARTBEAT_PERIOD_S = 1.0
 """MAVLink heartbeat protocol: 1 Hz; a SiK radio sends no RADIO_STATUS without it."""
@@ -591,10 +594,13 @@ def _read_token(path: Path | None) -> str | None:
     if path is None:
         return None
     try:
-        mode = path.stat().st_mode
-        token = path.read_text().strip()
+        with open_regular(path) as file:
+            mode = os.fstat(file.fileno()).st_mode
+            token = file.read(MAX_TOKEN_BYTES).decode().strip()
     except OSError as error:
         raise LinkError(f"daemon.token_file {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise LinkError(f"daemon.token_file {path}: is not text") from None
     if mode & 0o077:
         raise LinkError(f"daemon.token_file {path}: others can read it; chmod 600 {path}")
     if len(token) < 16:

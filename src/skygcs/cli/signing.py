@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -41,9 +42,10 @@ def setup(
 ) -> None:
     """Give vehicles the key and wait until they sign with it; over a cable, disarmed."""
 
+    path = os.path.abspath(os.path.expanduser(key))
+
     async def command(gcs: Client) -> int:
         async with waiting(f"signing setup {targets}"):
-            path = str(key.expanduser().absolute())
             answer = await gcs.call("signing.setup", targets=targets, key_file=path, force=force)
         return tell_outcomes(answer["outcomes"], json_output)
 
@@ -83,7 +85,7 @@ def key(file: Annotated[Path, typer.Argument(metavar="NEWFILE", help="Must not e
         from skygcs.config.signing import write_new_key
         from skygcs.core.mavlink.signing import key_id
 
-        made = write_new_key(file.expanduser())
+        made = write_new_key(Path(os.path.expanduser(file)))
         typer.echo(f"{file}: key {key_id(made)}; keep a copy where nobody else can read it")
 
     run_offline(command)

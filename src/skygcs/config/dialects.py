@@ -100,7 +100,7 @@ def offline_dialect() -> Dialect:
 
 def _resolve(name_or_path: str, base_dir: Path | None) -> Path:
     if "/" in name_or_path or name_or_path.endswith(".xml"):
-        path = Path(name_or_path).expanduser()
+        path = Path(os.path.expanduser(name_or_path))  # which leaves ~nobody as it is: no such file
         if not path.is_absolute() and base_dir is not None:
             path = base_dir / path
         if not path.is_file():

@@ -87,7 +87,8 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
     dialect: Dialect | None = None
     if config is not None:
         problems += conflicts(config, wrong)
-        config = _with_paths(config, path.parent.absolute())
+        config, unplaced = _with_paths(config, path.parent.absolute())
+        problems += unplaced
         try:
             dialect = load_dialect(_listed(config.dialect))
         except DialectError as error:
@@ -103,6 +104,8 @@ def load_fleet_and_dialect(path: Path | str) -> tuple[FleetConfig, Dialect]:
 def parse_link(name: str, table: dict[str, Any], dialect: Dialect | None = None) -> LinkConfig:
     """One link as it would stand in [links.NAME], for links added at run time. Raises ConfigError as `load_fleet`."""
     whole = {"links": {name: table}}
+    if problems := _nul_characters(whole):
+        raise ConfigError(f"link {name}", _shown(problems, {}))
     try:
         link: LinkConfig = TypeAdapter(AnyLink).validate_json(_as_json({**table, "name": name}), strict=True)
     except ValidationError as error:
@@ -141,6 +144,8 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
         raise ConfigError(str(path), [f"{where}: not TOML: {what}"]) from None
     except RecursionError:
         raise ConfigError(str(path), ["not a fleet file: nested too deeply"]) from None
+    except ValueError as error:  # Python's own limit: a number of more than 4300 digits
+        raise ConfigError(str(path), [f"not a fleet file: {str(error).partition(';')[0].lower()}"]) from None
 
 
 def _as_json(table: dict[str, Any]) -> str:
@@ -152,7 +157,8 @@ def _validate(table: dict[str, Any]) -> tuple[FleetConfig | None, list[Problem],
     """(config, problems, key paths that were wrong). After problems the config is what remains without the wrong keys,
     so that they do not hide the conflicts among the right ones; None if nothing usable remains."""
     rest = copy.deepcopy(table)
-    problems: list[Problem] = _named_links(rest)
+    problems: list[Problem] = _named_links(rest) + _nul_characters(rest)
+    rest = _without_nul(rest)
     wrong: set[KeyPath] = {p.path for p in problems}
     for attempt in range(8):
         try:
@@ -169,6 +175,23 @@ def _validate(table: dict[str, Any]) -> tuple[FleetConfig | None, list[Problem],
 def _mentions(problem: Problem, wrong: set[KeyPath]) -> bool:
     """Whether a problem is only there because a wrong key was taken away."""
     return any(_key_text(path) in problem.text for path in wrong if path)
+
+
+def _nul_characters(table: Any, path: KeyPath = ()) -> list[Problem]:
+    """Texts with a NUL in them: no path, host or name has one, and the system takes none."""
+    if isinstance(table, str):
+        return [Problem(path, "holds a NUL character")] if "\0" in table else []
+    items = table.items() if isinstance(table, dict) else enumerate(table) if isinstance(table, list) else ()
+    return [problem for key, value in items for problem in _nul_characters(value, (*path, key))]
+
+
+def _without_nul(value: Any) -> Any:
+    """The same with a question mark for each NUL, so that all else can be checked."""
+    if isinstance(value, str):
+        return value.replace("\0", "?")
+    if isinstance(value, dict):
+        return {key: _without_nul(item) for key, item in value.items()}
+    return [_without_nul(item) for item in value] if isinstance(value, list) else value
 
 
 def _named_links(table: dict[str, Any]) -> list[Problem]:
@@ -317,34 +340,42 @@ def _quoted(value: Any) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def _with_paths(config: FleetConfig, folder: Path) -> FleetConfig:
-    """Every path absolute: relative ones begin at the fleet file's folder, ~ is the user's home."""
+def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Problem]]:
+    """Every path absolute: relative ones begin at the fleet file's folder, ~ is the user's home; and those of which
+    nobody can say where they lead."""
+    problems: list[Problem] = []
 
-    def absolute(path: Path) -> Path:
-        return Path(os.path.normpath(folder / path.expanduser()))
+    def absolute(value: Path, key: KeyPath) -> Path:
+        try:
+            return Path(os.path.normpath(folder / value.expanduser()))
+        except RuntimeError:
+            problems.append(Problem(key, f"{_quoted(str(value))}: there is no user of this name, or no home of theirs"))
+            return value
 
     daemon = config.daemon
     paths = {
-        key: absolute(value)
+        key: absolute(value, ("daemon", key))
         for key in ("socket", "token_file", "log_dir")
         if (value := getattr(daemon, key)) is not None
     }
-    links = {name: _link_with_paths(link, absolute) for name, link in config.links.items()}
+    links = {name: _link_with_paths(name, link, absolute) for name, link in config.links.items()}
     dialect = tuple(
-        str(absolute(Path(name))) if "/" in name or name.endswith(".xml") else name for name in _listed(config.dialect)
+        os.path.normpath(folder / os.path.expanduser(name)) if "/" in name or name.endswith(".xml") else name
+        for name in _listed(config.dialect)
     )
     update = {"daemon": daemon.model_copy(update=paths), "links": links, "dialect": dialect}
-    return config.model_copy(update=update)
+    return config.model_copy(update=update), problems
 
 
-def _link_with_paths(link: LinkConfig, absolute: Callable[[Path], Path]) -> LinkConfig:
+def _link_with_paths(name: str, link: LinkConfig, absolute: Callable[[Path, KeyPath], Path]) -> LinkConfig:
+    key: KeyPath = ("links", name)
     if link.signing is not None:
-        signing = link.signing.model_copy(update={"key_file": absolute(link.signing.key_file)})
-        link = link.model_copy(update={"signing": signing})
+        key_file = absolute(link.signing.key_file, (*key, "signing", "key_file"))
+        link = link.model_copy(update={"signing": link.signing.model_copy(update={"key_file": key_file})})
     if isinstance(link, ReplayLink):
-        return link.model_copy(update={"file": absolute(link.file)})
+        return link.model_copy(update={"file": absolute(link.file, (*key, "file"))})
     if isinstance(link, SimulatedLink) and link.params is not None:
-        return link.model_copy(update={"params": absolute(link.params)})
+        return link.model_copy(update={"params": absolute(link.params, (*key, "params"))})
     return link
 
 

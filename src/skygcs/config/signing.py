@@ -9,6 +9,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from skygcs.config.regular_file import open_regular
 from skygcs.core.mavlink.signing import KEY_BYTES, MAX_AHEAD_S, key_from_passphrase
 from skygcs.errors import KeyFileError
 
@@ -44,7 +45,7 @@ def read_key(path: Path) -> bytes:
     Planner, QGroundControl and MAVProxy make it. 32 bytes that are all text are taken for a forgotten "passphrase:".
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             _require_private(path, os.fstat(file.fileno()))
             data = file.read(MAX_KEY_FILE_BYTES + 1)
     except OSError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from skygcs.config.regular_file import open_regular
 from skygcs.core.params.file import MAX_CHARS, parse
 from skygcs.core.sim.param_set import ParamSet, param_set
 from skygcs.errors import ConfigError
@@ -12,7 +13,7 @@ from skygcs.errors import ConfigError
 def load_param_set(path: Path) -> ParamSet:
     """Raises ConfigError, for a person, for a file that is not there, is none, or is of another kind of vehicle."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             raw = file.read(4 * MAX_CHARS + 1)
         text = raw.decode("utf-8-sig")
     except OSError as error:

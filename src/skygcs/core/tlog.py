@@ -27,6 +27,12 @@ _REAL_TIMES_US = range(946_684_800_000_000, 4_102_444_800_000_000)
 """The years 2000 to 2099: a time in here was written by a clock that was set; noise has one of 5,000 chances."""
 
 _WINDOW_BYTES = 65536
+_SCAN_BYTES = 4096
+"""Looked through at once for the next magic byte; noise has one in 128 bytes."""
+
+LOOKS = 4096
+"""`RecordReader.find` for whoever has nothing else to do."""
+
 _SNIFF_BYTES = 16 << 20
 """How far `sniff` looks for the first frame."""
 
@@ -93,10 +99,28 @@ class RecordReader:
         return self
 
     def __next__(self) -> Record:
+        while not self.at_end:
+            record = self.find(LOOKS)
+            if record is not None:
+                return record
+        raise StopIteration
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the whole file was read."""
+        return self._at >= len(self._data)
+
+    def find(self, looks: int) -> Record | None:
+        """The next record, if it is found within so many looks; else None, and the next call goes on from there. For
+        whoever has other things to do beside: a file without any record takes some 10 s for each MB."""
         data = self._data
         size = len(data)
         at = self._at
-        while at + TIME_BYTES < size:
+        for _ in range(looks):
+            if at + TIME_BYTES >= size:
+                self.skipped_bytes += max(size - at, 0)
+                self._at = size
+                return None
             magic = data[at + TIME_BYTES]
             if magic in (MAGIC_V2, MAGIC_V1):
                 record = self._record_at(at)
@@ -108,13 +132,12 @@ class RecordReader:
                 step = self._distance_to_magic(at + TIME_BYTES)
             self.skipped_bytes += step
             at += step
-        self.skipped_bytes += size - at if size > at else 0
-        self._at = size
-        raise StopIteration
+        self._at = at
+        return None
 
     def _distance_to_magic(self, at: int) -> int:
         """Bytes to the next magic byte, or to the end of the window; at least 1."""
-        window = self._data[at : at + _WINDOW_BYTES]
+        window = self._data[at : at + _SCAN_BYTES]
         found = _MAGIC.search(window)
         return found.start() if found is not None else len(window)
 

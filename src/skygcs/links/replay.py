@@ -8,6 +8,7 @@ from collections.abc import Hashable
 from typing import BinaryIO, overload
 
 from skygcs.config import models
+from skygcs.config.regular_file import open_regular
 from skygcs.core.airtime import Priority
 from skygcs.core.tlog import iter_records, sniff
 from skygcs.errors import LinkError
@@ -17,6 +18,9 @@ from skygcs.links.stream import StreamIntake
 RECORDS_PER_TURN = 64
 RAW_BYTES_PER_TURN = 4096
 """Most work without giving the loop a turn: below 1 ms for a daemon that spends 12 µs on a frame."""
+
+LOOKS_PER_TURN = 64
+"""The same for what is no record: places of damage or noise that are looked at for one, some 15 µs each."""
 
 PAUSE_S = 0.001
 """At full speed, after each turn: for the recorder's writer, the sockets and everybody else."""
@@ -97,9 +101,15 @@ class ReplayLink(Link):
         path = self.config.file
         self.finished = False
         try:
-            self._file = path.open("rb")
-            window = FileWindow(self._file)
-            kind = "tlog" if path.suffix.lower() == ".tlog" else sniff(window, self.host.dialect)
+            file = self._file = open_regular(path)
+            window = FileWindow(file)
+            kind: str | None = "tlog"
+            if path.suffix.lower() != ".tlog":
+                kind = sniff(window[:WINDOW_BYTES], self.host.dialect)
+                if kind is None and len(window) > WINDOW_BYTES:  # some seconds for 16 MB of noise
+                    kind = await asyncio.to_thread(sniff, window, self.host.dialect)
+            if self._file is not file:
+                raise LinkError(f"replay {path}: closed while it was being opened")
             if kind is None:
                 raise LinkError(f"replay {path}: no MAVLink in it, neither as a tlog nor as a raw capture")
             channel = self._channel = ReplayChannel(self, path.name)
@@ -144,7 +154,12 @@ class ReplayLink(Link):
         due = self.loop.time()
         before_s = 0.0
         played = in_turn = 0
-        for record in iter_records(file, self.host.dialect):
+        reader = iter_records(file, self.host.dialect)
+        while not reader.at_end:
+            record = reader.find(LOOKS_PER_TURN)
+            if record is None:
+                await asyncio.sleep(0)
+                continue
             if speed:
                 due += min(max(record.elapsed_s - before_s, 0.0), LONGEST_GAP_S) / speed
                 before_s = record.elapsed_s

@@ -78,6 +78,8 @@ async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObj
     to anybody. To sign with the key ourselves is up to the link's signing table.
     """
     path = Path(params.key_file)
+    if "\0" in params.key_file:
+        raise InvalidParams(("key_file", "holds a NUL character"))
     if not path.is_absolute():
         raise InvalidParams(("key_file", "must be an absolute path: the daemon's folder is not yours"))
     told = await context.daemon.signing_setup.setup(params.targets, path, force=params.force)

@@ -115,6 +115,18 @@ sysid = 1
         (UDP + "allow_from = []", "links.net.allow_from (line 4): must be a list of at least one, not []"),
         (UDP + "allow_from = '10.0.0.0/24'", 'links.net.allow_from (line 4): must be a list, not "10.0.0.0/24"'),
         (UDP + "allow_from = [5]", "links.net.allow_from[0] (line 4): must be text in quotes, not 5"),
+        ("[daemon]\nlog_dir = '~no-such-user/logs'", 'daemon.log_dir (line 2): "~no-such-user/logs": there is no user'),
+        (
+            "[links.r]\ntype = 'replay'\nfile = '~no-such-user/a.tlog'",
+            'links.r.file (line 3): "~no-such-user/a.tlog": there is no user of this name',
+        ),
+        ("dialect = '~no-such-user/d.xml'", "~no-such-user/d.xml: no such dialect file"),
+        (f"[daemon]\nsysid = 1{'0' * 5000}", "not a fleet file: exceeds the limit"),
+        (
+            '[links.r]\ntype = "serial"\ndevice = "/dev/tty\\u0000USB0"',
+            "links.r.device (line 3): holds a NUL character",
+        ),
+        ('[daemon]\nlog_dir = "a\\u0000b"', "daemon.log_dir (line 2): holds a NUL character"),
         (SERIAL + "allow_from = ['10.0.0.0/24']", "links.radio.allow_from (line 4): unknown key"),
         (SERIAL + "name = 'x'", "links.radio.name (line 4): a link's name is the name of its table"),
         # keys

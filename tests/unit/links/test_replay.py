@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from skygcs.config import models
 from skygcs.core.tlog import encode_record
 from skygcs.errors import LinkError
-from skygcs.links.replay import LONGEST_GAP_S, FileWindow, ReplayLink
+from skygcs.links.replay import LONGEST_GAP_S, LOOKS_PER_TURN, FileWindow, ReplayLink
 from skygcs.links.supervisor import LinkSupervisor
 from support.hosts import RecordingHost, heartbeat, open_descriptors, text
 
@@ -190,3 +191,34 @@ def test_a_file_window_reads_as_the_bytes_of_the_file(tmp_path: Path) -> None:
         assert window[10:5] == b"" and window[300_000:300_001] == b""
         path.write_bytes(b"")
         assert window[150_000] == 0 and window[150_000:150_010] == b"", "truncated under our hands: nothing, no crash"
+
+
+async def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
+    path = tmp_path / "pipe.tlog"
+    os.mkfifo(path)
+    writer = os.open(path, os.O_RDWR)  # so that nobody waits for one
+    try:
+        with pytest.raises(LinkError, match="not a regular file"):
+            await replay(RecordingHost(), path).open()
+    finally:
+        os.close(writer)
+
+
+async def test_a_file_of_noise_leaves_the_loop_its_turns(tmp_path: Path) -> None:
+    """40 kB of beginnings of frames and no frame: each byte is looked at for a record."""
+    path = tmp_path / "noise.tlog"
+    path.write_bytes(b"\xfd" * 40_000 + tlog((0, heartbeat(1))))
+    turns = 0
+
+    async def count() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    counting = asyncio.create_task(count())
+    host, reason = await play(path)
+    counting.cancel()
+    assert host.raws == [heartbeat(1)]
+    assert reason.startswith("finished")
+    assert turns > 40_000 / LOOKS_PER_TURN
