@@ -283,8 +283,8 @@ async def test_the_fast_path_notes_and_shows_what_companions_send(
             if number % 20 == 0:
                 await asyncio.sleep(0.001)
         await until(lambda: count() == 400)
-        watching = gcs.ask("subscribe", {"topic": "messages", "targets": "kite", "names": ["VISION_POSITION_ESTIMATE"]})
-        assert "result" in gcs.answer(watching)
+        wanted = {"topic": "messages", "targets": "kite", "names": ["VISION_POSITION_ESTIMATE"]}
+        assert "result" in await gcs.reply("subscribe", wanted)
         for number in range(200, 260):
             send(number)
         await until(lambda: count() == 520)

@@ -21,6 +21,7 @@ from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.methods import METHODS
 from skygcs.rpc.session import Session
 from skygcs.rpc.sessions import Sessions
+from support.hosts import until
 from support.pymav import PymavPeer
 
 
@@ -77,6 +78,12 @@ class Asked:
     def answer(self, number: int) -> Any:
         """The whole reply; None: it has not come yet."""
         return next((line for line in self._transport.lines if line.get("id") == number), None)
+
+    async def reply(self, method: str, params: Any) -> Any:
+        """The whole reply to a request that is answered soon."""
+        number = self.ask(method, params)
+        await until(lambda: self.answer(number) is not None)
+        return self.answer(number)
 
     @property
     def notices(self) -> list[Any]:
