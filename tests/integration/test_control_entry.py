@@ -278,3 +278,18 @@ async def test_on_the_ground_nothing_is_taken_over(tmp_path: Path) -> None:
         outcome = await gcs.outcome("control.set", mode="position")
         assert outcome["result"] == "refused", outcome
         assert not gcs.setpoints(since) and not gcs.commands(since)
+
+
+@pytest.mark.parametrize("own_hz", [5.0, 2.0])
+async def test_the_position_comes_as_before_when_control_ends(tmp_path: Path, own_hz: float) -> None:
+    """It was asked down to 2 Hz of a PX4's own 5, for every program on that link."""
+    async with flown(tmp_path, px4=1) as gcs:
+        sim = gcs.sim()
+        sim.streams.set_default("GLOBAL_POSITION_INT", own_hz, gcs.now)
+        await asyncio.sleep(20)
+        for _ in range(2):
+            await gcs.fly("attitude")
+            assert sim.streams.interval("GLOBAL_POSITION_INT") == pytest.approx(1 / 50)
+            await gcs.done("vehicles.hold")
+            await asyncio.sleep(3)
+            assert sim.streams.interval("GLOBAL_POSITION_INT") == pytest.approx(1 / own_hz)
