@@ -110,7 +110,7 @@ async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind
         gcs.daemon.stop()
         await gcs.ends_safe(within_m=4.0, since=stopped, of=start)
         assert gcs.last_setpoint() <= stopped + 0.1
-        assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.BRAKE)
+        assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.GUIDED)
 
 
 async def test_a_daemon_of_which_a_part_fails_sends_nothing_more(tmp_path: Path) -> None:

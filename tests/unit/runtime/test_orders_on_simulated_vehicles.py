@@ -59,7 +59,7 @@ async def test_a_mixed_fleet_takes_off_goes_somewhere_holds_and_lands() -> None:
             assert fleet.find(sysid).vehicle.enu_m() == pytest.approx([east, north, 12.0], abs=1.5)
         assert done(await fleet.command_all("all", "hold"))
         await asyncio.sleep(3)
-        assert {a.vehicle.mode for a in fleet.resolve("all")} == {"AUTO.LOITER", "BRAKE"}
+        assert {a.vehicle.mode for a in fleet.resolve("all")} == {"AUTO.LOITER", "GUIDED"}
         assert done(await fleet.command_all("all", "land"))
         await asyncio.sleep(60)
         for actor in fleet.resolve("all"):

@@ -110,7 +110,10 @@ FAULTS = {
     "two of one id": Fault("papa", ("duplicate",), "two vehicles with system id 1", two),
     "id changed": Fault("papa", ("system id",), "will be 7 after its next start (MAV_SYS_ID)", reborn_id),
     "id changed, copter": hold("echo", "system id", "will be 9 after its next start", SYSID_THISMAV=9),
-    "other ground station": hold("echo", "gcs id", "SYSID_MYGCS is 252, we are 255", SYSID_MYGCS=252, FS_GCS_ENABLE=1),
+    "other ground station": hold(
+        "echo", "gcs id", "SYSID_MYGCS is 252, we are 255", SYSID_MYGCS=252, FS_GCS_ENABLE=1, FS_OPTIONS=0
+    ),
+    "stays when it is alone": hold("echo", "gcs failsafe", "FS_OPTIONS is 16: in BRAKE", FS_GCS_ENABLE=1),
     "returns too high": hold("papa", "rtl height", "it would return at 60 m (3 to 50 m)", RTL_RETURN_ALT=60.0),
     "returns too high, copter": hold("echo", "rtl height", "at 80 m (3 to 50 m)", RTL_ALT=8000),
     "returns through its fence": hold(

@@ -212,7 +212,7 @@ async def test_a_mode_that_is_accepted_but_not_entered_is_told_with_the_one_it_i
         vehicle, actor = await one(ground, ARDUPILOT)
         vehicle.script = lambda v, sent: v.reply(sent)
         outcome = await actor.set_mode("GUIDED")
-        assert outcome.message == "timeout: accepted, but still in STABILIZE"
+        assert outcome.message.endswith("timeout: accepted, but still in STABILIZE")
         assert vehicle.got[0].param2 == 4
 
 
@@ -411,7 +411,7 @@ async def test_a_vehicle_on_the_ground_need_not_enter_the_mode_it_accepted(order
         vehicle.armed, vehicle.flying, vehicle.status = True, True, 4
         await asyncio.sleep(1.5)
         outcome = await getattr(actor, order)()
-        assert outcome.message == "timeout: accepted, but still in STABILIZE"
+        assert outcome.message.endswith("timeout: accepted, but still in STABILIZE")
 
 
 async def test_a_forced_disarm_takes_the_place_of_a_takeoff_in_the_making() -> None:
@@ -449,18 +449,35 @@ async def test_land_is_the_same_command_for_both(autopilot: int, mode: str) -> N
         assert actor.vehicle.mode == mode
 
 
-async def test_hold_is_brake_on_arducopter_and_loiter_on_px4() -> None:
+async def test_hold_is_brake_and_then_guided_on_arducopter_and_loiter_on_px4() -> None:
     async with Ground() as ground:
         copter, actor = await flying(ground, ARDUPILOT)
         outcome = await actor.hold()
-        assert (outcome.ok, outcome.message) == (True, "holding in BRAKE")
-        assert copter.commands() == [(MODE, (1.0, 17.0))]
+        assert (outcome.ok, outcome.message) == (True, "holding in GUIDED")
+        assert copter.commands() == [(MODE, (1.0, 17.0)), (MODE, (1.0, 4.0))]
+        assert (await actor.stop("hold")).message == "holding in BRAKE"
     async with Ground() as ground:
         px4, actor = await flying(ground, PX4)
         px4.mode = PX4_POSCTL
         await asyncio.sleep(1.5)
         assert (await actor.hold()).ok
         assert (px4.got[0].param2, px4.got[0].param3) == (4, 3)
+
+
+@pytest.mark.parametrize(("refused", "said"), [(17.0, "nothing is done instead"), (4.0, "it holds in BRAKE")])
+async def test_a_hold_that_is_refused_says_what_it_does_instead(refused: float, said: str) -> None:
+    async with Ground() as ground:
+        copter, actor = await flying(ground, ARDUPILOT)
+
+        def script(v: ScriptedVehicle, sent: Sent) -> None:
+            if sent.command == MODE and sent.param2 == refused:
+                v.reply(sent, 4)
+            else:
+                accept_everything(v, sent)
+
+        copter.script = script
+        outcome = await actor.hold()
+        assert not outcome.ok and said in outcome.message
 
 
 NEAR = {"lat_deg": HOME[0] + 1e-4, "lon_deg": HOME[1] - 1e-4}

@@ -13,7 +13,13 @@ from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Facts
 from skygcs.core.preflight.report import Finding, Fix, Severity, failed, passed, skipped, unknown
 from skygcs.core.preflight.rules import Rule
-from skygcs.core.vehicle.offboard import BY_STICKS, LONGEST_LEAN_S, PX4_THRUST_TYPES, THRUST_AS_THRUST
+from skygcs.core.vehicle.offboard import (
+    BY_STICKS,
+    LONGEST_LEAN_S,
+    PILOT_GOES_ON,
+    PX4_THRUST_TYPES,
+    THRUST_AS_THRUST,
+)
 
 LOST_PERIODS = 3
 """So many setpoints in a row may be lost on the way before the vehicle takes it for the end of them."""
@@ -67,6 +73,26 @@ def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
         f"(FS_GCS_ENABLE {value_text(enabled)})",
         f"set {name} to {facts.gcs_sysid}, or daemon.sysid to {value_text(watched)}",
         Fix(name, facts.gcs_sysid, watched),
+    )
+
+
+def gcs_failsafe(facts: Facts, wanted: Expectations) -> Finding:
+    """Whether it acts wherever our orders leave the vehicle."""
+    if facts.family != "ardupilot" or not facts.copter:
+        return skipped("an ArduCopter's alone")
+    enabled, options = facts.value("FS_GCS_ENABLE"), facts.value("FS_OPTIONS")
+    if enabled == 0:
+        return skipped("FS_GCS_ENABLE is 0: it watches no ground station")
+    if options is None:
+        return _not_known(facts, "FS_OPTIONS")
+    if not int(options) & PILOT_GOES_ON:
+        return passed(f"FS_OPTIONS {value_text(options)}")
+    to = int(options) & ~PILOT_GOES_ON
+    return failed(
+        f"FS_OPTIONS is {value_text(options)}: in BRAKE, where stop leaves it, and in a pilot's modes it ignores the "
+        "loss of the ground station and stays until its battery is empty",
+        f"set FS_OPTIONS to {to} (without bit 4)",
+        Fix("FS_OPTIONS", to, options),
     )
 
 

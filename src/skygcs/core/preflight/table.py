@@ -76,6 +76,7 @@ CHECKS: tuple[Check, ...] = (
         settings.gcs_id,
         ardupilot=(("FS_GCS_ENABLE",), ("SYSID_MYGCS",)),
     ),
+    Check("gcs failsafe", FAULT, settings.gcs_failsafe, ardupilot=(("FS_GCS_ENABLE",), ("FS_OPTIONS",))),
     Check(
         "rtl height",
         FAULT,

@@ -33,6 +33,19 @@ GCS_LOSS: Mapping[int, CopterMode] = {
 }
 """FS_GCS_ENABLE; 0: none."""
 
+PILOT_GOES_ON = 16
+"""Bit of FS_OPTIONS (Copter.h, GCS_CONTINUE_IF_PILOT_CONTROL), set by default: a lost ground station means nothing in
+a mode that is flown by a pilot."""
+
+AUTOPILOT = frozenset(
+    {
+        *(CopterMode.AUTO, CopterMode.GUIDED, CopterMode.GUIDED_NOGPS, CopterMode.AVOID_ADSB, CopterMode.FOLLOW),
+        *(CopterMode.CIRCLE, CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL, CopterMode.AUTO_RTL),
+        *(CopterMode.ZIGZAG, CopterMode.AUTOROTATE),
+    }
+)
+"""Modes whose is_autopilot() is true (ArduCopter/mode.h, 4.6); BRAKE is none."""
+
 BATTERY: Mapping[int, CopterMode] = {
     1: CopterMode.LAND,
     2: CopterMode.RTL,
@@ -64,7 +77,16 @@ def watch(v: CopterVehicle, now: float) -> None:
     was_lost = alarms.gcs.raised
     lost = alarms.gcs_lost(now, p["FS_GCS_TIMEOUT"])
     action = int(p["FS_GCS_ENABLE"])
-    if lost and action and v.armed:
+    if (
+        lost
+        and action
+        and v.armed
+        and not v.landed
+        and int(p["FS_OPTIONS"]) & PILOT_GOES_ON
+        and v.mode not in AUTOPILOT
+    ):
+        v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe - Continuing Pilot Control")
+    elif lost and action and v.armed:
         v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe")
         _go(v, now, GCS_LOSS.get(action, CopterMode.RTL))
     elif was_lost and not alarms.gcs.raised and action:

@@ -112,6 +112,7 @@ _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("FS_EKF_ACTION", 1, _8),
     ("FS_GCS_ENABLE", 0, _8),
     ("FS_GCS_TIMEOUT", 5.0, _F),
+    ("FS_OPTIONS", 16, _32),
     ("FS_THR_ENABLE", 0, _8),
     ("GPS_TYPE", 1, _8),
     ("AUTO_OPTIONS", 0, _32),

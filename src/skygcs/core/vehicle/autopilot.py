@@ -9,7 +9,8 @@ What each order is made of, and why:
               NaN yaw and place
     land      NAV_LAND                                     NAV_LAND
     rtl       NAV_RETURN_TO_LAUNCH                         NAV_RETURN_TO_LAUNCH
-    hold      mode AUTO.LOITER                             mode BRAKE
+    hold      mode AUTO.LOITER                             mode BRAKE, then GUIDED
+    stop      mode AUTO.LOITER                             mode BRAKE
     goto      DO_REPOSITION as COMMAND_INT, AMSL,          the same, height above home; older than 4.1: GUIDED and
               changing the mode itself                     SET_POSITION_TARGET_GLOBAL_INT; a yaw is CONDITION_YAW
 
@@ -17,8 +18,14 @@ What each order is made of, and why:
   takeoff first goes to AUTO.LOITER, from whatever other mode it is in. Arming comes before NAV_TAKEOFF (PX4 takes them
   in any order): a refused arm must not leave it in AUTO.TAKEOFF, where the next arming, by whomever, would lift it off.
 - ArduCopter's LOITER takes the throttle stick for climb rate: without RC it sinks. BRAKE stops as fast as it can where
-  it is and holds, in any flight mode, with or without RC; flying back to a last known place would not be "hold" when
-  that place is a second old. The next goto leaves BRAKE by itself.
+  it is and holds, in any flight mode, with or without RC, and takes no setpoints. But it counts as a mode of a pilot
+  (ModeBrake::is_autopilot is false), in which the failsafe for a lost ground station does nothing while FS_OPTIONS has
+  bit 4, as it has by default (events.cpp, failsafe_gcs_on_event; seen in flight). So `hold` goes on to GUIDED, which
+  from another mode begins with velocity 0 and holds where it stops (ModeGuided::init). BRAKE comes first: a vehicle
+  that is in GUIDED already takes no notice of GUIDED (Copter::set_mode) and would fly on to its target. A position
+  target is not used: what is known here of its position may be a second old, or of another vehicle with the same id.
+  `stop` stays in BRAKE: nobody's setpoints move it then.
+- PX4 holds in AUTO.LOITER; NAV_DLL_ACT acts there after COM_DL_LOSS_T unless COM_DLL_EXCEPT names that mode.
 - DO_REPOSITION is acknowledged by both; ArduCopter ignores its yaw (GCS_MAVLink_Copter.cpp, 4.1 to 4.7).
 - land and rtl are the same command for both, so that one broadcast frame serves a mixed fleet.
 """
@@ -26,7 +33,7 @@ What each order is made of, and why:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.mavlink import modes
@@ -124,7 +131,25 @@ def rtl(vehicle: Vehicle) -> Plan:
 
 
 def hold(vehicle: Vehicle) -> Plan:
-    """Stop here and stay. Raises RefusedError where the firmware has no mode that does."""
+    """Stop here and stay, where its failsafe for a lost ground station still acts. Raises RefusedError where the
+    firmware has no mode that does."""
+    braked = brake(vehicle)
+    if not (modes.is_copter(vehicle.type) and vehicle.family == "ardupilot"):
+        return braked
+    (first,) = braked.steps
+    guided = modes.mode_number(vehicle.autopilot, vehicle.type, "GUIDED")
+    stays = mode_step(vehicle, guided, or_disarmed=True)
+    steps = (replace(first, expect_s=0, refused=NO_HOLD), replace(stays, refused=f"{IN_BRAKE}: {BRAKE_NOTE}"))
+    return Plan("hold", steps, "holding in GUIDED", despite_duplicate=True)
+
+
+NO_HOLD = "it needs a position to hold, and nothing is done instead: land it, or take the sticks"
+BRAKE_NOTE = "its failsafe for a lost ground station does nothing there while FS_OPTIONS has bit 4 (16)"
+IN_BRAKE = "it holds in BRAKE"
+
+
+def brake(vehicle: Vehicle) -> Plan:
+    """Stop here and stay, and take no setpoints. Raises RefusedError where the firmware has no mode that does."""
     names = modes.mode_names(vehicle.autopilot, vehicle.type)
     if modes.is_copter(vehicle.type) and "BRAKE" in names:
         wanted = "BRAKE"

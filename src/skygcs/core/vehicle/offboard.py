@@ -24,6 +24,10 @@ PX4_THRUST_TYPES = frozenset({2, 3, 4, 13, 14, 15})
 """Quadrotor, coaxial, helicopter, hexa-, octo- and tricopter: PX4 1.14's fill_thrust knows these MAV_TYPEs; any other
 rotorcraft, a generic one too, it would fly with no thrust at all. (VTOLs are no multirotors for skygcs' law.)"""
 
+PILOT_GOES_ON = 1 << 4
+"""Bit of ArduCopter's FS_OPTIONS (Copter.h, GCS_CONTINUE_IF_PILOT_CONTROL), set by default: the failsafe for a lost
+ground station does nothing in modes that are flown by a pilot, of which BRAKE is one."""
+
 PARAM_WAIT_S = 3.0
 """Six requests: ArduPilot answers from a background task, within 0.1 s; the rest is the radio."""
 
@@ -35,6 +39,7 @@ COPTER_PARAMETERS = (
     ("ATC_ANGLE_BOOST", True),
     ("MOT_THST_HOVER", True),
     ("FS_GCS_ENABLE", True),
+    ("FS_OPTIONS", True),
 )
 PX4_PARAMETERS = (("MPC_THR_HOVER", True), ("COM_OF_LOSS_T", True), ("COM_OBL_RC_ACT", True))
 """What flying by attitude has to know, and whether it can do without."""
@@ -141,6 +146,13 @@ def loss_note(vehicle: Vehicle) -> str | None:
         return (
             "its FS_GCS_ENABLE is 0: should the setpoints cease, it levels and drifts with the wind, and nothing "
             "brings it back; set FS_GCS_ENABLE to 1 (return) or 5 (land)"
+        )
+    if vehicle.family == "ardupilot" and int(vehicle.param("FS_OPTIONS") or 0) & PILOT_GOES_ON:
+        options = int(vehicle.param("FS_OPTIONS") or 0)
+        return (
+            f"its FS_OPTIONS is {options}: in GUIDED, where setpoints and hold leave it, a lost ground station brings "
+            "it back, but in BRAKE, where stop leaves it, and in a pilot's modes it stays until its battery is empty; "
+            f"set FS_OPTIONS to {options & ~PILOT_GOES_ON}"
         )
     action = vehicle.param("COM_OBL_RC_ACT")
     if vehicle.family != "px4" or action not in BY_STICKS:

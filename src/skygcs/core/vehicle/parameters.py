@@ -12,6 +12,7 @@ WATCHED = frozenset(
         "COM_OF_LOSS_T",
         "COM_RC_IN_MODE",
         "FS_GCS_ENABLE",
+        "FS_OPTIONS",
         "GUID_OPTIONS",
         "GUID_TIMEOUT",
         "MOT_THST_EXPO",

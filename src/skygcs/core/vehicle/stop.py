@@ -1,6 +1,6 @@
 """The emergency stop: hold, land or kill, repeated until the vehicle shows it.
 
-    hold    into the mode that stops and holds where it is (AUTO.LOITER, BRAKE)
+    hold    into the mode that stops and holds where it is (AUTO.LOITER, BRAKE); nobody's setpoints move it there
     land    NAV_LAND, where it is
     kill    forced disarming: the motors stop, and a vehicle that flies falls; wants a confirmation
 
@@ -34,7 +34,7 @@ def stop(vehicle: Vehicle, now: float, action: Action) -> Plan:
     """Raises RefusedError for a vehicle of a recording, and for a hold where no mode holds."""
     require_live(vehicle)
     if action == "hold":
-        plan = autopilot.hold(vehicle)
+        plan = autopilot.brake(vehicle)
         hint = f"{autopilot.firmware_name(vehicle)} did not say why; stop it with land"
         plan = replace(plan, steps=tuple(replace(step, refused=hint) for step in plan.steps))
     elif action == "land":

@@ -50,9 +50,11 @@ def test_what_is_not_given_stays() -> None:
 
 
 def test_a_fence_is_switched_on_last_and_off_first() -> None:
-    assert list(fence.changes("ardupilot", COPTER, radius_m=2.0, height_m=0.0, action="return"))[-1] == "FENCE_ENABLE"
-    back = fence.back_to("ardupilot", COPTER)
-    assert next(iter(back)) == "FENCE_ENABLE" and back == COPTER
+    changed = fence.changes("ardupilot", COPTER, radius_m=2.0, height_m=0.0, action="return")
+    assert list(changed)[-1] == "FENCE_ENABLE"
+    back = fence.back_to("ardupilot", COPTER, changed)
+    assert next(iter(back)) == "FENCE_ENABLE" and {**changed, **back}.items() <= COPTER.items()
+    assert all(changed[name] != COPTER[name] for name in back), "what was not changed is not put back"
 
 
 @pytest.mark.parametrize(
