@@ -13,6 +13,7 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
+from skygcs.core.mission.item import MissionItem
 from skygcs.core.sim import copter_failsafe, copter_guided, copter_mission
 from skygcs.core.sim import protocol as m
 from skygcs.core.sim.chance import Chance
@@ -154,7 +155,7 @@ class CopterVehicle(SimVehicle):
 
     def make_lists(self) -> tuple[CopterLists, CopterRun]:
         run = CopterRun()
-        return CopterLists(lambda: run.changed(self)), run
+        return CopterLists(lambda: run.changed(self), guided_item), run
 
     # -- life
 
@@ -397,6 +398,19 @@ class CopterVehicle(SimVehicle):
             self.plan.fly(GoTo(east, north, up))
         return m.MAV_RESULT_ACCEPTED
 
+    def guided_waypoint(self, item: MissionItem) -> bool:
+        """ModeAuto::do_guided: a waypoint outside a mission is a target, in GUIDED only; whether it is taken."""
+        up = up_of(self, item.frame, item.z or 0.0)
+        if self.mode != CopterMode.GUIDED or up is None or item.position is None:
+            return False
+        east, north = self.where.to_local(*item.position)
+        if not copter_failsafe.inside_fence(self, east, north, up):
+            return False
+        if not self.landed:
+            self.taking_off = self.velocity_target = False
+            self.plan.fly(GoTo(east, north, up))
+        return True
+
     def _command_yaw(self, c: Command) -> int:
         if not 0 <= c.p1 <= 360 or c.p4 not in (0.0, 1.0):
             return m.MAV_RESULT_FAILED
@@ -419,3 +433,8 @@ class CopterVehicle(SimVehicle):
             return m.MAV_RESULT_DENIED
         self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), up))
         return m.MAV_RESULT_ACCEPTED
+
+
+def guided_item(v: SimVehicle, item: MissionItem, now: float) -> bool:
+    """See `CopterVehicle.guided_waypoint`."""
+    return isinstance(v, CopterVehicle) and v.guided_waypoint(item)

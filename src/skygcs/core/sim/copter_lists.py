@@ -38,7 +38,7 @@ from skygcs.core.mission.item import (
     MissionType,
 )
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim.mission_lists import Fields, Items, MissionLists, Sender, address, kind_of
+from skygcs.core.sim.mission_lists import Fields, Items, MissionLists, Sender, address, as_int_item, kind_of
 
 if TYPE_CHECKING:
     from skygcs.core.sim.vehicle import SimVehicle
@@ -61,6 +61,9 @@ WITHOUT_PLACE = frozenset(
 )
 MAX_CORNERS = 255
 
+GUIDED_TARGET, CHANGE_HEIGHT = 2, 3
+"""`current` of an item that is no part of a mission (GCS_MAVLINK::handle_mission_item)."""
+
 NO_YAW_NEEDED = frozenset({16, 17, 21, 22, 84, 85})
 """Commands whose param4 may be NaN (AP_Mission::sanity_check_params)."""
 
@@ -80,8 +83,12 @@ class Transfer:
 class CopterLists(MissionLists):
     """See the table at the top."""
 
-    def __init__(self, on_new_mission: Callable[[], None]) -> None:
+    def __init__(
+        self, on_new_mission: Callable[[], None], fly_to: Callable[[SimVehicle, MissionItem, float], bool]
+    ) -> None:
+        """``fly_to(vehicle, item, now)``: a target in GUIDED; whether it is taken."""
         super().__init__(on_new_mission)
+        self._fly_to = fly_to
         self.capacity = {MissionType.MISSION: 724, MissionType.FENCE: 84, MissionType.RALLY: 20}
         self.forget_transfers()
 
@@ -97,8 +104,8 @@ class CopterLists(MissionLists):
             case "MISSION_COUNT":
                 if self._may_begin(v, kind, sender):
                     self._begin(v, kind, fields["count"], sender, now)
-            case "MISSION_ITEM_INT":
-                self._on_item(v, kind, fields, sender, now)
+            case "MISSION_ITEM_INT" | "MISSION_ITEM":
+                self._on_any_item(v, kind, name, fields, sender, now)
             case "MISSION_CLEAR_ALL":
                 if self._may_begin(v, kind, sender):
                     self.keep(kind, [])
@@ -108,9 +115,10 @@ class CopterLists(MissionLists):
             case "MISSION_REQUEST_LIST":
                 self.send_count(v, kind, sender, len(self._on_wire(v, kind)))
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
-                items = self._on_wire(v, kind)
-                if fields["seq"] < len(items):
-                    self.send_item(v, kind, sender, fields["seq"], items[fields["seq"]])
+                items, seq = self._on_wire(v, kind), fields["seq"]
+                if seq < len(items):
+                    as_float = name == "MISSION_REQUEST"
+                    self.send_item(v, kind, sender, seq, items[seq], as_float=as_float, current=0)
                     return
                 self.send_count(v, kind, sender, len(items))
                 self.acknowledge(v, kind, sender, m.MAV_MISSION_ERROR)
@@ -147,6 +155,36 @@ class CopterLists(MissionLists):
             return
         upload = self._uploads[kind] = Transfer(sender, count, now)
         self._ask(v, kind, upload, now)
+
+    def _on_any_item(
+        self, v: SimVehicle, kind: MissionType, name: str, fields: Fields, sender: Sender, now: float
+    ) -> None:
+        """GCS_MAVLINK::handle_mission_item: the float form is converted; current 2 is a target in GUIDED, current 3 a
+        change of height, and neither is part of an upload."""
+        try:
+            fields = as_int_item(fields) if name == "MISSION_ITEM" else fields
+        except ValueError:
+            self.acknowledge(v, kind, sender, m.MAV_MISSION_INVALID_PARAM5_X)
+            return
+        if kind is MissionType.MISSION and fields["current"] in (GUIDED_TARGET, CHANGE_HEIGHT):
+            self.acknowledge(v, kind, sender, self._guided_item(v, fields, now))
+            return
+        self._on_item(v, kind, fields, sender, now)
+
+    def _guided_item(self, v: SimVehicle, fields: Fields, now: float) -> int:
+        """MAV_MISSION_RESULT of an item for GUIDED."""
+        try:
+            item = MissionItem.from_fields(fields)
+        except ValueError:
+            return m.MAV_MISSION_INVALID
+        if item.command not in WITH_PLACE | WITHOUT_PLACE:
+            return m.MAV_MISSION_UNSUPPORTED
+        if item.command in WITH_PLACE and (refusal := _place_refusal(item)):
+            return refusal
+        if fields["current"] == CHANGE_HEIGHT:
+            return m.MAV_MISSION_ACCEPTED  # Copter's handle_change_alt_request: only in GUIDED, answered the same
+        taken = item.command == NAV_WAYPOINT and item.position is not None and self._fly_to(v, item, now)
+        return m.MAV_MISSION_ACCEPTED if taken else m.MAV_MISSION_ERROR
 
     def _on_item(self, v: SimVehicle, kind: MissionType, fields: Fields, sender: Sender, now: float) -> None:
         upload = self._uploads.get(kind)

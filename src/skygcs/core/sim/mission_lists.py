@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 from skygcs.core.mission.fence import FencePlan, fence_from_items
-from skygcs.core.mission.item import MissionItem, MissionType
+from skygcs.core.mission.item import GLOBAL_FRAMES, MissionItem, MissionType
 
 if TYPE_CHECKING:
     from skygcs.core.sim.vehicle import SimVehicle
@@ -23,6 +24,7 @@ MESSAGES = frozenset(
     {
         "MISSION_COUNT",
         "MISSION_ITEM_INT",
+        "MISSION_ITEM",
         "MISSION_REQUEST_LIST",
         "MISSION_REQUEST_INT",
         "MISSION_REQUEST",
@@ -30,7 +32,10 @@ MESSAGES = frozenset(
         "MISSION_ACK",
     }
 )
-"""What `MissionLists.hear` wants. The float MISSION_ITEM is left out: its users are gone."""
+"""What `MissionLists.hear` wants. DroneKit still uses MISSION_ITEM and MISSION_REQUEST, with degrees as floats."""
+
+INT_FRAMES = {0: 5, 3: 6, 10: 11}
+"""MAV_FRAME_GLOBAL, GLOBAL_RELATIVE_ALT and GLOBAL_TERRAIN_ALT to their names for integer messages."""
 
 
 class MissionLists(ABC):
@@ -81,9 +86,33 @@ class MissionLists(ABC):
         fields = {**address(to), "count": count, "mission_type": kind}
         v.tx.send("MISSION_COUNT", fields, tail(self.opaque_id(kind)))
 
-    def send_item(self, v: SimVehicle, kind: MissionType, to: Sender, seq: int, item: MissionItem) -> None:
-        fields = {**address(to), **item.values(), "seq": seq, "mission_type": kind}
-        v.tx.send("MISSION_ITEM_INT", {**fields, "current": 0})
+    def send_item(
+        self, v: SimVehicle, kind: MissionType, to: Sender, seq: int, item: MissionItem, *, as_float: bool, current: int
+    ) -> None:
+        """As MISSION_ITEM (``as_float``: degrees as float32) or MISSION_ITEM_INT; see `wire_frame` for its frame."""
+        fields = {**address(to), **item.values(), "seq": seq, "mission_type": kind, "current": current}
+        fields["frame"] = self.wire_frame(item.frame, as_float=as_float)
+        if as_float:
+            v.tx.send("MISSION_ITEM", {**fields, "x": item.x / scale_of(item), "y": item.y / scale_of(item)})
+        else:
+            v.tx.send("MISSION_ITEM_INT", fields)
+
+    def wire_frame(self, frame: int, *, as_float: bool) -> int:
+        """The MAV_FRAME that goes out for an item's."""
+        return frame
+
+
+def scale_of(item: MissionItem) -> float:
+    """Of x and y in MISSION_ITEM_INT: 1e7 for degrees, 1 for what is no place."""
+    return 1e7 if item.frame in GLOBAL_FRAMES else 1.0
+
+
+def as_int_item(fields: Fields) -> Fields:
+    """The fields of a MISSION_ITEM as those of a MISSION_ITEM_INT. Raises ValueError for x or y that no int32 holds."""
+    scale = 1e7 if fields["frame"] in GLOBAL_FRAMES or fields["frame"] in INT_FRAMES.values() else 1.0
+    if not (isfinite(fields["x"]) and isfinite(fields["y"])):
+        raise ValueError("x or y is not finite")
+    return {**fields, "x": round(fields["x"] * scale), "y": round(fields["y"] * scale)}
 
 
 def address(to: Sender) -> Fields:

@@ -2,7 +2,8 @@
 
 disarmed --arm--> armed on ground --TAKEOFF/OFFBOARD--> in air --LAND/RTL/touch--> landed --2 s--> disarmed
 armed on ground, not taken off for COM_DISARM_PRFLT: disarmed
-OFFBOARD: entered only with setpoints at 2 Hz or more for 1 s; without one for COM_OF_LOSS_T: LOITER, failsafe
+OFFBOARD: entered with one setpoint younger than COM_OF_LOSS_T (offboardCheck.cpp: no warm-up); without one for so long:
+LOITER, failsafe
 TAKEOFF at its height, or disarmed after landing: LOITER
 """
 
@@ -31,12 +32,6 @@ from skygcs.core.sim.vehicle import Home, SimVehicle
 
 FORCE = 21196
 """Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
-
-OFFBOARD_GAP_S = 0.5
-"""Setpoints farther apart are slower than 2 Hz."""
-
-OFFBOARD_STREAM_S = 1.0
-"""The stream must have lasted this long before OFFBOARD is entered."""
 
 RTL_NEAR_M = 10.0
 """RTL_MIN_DIST: closer to home than this a return climbs no higher than RTL_DESCEND_ALT."""
@@ -169,7 +164,6 @@ class Px4Vehicle(SimVehicle):
         self.cruise_mps = 0.0
         self.setpoint_at = -1e9
         self._last_thrust = 0.0
-        self._stream_since = now
         self._told_ready = False
 
     def on_ready(self, now: float) -> None:
@@ -236,8 +230,7 @@ class Px4Vehicle(SimVehicle):
         if mode == Px4Mode.MISSION and not self.lists.mission:
             return False
         if mode == Px4Mode.OFFBOARD:
-            fresh = now - self.setpoint_at <= OFFBOARD_GAP_S
-            return fresh and now - self._stream_since >= OFFBOARD_STREAM_S
+            return now - self.setpoint_at < self.params["COM_OF_LOSS_T"]
         if self.armed and mode in MANUAL_MODES:
             return False  # no transmitter
         return not self.armed or self.position_ok or mode == Px4Mode.LAND
@@ -315,8 +308,6 @@ class Px4Vehicle(SimVehicle):
             setpoint = target
         else:
             setpoint = setpoint_of(self, name, fields, any_bit=False)
-        if now - self.setpoint_at > OFFBOARD_GAP_S:
-            self._stream_since = now
         self.setpoint_at = now
         if self.mode == Px4Mode.OFFBOARD and setpoint is not None:
             if isinstance(setpoint, AttitudeSetpoint):

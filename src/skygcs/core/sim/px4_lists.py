@@ -40,7 +40,7 @@ from skygcs.core.mission.item import (
     MissionType,
 )
 from skygcs.core.sim import protocol as m
-from skygcs.core.sim.mission_lists import Fields, Items, MissionLists, Sender, address, kind_of
+from skygcs.core.sim.mission_lists import INT_FRAMES, Fields, Items, MissionLists, Sender, address, as_int_item, kind_of
 
 if TYPE_CHECKING:
     from skygcs.core.sim.vehicle import SimVehicle
@@ -80,6 +80,12 @@ class Px4Lists(MissionLists):
         self._seq = 0
         self._heard_at = 0.0
         self._asked_at = 0.0
+        self._int_mode = False
+        """As its partner writes: integer messages and frames, or the old float ones."""
+
+    def wire_frame(self, frame: int, *, as_float: bool) -> int:
+        """format_mavlink_mission_item: in integer messages the frames have their own names."""
+        return frame if as_float else INT_FRAMES.get(frame, frame)
 
     def opaque_id(self, kind: MissionType) -> int:
         number = 0
@@ -95,10 +101,15 @@ class Px4Lists(MissionLists):
             case "MISSION_COUNT":
                 self._on_count(v, kind, fields["count"], sender, now)
             case "MISSION_ITEM_INT":
+                self._int_mode = True
+                self._on_item(v, kind, fields, sender, now)
+            case "MISSION_ITEM":
+                self._int_mode = False
                 self._on_item(v, kind, fields, sender, now)
             case "MISSION_REQUEST_LIST":
                 self._on_list(v, kind, sender, now)
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
+                self._int_mode = name == "MISSION_REQUEST_INT"
                 self._on_request(v, kind, fields["seq"], sender, now)
             case "MISSION_CLEAR_ALL":
                 self._on_clear(v, kind, sender)
@@ -153,7 +164,7 @@ class Px4Lists(MissionLists):
 
     def _take(self, v: SimVehicle, fields: Fields, now: float) -> None:
         try:
-            item = MissionItem.from_fields(fields)
+            item = MissionItem.from_fields(fields if self._int_mode else as_int_item(fields))
             refusal = refusal_of(self._kind, item)
         except ValueError:
             refusal = m.MAV_MISSION_INVALID
@@ -181,7 +192,7 @@ class Px4Lists(MissionLists):
     def _ask(self, v: SimVehicle, now: float) -> None:
         self._asked_at = now
         fields = {**address(self._partner), "seq": self._seq, "mission_type": self._kind}
-        v.tx.send("MISSION_REQUEST_INT", fields)
+        v.tx.send("MISSION_REQUEST_INT" if self._int_mode else "MISSION_REQUEST", fields)
 
     # -- giving
 
@@ -209,7 +220,9 @@ class Px4Lists(MissionLists):
                 v.tx.say(m.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected\t")
                 return
             self._seq = seq + 1
-            self.send_item(v, kind, sender, seq, self.items[kind][seq])
+            current = int(kind is MissionType.MISSION and seq == v.run.seq)
+            item = self.items[kind][seq]
+            self.send_item(v, kind, sender, seq, item, as_float=not self._int_mode, current=current)
 
     def _on_clear(self, v: SimVehicle, kind: MissionType, sender: Sender) -> None:
         if self._state is not State.IDLE:

@@ -24,6 +24,9 @@ UNKNOWN_TEMPERATURE = 32767
 HOVER_THROTTLE_PERCENT = 42
 """Of a vehicle without thrust (kinematic)."""
 
+MAV_FRAME_LOCAL_NED, MAV_FRAME_BODY_FRD = 1, 12
+MAV_ESTIMATOR_TYPE_AUTOPILOT = 8
+
 _HEALTHY_SENSORS = (
     m.MAV_SYS_STATUS_SENSOR_3D_GYRO
     | m.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -310,6 +313,42 @@ def highres_imu(v: SimVehicle, now: float) -> Fields:
     }
 
 
+def odometry(v: SimVehicle, now: float) -> Fields | None:
+    """As PX4's streams/ODOMETRY.hpp: position in the local NED frame, velocity along the body's axes (FRD)."""
+    local = local_position_ned(v, now)
+    if local is None:
+        return None
+    motion = v.told
+    q = quaternion_of(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
+    vx, vy, vz = _to_body(q, (local["vx"], local["vy"], local["vz"]))
+    unknown = [nan] + [0.0] * 20
+    return {
+        "time_usec": v.boot_ms * 1000,
+        "frame_id": MAV_FRAME_LOCAL_NED,
+        "child_frame_id": MAV_FRAME_BODY_FRD,
+        **{axis: local[axis] for axis in "xyz"},
+        "q": list(q),
+        "vx": vx,
+        "vy": vy,
+        "vz": vz,
+        **_rates(motion),
+        "pose_covariance": unknown,
+        "velocity_covariance": unknown,
+        "estimator_type": MAV_ESTIMATOR_TYPE_AUTOPILOT,
+    }
+
+
+def _to_body(q: tuple[float, float, float, float], vector: Vector) -> Vector:
+    """A NED vector along the axes of a body whose attitude (body to NED) is ``q`` = (w, x, y, z)."""
+    w, x, y, z = q
+    n, e, d = vector
+    return (
+        (1 - 2 * (y * y + z * z)) * n + 2 * (x * y + w * z) * e + 2 * (x * z - w * y) * d,
+        2 * (x * y - w * z) * n + (1 - 2 * (x * x + z * z)) * e + 2 * (y * z + w * x) * d,
+        2 * (x * z + w * y) * n + 2 * (y * z - w * x) * e + (1 - 2 * (x * x + y * y)) * d,
+    )
+
+
 def altitude(v: SimVehicle, now: float) -> Fields:
     up = v.told.up_m
     amsl = v.where.alt_amsl_m + up
@@ -381,6 +420,7 @@ def builders_of(autopilot: int) -> Mapping[str, Builder]:
             **COMMON,
             "HIGHRES_IMU": highres_imu,
             "ALTITUDE": altitude,
+            "ODOMETRY": odometry,
             "ESTIMATOR_STATUS": estimator_status,
         }
     return {**COMMON, "RAW_IMU": raw_imu, "EKF_STATUS_REPORT": ekf_status_report, "FENCE_STATUS": fence_status}

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from math import radians
 from typing import Any, Final
 
+from skygcs.core.mavlink import ftp
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.sim import flight, requests, telemetry
@@ -203,8 +204,24 @@ class SimVehicle(ABC):
         """A parameter was set."""
 
     def on_file_transfer(self, payload: bytes, sender: tuple[int, int], now: float) -> None:
-        """FILE_TRANSFER_PROTOCOL's payload; a vehicle without files takes no notice."""
-        return
+        """FILE_TRANSFER_PROTOCOL's payload. A vehicle without files ends sessions and has no such file, as PX4 answers
+        for what is not there (mavlink_ftp.cpp: ENOENT becomes kErrFileNotFound); silence would make a client wait."""
+        request = ftp.decode(b"\0\0\0" + payload)
+        if request is None or request.opcode in (ftp.Op.ACK, ftp.Op.NAK):
+            return
+        ends = request.opcode in (0, ftp.Op.TERMINATE_SESSION, ftp.Op.RESET_SESSIONS)
+        known = request.opcode <= ftp.Op.BURST_READ_FILE
+        error = ftp.Error.FILE_NOT_FOUND if known else ftp.Error.UNKNOWN_COMMAND
+        reply = ftp.Packet(
+            request.seq + 1 & 0xFFFF,
+            request.session,
+            ftp.Op.ACK if ends else ftp.Op.NAK,
+            b"" if ends else bytes([error]),
+            req_opcode=request.opcode,
+            offset=request.offset,
+        )
+        fields = {"target_system": sender[0], "target_component": sender[1]}
+        self.tx.send(ftp.MESSAGE, {**fields, "payload": ftp.encode(reply)})
 
     # -- in and out
 

@@ -379,3 +379,93 @@ def test_a_px4s_hash_changes_with_a_parameter_and_back() -> None:
     pilot.forget()
     pilot.run(2.0)
     assert not pilot.all("PARAM_VALUE"), "whoever sends the hash back needs no list"
+
+
+# -- as older programs ask (DroneKit), and integer frames
+
+
+def float_message(seq: int, item: Item, current: int = 0) -> Any:
+    command, frame, p, east, north, z = item
+    lat, lon = FIELD.to_geodetic(east, north)
+    x, y = (0.0, 0.0) if frame == MISSION else (lat, lon)
+    return mav.MAVLink_mission_item_message(1, 1, seq, frame, command, current, 1, *p, x, y, z, 0)
+
+
+@BOTH
+def test_a_float_request_is_answered_with_a_float_item_to_a_metre(make: type[SimVehicle]) -> None:
+    """ArduPilot's handle_mission_request; PX4's _int_mode."""
+    pilot = Uploader(make())
+    assert pilot.upload(SQUARE) == mav.MAV_MISSION_ACCEPTED
+    wire = pilot.wire(SQUARE)
+    pilot.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
+    seq = len(wire) - len(SQUARE)
+    for n in range(len(wire)):
+        (item,) = pilot.send(mav.MAVLink_mission_request_message(1, 1, n, 0))
+        assert item.get_type() == "MISSION_ITEM" and item.seq == n
+        if n >= seq:
+            sent = message(n, wire[n])
+            assert (item.x, item.y) == pytest.approx((sent.x / 1e7, sent.y / 1e7), abs=1e-5)
+            assert (item.frame, item.command, item.z) == (REL, sent.command, sent.z)
+
+
+@BOTH
+def test_a_list_of_float_items_is_taken(make: type[SimVehicle]) -> None:
+    pilot = Uploader(make())
+    wire = pilot.wire(SQUARE)
+    answers = pilot.send(mav.MAVLink_mission_count_message(1, 1, len(wire), 0))
+    for n in range(len(wire)):
+        asked = [a for a in answers if a.get_type() in ("MISSION_REQUEST", "MISSION_REQUEST_INT")]
+        assert asked[-1].seq == n and asked[-1].get_type() == "MISSION_REQUEST"
+        answers = pilot.send(float_message(n, wire[n]))
+    (ack,) = [a for a in answers if a.get_type() == "MISSION_ACK"]
+    assert ack.type == mav.MAV_MISSION_ACCEPTED
+    kept = pilot.vehicles[0].lists.mission
+    assert [item.command for item in kept] == [item[0] for item in SQUARE]
+    lat, lon = FIELD.to_geodetic(20, 20)
+    assert kept[2].position == pytest.approx((lat, lon), abs=1e-5)
+
+
+def test_px4_names_the_frames_of_integer_items_as_such() -> None:
+    pilot = Uploader(px4())
+    pilot.upload(SQUARE)
+    pilot.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
+    (item,) = pilot.send(mav.MAVLink_mission_request_int_message(1, 1, 0, 0))
+    assert (item.get_type(), item.frame) == ("MISSION_ITEM_INT", mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
+
+
+def test_px4_asks_as_its_partner_answers() -> None:
+    """_int_mode is off when it boots, and follows the items that come."""
+    pilot = Uploader(px4())
+    answers = pilot.send(mav.MAVLink_mission_count_message(1, 1, 4, 0))
+    assert answers[-1].get_type() == "MISSION_REQUEST"
+    assert pilot.send(message(0, SQUARE[0]))[-1].get_type() == "MISSION_REQUEST_INT"
+    assert pilot.send(float_message(1, SQUARE[1]))[-1].get_type() == "MISSION_REQUEST"
+
+
+@pytest.mark.parametrize("as_float", [True, False])
+def test_an_arducopter_in_guided_flies_to_an_item_that_is_no_part_of_a_mission(as_float: bool) -> None:
+    """`current` = 2, what DroneKit's simple_goto sends."""
+    pilot = Uploader(copter())
+    pilot.hovering()
+    goal = at(16, 15, -5, 12)
+    sent = float_message(0, goal, current=2) if as_float else message(0, goal)
+    sent.current = 2
+    assert pilot.ack_of(sent) == mav.MAV_MISSION_ACCEPTED
+    pilot.run(20)
+    motion = pilot.vehicles[0].motion
+    assert motion.distance_m(15, -5, 12) < 1.0
+    assert not pilot.vehicles[0].lists.mission
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, CopterMode.LOITER) == 0
+    assert pilot.ack_of(sent) == mav.MAV_MISSION_ERROR, "in GUIDED only"
+
+
+@BOTH
+@pytest.mark.parametrize("bad", [nan, float("inf"), 1e30])
+def test_a_float_item_without_a_place_is_refused_and_harms_nothing(make: type[SimVehicle], bad: float) -> None:
+    pilot = Uploader(make())
+    pilot.send(mav.MAVLink_mission_count_message(1, 1, 2, 0))
+    item = mav.MAVLink_mission_item_message(1, 1, 0, REL, 16, 0, 1, 0, 0, 0, 0, bad, bad, 10, 0)
+    pilot.send(item)
+    item.current = 2
+    pilot.send(item)
+    assert pilot.run(1.0)

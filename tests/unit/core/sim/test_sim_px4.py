@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import hypot, isnan, nan
+from math import cos, hypot, isnan, nan, sin
 
 import pytest
 from pymavlink import mavutil
@@ -158,15 +158,15 @@ def test_return_climbs_flies_home_and_lands_there() -> None:
     assert not pilot.vehicles[0].armed
 
 
-def test_offboard_needs_a_stream_first_and_falls_back_when_it_ends() -> None:
+def test_offboard_needs_a_fresh_setpoint_and_falls_back_when_they_end() -> None:
+    """offboardCheck.cpp: the newest setpoint is younger than COM_OF_LOSS_T, and no more."""
     pilot = Pilot(px4())
     pilot.hovering()
     assert set_mode(pilot, Px4Mode.OFFBOARD) == REJECTED, "no setpoints"
     stream(pilot, 0.5, setpoint(z=-10))
-    assert set_mode(pilot, Px4Mode.OFFBOARD) == REJECTED, "not for long enough"
-    stream(pilot, 3.0, setpoint(z=-10), rate_hz=1.0)
-    assert set_mode(pilot, Px4Mode.OFFBOARD) == REJECTED, "too slow"
-    stream(pilot, 1.5, setpoint(z=-10))
+    pilot.run(1.1)
+    assert set_mode(pilot, Px4Mode.OFFBOARD) == REJECTED, "too old"
+    stream(pilot, 0.1, setpoint(z=-10))
     assert set_mode(pilot, Px4Mode.OFFBOARD) == ACCEPTED
     stream(pilot, 20, setpoint(x=15, y=-5, z=-12))
     motion = pilot.vehicles[0].motion
@@ -293,3 +293,38 @@ def test_its_default_streams_fit_a_telemetry_port() -> None:
     pilot.run(30)
     assert 300 < sum(map(len, pilot.raw)) / 30 < 800
     assert not isnan(pilot.last("ALTITUDE").altitude_relative)
+
+
+def test_files_that_are_not_there_are_refused_and_not_met_with_silence() -> None:
+    """mavlink_ftp.cpp: ENOENT is answered as kErrFileNotFound."""
+    pilot = Pilot(px4())
+    path = b"/etc/extras/component_general.json.xz"
+    for opcode, answer in ((4, 129), (3, 129), (15, 129), (2, 128), (1, 128), (99, 129)):
+        data = bytes([7, 0, 0, opcode, len(path), 0, 0, 0, 0, 0, 0, 0]) + path
+        (reply,) = [
+            m
+            for m in pilot.send(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, list(data.ljust(251, b"\0"))))
+            if m.get_type() == "FILE_TRANSFER_PROTOCOL"
+        ]
+        payload = bytes(reply.payload)
+        assert (payload[0], payload[3], payload[5]) == (8, answer, opcode)
+        if answer == 129:
+            assert payload[12] == (7 if opcode == 99 else 10)
+    nak = bytes([7, 0, 0, 129, 0, 4, 0, 0, 0, 0, 0, 0]).ljust(251, b"\0")
+    assert not pilot.send(mav.MAVLink_file_transfer_protocol_message(0, 1, 1, list(nak)))
+
+
+def test_odometry_agrees_with_the_other_messages() -> None:
+    pilot = Pilot(px4())
+    pilot.hovering()
+    stream(pilot, 0.2, setpoint(VELOCITY_ONLY & ~0x400, vx=2.0, vy=1.0, yaw=1.0))
+    set_mode(pilot, Px4Mode.OFFBOARD)
+    stream(pilot, 6, setpoint(VELOCITY_ONLY & ~0x400, vx=2.0, vy=1.0, yaw=1.0))
+    assert pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_ODOMETRY) == 0
+    assert pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED) == 0
+    pilot.run(0.1)
+    told, local = pilot.last("ODOMETRY"), pilot.last("LOCAL_POSITION_NED")
+    assert (told.frame_id, told.child_frame_id) == (mav.MAV_FRAME_LOCAL_NED, mav.MAV_FRAME_BODY_FRD)
+    assert (told.x, told.y, told.z) == pytest.approx((local.x, local.y, local.z), abs=0.5)
+    forward, right = 2 * cos(1.0) + 1 * sin(1.0), -2 * sin(1.0) + 1 * cos(1.0)
+    assert (told.vx, told.vy) == pytest.approx((forward, right), abs=0.3)
