@@ -310,7 +310,7 @@ async def test_forged_positions_move_no_vehicle_and_are_a_duplicate(
 
 
 @KINDS
-@pytest.mark.parametrize("delay_s", [0.0, 0.2])
+@pytest.mark.parametrize("delay_s", [0.0, 0.2, 1.5])
 async def test_a_peer_that_echoes_telemetry_gets_no_orders(
     tmp_path: Path, kind: dict[str, int], delay_s: float
 ) -> None:
