@@ -44,8 +44,10 @@ from skygcs.core.exchange.mission import (
 )
 from skygcs.core.mission.item import MissionItem, MissionType
 
-MAX_ROUNDS = 4
-"""Times that the list is fetched from its beginning; one that changes more often is being changed by somebody."""
+MAX_ROUNDS = 12
+"""Times that the list is fetched from its beginning; one that changes more often is being changed by somebody. A PX4
+ends a transfer after 5 s without a request that it hears: 18 items at 25 % lost each way and delays up to 1 s failed in
+298 of 3000 runs with 4 rounds, in 31 with 8 and in 1 with 12."""
 
 
 DENIED_S = 10.0
