@@ -339,18 +339,20 @@ class Router:
         if sysid == 0:
             return tuple(p.id for p in self._ports.values() if not p.policy.replayed and not p.bound)
         ports = self._by_source.get(sysid << 8 | compid) or self._by_system.get(sysid) or []
-        if len(ports) == 1:  # nearly always, and for every setpoint: 0.25 us instead of 0.85
+        if len(ports) == 1 and not self.state_sources:  # nearly always, and for every setpoint: 0.25 us instead of 0.85
             port = ports[0]
             return () if port.policy.replayed or port.bound else (port.id,)
         ports = [p for p in ports if not p.policy.replayed and not p.bound]
         ports = [p for p in ports if p.policy.role != "gcs"] or ports
         if not ports:
             return ()
-        if len(ports) == 1 or everywhere:
+        if everywhere:
             return tuple(p.id for p in ports)
         state = self.state_sources.get(sysid << 8 | compid)
-        if state is not None and any(p.id == state.present_id for p in ports):
-            return (state.present_id,)  # type: ignore[return-value]  # it is the id of one of them
+        if state is not None:
+            ports = [p for p in ports if p.id == state.present_id] or [p for p in ports if state.may_be(p.id)]
+        if state is not None or len(ports) == 1:
+            return () if not ports else (max(ports, key=lambda p: self._last_heard(p, sysid)).id,)
         heard = {p.id: self._last_heard(p, sysid) for p in ports}
         parallel = self._parallel.get(sysid)
         best = parallel.choose(heard, now) if parallel is not None else None
@@ -413,7 +415,7 @@ class Router:
     def _share_state(self, port: Port, source: int, now: float) -> None:
         """A channel has frames of a source for the first time: if it is a vehicle that others hear, or that was heard
         before, one of them supplies its state from now on."""
-        if source in self.state_sources or port.policy.replayed or port.bound:
+        if source in self.state_sources or port.policy.replayed:
             return
         others = [p for p in self._by_source.get(source, ()) if p is not port and not p.policy.replayed and not p.bound]
         replayed = any(p.policy.replayed for p in self._by_source.get(source, ()))  # which stations hand back

@@ -276,6 +276,11 @@ class StateSource:
             return False
         return self._present.only_copies >= HANDED_BACK or self._agrees(heard)
 
+    def may_be(self, channel_id: int) -> bool:
+        """Whether nothing shows that this channel hears another vehicle."""
+        heard = self._heard.get(channel_id)
+        return heard is None or (not heard.contradicted and self._may_be(heard))
+
     def take_over(self, channel_id: int, now: float) -> None:
         """This channel is the present one from now on."""
         self._take_over(channel_id, self._heard[channel_id], now)
