@@ -146,12 +146,17 @@ def test_any_upload_ends_bounded_and_tells_the_truth(
     ),
     count=st.integers(0, 25),
 )
-def test_any_download_is_exact(family: str, seed: int, net: BadNetwork, count: int) -> None:
+def test_any_download_is_exact_or_says_that_it_failed(family: str, seed: int, net: BadNetwork, count: int) -> None:
+    """A PX4 ends a transfer in which it hears no request for 5 s: with more than 20 % lost each way and delays of a
+    second that can happen in each of the rounds (8 of 1000 runs with 25 items at 25 %)."""
     vehicle = VEHICLES[family](items=mission(count))
     rig = MissionRig(MissionDownload(MissionType.MISSION), vehicle, net, seed).run()
     outcome = outcome_of(rig)
-    assert outcome.ok, outcome.message
-    assert outcome.items == tuple(mission(count))
+    if outcome.ok:
+        assert outcome.items == tuple(mission(count))
+    else:
+        assert net.loss > 0.2 and net.delay_s[1] > 0.7, outcome.message
+        assert outcome.items is None and outcome.state == "unchanged" and "not read in" in outcome.message
     assert outcome.sent <= DOWNLOAD_ROUNDS * MAX_TRIES * (count + 1) + 1
 
 
