@@ -64,6 +64,9 @@ CONFLICT_QUIET_S = 60.0
 BOOT_JITTER_MS = 3000
 """SYSTEM_TIME may come late by as much over two links; what went back by less is no reboot ..."""
 
+HEARD_NOW_S = 2.0
+"""Two heartbeats: a source that was heard on a channel within this is there."""
+
 JUST_BOOTED_MS = 10_000
 """... unless it shows a system that has only just started."""
 
@@ -173,13 +176,13 @@ class Router:
             port.filtered_in += 1
             return self._counted(_FILTERED_IN)
         if source in self._anchored and (port.policy.role == "gcs" or port.policy.replayed):
-            return self._echo(port, source)
+            return self._echo(port, source, now)
         if port.bound and frame.msgid == HEARTBEAT and discovers(frame):
-            return self._echo(port, source)
+            return self._echo(port, source, now)
         info = frame.info
         if info is not None:
             if frame.msgid == SYSTEM_TIME:
-                self._check_reboot(port, frame, source)
+                self._check_reboot(port, frame, source, now)
             if source in port.heard:
                 port.heard[source] = now
             else:
@@ -190,7 +193,7 @@ class Router:
             return self._counted(_DUPLICATE)
         system, component = frame.target()
         if port.bound and system not in port.bound and (system or _has_target(frame)):
-            return self._beyond(port, source, system)
+            return self._beyond(port, source, system, now)
         if port.limiter_in is not None and not port.limiter_in.passes(
             source, frame.msgid, len(frame.raw), system != 0, now
         ):
@@ -497,8 +500,10 @@ class Router:
         for source, state in list(self.state_sources.items()):
             self._tick_state(source, state, now)
 
-    def _check_reboot(self, port: Port, frame: Frame, source: int) -> None:
-        """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears what is known of the system's routes."""
+    def _check_reboot(self, port: Port, frame: Frame, source: int, now: float) -> None:
+        """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears the system's routes. Those
+        on which something was heard just now stay: anybody can write any source's clock into a frame, and one that
+        goes back again and again must keep no order from a vehicle."""
         boot_ms = struct.unpack_from("<I", frame.payload + bytes(12), 8)[0]
         before = port.boot_ms.get(source, 0)
         state = self.state_sources.get(source)
@@ -508,12 +513,12 @@ class Router:
             # of programs with one id behind bound channels each has a clock of its own
             for other in [port] if port.bound else [p for p in self._ports.values() if not p.bound]:
                 for known in sorted(other.of_system.get(system, ())):
-                    if (other, known) != (port, source):  # which is heard there right now
+                    if other is not port and now - other.heard[known] > HEARD_NOW_S:
                         self._forget(other, known)
             if not port.bound:
                 self._parallel.pop(system, None)
             self.on_change()
-            self._note("cleared", source, port)
+            self._note_some("cleared", source, port, now)
         if source in port.heard:
             port.boot_ms[source] = boot_ms
 
@@ -544,10 +549,10 @@ class Router:
             if source in port.heard and (port.policy.role == "gcs" or port.policy.replayed):
                 self._forget(port, source)
 
-    def _echo(self, port: Port, source: int) -> Decision:
+    def _echo(self, port: Port, source: int, now: float) -> Decision:
         if source not in port.echoes and len(port.echoes) < MAX_NOTES:
             port.echoes.add(source)
-            self._note("echo", source, port)
+            self._note_some("echo", source, port, now)
         return self._counted(_DUPLICATE)
 
     def _is_copy(self, port: Port, frame: Frame, source: int, now: float) -> bool:
@@ -578,16 +583,16 @@ class Router:
 
     def _conflict(self, port: Port, frame: Frame, now: float) -> Decision:
         if now - port.conflict_at > CONFLICT_QUIET_S:
-            self._note("conflict", frame.sysid << 8 | frame.compid, port)
+            self._note_some("conflict", frame.sysid << 8 | frame.compid, port, now)
         port.conflict_at = now
         return self._counted(_CONFLICT)
 
-    def _beyond(self, port: Port, source: int, target: int) -> Decision:
+    def _beyond(self, port: Port, source: int, target: int, now: float) -> Decision:
         """From a bound channel, for who is none of its vehicles."""
         port.out_of_bounds += 1
         if target not in port.refused:
             port.refused.add(target)
-            self._note("out_of_bounds", source, port, target)
+            self._note_some("out_of_bounds", source, port, now, target)
         return self._counted(_OUT_OF_BOUNDS)
 
     def _note_route(self, kind: str, source: int, port: Port, now: float) -> None:
@@ -596,6 +601,11 @@ class Router:
             self._note(kind, source, port)
         else:
             self.unnoted_routes += 1
+
+    def _note_some(self, kind: str, source: int, port: Port, now: float, target: int = 0) -> None:
+        """The same of what is wrong: a flood of learned routes hides none of it."""
+        if self._room.may_note(f"{port.policy.link}: wrong", now):
+            self._note(kind, source, port, target)
 
     def _note(self, kind: str, source: int, port: Port, target: int = 0) -> None:
         self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id, target))

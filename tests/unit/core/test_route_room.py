@@ -155,6 +155,39 @@ def test_a_reboot_is_noticed_after_a_flood_of_clocks() -> None:
     assert [note.kind for note in net.router.notes if note.kind == "cleared"] == ["cleared"]
 
 
+def test_a_forged_clock_keeps_no_order_from_a_vehicle_that_is_heard() -> None:
+    net = RoutedNet()
+    net.open("radio", RADIO)
+    net.open("gcs", ChannelPolicy(link="gcs"))
+    net.open("hostile", NET)
+    net.datagram("gcs", heartbeat(250, 190, gcs=True))
+    for second in range(20):
+        net.datagram("radio", heartbeat(77, seq=second))
+        net.datagram("gcs", heartbeat(250, 190, seq=second, gcs=True))
+        for step in range(10):
+            net.now += 0.1
+            for source in ((77, 190), (77, 1), (250, 190), (250, 7)):
+                net.datagram("hostile", message("SYSTEM_TIME", *source, step, time_boot_ms=60_000 - step))
+                net.datagram("hostile", message("SYSTEM_TIME", *source, step, time_boot_ms=step))
+            net.clear()
+            net.datagram("gcs", command(77, step))
+            assert "radio" in net.reached()
+            net.clear()
+            ack = message("COMMAND_ACK", 77, 1, step, command=400, target_system=250, target_component=190)
+            net.datagram("radio", ack)
+            assert "gcs" in net.reached()
+    assert [note.kind for note in net.router.notes].count("cleared") <= ROUTE_NOTES + 20
+
+
+def test_what_is_wrong_on_channels_that_come_and_go_is_noted_now_and_then_only() -> None:
+    net = RoutedNet()
+    for again in range(500):
+        net.open(f"client{again}", NET)
+        net.datagram(f"client{again}", heartbeat(255, 25))
+        net.close(f"client{again}")
+    assert [note.kind for note in net.router.notes].count("conflict") == ROUTE_NOTES
+
+
 LINKS = {"a1": "a", "a2": "a", "a3": "a", "b1": "b"}
 
 

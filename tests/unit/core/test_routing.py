@@ -347,6 +347,7 @@ def test_system_time_going_back_clears_the_routes_of_that_system_only() -> None:
     net = five_ports()
     net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=600_000))
     net.datagram("V2", heartbeat(1, seq=4))
+    net.now += 2.5
     net.datagram("V0", message("SYSTEM_TIME", 1, 1, 5, time_boot_ms=3_000))
     net.clear()
     net.datagram("G0", to(1))
