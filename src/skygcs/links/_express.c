@@ -818,6 +818,9 @@ static PyMethodDef lane_methods[] = {
 static PyTypeObject TableType = TYPE("Table", sizeof(Table), table_methods, table_members, table_init, table_dealloc);
 static PyTypeObject OutType = TYPE("Out", sizeof(Out), NULL, NULL, out_init, out_dealloc);
 static PyTypeObject LaneType = TYPE("Lane", sizeof(Lane), lane_methods, NULL, lane_init, lane_dealloc);
+/* Changes with every change of what Python and this file expect of each other; the same number is in links/express.py. */
+#define INTERFACE 2
+
 static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_express", "The express lane of UDP; see links.express.", -1, NULL, NULL, NULL, NULL, NULL};
 
 PyMODINIT_FUNC PyInit__express(void) {
@@ -838,6 +841,10 @@ PyMODINIT_FUNC PyInit__express(void) {
     if (!slots && !(slots = PyMem_RawMalloc((size_t)BURST * DATAGRAM_BYTES))) return PyErr_NoMemory();
     LaneType.tp_finalize = lane_finalize;
     PyObject *made = PyModule_Create(&module);
+    if (made && PyModule_AddIntConstant(made, "INTERFACE", INTERFACE)) {
+        Py_DECREF(made);
+        return NULL;
+    }
     if (made && !PyModule_AddType(made, &TableType) && !PyModule_AddType(made, &OutType) && !PyModule_AddType(made, &LaneType)) return made;
     Py_XDECREF(made);
     return NULL;

@@ -3,6 +3,8 @@ from typing import Any
 
 from skygcs.links.address import Address
 
+INTERFACE: int
+
 class Table:
     records_waiting: int
     def __init__(

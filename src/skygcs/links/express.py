@@ -10,6 +10,8 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import structlog
+
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 
@@ -20,19 +22,33 @@ if TYPE_CHECKING:
 PURE = "SKYGCS_PURE"
 """Environment variable: leave the compiled code aside."""
 
+INTERFACE = 2
+"""Of `_express.c` as this module uses it. A compiled file of an older checkout would lose frames: it is not used."""
+
+_log = structlog.get_logger("skygcs")
+
 
 def new_table(dialect: Dialect, *, recording: bool) -> Table | None:
     """What all lanes of one hub share; None if there is no compiled code. ``recording``: tlog records are wanted."""
     if os.environ.get(PURE):
         return None
     try:
-        from skygcs.links._express import Table
+        from skygcs.links import _express
     except ImportError:
+        return None
+    compiled = getattr(_express, "INTERFACE", 0)
+    if compiled != INTERFACE:
+        _log.warning(
+            "the compiled fast path is of another version of skygcs and is not used; install skygcs again "
+            "(pip install -e ., or make)",
+            compiled=compiled,
+            wanted=INTERFACE,
+        )
         return None
     messages = {
         m.msgid: (m.crc_extra, m.min_length, m.length, m.target_system_offset, m) for m in dialect.messages.values()
     }
-    return Table(messages, Frame, recording)
+    return _express.Table(messages, Frame, recording)
 
 
 def new_lane(
