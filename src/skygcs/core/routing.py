@@ -502,8 +502,9 @@ class Router:
 
     def _check_reboot(self, port: Port, frame: Frame, source: int, now: float) -> None:
         """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears the system's routes. Those
-        on which something was heard just now stay: anybody can write any source's clock into a frame, and one that
-        goes back again and again must keep no order from a vehicle."""
+        on which something was heard just now stay, unless it is the clock of the channel that supplies the vehicle's
+        state: anybody can write any source's clock into a frame, and one that goes back again and again must keep no
+        order from a vehicle."""
         boot_ms = struct.unpack_from("<I", frame.payload + bytes(12), 8)[0]
         before = port.boot_ms.get(source, 0)
         state = self.state_sources.get(source)
@@ -513,7 +514,8 @@ class Router:
             # of programs with one id behind bound channels each has a clock of its own
             for other in [port] if port.bound else [p for p in self._ports.values() if not p.bound]:
                 for known in sorted(other.of_system.get(system, ())):
-                    if other is not port and now - other.heard[known] > HEARD_NOW_S:
+                    there = state is None and now - other.heard[known] <= HEARD_NOW_S
+                    if (other, known) != (port, source) and not there:
                         self._forget(other, known)
             if not port.bound:
                 self._parallel.pop(system, None)
