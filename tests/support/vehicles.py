@@ -83,6 +83,10 @@ class Voice(PymavPeer):
     def ack(self, command: int, result: int = 0, *, progress: int = 0, to: tuple[int, int] = (255, 25)) -> Frame:
         return self.say(mav.MAVLink_command_ack_message(command, result, progress, 0, *to))
 
+    def estimate(self, flags: int = 831) -> Frame:
+        """An EKF_STATUS_REPORT; without flags of one that knows where it is."""
+        return self.say(mav.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0))
+
     def landed(self, state: int) -> Frame:
         return self.say(mav.MAVLink_extended_sys_state_message(0, state))
 

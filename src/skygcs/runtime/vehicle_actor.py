@@ -35,15 +35,18 @@ class VehicleActor(LiveVehicle):
     """One vehicle of the fleet and its orders, which are the coroutines."""
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
-        """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over.
+        """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over, and not before
+        an ArduCopter has a position: in STABILIZE it would arm without, and then refuse to take off.
 
         ``force``: without the autopilot's checks, and without the preflight it may require here.
         """
 
         def planner(now: float) -> Plan:
             self._require_preflight(force=force)
-            return orders.arm(self.vehicle, now, force=force)
+            return orders.arm(self.vehicle, now, force=force, estimate_msgid=estimate)
 
+        info = self._dialect.by_name.get("EKF_STATUS_REPORT") if wait_s > 0 else None
+        estimate = None if info is None else info.msgid
         return await self._orders.retry("arm", planner, wait_s)
 
     async def disarm(self, *, force: bool = False) -> Outcome:

@@ -83,9 +83,58 @@ async def test_a_refused_arming_says_why() -> None:
         assert outcome.status_texts == ("Arm: Throttle too high",)
 
 
+def estimates(vehicle: ScriptedVehicle, for_s: int, after_s: float = 0.0) -> None:
+    """It knows where it is."""
+    for second in range(for_s):
+        vehicle.tell(vehicle.estimate(), after_s + second)
+
+
+NO_POSITION = 167
+"""Attitude, vertical position and the constant position mode: a copter without GPS."""
+
+
+async def test_a_copter_is_armed_to_fly_when_it_knows_where_it_is_and_at_once_without_wait() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, ARDUPILOT)
+        vehicle.tell(vehicle.estimate(NO_POSITION))
+        for second in range(12):
+            vehicle.tell(vehicle.estimate(NO_POSITION), second)
+        estimates(vehicle, 30, after_s=12)
+        outcome = await actor.arm(wait_s=30)
+        assert outcome.ok and 11 <= outcome.elapsed_s <= 15, outcome
+        assert [c for c, _ in vehicle.commands()].count(ARM) == 1
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, ARDUPILOT)
+        vehicle.tell(vehicle.estimate(NO_POSITION))
+        outcome = await actor.arm(wait_s=4)
+        assert not outcome.ok and "no position yet" in outcome.message and not vehicle.armed
+        assert ARM not in [c for c, _ in vehicle.commands()]
+        assert (await actor.arm()).ok and vehicle.armed
+
+
+async def test_an_estimator_that_tells_nothing_is_asked() -> None:
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, ARDUPILOT)
+
+        def script(v: ScriptedVehicle, sent: Sent) -> None:
+            accept_everything(v, sent)
+            if sent.command == 512 and sent.param1 == 193:
+                v.tell(v.estimate(), 0.01)
+
+        vehicle.script = script
+        assert (await actor.arm(wait_s=10)).ok
+        assert [c for c, _ in vehicle.commands()] == [512, ARM]
+    async with Ground() as ground:
+        vehicle, actor = await one(ground, PX4)
+        assert (await actor.arm(wait_s=10)).ok
+        assert [c for c, _ in vehicle.commands()] == [ARM]
+
+
 async def test_arming_with_wait_is_tried_every_second_until_it_works() -> None:
     async with Ground() as ground:
         vehicle, actor = await one(ground, ARDUPILOT)
+        estimates(vehicle, 60)
+        await asyncio.sleep(0.5)
         vehicle.script = refusing(ARM, 4, "Arm: Need Position Estimate")
         ready_at = ground.loop.time() + 12
         ground.loop.call_at(ready_at, setattr, vehicle, "script", accept_everything)
@@ -99,6 +148,8 @@ async def test_arming_with_wait_is_tried_every_second_until_it_works() -> None:
 async def test_arming_with_wait_gives_up_in_time_with_the_last_refusal() -> None:
     async with Ground() as ground:
         vehicle, actor = await one(ground, ARDUPILOT)
+        estimates(vehicle, 60)
+        await asyncio.sleep(0.5)
         vehicle.script = refusing(ARM, 4, "Arm: Need Position Estimate")
         outcome = await actor.arm(wait_s=5)
         assert outcome.message == "failed: Arm: Need Position Estimate"
@@ -108,6 +159,8 @@ async def test_arming_with_wait_gives_up_in_time_with_the_last_refusal() -> None
 async def test_arming_with_wait_ends_at_once_for_a_reason_that_time_does_not_cure() -> None:
     async with Ground() as ground:
         vehicle, actor = await one(ground, ARDUPILOT)
+        estimates(vehicle, 60)
+        await asyncio.sleep(0.5)
         vehicle.script = refusing(ARM, 4, "Arm: LAND mode not armable")
         outcome = await actor.arm(wait_s=60)
         assert outcome.elapsed_s < 2

@@ -38,7 +38,7 @@ from dataclasses import dataclass, replace
 from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
-from skygcs.core.vehicle.plan import LIFT_OFF_S, ArmedIs, LiftedOff, ModeIn, Plan, Step, TargetNear
+from skygcs.core.vehicle.plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetNear
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
 
@@ -65,6 +65,9 @@ FORCE_REBOOT_MAGIC = 20190226.0
 FRAME_GLOBAL = 0
 FRAME_GLOBAL_RELATIVE_ALT = 3
 FRAME_GLOBAL_RELATIVE_ALT_INT = 6
+
+ESTIMATE_S = 1.0
+"""For the answer to one question for its estimate; it is asked again with the next try."""
 
 CHANGE_MODE = 1.0
 """MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
@@ -95,6 +98,17 @@ def set_mode(vehicle: Vehicle, name: str) -> Plan:
 
 def arm(*, force: bool = False) -> Plan:
     return Plan("arm", (_arm_step(force=force),), "armed")
+
+
+def arm_to_fly(vehicle: Vehicle, now: float, estimate_msgid: int) -> Plan:
+    """As `arm`, and not before it knows where it is: an ArduCopter arms in STABILIZE without a position, and refuses
+    the takeoff then. PX4's own checks cover its mode. ``estimate_msgid``: of EKF_STATUS_REPORT."""
+    copter = vehicle.family == "ardupilot" and modes.is_copter(vehicle.type)
+    if not copter or vehicle.armed or HasPosition().met(vehicle, now):
+        return arm()
+    ask = CommandSpec(REQUEST_MESSAGE, (float(estimate_msgid),))
+    known = Step("position", ask, expect=HasPosition(), expect_s=ESTIMATE_S, skip_if_met=True)
+    return Plan("arm", (known, _arm_step()), "armed")
 
 
 def disarm(*, force: bool = False) -> Plan:

@@ -50,8 +50,10 @@ FLIES_OFF = frozenset({"AUTO.MISSION", "AUTO.TAKEOFF"})
 """Modes of a PX4 in which arming is taking off."""
 
 
-def arm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
-    """Raises RefusedError where the motors would not just turn: a PX4 goes back to AUTO.MISSION when it disarms after a
+def arm(vehicle: Vehicle, now: float, *, force: bool = False, estimate_msgid: int | None = None) -> Plan:
+    """``estimate_msgid``, of EKF_STATUS_REPORT: an ArduCopter is not armed before its estimator has a position.
+
+    Raises RefusedError where the motors would not just turn: a PX4 goes back to AUTO.MISSION when it disarms after a
     mission, and flies it again as soon as it is armed."""
     require_connected(vehicle, now)
     if not force and vehicle.family == "px4" and vehicle.mode in FLIES_OFF and not vehicle.armed:
@@ -59,6 +61,8 @@ def arm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
             f"it is in {vehicle.mode} and would take off at once; set another mode first (AUTO.LOITER), or start what "
             f"it is to do (mission start, takeoff); {FORCE_HINT}"
         )
+    if estimate_msgid is not None and not force:
+        return autopilot.arm_to_fly(vehicle, now, estimate_msgid)
     return autopilot.arm(force=force)
 
 

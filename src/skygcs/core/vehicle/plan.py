@@ -81,6 +81,32 @@ class LiftedOff:
         return "still on the ground" if vehicle.armed else "it is disarmed and on the ground"
 
 
+POSITION = 1 << 3 | 1 << 4 | 1 << 8 | 1 << 9
+"""Bits of EKF_STATUS_REPORT (EKF_STATUS_FLAGS): horizontal position, relative or absolute, now or predicted for when it
+is armed. Before that the estimator may still assume to stand still (1 << 7), which position_ok() forgives."""
+
+ESTIMATE_FRESH_S = 6.0
+"""It comes every five seconds on a radio."""
+
+
+@dataclass(frozen=True, slots=True)
+class HasPosition:
+    """Its estimator knows where it is, or will as soon as it is armed: what ArduCopter's position_ok() asks for before
+    GUIDED is taken (system.cpp)."""
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        estimate, at = vehicle.section("estimator"), vehicle.section_at("estimator")
+        if estimate is None or at is None or now - at > ESTIMATE_FRESH_S:
+            return False
+        return bool(int(estimate["flags"]) & POSITION)
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return (
+            f"its estimator has no position yet, and no takeoff could follow in {vehicle.mode}; wait for GPS, or arm "
+            "without --wait to fly it by hand"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class MessageAfter:
     """The message came after the order; ``count`` is how often it had come before."""
