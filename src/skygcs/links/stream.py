@@ -22,8 +22,9 @@ RESCUE_AFTER_S = 0.1
 baud, so a pause of twice that is not within one; the rescue harms no slow frame either, it only finds whole ones.
 """
 
-READ_BYTES = 65536
-"""Most bytes taken at one wake-up, so that a flooded link leaves the others their turn."""
+READ_BYTES = 8192
+"""Most bytes taken at one wake-up, so that a flooded link leaves the others their turn: some 200 commands, 3 ms. With
+64 kB, 32 clients that flooded a server kept the loop for 0.44 s at a time, with this for 0.08 s."""
 
 SHALLOW_BYTES = 256
 """Outstanding bytes in the kernel at which we stop writing: 44 ms at 57600 baud is what an urgent frame then waits."""
