@@ -6,7 +6,7 @@
 
 It compiles `_express.c` anew with -fsanitize=address,undefined and plays, in a process of its own, (1) the tests of
 its interface, in which callbacks raise, close links and memory runs out, (2) its calls in any order, (3) scenarios with
-and without the fast path, which must end up equal (`support.fast_path`). A scenario that takes two minutes hangs. The
+and without the fast path, which must end up equal (`support.fast_path`). One that takes a minute hangs. The
 report is build/fuzz/fast_path.json. FUZZ_DATAGRAMS, FUZZ_SECONDS, FUZZ_SEED (the first scenario) and FUZZ_JOBS.
 """
 
@@ -26,6 +26,10 @@ import time
 from collections import Counter
 from pathlib import Path
 
+from fuzz import fast_path_calls
+from support import fast_path
+from support.watchdog import processor_limit
+
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "skygcs" / "links" / "_express.c"
 OUT = ROOT / "build" / "fuzz"
@@ -39,8 +43,11 @@ ENVIRONMENT = {
     "SKYGCS_REQUIRE_FASTPATH": "1",
 }
 
-WATCHDOG_S = 120.0
-"""A scenario takes a second at most, ten under the sanitizers on a busy machine."""
+LIMIT_S = 60.0
+"""Of processor time for one scenario, which takes a second at most, two under the sanitizers."""
+
+STUCK_S = 1800.0
+"""Of real time, against waiting for what never comes."""
 
 SCENARIO_STEPS = 60
 COUNTED_STEPS = 25
@@ -53,15 +60,14 @@ class Missing(Exception):
 
 def build() -> tuple[Path, str]:
     """The extension with sanitizers, and what has to be loaded before Python. Raises Missing."""
-    compiler = os.environ.get("CC") or next((c for c in ("gcc", "cc") if shutil.which(c)), None)
+    compiler = shutil.which(os.environ.get("CC") or "gcc") or shutil.which("cc")
     if compiler is None:
         raise Missing("make fuzz needs gcc: apt install gcc (Debian, Ubuntu) or dnf install gcc (Fedora)")
     found = subprocess.run([compiler, "-print-file-name=libasan.so"], capture_output=True, text=True, check=True)
     runtime = Path(found.stdout.strip())
-    version = subprocess.run([compiler, "-dumpversion"], capture_output=True, text=True, check=True).stdout.split(".")[
-        0
-    ]
-    install = f"apt install libgcc-{version.strip()}-dev (Debian, Ubuntu) or dnf install libasan libubsan (Fedora)"
+    version = subprocess.run([compiler, "-dumpversion"], capture_output=True, text=True, check=True).stdout
+    package = f"libgcc-{version.strip().partition('.')[0]}-dev"
+    install = f"apt install {package} (Debian, Ubuntu) or dnf install libasan libubsan (Fedora)"
     if not runtime.is_absolute():
         raise Missing(f"make fuzz needs the runtime of the sanitizers, libasan and libubsan of {compiler}: {install}")
     OUT.mkdir(parents=True, exist_ok=True)
@@ -92,9 +98,6 @@ def play(options: argparse.Namespace) -> int:
     os.sched_setaffinity(0, {random.choice(sorted(os.sched_getaffinity(0)))})
     if options.module:
         load(Path(options.module))
-    from fuzz import fast_path_calls
-    from support import fast_path
-
     if not options.count and options.tests and _interface_tests():
         return 1
     counts: Counter[str] = Counter()
@@ -102,26 +105,33 @@ def play(options: argparse.Namespace) -> int:
     seed = options.first
     while _goes_on(options, counts, time.monotonic() - began):
         print(f"scenario {seed}", flush=True)
-        faulthandler.dump_traceback_later(WATCHDOG_S, exit=True)
-        made = fast_path.scenario(seed, length=COUNTED_STEPS if options.count else SCENARIO_STEPS)
-        found = fast_path.differences(made)
-        if found:  # or did another program send something to a port that was its own before?
-            print("\n".join(found), flush=True)
-            if fast_path.differences(made):
+        faulthandler.dump_traceback_later(STUCK_S, exit=True)
+        with processor_limit(LIMIT_S):
+            if not _scenario(options, seed, counts):
                 return 1
-            counts["differences not seen again"] += 1
-        counts += Counter(
-            scenarios=1,
-            datagrams=made.datagrams,
-            frames=made.frames,
-            **{"datagrams on the fast path": made.fast, "bursts of 65 frames and more": made.bursts},
-        )
-        if not options.count:
-            counts["calls"] += fast_path_calls.play(seed)
         faulthandler.cancel_dump_traceback_later()
         seed += options.step
-    print(json.dumps(counts), flush=True)
+        print(json.dumps(counts), flush=True)
     return 0
+
+
+def _scenario(options: argparse.Namespace, seed: int, counts: Counter[str]) -> bool:
+    """One scenario, and a run of calls beside it; False if the fast path made a difference."""
+    made = fast_path.scenario(seed, length=COUNTED_STEPS if options.count else SCENARIO_STEPS)
+    found = fast_path.differences(made)
+    if found:  # or did another program send something to a port that was its own before?
+        print("\n".join(found), flush=True)
+        if fast_path.differences(made):
+            return False
+        counts["differences not seen again"] += 1
+    counts["scenarios"] += 1
+    counts["datagrams"] += made.datagrams
+    counts["frames"] += made.frames
+    counts["datagrams on the fast path"] += made.fast
+    counts["bursts of 65 frames and more"] += made.bursts
+    if not options.count:
+        counts["calls"] += fast_path_calls.play(seed)
+    return True
 
 
 def _goes_on(options: argparse.Namespace, counts: Counter[str], seconds: float) -> bool:

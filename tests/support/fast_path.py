@@ -21,10 +21,12 @@ from typing import Any
 from fastcrc.crc16 import mcrf4xx
 
 from skygcs.config.models import FleetConfig
+from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.frame import Frame, frame_size
 from skygcs.core.vehicle.events import Event
 from skygcs.links import express
 from skygcs.links.address import Address
+from skygcs.links.base import Channel
 from skygcs.links.udp import UdpClientLink, UdpServerLink
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
@@ -120,6 +122,8 @@ class Station:
             if before is not None:
                 os.environ[express.PURE] = before
         assert (self.hub.express is None) == pure, "there is no compiled fast path"
+        self.hub.router.known = self.fleet.known
+        self.hub.router.on_replaced = self.fleet.replaced
         self.fleet.on_roster = self.hub.forget_lanes
         if scenario.tap:
             self._tap()
@@ -136,11 +140,17 @@ class Station:
             self.loop,
             on_vehicle_frame=self.fleet.on_frame if scenario.keep_vehicles else None,
             record=self._record,
-            on_note=lambda note, channel: self.events.append((note.kind, f"{note.sysid}/{note.compid}")),
+            on_note=self._on_note,
             on_fault=lambda text: self.events.append(("fault", text)),
             record_many=self._record_many,
             only_noted=self.fleet.only_noted,
         )
+
+    def _on_note(self, note: RouteNote, channel: Channel | None) -> None:
+        """As the daemon does."""
+        if note.kind in ("duplicate", "duplicate_over"):
+            self.fleet.set_duplicate(note.sysid << 8 | note.compid, "there" if note.kind == "duplicate" else None)
+        self.events.append((note.kind, f"{note.sysid}/{note.compid} {note.count} {note.why}"))
 
     def _tap(self) -> None:
         self.stop_tap = self.hub.add_tap({30}, None, lambda f, channel, now: self.tapped.append(f.raw))

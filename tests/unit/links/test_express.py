@@ -6,7 +6,6 @@ address and undefined behaviour sanitizers.
 
 from __future__ import annotations
 
-import faulthandler
 import gc
 import os
 import random
@@ -22,23 +21,23 @@ from skygcs.links import express
 from skygcs.links.udp import DATAGRAMS_PER_WAKEUP
 from support.frames import dialect
 from support.lanes import Bench, Channel, Slot, attitude
+from support.watchdog import processor_limit
 
 pytestmark = pytest.mark.skipif(
     express.new_table(dialect(), recording=False) is None and not os.environ.get("SKYGCS_REQUIRE_FASTPATH"),
     reason="skygcs was installed without a compiler",
 )
 
-WATCHDOG_S = 150.0
-"""A loop without an end in compiled code lets no signal handler of Python's run: the process is ended, with a trace."""
+LIMIT_S = 60.0
+"""Of processor time; a test takes a tenth of a second, under the sanitizers some."""
 
 
 @pytest.fixture
 def bench() -> Iterator[Bench]:
-    faulthandler.dump_traceback_later(WATCHDOG_S, exit=True)
-    made = Bench()
-    yield made
-    made.close()
-    faulthandler.cancel_dump_traceback_later()
+    with processor_limit(LIMIT_S):
+        made = Bench()
+        yield made
+        made.close()
 
 
 def full_datagrams(bench: Bench, count: int) -> list[bytes]:
@@ -331,7 +330,7 @@ except ImportError:
 
 
 @pytest.mark.skipif(not hasattr(_testcapi, "set_nomemory"), reason="this Python cannot pretend that memory runs out")
-def test_nothing_is_left_half_done_when_memory_runs_out() -> None:
+def test_nothing_is_left_half_done_when_memory_runs_out(bench: Bench) -> None:
     """At every allocation in turn, of every call. Afterwards all goes on."""
     peers = [("10.0.0.1", port) for port in range(1, 400)]
     rng = random.Random(1)
@@ -350,8 +349,6 @@ def test_nothing_is_left_half_done_when_memory_runs_out() -> None:
             bench.table.take,
         ]
 
-    faulthandler.dump_traceback_later(WATCHDOG_S, exit=True)
-    bench = Bench()
     failed = 0
     for start in range(60):
         bench.learn()
@@ -376,8 +373,6 @@ def test_nothing_is_left_half_done_when_memory_runs_out() -> None:
     bench.lane.ready()
     assert bench.received() == [attitude(7)]
     assert failed > 100
-    bench.close()
-    faulthandler.cancel_dump_traceback_later()
 
 
 @pytest.mark.skipif(not hasattr(_testcapi, "set_nomemory"), reason="this Python cannot pretend that memory runs out")
