@@ -115,7 +115,7 @@ class Book:
     def received(self, raw: bytes, receiver: int, name: str) -> None:
         entry = self.entries.get(raw)
         late = self.before.get(raw)
-        if late is not None and (entry is None or late.got.get(receiver, 0) < late.sent):
+        if late is not None and (entry is None or (late.may >> receiver & 1 and late.got.get(receiver, 0) < late.sent)):
             entry = late  # of two equal heartbeats the one of the leg before came late
         if entry is None:
             self.wrong("unknown or damaged", raw, name)

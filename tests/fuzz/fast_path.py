@@ -50,7 +50,7 @@ STUCK_S = 1800.0
 """Of real time, against waiting for what never comes."""
 
 SCENARIO_STEPS = 60
-COUNTED_STEPS = 25
+COUNTED_STEPS = 12
 """Of longer ones more fits into the time; of shorter ones more different ones, in the test suite."""
 
 

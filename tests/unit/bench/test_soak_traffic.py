@@ -100,6 +100,17 @@ def test_a_heartbeat_of_the_leg_before_may_come_after_an_equal_one_was_sent() ->
     assert book.totals["doubled"] == 1
 
 
+def test_of_equal_heartbeats_in_two_legs_the_one_that_may_come_is_taken() -> None:
+    """The vehicle's own, which it does not get back, and a forged one in the leg after, which goes there as well."""
+    book = Book()
+    raw = Source(1, AUTOPILOT).heartbeat(2, 12)
+    book.sent(raw, TO_B, 0)
+    book.next_leg()
+    book.sent(raw, 0, TO_A)
+    book.received(raw, A, "a")
+    assert not book.strange
+
+
 def test_junk_holds_no_frame_and_all_else_does() -> None:
     world = World({"field": (1, 2), "air": (2, 3), "near": (3, 1)}, seed=7)
     try:
