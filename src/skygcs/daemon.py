@@ -536,12 +536,13 @@ class Daemon:
         }
 
     def link_quality(self, key: int) -> dict[str, Any]:
-        """Per link on which this (sysid<<8|compid) is heard: loss and rate."""
+        """Per link on which this (sysid<<8|compid) is heard: loss and rate; of several peers of one link, of the one that
+        supplies its state."""
         found = {}
         for channel_id in self.hub.router.channels_of(key):
             channel = self.hub.channels[channel_id]
             stats = channel.sources.get(key)
-            if stats is not None:
+            if stats is not None and channel.link.name not in found:
                 found[channel.link.name] = stats.as_dict(self.now())
                 if channel.config.type == "replay":
                     found[channel.link.name]["replayed"] = True

@@ -630,8 +630,13 @@ class Router:
         return {source for source, state in self.state_sources.items() if state.duplicate}
 
     def channels_of(self, source: int) -> tuple[int, ...]:
-        """Ids of the channels on which this sysid<<8|compid is heard."""
-        return tuple(p.id for p in self._by_source.get(source, ()))
+        """Ids of the channels on which this sysid<<8|compid is heard; of a vehicle first the one that supplies its
+        state."""
+        ports = self._by_source.get(source, [])
+        state = self.state_sources.get(source)
+        if state is not None:
+            ports = sorted(ports, key=lambda p: p.id != state.present_id)
+        return tuple(p.id for p in ports)
 
     def autopilots_on(self, channel_id: int) -> Collection[int]:
         """The autopilots (sysid<<8|compid) that are heard on a channel."""

@@ -312,10 +312,6 @@ class StateSource:
         """When a channel that is not the present one was heard last."""
         return max((h.heard_at for h in self._heard.values() if h is not self._present), default=-math.inf)
 
-    def ignored(self) -> int:
-        """Frames that changed nothing, of all channels."""
-        return sum(h.ignored for h in self._heard.values())
-
     # -- is it the same vehicle
 
     def _boot_agrees(self, heard: _Heard) -> bool | None:

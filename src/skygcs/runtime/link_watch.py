@@ -61,11 +61,15 @@ class LinkWatch:
             self._radios[channel.id] = _Radio(min(margins), now)
 
     def of(self, key: int, now: float) -> dict[str, LinkFacts]:
-        """By link, how a vehicle (sysid << 8 | compid) is heard."""
+        """By link, how a vehicle (sysid << 8 | compid) is heard; of several peers of one link, of the one that supplies
+        its state."""
         facts: dict[str, LinkFacts] = {}
         for channel_id in self._hub.router.channels_of(key):
+            link = self._hub.channels[channel_id].link.name
+            if link in facts:
+                continue
             window, radio = self._losses.get((channel_id, key)), self._radios.get(channel_id)
-            facts[self._hub.channels[channel_id].link.name] = LinkFacts(
+            facts[link] = LinkFacts(
                 loss=None if window is None else window.loss(),
                 frames=0 if window is None else window.frames(),
                 margin_db=None if radio is None or now - radio.at > RADIO_FRESH_S else radio.margin_db,

@@ -33,6 +33,7 @@ def test_orders_go_where_the_state_comes_from_and_emergencies_everywhere() -> No
     assert net.router.route_own(1, 1, net.now) == (net.ids["a"],)
     assert set(net.router.route_own(1, 1, net.now, everywhere=True)) == set(net.ids.values())
     assert net.router.duplicates == {KEY}
+    assert net.router.channels_of(KEY) == (net.ids["a"], net.ids["b"])
     (note,) = [n for n in net.router.notes if n.kind == "duplicate"]
     assert (note.channel_id, note.present_id) == (net.ids["b"], net.ids["a"])
 
@@ -106,3 +107,13 @@ def test_a_station_that_handed_back_frames_gives_way_to_the_vehicles_own_channel
         net.datagram("radio", heartbeat(1, seq=2 * n + 1))
         net.datagram("gcs", heartbeat(1, seq=2 * n + 1))
     assert net.router.route_own(1, 1, net.now) == (net.ids["radio"],)
+
+
+def test_the_channel_that_supplies_the_state_comes_first() -> None:
+    net = two_vehicles()
+    for n in range(8):  # the first one is lost
+        net.now += 1.0
+        net.datagram("b", heartbeat(1, seq=n))
+        net.router.expire(net.now)
+    assert net.router.channels_of(KEY) == (net.ids["b"], net.ids["a"])
+    assert "replaced" in [n.kind for n in net.router.notes]
