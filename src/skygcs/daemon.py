@@ -536,8 +536,8 @@ class Daemon:
         }
 
     def link_quality(self, key: int) -> dict[str, Any]:
-        """Per link on which this (sysid<<8|compid) is heard: loss and rate; of several peers of one link, of the one that
-        supplies its state."""
+        """Per link on which this (sysid<<8|compid) is heard: loss and rate. Of several peers of one link those of the
+        one that supplies its state."""
         found = {}
         for channel_id in self.hub.router.channels_of(key):
             channel = self.hub.channels[channel_id]
