@@ -4,12 +4,17 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test test-firmware check bench bench-control bench-radio soak fuzz clean format
+.PHONY: demo test test-clients test-firmware check bench bench-control bench-radio soak fuzz clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
 test: $(STAMP)
 	$(BIN)/pytest -n auto --dist worksteal
+
+# MAVSDK (both), DroneKit, MAVProxy and pymavlink, each in an environment of its own under build/clients
+test-clients: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m clients.environments
+	$(BIN)/pytest tests/clients -n 4
 
 # Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
 test-firmware: $(STAMP)

@@ -25,7 +25,7 @@ from skygcs.core.sim.params import Params
 from skygcs.core.sim.plan import Descend, Follow, GoTo, Land, Leg, Wait
 from skygcs.core.sim.px4_lists import Px4Lists
 from skygcs.core.sim.px4_mission import Px4Run
-from skygcs.core.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_mode, px4_params
+from skygcs.core.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_params, wanted_mode
 from skygcs.core.sim.requests import common_command
 from skygcs.core.sim.targets import is_altitude, is_position, setpoint_of
 from skygcs.core.sim.vehicle import Home, SimVehicle
@@ -375,9 +375,9 @@ class Px4Vehicle(SimVehicle):
     def _command_mode(self, c: Command, now: float) -> int:
         if not all(isfinite(p) and 0 <= p < 256 for p in (c.p1, c.p2, c.p3)):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
-        if not int(c.p1) & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
-            return m.MAV_RESULT_TEMPORARILY_REJECTED
-        result = self._accepted_if(self.try_mode(px4_mode(int(c.p2), int(c.p3)), now))
+        mode = wanted_mode(int(c.p1), int(c.p2), int(c.p3))
+        # numbers that name no mode are accepted and change nothing, as its commander does
+        result = m.MAV_RESULT_ACCEPTED if mode is None else self._accepted_if(self.try_mode(mode, now))
         # commander and navigator both answer: a real PX4 acknowledges DO_SET_MODE twice
         self.tx.acknowledge(c.id, result, c.sender)
         return result

@@ -114,7 +114,7 @@ class Px4Lists(MissionLists):
             case "MISSION_CLEAR_ALL":
                 self._on_clear(v, kind, sender)
             case "MISSION_ACK":
-                self._on_ack(v, kind, fields["type"], sender)
+                self._on_ack(v, kind, fields["type"], sender, now)
 
     def step(self, v: SimVehicle, now: float) -> None:
         if self._state is State.IDLE:
@@ -232,9 +232,13 @@ class Px4Lists(MissionLists):
         self.keep(kind, [])
         self.acknowledge(v, kind, sender, m.MAV_MISSION_ACCEPTED)
 
-    def _on_ack(self, v: SimVehicle, kind: MissionType, result: int, sender: Sender) -> None:
+    def _on_ack(self, v: SimVehicle, kind: MissionType, result: int, sender: Sender, now: float) -> None:
         if sender != self._partner:
             v.tx.say(m.MAV_SEVERITY_CRITICAL, "REJ. WP CMD: partner id mismatch\t")
+        elif self._state is State.TAKING and result == m.MAV_MISSION_UNSUPPORTED:
+            # handle_mission_ack: the partner (MAVSDK) does not know this kind of request; it gets the other one
+            self._int_mode = not self._int_mode
+            self._ask(v, now)
         elif (self._state is State.GIVING and kind is self._kind) or result == m.MAV_MISSION_OPERATION_CANCELLED:
             self._state = State.IDLE
 

@@ -40,6 +40,30 @@ MANUAL_MODES = frozenset(
 )
 NO_ARMING_MODES = frozenset({Px4Mode.RTL, Px4Mode.LAND, Px4Mode.PRECLAND, Px4Mode.ORBIT, Px4Mode.FOLLOW_TARGET})
 
+_AUTO_MAIN, _POSCTL_MAIN = 4, 3
+
+
+def wanted_mode(base_mode: int, main: int, sub: int) -> int | None:
+    """The custom_mode that MAV_CMD_DO_SET_MODE's numbers name, None if they name none (Commander.cpp, 1.16).
+
+    Without MAV_MODE_FLAG_CUSTOM_MODE_ENABLED the base mode counts: DroneKit's PX4 guide enters MISSION so.
+    """
+    if base_mode & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        if main == _AUTO_MAIN and sub == 0:
+            return Px4Mode.MISSION
+        if main in (_AUTO_MAIN, _POSCTL_MAIN):
+            return px4_mode(main, sub)
+        mode = px4_mode(main)  # others have no sub modes
+        return mode if mode in Px4Mode._value2member_map_ else None
+    if base_mode & m.MAV_MODE_FLAG_AUTO_ENABLED:
+        return Px4Mode.MISSION
+    if not base_mode & m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED:
+        return None
+    if base_mode & m.MAV_MODE_FLAG_GUIDED_ENABLED:
+        return Px4Mode.POSCTL
+    return Px4Mode.STABILIZED if base_mode & m.MAV_MODE_FLAG_STABILIZE_ENABLED else Px4Mode.MANUAL
+
+
 _F, _I = m.MAV_PARAM_TYPE_REAL32, m.MAV_PARAM_TYPE_INT32
 _PARAMS: tuple[tuple[str, float, int], ...] = (
     ("BAT1_CAPACITY", 5200.0, _F),

@@ -433,6 +433,16 @@ def test_px4_names_the_frames_of_integer_items_as_such() -> None:
     assert (item.get_type(), item.frame) == ("MISSION_ITEM_INT", mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 
 
+def test_px4_asks_otherwise_if_its_partner_does_not_know_the_request() -> None:
+    """handle_mission_ack: MAVSDK answers the first MISSION_REQUEST with MAV_MISSION_UNSUPPORTED, and again back."""
+    pilot = Uploader(px4())
+    assert pilot.send(mav.MAVLink_mission_count_message(1, 1, 1, 0))[-1].get_type() == "MISSION_REQUEST"
+    unsupported = mav.MAVLink_mission_ack_message(1, 1, mav.MAV_MISSION_UNSUPPORTED, 0)
+    assert [a.get_type() for a in pilot.send(unsupported)] == ["MISSION_REQUEST_INT"]
+    assert [a.get_type() for a in pilot.send(unsupported)] == ["MISSION_REQUEST"]
+    assert pilot.send(message(0, SQUARE[0]))[-1].type == mav.MAV_MISSION_ACCEPTED
+
+
 def test_px4_asks_as_its_partner_answers() -> None:
     """_int_mode is off when it boots, and follows the items that come."""
     pilot = Uploader(px4())

@@ -8,7 +8,7 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.core.sim.px4_setup import Px4Mode
+from skygcs.core.sim.px4_setup import Px4Mode, wanted_mode
 from support.sim_pilot import Pilot, px4, px4_mode
 
 REJECTED = mav.MAV_RESULT_TEMPORARILY_REJECTED
@@ -241,12 +241,32 @@ def test_modes_it_cannot_fly_are_rejected_with_a_text() -> None:
     pilot = Pilot(px4())
     pilot.get_ready()
     assert set_mode(pilot, Px4Mode.MISSION) == REJECTED
-    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 42, 0) == REJECTED
-    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 0, 4, 3) == REJECTED, "no custom mode flag"
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 4, 42) == REJECTED, "no such mode of AUTO"
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 42, 0) == ACCEPTED, "Commander.cpp: names no mode, is not denied"
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 0, 4, 3) == ACCEPTED, "no custom mode flag, and no base mode"
     assert pilot.command(mav.MAV_CMD_MISSION_START) == mav.MAV_RESULT_DENIED
     assert px4_mode(pilot) == Px4Mode.LOITER
     assert len([t for t in pilot.texts() if "not possible" in t]) == 2
     assert "Mission start denied! No valid mission" in pilot.texts()
+
+
+@pytest.mark.parametrize(
+    ("base", "mode"),
+    [(4, Px4Mode.MISSION), (64, Px4Mode.MANUAL), (64 | 16, Px4Mode.STABILIZED), (64 | 8, Px4Mode.POSCTL)],
+)
+def test_a_base_mode_names_a_mode_where_no_custom_one_is_given(base: int, mode: Px4Mode) -> None:
+    """Commander.cpp, VEHICLE_CMD_DO_SET_MODE; DroneKit's PX4 guide starts missions so."""
+    assert wanted_mode(base, 0, 0) == mode
+    pilot = Pilot(px4())
+    pilot.get_ready()
+    wanted = REJECTED if mode is Px4Mode.MISSION else ACCEPTED  # there is no mission
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, base, 0, 0) == wanted
+    assert wanted is REJECTED or px4_mode(pilot) == mode
+
+
+def test_auto_without_a_sub_mode_is_a_mission() -> None:
+    assert wanted_mode(1, 4, 0) == Px4Mode.MISSION
+    assert wanted_mode(1, 6, 9) == Px4Mode.OFFBOARD, "which has no sub modes"
 
 
 def test_the_deprecated_set_mode_message_works() -> None:

@@ -1,0 +1,161 @@
+"""MAVSDK-Python's examples (gRPC, `mavsdk<4`), one after the other: mavsdk_grpc_flight.py CONNECTION px4|ardupilot PORT
+
+telemetry, params, takeoff_and_land, goto, mission, offboard_position_ned, offboard_velocity_ned; offboard on PX4 only.
+"""
+
+import asyncio
+import sys
+
+from mavsdk import System
+from mavsdk.mission import MissionItem, MissionPlan
+from mavsdk.offboard import PositionNedYaw, VelocityNedYaw
+from report import distance_m, moved, saw
+
+PATIENCE_S = 180.0
+NAN = float("nan")
+
+
+async def first(stream, good=lambda value: True):
+    """The stream's first such value."""
+
+    async def look():
+        async for value in stream:
+            if good(value):
+                return value
+        raise SystemExit("the stream ended")
+
+    return await asyncio.wait_for(look(), PATIENCE_S)
+
+
+async def until_at(drone, place, height_m):
+    def there(p):
+        return distance_m(place, (p.latitude_deg, p.longitude_deg)) < 2 and abs(p.relative_altitude_m - height_m) < 2
+
+    await first(drone.telemetry.position(), there)
+
+
+async def telemetry(drone):
+    health = await first(drone.telemetry.health(), lambda h: h.is_global_position_ok and h.is_home_position_ok)
+    battery = await first(drone.telemetry.battery())
+    gps = await first(drone.telemetry.gps_info(), lambda g: g.num_satellites > 0)
+    attitude = await first(drone.telemetry.attitude_euler())
+    version = await drone.info.get_version()
+    saw(
+        "state",
+        armable=health.is_armable,
+        battery_v=battery.voltage_v,
+        satellites=gps.num_satellites,
+        yaw_deg=attitude.yaw_deg,
+        version=[version.flight_sw_major, version.flight_sw_minor, version.flight_sw_patch],
+    )
+
+
+async def params(drone, name, value):
+    before = await drone.param.get_param_float(name)
+    await drone.param.set_param_float(name, value)
+    everything = await drone.param.get_all_params()
+    after = await drone.param.get_param_float(name)
+    counts = len(everything.int_params), len(everything.float_params)
+    saw("parameters", ints=counts[0], floats=counts[1], before=before, after=after)
+
+
+async def up(drone):
+    await drone.action.set_takeoff_altitude(8.0)
+    for _ in range(60):
+        try:
+            await drone.action.arm()
+            break
+        except Exception as error:  # its checks need some seconds after the position is there
+            saw("not yet", error=str(error))
+            await asyncio.sleep(2)
+    await first(drone.telemetry.armed(), bool)
+    saw("armed")
+    await drone.action.takeoff()
+    await first(drone.telemetry.in_air(), bool)
+    await first(drone.telemetry.position(), lambda p: p.relative_altitude_m > 7)
+    saw("up")
+
+
+async def goto(drone):
+    at = await first(drone.telemetry.position())
+    ground = at.absolute_altitude_m - at.relative_altitude_m
+    place = moved(at.latitude_deg, at.longitude_deg, 12, 8)
+    await drone.action.goto_location(*place, ground + 12, 0)
+    await until_at(drone, place, 12)
+    saw("there")
+
+
+async def offboard(drone):
+    """Position and velocity, as the two examples do: a setpoint, start, go on."""
+    await drone.offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -10.0, 0.0))
+    await drone.offboard.start()
+    saw("offboard", active=await drone.offboard.is_active())
+    await drone.offboard.set_position_ned(PositionNedYaw(5.0, 5.0, -10.0, 90.0))
+
+    def at_goal(odometry):
+        p = odometry.position
+        return abs(p.north_m - 5) < 1 and abs(p.east_m - 5) < 1 and abs(p.down_m + 10) < 1
+
+    await first(drone.telemetry.position_velocity_ned(), at_goal)
+    saw("offboard position")
+    await drone.offboard.set_velocity_ned(VelocityNedYaw(0.0, -2.0, 0.0, 90.0))
+    moving = await first(drone.telemetry.position_velocity_ned(), lambda o: o.velocity.east_m_s < -1.5)
+    saw("offboard velocity", east_mps=moving.velocity.east_m_s)
+    await drone.offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 90.0))
+    await drone.offboard.stop()
+    mode = await first(drone.telemetry.flight_mode(), lambda mode: str(mode) != "OFFBOARD")
+    saw("offboard stopped", mode=str(mode))
+
+
+async def mission(drone):
+    at = await first(drone.telemetry.position())
+    legs = [moved(at.latitude_deg, at.longitude_deg, north, east) for north, east in ((12, 0), (12, 12), (0, 12))]
+    items = [
+        MissionItem(
+            *leg, 10, 5, True, NAN, NAN, MissionItem.CameraAction.NONE, NAN, NAN, 1.0, NAN, NAN,
+            MissionItem.VehicleAction.NONE,
+        )
+        for leg in legs
+    ]  # fmt: skip
+    await drone.mission.set_return_to_launch_after_mission(False)
+    await drone.mission.upload_mission(MissionPlan(items))
+    back = (await drone.mission.download_mission()).mission_items
+    off = [distance_m(leg, (i.latitude_deg, i.longitude_deg)) for leg, i in zip(legs, back, strict=False)]
+    saw("mission", sent=len(items), back=len(back), worst_m=max(off, default=-1.0))
+    await drone.mission.start_mission()
+    seen = []
+
+    def finished(progress):
+        if progress.current not in seen:
+            seen.append(progress.current)
+        return progress.total > 0 and progress.current == progress.total
+
+    await first(drone.mission.mission_progress(), finished)
+    saw("flown", items=seen, finished=await drone.mission.is_mission_finished())
+
+
+async def land(drone):
+    await drone.action.land()
+    await first(drone.telemetry.in_air(), lambda flying: not flying)
+    await first(drone.telemetry.armed(), lambda armed: not armed)
+    saw("landed")
+
+
+async def main(address, autopilot, port):
+    drone = System(port=int(port))
+    await drone.connect(system_address=address)
+    await first(drone.core.connection_state(), lambda state: state.is_connected)
+    saw("connected")
+    await telemetry(drone)
+    await params(drone, *(("RTL_RETURN_ALT", 23.0) if autopilot == "px4" else ("WPNAV_SPEED", 800.0)))
+    await up(drone)
+    await goto(drone)
+    if autopilot == "px4":
+        await offboard(drone)
+    await mission(drone)
+    await land(drone)
+    saw("done")
+
+
+if __name__ == "__main__":
+    asyncio.run(main(*sys.argv[1:]))
