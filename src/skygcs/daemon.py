@@ -128,7 +128,9 @@ def _state_text(note: RouteNote, here: str, there: str) -> str:
 def _is_warning(event: Event) -> bool:
     """True for what a person should look at although the daemon goes on: a link that is down (not one that has come to
     its end), an internal fault, a warning."""
-    return event.kind in ("warning", "fault", "undo") or (event.kind == "link_down" and not event.data.get("finished"))
+    return event.kind in ("warning", "fault", "undo", "uplink_lost") or (
+        event.kind == "link_down" and not event.data.get("finished")
+    )
 
 
 class Daemon:
@@ -165,6 +167,7 @@ class Daemon:
             lambda sysid, compid, px4: stream_refusal(self.hub, self.fleet, sysid, compid, px4=px4),
             ParamCache(default_cache_dir()),
             lambda key: self.link_watch.of(key, self.now()),
+            probes=own.heartbeat,
         )
         self.signing = Signing(dialect, self.on_event, SigningStore(default_state_dir()))
         self.hub = Hub(

@@ -283,6 +283,7 @@ class FakeVehicle:
             "messages": {"HEARTBEAT": {"rate_hz": 1.0, "age_s": 0.4, "count": 321}},
             "links": {},
             "control": None,
+            "uplink": None,
             **dict.fromkeys(
                 (
                     "ekf_origin",

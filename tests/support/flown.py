@@ -95,6 +95,9 @@ class Flown:
     cut: bool = False
     """Nothing passes the link any more, in either direction: so a daemon looks that was killed."""
 
+    deaf: bool = False
+    """Nothing of ours reaches the vehicles; all that they send comes."""
+
     def __post_init__(self) -> None:
         self._fleet = SimFleet(self.sims)
         self._uplink = FrameParser(self.sims[0].dialect)
@@ -246,7 +249,7 @@ class Flown:
             await asyncio.sleep(max(0.0, due - self.now))
 
     def _to_vehicles(self, raw: bytes) -> None:
-        if self.cut:
+        if self.cut or self.deaf:
             return
         for frame in self._uplink.feed_datagram(raw):
             self._fleet.on_frame(frame, self.now)

@@ -99,7 +99,15 @@ def armed_word(state: State) -> str:
     """Armed or not, and what is worse than either."""
     armed = {True: "ARMED", False: "no", None: "?"}[state.get("armed")]
     further = (("failsafe", "FAILSAFE"), ("duplicate_sysid", "DUPLICATE ID"), ("replayed", "REPLAY"))
-    return " ".join([armed, *(word for key, word in further if state.get(key))])
+    words = [word for key, word in further if state.get(key)]
+    if is_deaf(state):
+        words.append("HEARS NOTHING")
+    return " ".join([armed, *words])
+
+
+def is_deaf(state: State) -> bool:
+    """True if it is heard, and does not hear us."""
+    return (state.get("uplink") or {}).get("heard") is False
 
 
 def age_word(state: State) -> str:
@@ -329,7 +337,7 @@ def _styles(state: State) -> list[str]:
     styles = dict.fromkeys(STATUS_COLUMNS, "")
     if state.get("armed"):
         styles["armed"] = "bold yellow"
-    if state.get("failsafe") or state.get("duplicate_sysid"):
+    if state.get("failsafe") or state.get("duplicate_sysid") or is_deaf(state):
         styles["armed"] = "bold red"
     if not state.get("connected"):
         styles["age"] = "bold red"

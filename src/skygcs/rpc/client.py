@@ -72,6 +72,8 @@ EVENT_KINDS = (
     "params",
     "foreign",
     "undo",
+    "uplink_lost",
+    "uplink_back",
     "warning",
     "fault",
 )

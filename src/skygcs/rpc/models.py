@@ -410,6 +410,11 @@ class VehicleState(Result):
     control: dict[str, Any] | None = Field(
         description="How skygcs flies it by setpoints, as control.status tells; null: it does not."
     )
+    uplink: Part = Field(
+        None,
+        description="heard (whether it answers what we ask), unanswered (questions since), rtt_s; age_s is the time "
+        "since it last did; null: not known",
+    )
     gps: Part = Field(description="fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec")
     position: Part = Field(
         description="lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps (true east, north, up), "

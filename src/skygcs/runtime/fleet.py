@@ -121,12 +121,14 @@ class Fleet:
         stream_refusal: Callable[[int, int, bool], str | None] = lambda sysid, compid, px4: None,
         param_cache: ParamCache | None = None,
         heard: Callable[[int], Mapping[str, LinkFacts]] = lambda key: {},
+        probes: bool = False,
     ) -> None:
         """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``.
 
         ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it; ``stream_refusal``
         (and whether it is a PX4): why it bears no stream of them. ``param_cache``: where parameters are kept; None:
-        nowhere. ``heard(sysid << 8 | compid)``: how well, by link.
+        nowhere. ``heard(sysid << 8 | compid)``: how well, by link. ``probes``: whether vehicles are asked if
+        they hear us.
         """
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
@@ -150,6 +152,7 @@ class Fleet:
         self._of_system: dict[int, set[int]] = {}
         """The keys of ``vehicles`` by system id."""
         self._ending = False
+        self._probes = probes
         self.journal = UndoJournal(config.daemon.log_dir / "undo")
         self.undo = UndoOrders(self.journal, self.vehicles, loop.time, on_event)
         self._met_on: dict[int, str] = {}
@@ -587,6 +590,7 @@ class Fleet:
             preflight_valid_s=60 * daemon.preflight_valid_minutes,
             heard=lambda: self._heard(key),
             journal=self.journal,
+            probes=self._probes,
         )
         actor.commander.why_silent = actor.params.why_silent = lambda: self.why_silent(frame.sysid, frame.compid)
         self.components.forget(key)

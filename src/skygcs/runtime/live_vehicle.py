@@ -24,6 +24,7 @@ from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.pilot import PilotState
 from skygcs.core.vehicle.snapshot import latest_message
+from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.worldview import shown
 from skygcs.links.base import Noted
@@ -71,12 +72,14 @@ class LiveVehicle:
         preflight_valid_s: float = math.inf,
         heard: Callable[[], Mapping[str, LinkFacts]] = dict,
         journal: UndoJournal | None = None,
+        probes: bool = False,
     ) -> None:
         """``log_dir``: where traces of its control go; ``uplink_bytes_per_s``: what its link leaves to setpoints;
         ``stream_refusal`` (whether it is a PX4): why it bears no stream of them.
 
         ``param_cache``: where its parameters are kept; None: nowhere. ``configured``, ``preflight_valid_s``, ``heard``
         (how, by link): see `Preflight`. ``journal``: of what is to be undone; None: one of its own, in ``log_dir``.
+        ``probes``: whether it is asked now and then if it hears us.
         """
         self.vehicle = vehicle
         self.config = config
@@ -137,9 +140,12 @@ class LiveVehicle:
         self._upkeep = Upkeep(
             vehicle, self.commander, dialect, config.streams, self._orders.attempt, self._on_fault, loop
         )
+        self.uplink = UplinkWatch(time.time_ns() >> 10)
+        self._probes = probes and "TIMESYNC" in dialect.by_name
+        self._thin: Callable[[], bool] = lambda: math.isfinite(uplink_bytes_per_s())
         self._read: dict[int, Callable[[Frame, float], None]] = {
             COMMAND_ACK: self._on_ack,
-            TIMESYNC: self.flight.on_timesync,
+            TIMESYNC: self._on_timesync,
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
         }
@@ -168,6 +174,14 @@ class LiveVehicle:
             state["control"] = self.control_state(now)
         if self.planned.active:
             self.planned.add_to(state)
+        if self._probes and self.uplink.answered_at is not None:
+            trip_s = self.uplink.trip_s
+            state["uplink"] = {
+                "heard": not self.uplink.lost,
+                "unanswered": self.uplink.unanswered,
+                "rtt_s": None if trip_s is None else round(trip_s, 3),
+                "age_s": round(now - self.uplink.answered_at, 2),
+            }
         return state
 
     def describe(self, now: float) -> dict[str, Any]:
@@ -227,6 +241,8 @@ class LiveVehicle:
 
     def _on_ack(self, frame: Frame, now: float) -> None:
         if self.vehicle.last_ack is not None:
+            if self.vehicle.last_ack.is_for(*self.commander.own) and self.uplink.answered_at is not None:
+                self._on_uplink(self.uplink.heard(now))
             self.commander.on_ack(self.vehicle.last_ack, now)
             self.planned.on_ack(self.vehicle.last_ack, now)
 
@@ -258,6 +274,42 @@ class LiveVehicle:
         self._upkeep.tick(now)
         if self.flight.pilot.active:
             self.flight.refresh_budget()
+        if self._probes and self.vehicle.connected and not self.vehicle.replayed:
+            self._probe(now)
+
+    def _probe(self, now: float) -> None:
+        """Ask it whether it hears us, if that is due, and report what the answers say."""
+        uplink = self.uplink
+        if uplink.unanswered >= FEWEST:
+            last_frame_at = max((slot.at for slot in self.vehicle.slots.values()), default=-math.inf)
+            if uplink.verdict(now, last_frame_at) is not None:
+                self._on_uplink("lost")
+        if uplink.due(now, armed=self.vehicle.armed, thin=self._thin()):
+            token = uplink.token()
+            if self.commander.transmit("TIMESYNC", {"tc1": 0, "ts1": token}):
+                uplink.sent(token, now)
+
+    def _on_timesync(self, frame: Frame, now: float) -> None:
+        """An answer to a probe or a ping of ours, or somebody else's business."""
+        fields = frame.fields()
+        if fields["tc1"] != 0:
+            ours, change = self.uplink.answered(int(fields["ts1"]), now)
+            self._on_uplink(change)
+            if ours:
+                return
+        self.flight.on_timesync(frame, now)
+
+    def _on_uplink(self, change: Change | None) -> None:
+        if change is None:
+            return
+        if change == "lost":
+            text = (
+                f"it does not hear us: no answer to {self.uplink.unanswered} questions, while its telemetry comes; "
+                "orders do not reach it, and its failsafe for a lost ground station will act"
+            )
+        else:
+            text = "it hears us again"
+        self._on_event(Event(f"uplink_{change}", self.name, self.sysid, text, {}))
 
     async def wind_down(self) -> None:
         """The daemon ends: begin nothing more that has to be undone, and end what has; until all of it is undone."""
@@ -288,6 +340,7 @@ class LiveVehicle:
                 self.params.on_text(event.text)
                 self.flight.on_text(event.text)
             elif event.kind == "vehicle_lost":
+                self.uplink.forget()
                 self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
                 self.missions.stop("lost", f"the vehicle was lost: {event.text}")
                 self.params.stop_all("lost", f"the vehicle was lost: {event.text}")
@@ -296,6 +349,7 @@ class LiveVehicle:
                 self.commander.stop_all("lost", "the vehicle rebooted")
                 self.missions.stop("lost", "the vehicle rebooted")
                 self.params.stop_all("lost", "the vehicle rebooted")
+                self.uplink.forget()
                 self.flight.release("the vehicle rebooted")
                 self.preflight.forget()
                 self._upkeep.restart(now)

@@ -44,6 +44,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
         "landed": vehicle.landed(now),
         "failsafe": vehicle.failsafe,
         "control": None,  # filled in by whoever flies it
+        "uplink": None,  # by whoever asks it
         **sections,
         "last_ack": _last_ack(vehicle, now),
         "status_texts": _texts(vehicle, now),

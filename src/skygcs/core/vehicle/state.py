@@ -81,6 +81,8 @@ class VehicleState(TypedDict):
     failsafe: bool
     control: Part | None
     """How skygcs flies it by setpoints (`worldview.shown`); None: it does not."""
+    uplink: Part | None
+    """Whether it hears us (`uplink_watch`); None: not known."""
     gps: Part | None
     position: Part | None
     local: Part | None

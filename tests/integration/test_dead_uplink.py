@@ -1,0 +1,47 @@
+"""We hear the vehicles and they do not hear us: it is reported before their own failsafe acts."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from skygcs.core.sim.copter_setup import CopterMode
+from support.flown import flown
+
+pytestmark = pytest.mark.looptime
+
+
+@pytest.mark.parametrize("kind", [{"px4": 1, "ardupilot": 0}, {"px4": 0, "ardupilot": 1}], ids=str)
+async def test_it_is_told_before_the_vehicle_acts_and_when_it_is_over(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, params={"FS_GCS_ENABLE": 1.0}, **kind) as gcs:
+        await asyncio.sleep(20)
+        (state,) = await gcs("vehicles.list", targets="all")
+        assert state["uplink"]["heard"] is True and state["uplink"]["rtt_s"] < 0.5
+        began = gcs.now
+        gcs.deaf = True
+        told = await gcs.until(lambda: any(t.kind == "uplink_lost" for t in gcs.told), 10.0)
+        assert told - began < 4.0, "the failsafe of an ArduCopter takes 5 s"
+        assert gcs.sim().mode != CopterMode.RTL and gcs.actor().vehicle.connected
+        (state,) = await gcs("vehicles.list", targets="all")
+        assert state["uplink"]["heard"] is False
+        await asyncio.sleep(20)
+        assert len([t for t in gcs.told if t.kind == "uplink_lost"]) == 1
+        gcs.deaf = False
+        await gcs.until(lambda: any(t.kind == "uplink_back" for t in gcs.told), 10.0)
+        (state,) = await gcs("vehicles.list", targets="all")
+        assert state["uplink"]["heard"] is True
+
+
+async def test_a_link_that_is_cut_both_ways_is_a_lost_vehicle_and_no_dead_uplink(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await asyncio.sleep(20)
+        gcs.cut = True
+        await gcs.until(lambda: any(t.kind == "vehicle_lost" for t in gcs.told), 20.0)
+        await asyncio.sleep(10)
+        assert not [t for t in gcs.told if t.kind.startswith("uplink")]
+        gcs.cut = False
+        await asyncio.sleep(20)
+        assert not [t for t in gcs.told if t.kind.startswith("uplink")]
+        assert gcs.actor().uplink.answered_at is not None

@@ -1,0 +1,117 @@
+"""A dead uplink is reported within seconds, and loss alone is not reported as one."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from skygcs.core.vehicle.uplink_watch import UplinkWatch
+
+TICK_S = 0.2
+
+
+class Air:
+    """A vehicle that answers after a round trip, on a link that loses some of it."""
+
+    def __init__(self, *, up: float = 0.0, down: float = 0.0, trip_s: float = 0.05, thin: bool = False, seed: int = 1):
+        self.watch = UplinkWatch(first=seed)
+        self.rng = random.Random(seed)
+        self.up, self.down, self.trip_s, self.thin = up, down, trip_s, thin
+        self.now = 100.0
+        self.answers: list[tuple[float, int]] = []
+        self.sent = 0
+        self.changes: list[tuple[float, str]] = []
+
+    def run(self, for_s: float, *, armed: bool = True, dead: bool = False, silent: bool = False) -> None:
+        end = self.now + for_s
+        while self.now < end:
+            self.now = round(self.now + TICK_S, 3)
+            last_frame_at = -1.0 if silent else self.now - 0.3
+            for at, token in [a for a in self.answers if a[0] <= self.now]:
+                self.answers.remove((at, token))
+                ours, change = self.watch.answered(token, at)
+                assert ours
+                if change:
+                    self.changes.append((self.now, change))
+            if (verdict := self.watch.verdict(self.now, last_frame_at)) is not None:
+                self.changes.append((self.now, verdict))
+            if self.watch.due(self.now, armed=armed, thin=self.thin):
+                token = self.watch.token()
+                self.watch.sent(token, self.now)
+                self.sent += 1
+                if not dead and self.rng.random() >= self.up and self.rng.random() >= self.down:
+                    self.answers.append((self.now + self.trip_s, token))
+
+
+@pytest.mark.parametrize(
+    ("up", "down", "trip_s", "thin", "within_s"),
+    [
+        (0.0, 0.0, 0.05, False, 2.2),
+        (0.2, 0.0, 0.05, False, 3.2),
+        (0.2, 0.2, 0.05, False, 4.4),
+        (0.0, 0.0, 0.4, True, 5.0),
+        (0.2, 0.0, 0.4, True, 6.6),
+    ],
+)
+def test_a_dead_uplink_is_reported_soon(up: float, down: float, trip_s: float, thin: bool, within_s: float) -> None:
+    delays = []
+    for seed in range(40):
+        air = Air(up=up, down=down, trip_s=trip_s, thin=thin, seed=seed)
+        air.run(120 + seed * 0.07)
+        assert air.changes == []
+        died = air.now
+        air.run(20, dead=True)
+        assert [change for _, change in air.changes] == ["lost"]
+        delays.append(air.changes[0][0] - died)
+        air.run(10)
+        assert [change for _, change in air.changes] == ["lost", "back"] and not air.watch.lost
+    assert sum(delays) / len(delays) <= within_s, delays
+
+
+@pytest.mark.parametrize(("up", "down"), [(0.2, 0.0), (0.2, 0.2)])
+@pytest.mark.parametrize(("thin", "trip_s"), [(False, 0.05), (True, 0.4)])
+def test_loss_is_no_dead_uplink(up: float, down: float, thin: bool, trip_s: float) -> None:
+    """Ten hours in the air: 0.1 alarms are expected of all of it at most."""
+    for seed in range(10):
+        air = Air(up=up, down=down, trip_s=trip_s, thin=thin, seed=seed)
+        air.run(3600)
+        assert air.changes == []
+
+
+def test_what_it_costs() -> None:
+    for thin, armed, most in ((False, True, 2.1), (False, False, 0.3), (True, True, 0.6), (True, False, 0.15)):
+        air = Air(thin=thin, trip_s=0.4 if thin else 0.05)
+        air.run(60, armed=armed)
+        air.sent = 0
+        air.run(600, armed=armed)
+        assert air.sent / 600 <= most
+
+
+def test_one_that_never_answers_and_one_that_is_not_heard_are_not_said_to_be_deaf() -> None:
+    air = Air()
+    air.run(600, dead=True)
+    assert air.changes == [] and air.sent < 130
+    air = Air()
+    air.run(60)
+    air.run(60, dead=True, silent=True)
+    assert air.changes == [], "it is lost, which is reported as that"
+
+
+def test_other_proof_counts_and_a_reboot_begins_anew() -> None:
+    air = Air()
+    air.run(30)
+    air.run(20, dead=True)
+    assert air.watch.lost
+    assert air.watch.heard(air.now) == "back" and air.watch.heard(air.now) is None
+    air.watch.forget()
+    assert air.watch.answered_at is None and not air.watch.lost
+
+
+def test_answers_to_others_are_none_of_ours() -> None:
+    watch = UplinkWatch()
+    for token in (0, -1, 5, 2**63 - 1, -(2**63)):
+        assert watch.answered(token, 1.0) == (False, None)
+    for number in range(1000):
+        watch.sent(watch.token(), float(number))
+    assert watch.answered_at is None
