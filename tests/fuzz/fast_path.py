@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import faulthandler
+import importlib
 import importlib.util
 import json
 import os
@@ -87,6 +88,8 @@ def load(path: Path) -> None:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     sys.modules[MODULE] = module
+    package, _, name = MODULE.rpartition(".")
+    setattr(importlib.import_module(package), name, module)
 
 
 # -- the process that plays
