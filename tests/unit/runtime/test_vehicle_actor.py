@@ -514,7 +514,7 @@ async def test_hold_is_brake_and_then_guided_on_arducopter_and_loiter_on_px4() -
         px4.mode = PX4_POSCTL
         await asyncio.sleep(1.5)
         assert (await actor.hold()).ok
-        assert (px4.got[0].param2, px4.got[0].param3) == (4, 3)
+        assert px4.commands() == [(192, (-1.0, 1.0))]  # DO_REPOSITION to nowhere
 
 
 @pytest.mark.parametrize(("refused", "said"), [(17.0, "nothing is done instead"), (4.0, "it holds in BRAKE")])

@@ -237,8 +237,8 @@ class Px4Vehicle(SimVehicle):
 
     def enter(self, mode: int, now: float) -> None:
         """Be in this mode and begin what it does."""
-        if mode == self.mode and mode not in (Px4Mode.LOITER, Px4Mode.TAKEOFF, Px4Mode.MISSION):
-            return
+        if mode == self.mode and mode not in (Px4Mode.TAKEOFF, Px4Mode.MISSION):
+            return  # in LOITER as well: it flies on to where DO_REPOSITION sent it
         if self.mode == Px4Mode.MISSION:
             self.run.leave()
         self._set_mode(mode)
@@ -397,7 +397,9 @@ class Px4Vehicle(SimVehicle):
         change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
         if change_mode and not self.try_mode(Px4Mode.LOITER, now):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
-        if self.mode == Px4Mode.LOITER and not self.landed:
+        if self.mode == Px4Mode.LOITER and not any(map(isfinite, (c.p4, c.lat_deg, c.lon_deg, c.p7))):
+            self.hold_here()  # "pause vehicle"
+        elif self.mode == Px4Mode.LOITER and not self.landed:
             motion = self.believed
             east, north = motion.east_m, motion.north_m
             if is_position(c.lat_deg, c.lon_deg):

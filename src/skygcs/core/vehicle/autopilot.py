@@ -9,8 +9,8 @@ What each order is made of, and why:
               NaN yaw and place
     land      NAV_LAND                                     NAV_LAND
     rtl       NAV_RETURN_TO_LAUNCH                         NAV_RETURN_TO_LAUNCH
-    hold      mode AUTO.LOITER                             mode BRAKE, then GUIDED
-    stop      mode AUTO.LOITER                             mode BRAKE
+    hold      DO_REPOSITION to nowhere (NaN): pause        mode BRAKE, then GUIDED
+    stop      the same                                     mode BRAKE
     goto      DO_REPOSITION as COMMAND_INT, AMSL,          the same, height above home; older than 4.1: GUIDED and
               changing the mode itself                     SET_POSITION_TARGET_GLOBAL_INT; a yaw is CONDITION_YAW
 
@@ -26,6 +26,9 @@ What each order is made of, and why:
   target is not used: what is known here of its position may be a second old, or of another vehicle with the same id.
   `stop` stays in BRAKE: nobody's setpoints move it then.
 - PX4 holds in AUTO.LOITER; NAV_DLL_ACT acts there after COM_DL_LOSS_T unless COM_DLL_EXCEPT names that mode.
+- PX4 flies a goto in AUTO.LOITER, and that mode ordered once more changes nothing: it would fly on (1.16.1, seen in
+  flight: 25 m). DO_REPOSITION without a place, height and yaw is its "pause vehicle" (navigator_main.cpp): it enters
+  AUTO.LOITER from any mode, brakes, and stays where it stops. QGroundControl pauses with the same command.
 - DO_REPOSITION is acknowledged by both; ArduCopter ignores its yaw (GCS_MAVLink_Copter.cpp, 4.1 to 4.7).
 - land and rtl are the same command for both, so that one broadcast frame serves a mixed fleet.
 """
@@ -173,6 +176,10 @@ def brake(vehicle: Vehicle) -> Plan:
         raise RefusedError("skygcs knows no mode of this autopilot that holds its position")
     number = modes.mode_number(vehicle.autopilot, vehicle.type, wanted)
     step = mode_step(vehicle, number, or_disarmed=True)
+    if vehicle.family == "px4":
+        pause = CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN, NAN, NAN, NAN))
+        # Nothing is expected beside the acknowledgement: AUTO.LOITER is also the mode of the goto that is to end.
+        step = Step("pause", pause, instead=(step,))
     return Plan("hold", (step,), f"holding in {wanted}", despite_duplicate=True)
 
 

@@ -1,0 +1,143 @@
+"""Short cuts of flights on real firmware (`make test-firmware`), replayed through the whole daemon in virtual time.
+
+What is true of each is counted by pymavlink, which shares no code with skygcs.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink import mavutil
+
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink
+from skygcs.core.recording.reading import LogReader
+from skygcs.daemon import Daemon
+
+DATA = Path(__file__).parents[1] / "data"
+SPEED = 1.0
+CUTS = ("px4-plan-transfer", "px4-mission-flight", "px4-telemetry-cut", "px4-battery-low", "copter-forged-positions")
+NAMES = {
+    "LOITER": "AUTO.LOITER",
+    "MISSION": "AUTO.MISSION",
+    "RTL": "AUTO.RTL",
+    "LAND": "AUTO.LAND",
+    "TAKEOFF": "AUTO.TAKEOFF",
+    "OFFBOARD": "OFFBOARD",
+}
+"""pymavlink's names of PX4's modes, and skygcs's."""
+
+
+class Truth:
+    """A capture as pymavlink reads it."""
+
+    def __init__(self, name: str) -> None:
+        self.sources: Counter[tuple[int, int]] = Counter()
+        self.messages: Counter[str] = Counter()
+        self.modes: dict[int, list[str]] = {}
+        self.seconds = 0.0
+        log = mavutil.mavlink_connection(str(DATA / f"{name}.tlog"))
+        first = None
+        while (message := log.recv_match()) is not None:
+            first = message._timestamp if first is None else first
+            self.seconds = message._timestamp - first
+            if message.get_type().startswith("UNKNOWN"):
+                continue
+            self.sources[message.get_srcSystem(), message.get_srcComponent()] += 1
+            self.messages[message.get_type()] += 1
+            if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
+                modes = self.modes.setdefault(message.get_srcSystem(), [])
+                mode = mavutil.mode_string_v10(message)
+                if message.autopilot == mavutil.mavlink.MAV_AUTOPILOT_PX4:
+                    mode = NAMES[mode]
+                if modes[-1:] != [mode]:
+                    modes.append(mode)
+        log.close()
+
+
+class Replayed:
+    """What the daemon made of a capture."""
+
+    def __init__(self) -> None:
+        self.events: list[dict[str, Any]] = []
+        self.modes: dict[int, list[str]] = {}
+        self.state: dict[int, dict[str, Any]] = {}
+        self.counters: dict[str, int] = {}
+        self.faults = 0
+
+
+async def replay(name: str, tmp_path: Path) -> Replayed:
+    config = FleetConfig(
+        daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
+        links={"capture": ReplayLink(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
+    )
+    daemon = Daemon(config, load_dialect(config.dialect))
+    found = Replayed()
+    daemon.subscribe_events(found.events.append)
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    for _ in range(10_000):
+        await asyncio.sleep(0.05)
+        for actor in daemon.fleet.vehicles.values():
+            found.state[actor.sysid] = state = actor.state(daemon.now())
+            modes = found.modes.setdefault(actor.sysid, [])
+            if modes[-1:] != [state["mode"]]:
+                modes.append(state["mode"])
+        [link] = daemon.links_status()
+        if link["state"] == "finished":
+            break
+    found.counters = daemon.router_stats()["counters"]
+    found.faults = daemon.hub.faults
+    daemon.stop()
+    await running
+    return found
+
+
+@pytest.mark.parametrize("name", CUTS)
+def test_every_frame_is_read_as_pymavlink_reads_it(name: str) -> None:
+    truth = Truth(name)
+    reader = LogReader((DATA / f"{name}.tlog").read_bytes(), load_dialect(FleetConfig().dialect), "tlog")
+    frames = [entry.frame for entry in reader if entry.frame is not None]
+    names = Counter(frame.name for frame in frames if frame.info is not None)
+    # Either side's definitions know some messages that the other's do not: those that both know count.
+    both = set(names) & set(truth.messages)
+    assert len(both) > 15
+    assert {name: names[name] for name in both} == {name: truth.messages[name] for name in both}
+    assert set(Counter((f.sysid, f.compid) for f in frames)) == set(truth.sources)
+
+
+@pytest.mark.looptime
+@pytest.mark.parametrize("name", [cut for cut in CUTS if cut != "copter-forged-positions"])
+async def test_modes_are_those_of_the_heartbeats(name: str, tmp_path: Path) -> None:
+    truth = Truth(name)
+    found = await replay(name, tmp_path)
+    assert found.faults == 0
+    assert {sysid: modes for sysid, modes in found.modes.items() if sysid in truth.modes} == truth.modes
+    assert not [e for e in found.events if e["kind"] in ("fault", "duplicate", "conflict")]
+
+
+@pytest.mark.looptime
+async def test_telemetry_that_is_cut_twice_loses_the_vehicle_twice(tmp_path: Path) -> None:
+    """Six seconds each, under velocity and under attitude control; both times it was found in AUTO.LOITER."""
+    found = await replay("px4-telemetry-cut", tmp_path)
+    kinds = Counter((e["kind"], e["sysid"]) for e in found.events)
+    assert kinds["vehicle_lost", 11] == kinds["vehicle_back", 11] == 2
+    assert found.state[11]["armed"] is True
+
+
+@pytest.mark.looptime
+async def test_a_low_battery_is_seen_at_the_end(tmp_path: Path) -> None:
+    found = await replay("px4-battery-low", tmp_path)
+    assert 17 <= found.state[11]["battery"]["percent"] <= 19
+    assert found.state[12]["battery"]["percent"] > 20
+
+
+@pytest.mark.looptime
+async def test_forged_positions_are_reported(tmp_path: Path) -> None:
+    found = await replay("copter-forged-positions", tmp_path)
+    assert [e for e in found.events if e["kind"] == "duplicate" and e["sysid"] == 21]
+    assert not [e for e in found.events if e["kind"] == "duplicate" and e["sysid"] == 22]
