@@ -34,7 +34,7 @@ async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: floa
     assert gcs.last_setpoint() <= held
     (told,) = [t for t in gcs.texts(since) if t.startswith("holding")]
     assert why in told, told
-    assert {int(c.values["command"]) for c in gcs.commands(since)} == {176}
+    assert {int(c.values["command"]) for c in gcs.commands(since)} == gcs.hold_commands
 
 
 @KINDS_AND_MODES

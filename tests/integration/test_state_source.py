@@ -219,7 +219,7 @@ async def test_a_forged_mode_on_the_vehicles_own_channel_ends_in_a_hold(tmp_path
         other.heartbeat(mode=Px4Mode.POSCTL if kind.get("px4") else CopterMode.LOITER, armed=True)
         await gcs.ends_safe(within_m=5.0, since=seen)
         assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.BRAKE, CopterMode.GUIDED)
-        assert [int(c.values["command"]) for c in gcs.commands(seen)][:1] == [176]
+        assert [int(c.values["command"]) for c in gcs.commands(seen)][:1] == [*gcs.hold_commands][:1]
 
 
 @KINDS

@@ -180,6 +180,11 @@ class Flown:
     def last_setpoint(self, name: str = "v1") -> float:
         return self.setpoints(-1.0, name)[-1].at
 
+    @property
+    def hold_commands(self) -> set[int]:
+        """What the order to hold is made of: a PX4's pause (DO_REPOSITION), an ArduCopter's modes (DO_SET_MODE)."""
+        return {192 if self.actor().vehicle.family == "px4" else 176}
+
     def commands(self, since: float, name: str = "v1") -> list[Sent]:
         """Orders that move a vehicle, sent since then; questions are none."""
         orders = (176, 20, 21, 22, 192, 400)

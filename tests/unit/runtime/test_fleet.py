@@ -373,7 +373,7 @@ class TestOrdersForMany:
             assert all(o.ok for o in (await ground.fleet.command_all("all", "rtl")).values())
             assert [s.sysid for s in self.commands(ground)] == [1, 2, 3] * 2
 
-    @pytest.mark.parametrize(("order", "command"), [("land", 21), ("rtl", 20), ("hold", 176), ("disarm", 400)])
+    @pytest.mark.parametrize(("order", "command"), [("land", 21), ("rtl", 20), ("hold", 192), ("disarm", 400)])
     async def test_an_order_that_ends_a_flight_is_carried_on_when_its_caller_is_gone(
         self, order: str, command: int
     ) -> None:
