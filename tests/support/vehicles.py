@@ -219,7 +219,7 @@ def accept_everything(vehicle: ScriptedVehicle, sent: Sent) -> None:
         vehicle.mode = PX4_LAND if vehicle.autopilot == PX4 else 9
     elif sent.name == "COMMAND_LONG" and sent.command == 20:
         vehicle.mode = PX4_RTL if vehicle.autopilot == PX4 else 6
-    elif sent.name == "COMMAND_INT" and sent.command == 192:
+    elif sent.command == 192:
         vehicle.mode = PX4_LOITER if vehicle.autopilot == PX4 else 4
     if sent.name.startswith("COMMAND_"):
         vehicle.reply(sent)

@@ -349,7 +349,8 @@ class TestOrdersForMany:
             await self.swarm(ground)
             outcomes = await ground.fleet.command_all("all", "hold")
             assert all(o.ok for o in outcomes.values())
-            assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3, 4]
+            # BRAKE and then GUIDED to the copters
+            assert sorted(s.sysid for s in self.commands(ground)) == [1, 2, 3, 3, 4, 4]
 
     @pytest.mark.parametrize(("order", "force"), [("hold", {}), ("disarm", {"force": True}), ("disarm", {})])
     async def test_a_mode_and_a_disarming_are_never_broadcast(self, order: str, force: dict[str, bool]) -> None:
@@ -360,7 +361,7 @@ class TestOrdersForMany:
                 vehicle.flying, vehicle.status = order == "hold", 3
             await asyncio.sleep(1.5)
             assert all(o.ok for o in (await ground.fleet.command_all("all", order, **force)).values())
-            assert [s.sysid for s in self.commands(ground)] == [1, 2, 3]
+            assert [s.sysid for s in self.commands(ground)] == [1, 2, 3] * (2 if order == "hold" else 1)
 
     async def test_nothing_is_broadcast_where_others_may_hear_it(self) -> None:
         async with Ground() as ground:

@@ -25,7 +25,7 @@ from support.vehicles import (
 
 pytestmark = pytest.mark.looptime
 
-MODE, LAND, DISARM = 176, 21, 400
+MODE, LAND, DISARM, PAUSE = 176, 21, 400, 192
 BRAKE, GUIDED = 17, 4
 
 Script = Callable[[ScriptedVehicle, Sent], None]
@@ -65,13 +65,13 @@ async def test_a_stop_whose_first_dozen_transmissions_are_lost_is_carried_out_al
         outcome = await actor.stop(action)  # type: ignore[arg-type]
         assert outcome.ok and outcome.attempts == 13
         assert vehicle.mode == mode
-        stops = [s for s in ground.sent if s.name == "COMMAND_LONG" and s.command in (MODE, LAND)]
+        stops = [s for s in ground.sent if s.name == "COMMAND_LONG" and s.command in (MODE, PAUSE, LAND)]
         assert all(s.priority is Priority.EMERGENCY and s.everywhere for s in stops)
 
 
 async def test_an_accepted_stop_that_the_heartbeat_does_not_show_is_given_again() -> None:
     def accepts_without_doing(vehicle: ScriptedVehicle, sent: Sent) -> None:
-        if sent.name == "COMMAND_LONG" and sent.command == MODE:
+        if sent.name == "COMMAND_LONG" and sent.command == PAUSE:
             vehicle.reply(sent)
             if len(vehicle.commands()) == 2:
                 accept_everything(vehicle, sent)
@@ -81,7 +81,7 @@ async def test_an_accepted_stop_that_the_heartbeat_does_not_show_is_given_again(
         vehicle.script = accepts_without_doing
         outcome = await actor.stop("hold")
         assert outcome.ok and outcome.attempts == 2
-        assert [c for c, _ in vehicle.commands()] == [MODE, MODE]
+        assert [c for c, _ in vehicle.commands()] == [PAUSE, PAUSE]
 
 
 async def test_a_stop_nobody_hears_is_given_up_in_the_end_and_says_so() -> None:

@@ -178,8 +178,9 @@ def brake(vehicle: Vehicle) -> Plan:
     step = mode_step(vehicle, number, or_disarmed=True)
     if vehicle.family == "px4":
         pause = CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN, NAN, NAN, NAN))
-        # Nothing is expected beside the acknowledgement: AUTO.LOITER is also the mode of the goto that is to end.
-        step = Step("pause", pause, instead=(step,))
+        # AUTO.LOITER is also the mode of the goto that is to end, in which only the acknowledgement shows it.
+        expect = None if vehicle.custom_mode == number else step.expect
+        step = Step("pause", pause, expect=expect, instead=(step,))
     return Plan("hold", (step,), f"holding in {wanted}", despite_duplicate=True)
 
 
