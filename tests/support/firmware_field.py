@@ -333,6 +333,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in names), 20, "no duplicate is reported")
         for name in names:
             if self.truth(name).armed and self.truth(name).alt_rel_m > 2:
+                self.order("vehicles.hold", name)  # also takes it over from a failsafe of its own
                 if not self.px4:
                     self.order("vehicles.mode", name, mode="GUIDED")
                 self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
@@ -366,6 +367,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         self.relay.clear()
         if any(self.truth(n).armed for n in self.names):
             self.land()
+        self.wait(lambda: not any(self.state(n)["armed"] for n in self.names), 20, "all are seen disarmed")
         self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in self.names), 20, "no duplicate is reported")
         self.wait(
             lambda: all(self.state(n)["landed"] in ("on_ground", None) for n in self.names), 20, "all are seen landed"
