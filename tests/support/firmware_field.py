@@ -339,16 +339,24 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
                 self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
             else:
                 self.order("vehicles.takeoff", name, height_m=height_m, wait_s=60)
-        return self.wait(
+        began = time.monotonic()
+        self.wait(
             lambda: all(
-                abs(self.truth(n).alt_rel_m - height_m) < 1.5
-                and math.dist(self.enu(n)[:2], self.stand(n)) < 3
-                and self.truth(n).mode != "TAKEOFF"  # a PX4 goes from it to LOITER by itself
-                for n in names
+                abs(self.truth(n).alt_rel_m - height_m) < 1.5 and self.truth(n).mode != "TAKEOFF" for n in names
             ),
             90,
             f"{names} are up",
+        )  # a PX4 goes from TAKEOFF to LOITER by itself
+        up_s = time.monotonic() - began
+        for name in names:
+            if math.dist(self.enu(name)[:2], self.stand(name)) > 2:
+                self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
+        self.wait(
+            lambda: all(math.dist(self.enu(n)[:2], self.stand(n)) < 3 for n in names),
+            60,
+            f"{names} are at their places",
         )
+        return up_s
 
     def stand(self, name: str) -> tuple[float, float]:
         """Where it took off from, in metres east and north."""
