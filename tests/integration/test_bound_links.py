@@ -96,6 +96,9 @@ def overhear(air: OnAir) -> list[tuple[int, Frame]]:
 async def test_eight_programs_fly_eight_vehicles(tmp_path: Path, shown: int | None, network: dict[str, Any]) -> None:
     radio = {**RADIO, "radio": {"air_kbps": 125, "loss": 0.05 if network else 0.0}}
     async with on_air(tmp_path, **radio) as air:
+        for sim in air.link.vehicles:
+            for delay in ("DISARM_DELAY", "COM_DISARM_PRFLT"):  # none disarms by itself while others still ask
+                sim.params.set(delay, 0.0)
         heard = overhear(air)
         programs = {}
         for n, sysid in enumerate(VEHICLES):
