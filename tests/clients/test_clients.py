@@ -1,7 +1,7 @@
 """Programs that people fly with, each through a real `skygcs run` against simulated vehicles, as their examples do.
 
-Shared: a link that carries everything, and one vehicle. Bound: two vehicles of both firmwares, a link for this one only,
-shown as system 1 (docs/howto/clients.md).
+Shared: a link that carries everything, and one vehicle. Bound: two vehicles, one of each firmware, and a link for this
+one only, shown as system 1 (docs/howto/clients.md).
 """
 
 from __future__ import annotations

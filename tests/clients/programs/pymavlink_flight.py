@@ -32,7 +32,7 @@ class Flight:
             if ask is not None:
                 ask()
             self.link.mav.heartbeat_send(m.MAV_TYPE_GCS, m.MAV_AUTOPILOT_INVALID, 0, 0, 0)
-            for _ in range(200):
+            for _ in range(20):
                 found = self.link.recv_match(type=kinds, blocking=True, timeout=2)
                 if found is None:
                     return None
@@ -54,11 +54,11 @@ class Flight:
         found = self.receive("GLOBAL_POSITION_INT")
         return found.lat / 1e7, found.lon / 1e7, found.relative_alt / 1e3
 
-    def until_at(self, place, height_m):
+    def until_at(self, place, height_m, ask=None):
         def there(p):
             return distance_m(place, (p.lat / 1e7, p.lon / 1e7)) < 2 and abs(p.relative_alt / 1e3 - height_m) < 2
 
-        self.receive("GLOBAL_POSITION_INT", there)
+        self.receive("GLOBAL_POSITION_INT", there, ask=ask)
 
     def mode(self, name):
         def ask():
@@ -122,11 +122,14 @@ class Flight:
             ack = self.receive("COMMAND_ACK", lambda a: a.command == m.MAV_CMD_DO_REPOSITION, ask=ask)
             saw("reposition", result=ack.result)
         else:
-            self.link.mav.set_position_target_global_int_send(
-                0, self.system, self.component, m.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 0b110111111000,
-                round(place[0] * 1e7), round(place[1] * 1e7), height_m, 0, 0, 0, 0, 0, 0, 0, 0,
-            )  # fmt: skip
-        self.until_at(place, height_m)
+
+            def ask():  # again and again: an ArduCopter takes none while it still takes off
+                self.link.mav.set_position_target_global_int_send(
+                    0, self.system, self.component, m.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, 0b110111111000,
+                    round(place[0] * 1e7), round(place[1] * 1e7), height_m, 0, 0, 0, 0, 0, 0, 0, 0,
+                )  # fmt: skip
+
+        self.until_at(place, height_m, None if self.px4 else ask)
         saw("there")
 
     def mission_items(self, integer):

@@ -116,6 +116,9 @@ class CopterLists(MissionLists):
                 self.send_count(v, kind, sender, len(self._on_wire(v, kind)))
             case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
                 items, seq = self._on_wire(v, kind), fields["seq"]
+                if seq == 0 and kind is MissionType.MISSION and not items:
+                    # MissionItemProtocol_Waypoints::get_item: home can always be read; DroneKit asks for it so
+                    items = [home_item(v)]
                 if seq < len(items):
                     as_float = name == "MISSION_REQUEST"
                     self.send_item(v, kind, sender, seq, items[seq], as_float=as_float, current=0)

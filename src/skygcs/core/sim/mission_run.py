@@ -35,6 +35,9 @@ class MissionRun(ABC):
     tells_deeds = False
     """Whether items that do not move it are told as reached, too; only the last of several reached at once is told."""
 
+    reports_each = False
+    """Whether items that do not move it are reported as reached, each in turn (PX4)."""
+
     def __init__(self) -> None:
         self.seq = 0
         self.state = m.MISSION_STATE_NO_MISSION
@@ -118,7 +121,14 @@ class MissionRun(ABC):
             return
         v.taking_off = False
         self.reached = self.seq
+        if self.reports_each:
+            self._report_reached(v)
+            self._go(v, self.seq + 1, now)
+            return
         self._go(v, self.seq + 1, now)
+        self._report_reached(v)
+
+    def _report_reached(self, v: SimVehicle) -> None:
         v.tx.send("MISSION_ITEM_REACHED", {"seq": self.reached + self.first_seq})
 
     @property
@@ -156,8 +166,10 @@ class MissionRun(ABC):
             return seq + 1
         if item.command == m.MAV_CMD_DO_CHANGE_SPEED and p2 > 0:
             self.change_speed(v, p2)
-        if self.tells_deeds:
+        if self.tells_deeds or self.reports_each:
             self.reached = seq
+        if self.reports_each:
+            self._report_reached(v)
         return seq + 1
 
     def _fly(self, v: SimVehicle, item: MissionItem, now: float) -> None:

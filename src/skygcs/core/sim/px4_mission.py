@@ -20,7 +20,12 @@ NO_MISSION_TOTAL = 65535
 
 
 class Px4Run(MissionRun):
-    """It does not tell MISSION_CURRENT.mission_state; behind the message are the ids of its lists (`ids`)."""
+    """It does not tell MISSION_CURRENT.mission_state; behind the message are the ids of its lists (`ids`).
+
+    MissionBase::on_active reports every item: MAVSDK waits for that of its last one, a change of speed.
+    """
+
+    reports_each = True
 
     def facts(self, v: SimVehicle) -> dict[str, Any]:
         return {"seq": self.seq, "total": len(v.lists.mission) or NO_MISSION_TOTAL}

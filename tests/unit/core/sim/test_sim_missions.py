@@ -433,6 +433,27 @@ def test_px4_names_the_frames_of_integer_items_as_such() -> None:
     assert (item.get_type(), item.frame) == ("MISSION_ITEM_INT", mav.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)
 
 
+def test_px4_reports_items_that_do_not_move_it_as_reached() -> None:
+    """MissionBase::on_active; the last item of a MAVSDK mission is a change of speed."""
+    pilot = Uploader(px4())
+    pilot.get_ready()
+    pilot.upload([do(178, 1, 4.0), at(22, 0, 0, 10), do(178, 1, 5.0), at(16, 0, 10, 10), do(178, 1, 3.0)])
+    pilot.start()
+    pilot.run(60)
+    assert pilot.reached() == [0, 1, 2, 3, 4]
+
+
+def test_the_home_of_an_arducopter_without_a_mission_can_be_read() -> None:
+    """get_item: "always allow HOME to be read"; DroneKit asks for item 0 of a list of 0."""
+    pilot = Uploader(copter())
+    pilot.get_ready()
+    (count,) = pilot.send(mav.MAVLink_mission_request_list_message(1, 1, 0))
+    (item,) = pilot.send(mav.MAVLink_mission_request_message(1, 1, 0, 0))
+    assert count.count == 0 and (item.get_type(), item.seq, item.command) == ("MISSION_ITEM", 0, 16)
+    assert abs(item.x) > 1, "a place"
+    assert pilot.send(mav.MAVLink_mission_request_message(1, 1, 1, 0))[-1].type == mav.MAV_MISSION_ERROR
+
+
 def test_px4_asks_otherwise_if_its_partner_does_not_know_the_request() -> None:
     """handle_mission_ack: MAVSDK answers the first MISSION_REQUEST with MAV_MISSION_UNSUPPORTED, and again back."""
     pilot = Uploader(px4())
