@@ -11,7 +11,7 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/pytest -n auto --dist worksteal
 
-# MAVSDK (both), DroneKit, MAVProxy and pymavlink, each in an environment of its own under build/clients
+# MAVSDK (gRPC), DroneKit and pymavlink themselves, each in an environment of its own under build/clients
 test-clients: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m clients.environments
 	$(BIN)/pytest tests/clients -n 4

@@ -52,8 +52,6 @@ CLIENTS = {
         # its last release, of 2019: it imports `past`, which it had through an older pymavlink; `past` wants distutils
         Client("dronekit", ("dronekit==2.9.2", "future>=1", "setuptools<81")),
         Client("mavsdk-grpc", ("mavsdk<4",)),
-        Client("mavsdk", ("mavsdk>=4,<5",)),
-        Client("mavproxy", ("MAVProxy>=1.8.70,<2", "setuptools<81")),
     )
 }
 
