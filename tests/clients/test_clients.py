@@ -119,7 +119,7 @@ def test_dronekit(tmp_path: Path, autopilot: str, form: str) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("autopilot", SYSIDS)
+@pytest.mark.parametrize("autopilot", ["px4"])  # MAVSDK calls the home item of an ArduCopter's mission unsupported
 def test_mavsdk_over_grpc(tmp_path: Path, autopilot: str, form: str) -> None:
     server = str(free_port(socket.SOCK_STREAM))
     flight = fly(tmp_path, "mavsdk-grpc", autopilot, form, "udp_client", "udpin://127.0.0.1:{port}", server)
