@@ -133,7 +133,8 @@ class Gcs:
         if method == "links.list":
             return self.rows
         if method == "vehicles.list":
-            return [{"name": name, "armed": name in self.armed} for name in ("alpha", "bravo")]
+            states = {"duplicate_sysid": False, "landed": "on_ground"}
+            return [{"name": name, "armed": name in self.armed, **states} for name in ("alpha", "bravo")]
         assert method == "links.change"
         if self.broken and params["link"]["enabled"]:
             raise RpcError(-32001, "no such link")
