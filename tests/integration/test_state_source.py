@@ -1,4 +1,4 @@
-"""Whose word counts for a vehicle: forged frames, duplicate ids and second radios, through a whole daemon.
+"""Which frames count for a vehicle's state: forged frames, duplicate ids and second radios, through a whole daemon.
 
 The vehicle flies behind the link "air"; what forges, echoes or is a second radio is behind "other".
 """

@@ -153,7 +153,7 @@ async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObj
 def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | None:
     """The last message of one name from one vehicle, or null if none came yet.
 
-    Of a vehicle it is its autopilot's, or, if that has sent none, the newest of its system's other components, which
+    For a vehicle: its autopilot's, or, if that has sent none, the newest one of its system's other components, which
     compid names. "7/191" or "alpha/191" is one component.
     """
     info = find_message(context.daemon.dialect, params.name, "name")
