@@ -145,11 +145,11 @@ class _Heard:
     """What one channel shows of the vehicle."""
 
     __slots__ = (
-        "beat_at",
         "booted_at",
         "contradicted",
         "first_at",
         "heard_at",
+        "heartbeat_at",
         "high_latency",
         "identity",
         "ignored",
@@ -166,7 +166,7 @@ class _Heard:
         self.link = link
         self.first_at = now
         self.heard_at = now
-        self.beat_at = -math.inf
+        self.heartbeat_at = -math.inf
         self.booted_at: float | None = None
         self.place: Place | None = None
         self.identity: tuple[int, int] | None = None
@@ -188,13 +188,13 @@ class _Heard:
         if msgid == HEARTBEAT:
             if discovers(frame):
                 custom_mode, vehicle_type, autopilot, base_mode = heartbeat_fields(frame)
-                self.beat_at, self.high_latency = now, False
+                self.heartbeat_at, self.high_latency = now, False
                 self.identity = vehicle_type, autopilot
                 self.shown = bool(base_mode & SAFETY_ARMED), custom_mode
                 self.seconds.add(int(now))
             return
         if msgid == HIGH_LATENCY2:
-            self.beat_at, self.high_latency = now, True
+            self.heartbeat_at, self.high_latency = now, True
             return
         at = BOOT_MS_AT.get(msgid)
         if at is None:
@@ -272,7 +272,7 @@ class StateSource:
         """Whether this is the vehicle's own channel, the present one being a ground station's: it hands back what came
         over this one, or this one agrees."""
         heard = self._heard.get(channel_id)
-        if heard is None or heard is self._present or heard.beat_at == -math.inf:
+        if heard is None or heard is self._present or heard.heartbeat_at == -math.inf:
             return False
         return self._present.only_copies >= HANDED_BACK or self._agrees(heard)
 
@@ -357,15 +357,18 @@ class StateSource:
     # -- takeover
 
     def _may_take_over(self, channel_id: int, heard: _Heard, now: float) -> bool:
-        patience_s = self._lost_s * (HIGH_LATENCY_FACTOR if heard.high_latency else 1)
-        if now - heard.beat_at > patience_s:
+        if now - heard.heartbeat_at > self._timeout_s(heard):
             return False  # it does not hear the autopilot
         silent_s = now - self._present.heard_at
-        if silent_s > self._lost_s * (HIGH_LATENCY_FACTOR if self._present.high_latency else 1):
+        if silent_s > self._timeout_s(self._present):
             return True
         if self.present_id is None:
             return self._may_be(heard)
         return (silent_s > SILENT_S or heard.worse >= WORSE_WINDOWS) and self._agrees(heard)
+
+    def _timeout_s(self, heard: _Heard) -> float:
+        """After how long without a heartbeat the vehicle counts as lost on this channel."""
+        return self._lost_s * (HIGH_LATENCY_FACTOR if heard.high_latency else 1)
 
     def _take_over(self, channel_id: int, heard: _Heard, now: float) -> None:
         before_id, before = self.present_id, self._present

@@ -106,7 +106,7 @@ class UplinkWatch:
     def heard(self, now: float) -> Change | None:
         """It showed that it hears us: what changes by that."""
         before = len(self._waiting)
-        self._waiting = {token: at for token, at in self._waiting.items() if now - at < self.patience_s}
+        self._waiting = {token: at for token, at in self._waiting.items() if now - at < self.answer_timeout_s}
         if not self.lost:  # a dead uplink says nothing of how many a live one loses
             self._outcomes.extend([False] * (before - len(self._waiting)))
         self.answered_at, self.unanswered, self._in_doubt_since = now, 0, None
@@ -119,9 +119,9 @@ class UplinkWatch:
         since = self._in_doubt_since
         if self.lost or self.answered_at is None or since is None or self.unanswered < self._needed:
             return None
-        if sum(at >= since and now - at >= self.patience_s for at in self._waiting.values()) < self._needed:
+        if sum(at >= since and now - at >= self.answer_timeout_s for at in self._waiting.values()) < self._needed:
             return None
-        if last_frame_at < since or now - last_frame_at > LOST_S + self.patience_s:
+        if last_frame_at < since or now - last_frame_at > LOST_S + self.answer_timeout_s:
             return None
         self.lost = True
         return "lost"
@@ -133,7 +133,7 @@ class UplinkWatch:
         self._waiting.clear()
 
     @property
-    def patience_s(self) -> float:
+    def answer_timeout_s(self) -> float:
         """For an answer."""
         trip_s = FIRST_TRIP_S if self.trip_s is None else self.trip_s
         return max(DOUBT_S, TRIPS * min(trip_s, LONGEST_TRIP_S))
@@ -147,10 +147,10 @@ class UplinkWatch:
         if not self.unanswered:
             return base_s
         if self.unanswered == 1:
-            return min(self.patience_s, base_s)
+            return min(self.answer_timeout_s, base_s)
         if not armed:
             return base_s / 5
-        return max(THIN_DOUBT_S, self.patience_s / 2) if thin else DOUBT_S
+        return max(THIN_DOUBT_S, self.answer_timeout_s / 2) if thin else DOUBT_S
 
     def _run_length(self) -> int:
         failures = self._outcomes.count(False)

@@ -54,7 +54,7 @@ BOOT_TEXT_MIN_UP_S = 30.0
 GCS_SYSID_PARAMETERS = (b"SYSID_MYGCS", b"MAV_GCS_SYSID")
 """ArduPilot's, up to 4.6 and from 4.7 on."""
 
-FOREIGN_AGAIN_S = 60.0
+REPORT_AGAIN_S = 60.0
 """How often it is reported that others send heartbeats with its ids, while they do."""
 
 BESIDE_OVER_S = 5.0
@@ -133,7 +133,7 @@ class Vehicle:
         self._known_since: float | None = None
         self._rates_at: float | None = None
         self._clock_at = -math.inf
-        self._foreign: dict[str, tuple[int, float]] = {}
+        self._other_heartbeats: dict[str, tuple[int, float]] = {}
         """Heartbeats of others with these ids: how many, and when that was reported."""
         self._assembler = StatusTextAssembler()
         self._enu: tuple[Folded | None, Origin | None, list[float] | None] = (None, None, None)
@@ -152,7 +152,7 @@ class Vehicle:
     def on_frame(self, frame: Frame, now: float) -> Events:
         """Note a frame of this vehicle. Hot: one dict lookup and three assignments for most of them. Never raises."""
         if frame.msgid == HEARTBEAT:
-            return self._on_heartbeat(frame, now)
+            return self.on_beat(frame.payload, now, frame)
         slot = self.slots.get(frame.msgid)
         if slot is None:
             if frame.info is None:
@@ -320,27 +320,18 @@ class Vehicle:
     def _event(self, kind: str, text: str, data: dict[str, Any] | None = None) -> Event:
         return Event(kind, self.name, self.sysid, text, data or {})
 
-    def _on_heartbeat(self, frame: Frame, now: float) -> Events:
-        payload = frame.payload
+    def on_beat(self, payload: bytes, now: float, frame: Frame | None = None) -> Events:
+        """A heartbeat. ``frame``: put it into its slot if it is the vehicle's own; None: the slot has it already."""
         fields = self._decoder.read["HEARTBEAT"](payload)
         origin = self.heartbeats.judge(fields[0], fields[1], fields[2], fields[3], now)
         if origin != "own":
-            return self._on_foreign_heartbeat(origin, fields, now)
-        slot = self.slots.get(HEARTBEAT)
-        if slot is None:
+            return self._on_other_heartbeat(origin, fields, now)
+        if frame is not None:
             assert frame.info is not None
-            slot = self.slots[HEARTBEAT] = Slot(frame.info.name)
-        slot.frame = frame
-        slot.at = now
-        slot.count += 1
-        return self._on_own_heartbeat(payload, fields, now)
-
-    def on_beat(self, payload: bytes, now: float) -> Events:
-        """A heartbeat that its slot has been told of already."""
-        fields = self._decoder.read["HEARTBEAT"](payload)
-        origin = self.heartbeats.judge(fields[0], fields[1], fields[2], fields[3], now)
-        if origin != "own":
-            return self._on_foreign_heartbeat(origin, fields, now)
+            slot = self.slots.setdefault(HEARTBEAT, Slot(frame.info.name))
+            slot.frame = frame
+            slot.at = now
+            slot.count += 1
         return self._on_own_heartbeat(payload, fields, now)
 
     def _on_own_heartbeat(self, payload: bytes, fields: tuple[int, ...], now: float) -> Events:
@@ -355,15 +346,15 @@ class Vehicle:
         self._high_latency_failures = 0
         return self._on_life(vehicle_type, autopilot, base_mode, custom_mode, system_status, now)
 
-    def _on_foreign_heartbeat(self, origin: HeartbeatOrigin, fields: tuple[int, ...], now: float) -> Events:
+    def _on_other_heartbeat(self, origin: HeartbeatOrigin, fields: tuple[int, ...], now: float) -> Events:
         """A heartbeat with the vehicle's ids that is not its own changes nothing, but for orders if it is of another
         vehicle."""
-        count, reported_at = self._foreign.get(origin, (0, -math.inf))
+        count, reported_at = self._other_heartbeats.get(origin, (0, -math.inf))
         count += 1
-        if now - reported_at < FOREIGN_AGAIN_S:
-            self._foreign[origin] = count, reported_at
+        if now - reported_at < REPORT_AGAIN_S:
+            self._other_heartbeats[origin] = count, reported_at
             return () if origin == "other" else self._set_beside(True)
-        self._foreign[origin] = count, now
+        self._other_heartbeats[origin] = count, now
         kind = self.enum_name("MAV_TYPE", fields[0])
         autopilot = self.enum_name("MAV_AUTOPILOT", fields[1])
         arming = "armed" if fields[2] & modes.SAFETY_ARMED else "disarmed"
@@ -374,7 +365,7 @@ class Vehicle:
                 f"another component sends with the ids {self.sysid}/{self.compid} of the autopilot: {shown}; it is "
                 "ignored; give that component an id of its own (an onboard computer is 191)"
             )
-            return (self._event("conflict", text, {**data, "change": "foreign_heartbeat"}),)
+            return (self._event("conflict", text, {**data, "change": "other_heartbeat"}),)
         text = (
             f"two vehicles with system id {self.sysid} send on one link: {shown} contradicts {self.mode}, "
             f"{'armed' if self.armed else 'disarmed'}, and is ignored; switch one off and give it another id"
@@ -404,7 +395,7 @@ class Vehicle:
             custom_mode <<= 16  # PX4 sends main and sub mode in the low and high byte
         origin = self.heartbeats.judge(vehicle_type, autopilot, self.base_mode, custom_mode, now)
         if origin != "own":
-            return self._on_foreign_heartbeat(origin, (vehicle_type, autopilot, self.base_mode), now)
+            return self._on_other_heartbeat(origin, (vehicle_type, autopilot, self.base_mode), now)
         self._heard_at = now
         self._patience_s = self.timeout_s * HIGH_LATENCY_FACTOR
         self._heartbeat_payload = b""
