@@ -170,7 +170,7 @@ class VehicleActor(LiveVehicle):
         z: float | None = None,
         force: bool = False,
     ) -> Outcome:
-        """Any command; see `orders.raw_command`. One that passes the checks of an order only with ``force``."""
+        """Any command; see `orders.command_plan`. One that passes the checks of an order only with ``force``."""
         return await self._orders.run(
             "command",
             lambda now: unguarded.command(

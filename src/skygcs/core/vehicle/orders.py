@@ -258,23 +258,6 @@ def stream_number(dialect: Dialect, stream: int | str) -> int:
     return number
 
 
-def raw_command(
-    vehicle: Vehicle,
-    now: float,
-    dialect: Dialect,
-    command: str | int,
-    params: Sequence[float | None],
-    *,
-    int_frame: int | str | None = None,
-    x: int | None = None,
-    y: int | None = None,
-    z: float | None = None,
-) -> Plan:
-    """See `command_plan`."""
-    require_connected(vehicle, now)
-    return command_plan(dialect, command, params, int_frame=int_frame, x=x, y=y, z=z)
-
-
 def command_plan(
     dialect: Dialect,
     command: str | int,

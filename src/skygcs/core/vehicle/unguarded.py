@@ -181,8 +181,9 @@ def command(
     y: int | None = None,
     z: float | None = None,
 ) -> Plan:
-    """As `orders.raw_command`, which raises RefusedError, too; without ``force`` none that passes an order's checks."""
-    plan = orders.raw_command(vehicle, now, dialect, name, params, int_frame=int_frame, x=x, y=y, z=z)
+    """See `orders.command_plan`, which raises RefusedError; without ``force`` none that passes an order's checks."""
+    orders.require_connected(vehicle, now)
+    plan = orders.command_plan(dialect, name, params, int_frame=int_frame, x=x, y=y, z=z)
     if not force:
         require_guarded((vehicle,), now, dialect, name, params)
     return plan

@@ -218,14 +218,13 @@ def test_streams_frames_commands_and_messages_are_found_by_name_or_number() -> N
     assert orders.find_command(dialect, 65000)[0] == 65000
     assert orders.find_message(dialect, "attitude") == (30, "ATTITUDE")
     assert orders.find_message(dialect, 16_000_000) == (16_000_000, "message 16000000")
-    vehicle = flying(PX4)
-    named = orders.raw_command(vehicle, NOW, dialect, 192, [], int_frame="GLOBAL_RELATIVE_ALT", x=1, y=2, z=3.0)
+    named = orders.command_plan(dialect, 192, [], int_frame="GLOBAL_RELATIVE_ALT", x=1, y=2, z=3.0)
     assert place_of(named) == (1e-7, 2e-7, 3.0, 3)
     for bad in (lambda: orders.stream_number(dialect, 999), lambda: orders.find_command(dialect, 70000)):
         with pytest.raises(RefusedError):
             bad()
     with pytest.raises(RefusedError, match="no frame 'NOWHERE'"):
-        orders.raw_command(vehicle, NOW, dialect, 192, [], int_frame="NOWHERE")
+        orders.command_plan(dialect, 192, [], int_frame="NOWHERE")
 
 
 @pytest.mark.parametrize("mode", [4 << 16 | 4 << 24, 4 << 16 | 2 << 24])
