@@ -7,6 +7,7 @@ import os
 import pty
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -117,8 +118,10 @@ class DaemonProcess:
     def call(self, method: str, **params: Any) -> Any:
         """One JSON-RPC call over a plain socket, independent of the client library."""
         with socket.socket(socket.AF_UNIX) as link:
-            link.settimeout(PATIENCE_S)
+            # Not settimeout: connect would then fail with EAGAIN at once while the listen queue is full
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(PATIENCE_S), 0))
             link.connect(str(self.socket))
+            link.settimeout(PATIENCE_S)
             link.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode() + b"\n")
             with link.makefile("rb") as lines:
                 answer = json.loads(lines.readline())
