@@ -54,7 +54,7 @@ def flown_field(request: pytest.FixtureRequest, report: Report) -> Iterator[Fiel
     firmware = request.config.getoption("--firmware")
     if firmware not in available():
         pytest.skip(f"no binary of {firmware} is named; `make test-firmware` says what to set")
-    folder = OUTPUT / "runs" / report.stem.name
+    folder = OUTPUT / "runs" / report.run
     folder.mkdir(parents=True)
     field = Field(firmware, folder)
     began = time.monotonic()
@@ -121,4 +121,4 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     if report is not None and report.rows:
         terminalreporter.write_line("")
         terminalreporter.write(report.table())
-        terminalreporter.write_line(f"report: {os.path.relpath(report.stem.with_suffix('.json'), Path.cwd())}")
+        terminalreporter.write_line(f"report: {os.path.relpath(report.file('json'), Path.cwd())}")

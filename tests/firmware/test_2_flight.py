@@ -7,6 +7,8 @@ import math
 import time
 from typing import Any
 
+import pytest
+
 from firmware.test_1_ground import plan
 from support.firmware_field import HEIGHT_M, HOME, Field
 
@@ -45,6 +47,17 @@ def test_one_takes_off_goes_holds_and_lands(ground: Field, figures: dict[str, An
     assert figures["stopped after m"] < 15  # the goto was 30 m long
     figures["hold"] = truth.mode
     figures["land s"] = ground.land()
+
+
+@pytest.mark.minutes
+def test_one_returns(ground: Field, figures: dict[str, Any]) -> None:
+    ground.takeoff(ground.one)
+    ground.order("vehicles.goto", ground.one, enu_m=[0, 20, 10])
+    ground.wait(lambda: near(ground, ground.one, (0, 20, 10)), 60, "it is there")
+    ground.order("vehicles.rtl", ground.one)
+    figures["return s"] = ground.wait(lambda: not ground.truth(ground.one).armed, 180, "it has returned and disarmed")
+    assert math.dist(ground.enu(ground.one)[:2], ground.stand(ground.one)) < 3
+    assert ground.truth(ground.two).alt_rel_m < 1
 
 
 def test_all_take_off_go_return_and_land(ground: Field, figures: dict[str, Any]) -> None:

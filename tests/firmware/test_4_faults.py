@@ -156,7 +156,7 @@ def after_the_end(field: Field, figures: dict[str, Any], seconds: float) -> None
     figures["texts"] = field.truth(field.one).texts_since(began - 2)[:4]
 
 
-@pytest.mark.parametrize("mode", ["velocity", "attitude"])
+@pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
 @pytest.mark.parametrize("end", ["SIGTERM", "SIGKILL"])
 def test_the_daemon_ends_in_flight(air: Field, figures: dict[str, Any], end: str, mode: str) -> None:
     with air.controlled(mode):
@@ -196,36 +196,57 @@ def test_the_gcs_failsafe_after_our_hold_and_stop(air: Field, figures: dict[str,
         assert figures["mode"] == "BRAKE"
 
 
-def test_sigterm_in_a_fence_test_leaves_no_fence(ground: Field, figures: dict[str, Any]) -> None:
-    names = (
-        ["GF_MAX_HOR_DIST", "GF_ACTION"]
-        if ground.px4
-        else ["FENCE_ENABLE", "FENCE_RADIUS", "FENCE_TYPE", "FENCE_ACTION"]
-    )
+FENCE = {
+    "px4": ["GF_MAX_HOR_DIST", "GF_ACTION"],
+    "ardupilot": ["FENCE_ENABLE", "FENCE_RADIUS", "FENCE_TYPE", "FENCE_ACTION"],
+}
 
-    def fence() -> dict[str, Any]:
-        answer = ground.daemon.call("params.get", targets=ground.one, names=names)["outcomes"][ground.one]
-        return {name: answer[name]["value"] for name in names}
 
-    before = fence()
+def fence(field: Field) -> dict[str, Any]:
+    """The fence's parameters as the first vehicle holds them."""
+    answer = field.daemon.call("params.get", targets=field.one, names=FENCE[field.firmware])["outcomes"][field.one]
+    return {name: answer[name]["value"] for name in FENCE[field.firmware]}
+
+
+@pytest.mark.parametrize("where", ["ground", "air"])
+def test_sigterm_in_a_fence_test_leaves_no_fence(ground: Field, figures: dict[str, Any], where: str) -> None:
+    """`air`: it takes off while the test is under way, inside the test's fence."""
+    before = fence(ground)
     cli = Path(sys.executable).with_name("skygcs-cli")
-    command = [str(cli), "--socket", str(ground.daemon.socket), "fence", "test", ground.one, "--yes"]
-    output = (ground.folder / "fence-test.txt").open("wb")
-    with output, subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output) as test:
-        ground.wait(lambda: fence() != before, 20, "the test's fence is there")
+    command = [str(cli), "--socket", str(ground.daemon.socket), "fence", "test", ground.one, "--radius", "8", "--yes"]
+    output = ground.folder / f"fence-test-{where}.txt"
+    truth = ground.truth(ground.one)
+    with output.open("wb") as log, subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log) as test:
+        ground.wait(lambda: fence(ground) != before, 20, "the test's fence is there")
+        if where == "air":
+            ground.takeoff(ground.one, 6.0)
+            figures["fence in flight"] = fence(ground)
         process = ground.daemon.process
         assert process is not None
-        began = time.monotonic()
+        at, began = (truth.lat_deg, truth.lon_deg), time.monotonic()
         process.send_signal(signal.SIGTERM)
         process.wait(60)
         figures["exit s"] = time.monotonic() - began
         test.wait(30)
+        time.sleep(3)
+        figures["modes"], figures["moved m"] = truth.modes_since(began), truth.metres_from(*at)
+        figures["height m"], figures["armed"] = truth.alt_rel_m, truth.armed
     ground.daemon.start()
     ground.wait(lambda: ground.daemon.known() == 2 and ground.connected(), 30, "the new daemon knows both")
-    after = fence()
-    figures["fence"] = after
+    after = fence(ground)
+    figures["fence"], figures["cli"] = after, output.read_text()[-120:]
     assert after == before
     assert figures["exit s"] < 8
+    assert figures["armed"] is (where == "air")
+    assert figures["moved m"] < SAFE_M
+
+
+def test_a_fence_test_is_refused_in_flight(air: Field, figures: dict[str, Any]) -> None:
+    before = fence(air)
+    test = air.daemon.cli("fence", "test", air.one, "--yes")
+    figures["answer"] = (test.stdout + test.stderr)[:120]
+    assert test.returncode == 1
+    assert fence(air) == before
 
 
 def gps(field: Field, on: bool) -> None:

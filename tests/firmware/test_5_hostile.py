@@ -5,9 +5,10 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
+import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from support.firmware_field import HEIGHT_M, Field
@@ -74,31 +75,41 @@ def test_one_forged_disarmed_heartbeat_under_control(air: Field, figures: dict[s
         assert far < 3
 
 
-def test_forged_positions_fly_nobody(air: Field, figures: dict[str, Any]) -> None:
+@pytest.mark.parametrize("mode", ["hold", "velocity"])
+def test_forged_positions_fly_nobody(air: Field, figures: dict[str, Any], mode: str) -> None:
+    """Positions 30 m north of it at 10 Hz, with its ids, from another peer."""
     began = time.monotonic()
-    with air.controlled("velocity"), air.peer(air.sysids[0]) as peer:
-        truth = air.truth(air.one)
+    truth = air.truth(air.one)
 
-        def forge() -> None:
-            boot_ms = int((time.monotonic() - began) * 1000) + 60_000
-            north = 30 / EARTH_M_PER_DEG
-            peer.mav.global_position_int_send(
-                boot_ms, int((truth.lat_deg + north) * 1e7), int(truth.lon_deg * 1e7), 190_000, 10_000, 0, 0, 0, 0
-            )
+    def forge() -> None:
+        boot_ms = int((time.monotonic() - began) * 1000) + 60_000
+        north = 30 / EARTH_M_PER_DEG
+        peer.mav.global_position_int_send(
+            boot_ms, int((truth.lat_deg + north) * 1e7), int(truth.lon_deg * 1e7), 190_000, 10_000, 0, 0, 0, 0
+        )
 
-        far = 0.0
-        with repeated(forge, 10):
-            end = time.monotonic() + 8
-            while time.monotonic() < end:
-                x, y, _ = air.enu(air.one)
-                far = max(far, abs(x), abs(y))
-                time.sleep(0.05)
-            figures["seen north m"] = air.state(air.one)["position"]["enu_m"][1]
-        figures["farthest m"] = far
-        figures["events"] = [e["text"][:80] for e in air.watcher.events_since(began, "duplicate", "conflict")][:4]
-        assert far < 3
-        assert abs(figures["seen north m"]) < 4
-        assert figures["events"], "nothing was reported"
+    with (
+        air.controlled(mode) if mode != "hold" else nullcontext(),
+        air.peer(air.sysids[0]) as peer,
+        repeated(forge, 10),
+    ):
+        at, far, seen_far = (truth.lat_deg, truth.lon_deg), 0.0, 0.0
+        end = time.monotonic() + 8
+        while time.monotonic() < end:
+            far = max(far, truth.metres_from(*at))
+            seen_far = max(seen_far, abs(air.state(air.one)["position"]["enu_m"][1]))
+            time.sleep(0.05)
+        if mode == "hold":  # an order in the middle of it goes where it says
+            air.order("vehicles.hold", air.one)
+            time.sleep(2)
+            far = max(far, truth.metres_from(*at))
+        else:
+            figures["control"] = air.control(air.one)["state"]
+    figures["moved m"], figures["seen north m"] = far, seen_far
+    figures["events"] = [e["text"] for e in air.watcher.events_since(began, "duplicate", "conflict", "control")][:4]
+    assert far < 3
+    assert seen_far < 4
+    assert figures["events"], "nothing was reported"
 
 
 def test_a_second_vehicle_with_the_same_id_is_switched_on(air: Field, figures: dict[str, Any]) -> None:

@@ -24,6 +24,17 @@ def test_the_daemon_is_killed_and_knows_all_again(air: Field, figures: dict[str,
     figures["land s"] = air.land()
 
 
+@pytest.mark.only("px4")
+def test_a_reboot_that_the_firmware_does_not_have_is_denied(ground: Field, figures: dict[str, Any]) -> None:
+    """PX4's simulator has none (Commander.cpp, CONFIG_BOARDCTL_RESET): skygcs says so, and nothing is lost."""
+    outcome = ground.daemon.call("vehicles.reboot", targets=ground.one)["outcomes"][ground.one]
+    figures["message"] = outcome["message"]
+    assert not outcome["ok"] and outcome["result"] == "denied"
+    ground.holds(ground.connected, 3, "a vehicle was lost")
+    ground.order("vehicles.arm", ground.one)
+    ground.order("vehicles.disarm", ground.one)
+
+
 @pytest.mark.only("ardupilot")
 def test_a_reboot_and_an_arm_that_waits_for_a_position(ground: Field, figures: dict[str, Any]) -> None:
     began = time.monotonic()
@@ -37,6 +48,30 @@ def test_a_reboot_and_an_arm_that_waits_for_a_position(ground: Field, figures: d
     figures["message"] = outcome["message"]
     ground.order("vehicles.takeoff", ground.one, height_m=5)
     ground.wait(lambda: ground.truth(ground.one).alt_rel_m > 4, 40, "it is up")
+    ground.land()
+
+
+def test_a_cold_start_is_waited_for(ground: Field, figures: dict[str, Any]) -> None:
+    """`arm all --wait 60` and `takeoff all` as soon as the vehicles are heard, before they have a position."""
+    off = time.monotonic()
+    ground.relaunch()
+    began = time.monotonic()
+    ground.wait(
+        lambda: len(ground.watcher.events_since(off, "reboot")) == len(ground.names), 20, "both reboots are reported"
+    )
+    arm = ground.daemon.cli("arm", "all", "--wait", "60")
+    figures["arm s"], figures["arm says"] = time.monotonic() - began, arm.stdout.splitlines()[-2:]
+    assert arm.returncode == 0, arm.stdout + arm.stderr
+    figures["armed in"] = [ground.truth(n).mode for n in ground.names]
+    if not ground.px4:  # it would arm in STABILIZE long before, and then refuse to take off
+        for name in ground.names:
+            assert any("is using GPS" in text for text in ground.truth(name).texts_since(began)), ground.summary()
+    takeoff = ground.daemon.cli("takeoff", "all", "5")
+    figures["takeoff says"] = takeoff.stdout.splitlines()[-2:]
+    assert takeoff.returncode == 0, takeoff.stdout + takeoff.stderr
+    figures["up s"] = ground.wait(lambda: all(ground.truth(n).alt_rel_m > 4 for n in ground.names), 60, "both are up")
+    figures["flies in"] = [ground.truth(n).mode for n in ground.names]
+    assert ground.px4 or figures["flies in"] == ["GUIDED", "GUIDED"]
     ground.land()
 
 

@@ -28,6 +28,9 @@ START_S = 150.0
 """For an ArduCopter's estimator on a loaded machine; it takes 42 s of its own."""
 
 TELEMETRY_HZ = 10
+RECENTLY_S = 3.5
+"""Longer than skygcs takes a vehicle for armed that was armed."""
+
 HEIGHT_M = 10.0
 
 PARAMS = {
@@ -151,6 +154,7 @@ class Field:
         self.names = [f"{'px' if self.px4 else 'copter'}{sysid}" for sysid in self.sysids]
         self.one, self.two = self.names
         self.daemon_port, self.gcs_port, self.bound_port = free_port(), free_port(), free_port()
+        self.bound_tcp_port, self.program_port = free_port(socket.SOCK_STREAM), free_port()
         self.relay = UdpRelay(self.daemon_port)
         self.sitl_log = folder / "sitl.log"
         self.sitl: subprocess.Popen[bytes] | None = None
@@ -184,6 +188,22 @@ role = "gcs"
 type = "udp_server"
 host = "127.0.0.1"
 port = {self.bound_port}
+role = "gcs"
+vehicles = ["{self.one}"]
+present_as = 1
+
+[links.bound_tcp]
+type = "tcp_server"
+host = "127.0.0.1"
+port = {self.bound_tcp_port}
+role = "gcs"
+vehicles = ["{self.one}"]
+present_as = 1
+
+[links.bound_out]
+type = "udp_client"
+host = "127.0.0.1"
+port = {self.program_port}
 role = "gcs"
 vehicles = ["{self.one}"]
 present_as = 1
@@ -223,12 +243,24 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         assert self.sitl.poll() is None, self.sitl_log.read_text()
         return text in self.sitl_log.read_text()
 
-    def stop(self) -> None:
-        self.watcher.stop()
-        self.daemon.stop()
+    def relaunch(self) -> None:
+        """A power cut: the vehicles begin again with their parameters; until both are heard, not ready."""
+        began = time.monotonic()
+        self._end_firmware()
+        self.wait(lambda: not any(v["connected"] for v in self.daemon.vehicles().values()), 30, "both are lost")
+        self.launch()
+        self.wait(lambda: all(self.truth(n).heartbeat_at > began for n in self.names), 30, "both send")
+        self.wait(self.connected, 30, "the daemon hears both")
+
+    def _end_firmware(self) -> None:
         if self.sitl is not None and self.sitl.poll() is None:
             self.sitl.send_signal(signal.SIGTERM)
             self.sitl.wait(20)
+
+    def stop(self) -> None:
+        self.watcher.stop()
+        self.daemon.stop()
+        self._end_firmware()
         self.relay.stop()
 
     def restart_daemon(self, toml: str | None = None) -> None:
@@ -252,6 +284,11 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
     def state(self, name: str) -> dict[str, Any]:
         state: dict[str, Any] = self.daemon.call("vehicles.get", target=name)
         return state
+
+    def has_position(self, name: str) -> bool:
+        """Whether the daemon knows where it is now; not at once after the daemon's start."""
+        position = self.state(name)["position"]
+        return position is not None and position["age_s"] < 2
 
     def connected(self) -> bool:
         return all(v["connected"] for v in self.daemon.vehicles().values())
@@ -312,12 +349,16 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         self.order("control.set", self.one, mode=mode, force=True)
         try:
             with Stream(self.daemon.socket, self.one, reference or (lambda t: place), 20.0) as stream:
-                self.wait(lambda: self.truth(self.one).speed_mps < 0.5, 20, "it stands under control")
+                self.wait(lambda: self._stands(near_place=reference is None), 20, "it stands under control")
                 yield stream
         finally:
             self.relay.clear()
             if self.daemon.process is not None and self.daemon.process.poll() is None:
                 self.daemon.call("control.set", targets=self.one, mode="off")
+
+    def _stands(self, *, near_place: bool) -> bool:
+        far_m = math.dist(self.enu(self.one), (*self.stand(self.one), HEIGHT_M))
+        return self.truth(self.one).speed_mps < 0.5 and (far_m < 1.0 or not near_place)
 
     def steady(self, name: str, seconds: float = 1.0) -> bool:
         """Whether it has not moved by more than half a metre for so long, by its own positions."""
@@ -331,6 +372,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         """Seconds until all of them are up; those that are in the air already are only sent to the height."""
         names = self.names if targets == "all" else [targets]
         self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in names), 20, "no duplicate is reported")
+        self.wait(lambda: all(self.has_position(n) for n in names), 30, "the daemon knows where they are")
         for name in names:
             if self.truth(name).armed and self.truth(name).alt_rel_m > 2:
                 self.order("vehicles.hold", name)  # also takes it over from a failsafe of its own
@@ -380,6 +422,8 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         self.wait(
             lambda: all(self.state(n)["landed"] in ("on_ground", None) for n in self.names), 20, "all are seen landed"
         )
+        # what was armed a moment ago and is not seen on the ground takes no order that is dangerous in the air
+        self.wait(lambda: all(self.truth(n).armed_at < time.monotonic() - RECENTLY_S for n in self.names), 10, "idle")
         for name in self.names:
             mode = "AUTO.LOITER" if self.px4 else "GUIDED"
             if self.state(name)["mode"] != mode:

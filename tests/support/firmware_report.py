@@ -27,14 +27,19 @@ class Report:
     def __init__(self, folder: Path, firmware: str, form: str) -> None:
         self._folder = folder
         self._began = time.strftime("%Y%m%d-%H%M%S")
+        self._started = time.monotonic()
         self.firmware = firmware
         self.version = "unknown"
         self.form = form
         self.rows: list[Row] = []
 
     @property
-    def stem(self) -> Path:
-        return self._folder / f"{self._began}-{self.firmware}-{self.version}-{self.form}"
+    def run(self) -> str:
+        """Names this run before its firmware's version is known."""
+        return f"{self._began}-{self.firmware}-{self.form}"
+
+    def file(self, suffix: str) -> Path:
+        return self._folder / f"{self._began}-{self.firmware}-{self.version}-{self.form}.{suffix}"
 
     def add(self, row: Row) -> None:
         self.rows.append(row)
@@ -49,8 +54,8 @@ class Report:
             "began": self._began,
             "rows": [asdict(row) for row in self.rows],
         }
-        self.stem.with_suffix(".json").write_text(json.dumps(whole, indent=1) + "\n")
-        self.stem.with_suffix(".txt").write_text(self.table())
+        self.file("json").write_text(json.dumps(whole, indent=1) + "\n")
+        self.file("txt").write_text(self.table())
 
     def table(self) -> str:
         lines = [f"{self.firmware} {self.version}, {self.form} form, {self._began}", ""]
@@ -65,7 +70,8 @@ class Report:
             if row.reason:
                 lines.append(f"{'':19}{row.reason}")
         counts = {o: sum(r.outcome == o for r in self.rows) for o in sorted({r.outcome for r in self.rows})}
-        lines += ["", ", ".join(f"{n} {outcome}" for outcome, n in counts.items())]
+        spent_s = time.monotonic() - self._started
+        lines += ["", f"{', '.join(f'{n} {outcome}' for outcome, n in counts.items())}; {spent_s / 60:.1f} minutes"]
         return "\n".join(lines) + "\n"
 
 

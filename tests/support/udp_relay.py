@@ -33,6 +33,8 @@ class Truth:
 
     sysid: int
     armed: bool = False
+    armed_at: float = -math.inf
+    """Of the last heartbeat that said armed."""
     mode: str = ""
     modes: list[tuple[float, str]] = field(default_factory=list)
     """Time (monotonic) and name of every change of mode."""
@@ -52,6 +54,8 @@ class Truth:
         if kind == "HEARTBEAT" and message.autopilot != mav.MAV_AUTOPILOT_INVALID:
             self.heartbeat_at = now
             self.armed = bool(message.base_mode & mav.MAV_MODE_FLAG_SAFETY_ARMED)
+            if self.armed:
+                self.armed_at = now
             mode = mavutil.mode_string_v10(message)
             if mode != self.mode:
                 self.mode = mode
