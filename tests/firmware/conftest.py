@@ -108,6 +108,12 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
     outcome: Any = yield
     result = outcome.get_result()
     row = item.stash.get(ROW, None)
+    report = item.config.stash.get(REPORT, None)
+    if row is None and report is not None and not result.passed and call.when == "setup" and call.excinfo is not None:
+        # it never came to its own part: not for this firmware or form, or the vehicles were not ready for it
+        name = "not flown" if result.skipped else "failed"
+        reason = str(call.excinfo.value).split("\n")[0][:400]
+        report.add(Row(item.nodeid.rpartition("/")[2], name, call.duration, reason=reason))
     if row is not None and call.when == "call":
         row.outcome = result.outcome
         if result.failed and call.excinfo is not None:

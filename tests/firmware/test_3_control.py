@@ -48,7 +48,10 @@ def trace_rms(path: Path, began_s: float) -> tuple[float, float]:
     return math.sqrt(sum(e * e for e in errors) / len(errors)), max(errors)
 
 
-@pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
+MODES = [pytest.param("position", marks=pytest.mark.minutes), "velocity", "attitude"]
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> None:
     since = time.monotonic()
     air.order("control.set", air.one, mode=mode, force=True)

@@ -9,12 +9,16 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from support.firmware_field import HEIGHT_M, Field
+
+IN_FULL = partial(pytest.param, marks=pytest.mark.minutes)
+"""A way of it that the full form flies as well."""
 
 SAFE_M = 3.0
 """A vehicle that held its place may be this far from it when the fault is over."""
@@ -41,7 +45,7 @@ def stays_up(field: Field, seconds: float) -> tuple[float, float]:
     return far, low
 
 
-@pytest.mark.parametrize("mode", ["velocity", "attitude"])
+@pytest.mark.parametrize("mode", [IN_FULL("velocity"), "attitude"])
 def test_telemetry_is_cut(air: Field, figures: dict[str, Any], mode: str) -> None:
     with air.controlled(mode):
         began = time.monotonic()
@@ -57,7 +61,7 @@ def test_telemetry_is_cut(air: Field, figures: dict[str, Any], mode: str) -> Non
     air.wait(air.connected, 20, "both are heard again")
 
 
-@pytest.mark.parametrize("mode", ["velocity", "attitude"])
+@pytest.mark.parametrize("mode", ["velocity", IN_FULL("attitude")])
 def test_the_uplink_is_cut(air: Field, figures: dict[str, Any], mode: str) -> None:
     with air.controlled(mode):
         began = time.monotonic()
@@ -156,8 +160,17 @@ def after_the_end(field: Field, figures: dict[str, Any], seconds: float) -> None
     figures["texts"] = field.truth(field.one).texts_since(began - 2)[:4]
 
 
-@pytest.mark.parametrize("mode", ["position", "velocity", "attitude"])
-@pytest.mark.parametrize("end", ["SIGTERM", "SIGKILL"])
+ENDS = [
+    IN_FULL("SIGTERM", "position"),
+    IN_FULL("SIGTERM", "velocity"),
+    ("SIGTERM", "attitude"),
+    IN_FULL("SIGKILL", "position"),
+    ("SIGKILL", "velocity"),
+    IN_FULL("SIGKILL", "attitude"),
+]
+
+
+@pytest.mark.parametrize(("end", "mode"), ENDS)
 def test_the_daemon_ends_in_flight(air: Field, figures: dict[str, Any], end: str, mode: str) -> None:
     with air.controlled(mode):
         process = air.daemon.process

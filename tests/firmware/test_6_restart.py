@@ -35,6 +35,7 @@ def test_a_reboot_that_the_firmware_does_not_have_is_denied(ground: Field, figur
     ground.order("vehicles.disarm", ground.one)
 
 
+@pytest.mark.minutes
 @pytest.mark.only("ardupilot")
 def test_a_reboot_and_an_arm_that_waits_for_a_position(ground: Field, figures: dict[str, Any]) -> None:
     began = time.monotonic()

@@ -6,11 +6,13 @@ import json
 import os
 import socket
 import subprocess
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from clients.environments import CLIENTS
 from support.firmware_field import Field
@@ -60,7 +62,7 @@ def test_pymavlink_flies_its_vehicle_as_system_1(ground: Field, figures: dict[st
         end = time.monotonic() + 3
         while time.monotonic() < end:
             message = program.recv_match(blocking=True, timeout=0.5)
-            if message is not None and message.get_type() != "BAD_DATA":
+            if message is not None and not message.get_type().startswith(("BAD_DATA", "UNKNOWN")):
                 sources.add(message.get_srcSystem())
         figures["systems seen"] = sorted(sources)
         assert ground.sysids[1] not in sources
@@ -103,6 +105,7 @@ def last_lines(log: Path) -> list[str]:
     return log.read_text(errors="replace").strip().splitlines()[-3:]
 
 
+@pytest.mark.minutes
 @pytest.mark.only("ardupilot")  # DroneKit takes the first item of a mission for home
 def test_dronekit_flies_its_vehicle(ground: Field, figures: dict[str, Any]) -> None:
     flight = fly(ground, "dronekit", f"tcp:127.0.0.1:{ground.bound_tcp_port}", "ardupilot")
@@ -115,6 +118,7 @@ def test_dronekit_flies_its_vehicle(ground: Field, figures: dict[str, Any]) -> N
     assert abs(flight["landed"]["height_m"]) < 1
 
 
+@pytest.mark.minutes
 @pytest.mark.only("px4")  # MAVSDK takes the home item of an ArduCopter's mission for one that it does not support
 def test_mavsdk_flies_its_vehicle(ground: Field, figures: dict[str, Any]) -> None:
     server = str(free_port(socket.SOCK_STREAM))
@@ -125,3 +129,56 @@ def test_mavsdk_flies_its_vehicle(ground: Field, figures: dict[str, Any]) -> Non
     assert flight["flown"]["finished"]
     assert flight["offboard"]["active"] and flight["offboard stopped"]["mode"] == "HOLD"
     assert "landed" in flight
+
+
+COMPANION = 191
+
+
+def companion(field: Field, ending: threading.Event, heard: list[str]) -> None:
+    """An onboard computer of the first vehicle, on a connection of its own: heartbeat, a value, a text, an answer."""
+    began = time.monotonic()
+    with field.peer(field.sysids[0], COMPANION) as program:
+        while not ending.is_set():
+            program.mav.heartbeat_send(mav.MAV_TYPE_ONBOARD_CONTROLLER, mav.MAV_AUTOPILOT_INVALID, 0, 0, 4)
+            passed_s = time.monotonic() - began
+            program.mav.named_value_float_send(int(passed_s * 1000), b"cpu_temp", 50.0 + passed_s)
+            program.mav.statustext_send(mav.MAV_SEVERITY_INFO, b"camera ready")
+            message = program.recv_match(type="COMMAND_LONG", blocking=True, timeout=0.5)
+            if message is None:
+                continue
+            heard.append(f"{message.target_system}/{message.target_component} {message.command}")
+            if message.target_component == COMPANION:
+                program.mav.command_ack_send(message.command, mav.MAV_RESULT_ACCEPTED)
+                program.mav.autopilot_version_send(0, 0x01020304, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
+
+
+def test_a_companion_beside_the_autopilot(air: Field, figures: dict[str, Any]) -> None:
+    """A vehicle is its system: the companion is heard, asked and listed, and the state stays the autopilot's."""
+    began = time.monotonic()
+    before = [air.state(air.one)[key] for key in ("autopilot", "type", "armed", "mode", "firmware")]
+    target = f"{air.one}/{COMPANION}"
+    ending, heard = threading.Event(), list[str]()
+    beside = threading.Thread(target=companion, args=(air, ending, heard), daemon=True)
+    beside.start()
+    try:
+        air.wait(lambda: COMPANION in compids(air), 10, "the companion is listed")
+        time.sleep(6)
+        value = air.daemon.call("messages.latest", target=target, name="NAMED_VALUE_FLOAT")
+        figures["value Hz"], figures["value"] = value["rate_hz"], value["fields"]["value"]
+        answer = air.daemon.call("vehicles.request", targets=target, message="AUTOPILOT_VERSION")
+        figures["request"] = [outcome["ok"] for outcome in answer["outcomes"].values()]
+        air.order("vehicles.hold", air.one)
+        assert [air.state(air.one)[key] for key in ("autopilot", "type", "armed", "mode", "firmware")] == before
+    finally:
+        ending.set()
+        beside.join(5)
+    figures["components"], figures["heard"] = compids(air), heard[:4]
+    texts = [e["text"] for e in air.watcher.events_since(began, "statustext", vehicle=air.one)]
+    figures["texts"] = texts[:2]
+    assert figures["request"] == [True]
+    assert any("camera ready" in text for text in texts)
+    assert not air.watcher.events_since(began, "duplicate", "conflict")
+
+
+def compids(field: Field) -> list[int]:
+    return [component["compid"] for component in field.state(field.one)["components"]]

@@ -61,14 +61,14 @@ class Report:
         lines = [f"{self.firmware} {self.version}, {self.form} form, {self._began}", ""]
         for row in self.rows:
             figures = ", ".join(f"{name} {_short(value)}" for name, value in row.figures.items())
-            lines.append(f"{row.outcome:8}{row.seconds:7.1f} s  {row.scenario}")
+            lines.append(f"{row.outcome:9}{row.seconds:7.1f} s  {row.scenario}")
             if figures:
-                lines.append(f"{'':19}{figures}")
+                lines.append(f"{'':20}{figures}")
             for name, modes in row.modes.items():
                 if len(modes) > 1:
-                    lines.append(f"{'':19}{name}: {' > '.join(modes)}")
+                    lines.append(f"{'':20}{name}: {' > '.join(modes)}")
             if row.reason:
-                lines.append(f"{'':19}{row.reason}")
+                lines.append(f"{'':20}{row.reason}")
         counts = {o: sum(r.outcome == o for r in self.rows) for o in sorted({r.outcome for r in self.rows})}
         spent_s = time.monotonic() - self._started
         lines += ["", f"{', '.join(f'{n} {outcome}' for outcome, n in counts.items())}; {spent_s / 60:.1f} minutes"]

@@ -156,12 +156,15 @@ class UdpRelay(threading.Thread):
             self._selector.register(back, selectors.EVENT_READ, address)
         reader = self._readers.setdefault(address, _reader())
         for message in reader.parse_buffer(data) or []:
-            if message.get_srcComponent() == 1 and message.get_type() != "BAD_DATA":
+            if message.get_type() == "BAD_DATA":
+                continue
+            if message.get_srcComponent() == 1:
                 sysid = message.get_srcSystem()
                 self._sysids[address] = sysid
                 self.truths.setdefault(sysid, Truth(sysid)).on_message(message, now)
-                if self.air is not None and sysid not in self.cut_down:
-                    self.air.from_vehicle(sysid, bytes(message.get_msgbuf()))
+            if self.air is not None and address in self._sysids and self._sysids[address] not in self.cut_down:
+                # also what pymavlink does not know, which has no ids here: a frame that is numbered and dropped is lost
+                self.air.from_vehicle(self._sysids[address], bytes(message.get_msgbuf()))
         if self.air is not None:
             return
         if self._sysids.get(address) in self.cut_down:
