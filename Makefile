@@ -46,7 +46,7 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 
 # Anew when the package list, the build or the C changes: a stale fast path would be tested instead.
-$(STAMP): pyproject.toml hatch_build.py $(wildcard src/skygcs/links/_express*.[ch])
+$(STAMP): pyproject.toml hatch_build.py $(wildcard src/skygcs/links/_fast_path*.[ch])
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@

@@ -17,7 +17,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SOURCE = Path("src/skygcs/links/_express.c")
+SOURCE = Path("src/skygcs/links/_fast_path.c")
 COMPILE_TIMEOUT_S = 120
 
 BASIC = ["-O2", "-shared", "-fPIC"]
@@ -62,7 +62,7 @@ class FastPathHook(BuildHookInterface):
 
     def _compile(self, required: bool) -> Path:
         """The extension beside its source, relative to the project. Raises OSError or SubprocessError."""
-        built = SOURCE.with_name("_express" + (sysconfig.get_config_var("EXT_SUFFIX") or ".so"))
+        built = SOURCE.with_name("_fast_path" + (sysconfig.get_config_var("EXT_SUFFIX") or ".so"))
         compiler = shlex.split(os.environ.get("CC") or sysconfig.get_config_var("CC") or "")
         if sys.platform != "linux" or not compiler:
             raise OSError(

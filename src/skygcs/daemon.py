@@ -21,36 +21,36 @@ from skygcs import __version__
 from skygcs.config.endpoints import endpoint_text
 from skygcs.config.models import FleetConfig
 from skygcs.config.regular_file import open_regular
-from skygcs.core.airtime import Priority
 from skygcs.core.control.deadman import DeadMan
-from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT
-from skygcs.core.route_room import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.decision import RouteNote
+from skygcs.core.routing.table_room import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
 from skygcs.core.vehicle.event_limiter import EventLimiter
-from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
+from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
+from skygcs.runtime.admission_reports import ForeignWatch
 from skygcs.runtime.air_planner import AirPlanner
-from skygcs.runtime.corrections import CorrectionFeed
+from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.foreign_watch import ForeignWatch
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
 from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.message_sender import Postman
+from skygcs.runtime.operator_watchdog import Watchman
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
-from skygcs.runtime.postman import Postman
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
-from skygcs.runtime.signing import Signing, why_silent
+from skygcs.runtime.signing_keys import Signing, why_silent
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.signing_store import SigningStore, default_state_dir
 from skygcs.runtime.uplink import setpoint_bytes_per_s, stream_refusal
-from skygcs.runtime.watchman import Watchman
 
 MAX_EVENTS = 1000
 """Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""

@@ -24,18 +24,18 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.models import FleetConfig, MemoryLink, UdpClientLink
-from skygcs.core.airtime import Priority
 from skygcs.core.control.cascade import Estimate, Memory, Reference, step
-from skygcs.core.control.fence import Fence
+from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.guard import Way
 from skygcs.core.geo import Origin
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.goals import Place
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState
+from skygcs.core.vehicle.geodetic_position import Place
+from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.memory import MemoryLink as Link
 from skygcs.links.udp import UdpClientLink as UdpLink
-from skygcs.runtime.commander import Commander
+from skygcs.runtime.command_client import Commander
 from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.recorder import Recorder

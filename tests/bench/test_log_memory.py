@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.tlog import iter_records
+from skygcs.tlog.format import iter_records
 from support.flight_log import FlightLog
 from support.frames import dialect
 
@@ -49,7 +49,7 @@ def run(arguments: list[str], folder: Path) -> tuple[float, float]:
     """(peak resident memory in MB, seconds) of one call."""
     began = time.monotonic()
     quiet = os.open(os.devnull, os.O_WRONLY)
-    command = [sys.executable, "-c", "from skygcs.cli.control import main; main()", "tlog", *arguments]
+    command = [sys.executable, "-c", "from skygcs.cli.main import main; main()", "tlog", *arguments]
     actions = [(os.POSIX_SPAWN_DUP2, quiet, 1), (os.POSIX_SPAWN_DUP2, quiet, 2)]
     pid = os.posix_spawn(sys.executable, command, os.environ, file_actions=actions)
     _, status, usage = os.wait4(pid, 0)

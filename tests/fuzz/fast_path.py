@@ -4,7 +4,7 @@
     make fuzz FUZZ_SECONDS=45                       # the short form, as .ci/run has it
     PYTHONPATH=tests python -m fuzz.fast_path --first 4711 --count 1 --plain      # one scenario, as installed
 
-It compiles `_express.c` anew with -fsanitize=address,undefined and plays, in a process of its own, (1) the tests of
+It compiles `_fast_path.c` anew with -fsanitize=address,undefined and plays, in a process of its own, (1) the tests of
 its interface, in which callbacks raise, close links and memory runs out, (2) its calls in any order, (3) scenarios with
 and without the fast path, which must end up equal (`support.fast_path`). One that takes a minute hangs. The
 report is build/fuzz/fast_path.json. FUZZ_DATAGRAMS, FUZZ_SECONDS, FUZZ_SEED (the first scenario) and FUZZ_JOBS.
@@ -32,9 +32,9 @@ from support import fast_path
 from support.watchdog import processor_limit
 
 ROOT = Path(__file__).parents[2]
-SOURCE = ROOT / "src" / "skygcs" / "links" / "_express.c"
+SOURCE = ROOT / "src" / "skygcs" / "links" / "_fast_path.c"
 OUT = ROOT / "build" / "fuzz"
-MODULE = "skygcs.links._express"
+MODULE = "skygcs.links._fast_path"
 
 SANITIZE = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer"]
 ENVIRONMENT = {
@@ -72,7 +72,7 @@ def build() -> tuple[Path, str]:
     if not runtime.is_absolute():
         raise Missing(f"make fuzz needs the runtime of the sanitizers, libasan and libubsan of {compiler}: {install}")
     OUT.mkdir(parents=True, exist_ok=True)
-    built = OUT / f"_express{sysconfig.get_config_var('EXT_SUFFIX')}"
+    built = OUT / f"_fast_path{sysconfig.get_config_var('EXT_SUFFIX')}"
     command = [compiler, "-g", "-O1", "-Wall", "-Wextra", "-Werror", *SANITIZE, "-shared", "-fPIC"]
     command += ["-I", sysconfig.get_path("include"), "-o", str(built), str(SOURCE)]
     compiled = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -146,11 +146,11 @@ def _goes_on(options: argparse.Namespace, counts: Counter[str], seconds: float) 
 
 
 def _interface_tests() -> int:
-    """tests/unit/links/test_express.py, in this process."""
+    """tests/unit/links/test_fast_path.py, in this process."""
     import pytest
 
     print("the tests of the interface", flush=True)
-    file = ROOT / "tests" / "unit" / "links" / "test_express.py"
+    file = ROOT / "tests" / "unit" / "links" / "test_fast_path.py"
     return int(pytest.main([str(file), "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--rootdir", str(ROOT)]))
 
 

@@ -12,9 +12,9 @@ import pytest
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.presented import Endpoint
+from skygcs.core.routing.sysid_translation import Endpoint
 from skygcs.daemon import Daemon
-from skygcs.links import express
+from skygcs.links import fast_path
 from skygcs.links.udp import UdpServerLink
 from support.hosts import until
 from support.routed import DIALECT, heartbeat, message
@@ -56,7 +56,7 @@ async def test_each_program_gets_its_vehicles_datagrams_whole(
     tmp_path: Path, sockets: dict[str, socket.socket], pure: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if pure:
-        monkeypatch.setenv(express.PURE, "1")
+        monkeypatch.setenv(fast_path.PURE, "1")
     links = {
         name: {
             "type": "udp_client",

@@ -16,10 +16,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink
-from skygcs.core.recording.flight import Flight
-from skygcs.core.recording.flight_table import FlightTables
-from skygcs.core.recording.reading import LogReader
 from skygcs.daemon import Daemon
+from skygcs.tlog.flight import Flight
+from skygcs.tlog.flight_table import FlightTables
+from skygcs.tlog.reading import LogReader
 
 DATA = Path(__file__).parents[1] / "data"
 RIVALS = pytest.mark.parametrize(("name", "sysid"), [("forged-heartbeat-50hz", 1), ("second-heartbeat-1hz", 3)])

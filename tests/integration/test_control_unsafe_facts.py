@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.sim.conditions import Conditions
+from skygcs.sim.conditions import Conditions
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime

@@ -14,14 +14,14 @@ import structlog
 
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink, SerialLink
-from skygcs.core.airtime import Priority
-from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.tlog import iter_records
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.decision import RouteNote
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, LinkError, RefusedError
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.rpc.client import connect
+from skygcs.tlog.format import iter_records
 from support.routed import heartbeat, message
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle import SimVehicle
 from support.flown import Flown
 from support.grounded import on_the_ground
 

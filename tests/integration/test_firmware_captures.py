@@ -15,8 +15,8 @@ from pymavlink import mavutil
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink
-from skygcs.core.recording.reading import LogReader
 from skygcs.daemon import Daemon
+from skygcs.tlog.reading import LogReader
 
 DATA = Path(__file__).parents[1] / "data"
 SPEED = 1.0

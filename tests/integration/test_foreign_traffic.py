@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.rtcm import RtcmDeframer, content_of, fragments_of
-from skygcs.core.sim.params import Param
-from skygcs.core.sim.vehicle import SimVehicle
+from skygcs.core.radio_link.rtcm import RtcmDeframer, content_of, fragments_of
+from skygcs.sim.param_table import Param
+from skygcs.sim.vehicle import SimVehicle
 from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 from support.rtcm import rtcm_frame

@@ -15,11 +15,11 @@ import pytest
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLink
 from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from_enu
-from skygcs.core.sim.vehicle import SimVehicle
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.rpc.methods import METHODS
+from skygcs.sim.vehicle import SimVehicle
 
 pytestmark = pytest.mark.looptime
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.stream_plan import CONTROLLED, NORMAL, POSITION
+from skygcs.core.radio_link.stream_rates import CONTROLLED, NORMAL, POSITION
 from support.on_air import on_air
 
 pytestmark = pytest.mark.looptime

@@ -8,9 +8,9 @@ from typing import cast
 
 import pytest
 
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.stream_plan import POSITION, profile_rates
+from skygcs.core.radio_link.stream_rates import POSITION, profile_rates
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.uplink import stream_refusal
 from skygcs.runtime.vehicle_actor import VehicleActor

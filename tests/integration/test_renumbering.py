@@ -12,12 +12,12 @@ import pytest
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.sim import protocol as m
-from skygcs.core.sim.ardupilot import CopterVehicle
-from skygcs.core.sim.fleet import make_vehicles
 from skygcs.daemon import Daemon
 from skygcs.links.memory import MemoryLink
 from skygcs.runtime.renumbering import HEARD_S, RETURN_S
+from skygcs.sim import protocol as m
+from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.vehicle_group import make_vehicles
 from support.flown import FIELD, Flown
 
 pytestmark = pytest.mark.looptime

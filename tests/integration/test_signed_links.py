@@ -198,7 +198,7 @@ async def test_our_time_is_kept_and_never_goes_back(
     kept = json.loads((state_home / f"{key_id(KEY)}.json").read_text())
     assert kept["exact"] and kept["timestamp"] >= last
     assert KEY.hex() not in (state_home / f"{key_id(KEY)}.json").read_text()
-    monkeypatch.setattr("skygcs.runtime.signing.timestamp_at", lambda unix_s: last - 365 * 86400 * 100_000)
+    monkeypatch.setattr("skygcs.runtime.signing_keys.timestamp_at", lambda unix_s: last - 365 * 86400 * 100_000)
     async with running(tmp_path, radio=radio) as daemon:
         await until(lambda: counts(daemon)["sent_signed"] > 0 and bool(wire(daemon).received))
         assert min(timestamp_of(raw) for raw in wire(daemon).received) > last

@@ -16,10 +16,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.copter_setup import CopterMode
-from skygcs.core.sim.px4_setup import Px4Mode
 from skygcs.errors import RefusedError
 from skygcs.links.memory import MemoryLink
+from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.px4_setup import Px4Mode
 from support.flown import FIELD, Flown, flown
 from support.pymav import PymavPeer
 

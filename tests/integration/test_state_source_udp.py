@@ -20,13 +20,13 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import sign, timestamp_at
-from skygcs.core.sim.copter_setup import CopterMode
-from skygcs.core.sim.fleet import SimFleet, make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.sim.vehicle import TICK_S
 from skygcs.daemon import Daemon
 from skygcs.links.udp import UdpServerLink
 from skygcs.rpc.methods import METHODS
+from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.vehicle import TICK_S
+from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from support.pymav import PymavPeer
 from support.virtual_uvloop import VirtualUvloop
 

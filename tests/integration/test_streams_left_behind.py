@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle import SimVehicle
 from support.gcs_flood import GroundStation
 from support.on_air import OnAir, on_air
 

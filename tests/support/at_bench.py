@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from skygcs.core.radio.dialogue import Dialogue, Procedure
-from skygcs.core.sim.at_radio import AtRadio
+from skygcs.modem.dialogue import Dialogue, Procedure
+from skygcs.sim.at_modem import AtRadio
 
 T = TypeVar("T")
 

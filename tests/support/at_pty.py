@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from skygcs.cli.radio_emulated import EmulatedPort
-from skygcs.core.sim.at_radio import AtRadio
+from skygcs.sim.at_modem import AtRadio
 
 
 @contextmanager

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
-from skygcs.core.control.config import UTIAS_XY, UTIAS_Z, ControlConfig
+from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, ControlConfig
 from skygcs.core.control.guard import Facts, GuardConfig, Way
-from skygcs.core.tlog import iter_records
-from skygcs.core.vehicle.goals import Place
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState
+from skygcs.core.vehicle.geodetic_position import Place
+from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.tlog.format import iter_records
 
 TICK_S = 0.02
 ROUND_TRIP_S = 0.03

@@ -18,7 +18,7 @@ from typing import Any
 from click.testing import Result
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import NAMES, FakeDaemon, FakeFleet, FakeOutcome, FakeVehicle
 

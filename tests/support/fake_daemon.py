@@ -22,9 +22,9 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
+from skygcs.events import Event
 from skygcs.rpc.server import RpcServer
 
 NAMES = ("alpha", "bravo", "carol")

@@ -1,7 +1,7 @@
 """The same datagrams through a hub with the compiled fast path and through one without: everything must end up equal.
 
 A scenario (links, traffic, what is opened and closed under way) comes from one number, so that a difference can be
-seen again (`fuzz.fast_path --first N --count 1`). Used by tests/integration/test_express_lane.py, in a process of its
+seen again (`fuzz.fast_path --first N --count 1`). Used by tests/integration/test_fast_path_hub.py, in a process of its
 own with a watchdog, and by `make fuzz`, under sanitizers.
 """
 
@@ -21,10 +21,10 @@ from typing import Any
 from fastcrc.crc16 import mcrf4xx
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.frame import Frame, frame_size
-from skygcs.core.vehicle.events import Event
-from skygcs.links import express
+from skygcs.core.routing.decision import RouteNote
+from skygcs.events import Event
+from skygcs.links import fast_path
 from skygcs.links.address import Address
 from skygcs.links.base import Channel
 from skygcs.links.udp import UdpClientLink, UdpServerLink
@@ -112,15 +112,15 @@ class Station:
         self.peers = [_socket() for _ in range(PEERS)]
         self.config = _config(scenario, [s.getsockname()[1] for s in self.sinks])
         self.fleet = Fleet(self.config, dialect(), lambda *a, **k: self.hub.send(*a, **k), self.loop, self.on_event)
-        before = os.environ.pop(express.PURE, None)
+        before = os.environ.pop(fast_path.PURE, None)
         if pure:
-            os.environ[express.PURE] = "1"
+            os.environ[fast_path.PURE] = "1"
         try:
             self.hub = self._hub(scenario)
         finally:
-            os.environ.pop(express.PURE, None)
+            os.environ.pop(fast_path.PURE, None)
             if before is not None:
-                os.environ[express.PURE] = before
+                os.environ[fast_path.PURE] = before
         assert (self.hub.express is None) == pure, "there is no compiled fast path"
         self.hub.router.known = self.fleet.known
         self.hub.router.on_replaced = self.fleet.replaced

@@ -12,10 +12,10 @@ import tty
 from skygcs.cli.radio_emulated import port_rate, set_port_rate
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.chance import Chance
-from skygcs.core.sim.ground_radio import GroundRadio
-from skygcs.core.sim.radio_fleet import UART_BYTES
-from skygcs.core.sim.tdm import GROUND, TdmConfig, TdmNetwork
+from skygcs.sim.ground_radio import GroundRadio
+from skygcs.sim.radio_fleet import UART_BYTES
+from skygcs.sim.rng import Chance
+from skygcs.sim.tdm import GROUND, TdmConfig, TdmNetwork
 
 READ_BYTES = 4096
 

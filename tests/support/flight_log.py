@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.tlog import encode_record
+from skygcs.tlog.format import encode_record
 from support.frames import dialect
 
 T0_US = 1_780_000_000_000_000

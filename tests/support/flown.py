@@ -20,17 +20,17 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.conditions import CALM, Conditions
-from skygcs.core.sim.copter_setup import CopterMode
-from skygcs.core.sim.fleet import SimFleet, make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.sim.px4_setup import Px4Mode
-from skygcs.core.sim.vehicle import TICK_S, SimVehicle
 from skygcs.daemon import Daemon
 from skygcs.links.base import Channel, OwnMessage
 from skygcs.links.memory import MemoryLink
 from skygcs.rpc.methods import METHODS
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.sim.conditions import CALM, Conditions
+from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.px4_setup import Px4Mode
+from skygcs.sim.vehicle import TICK_S, SimVehicle
+from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from support.pymav import PymavPeer
 
 FIELD = LocalFrame(43.7806, -79.4653, 180.0)

@@ -11,7 +11,7 @@ from collections import deque
 from pathlib import Path
 
 from skygcs.core.control import AxisGains, ControlConfig, Estimate, Memory, Reference, step, velocity_setpoint
-from skygcs.core.control.config import GRAVITY_MPS2
+from skygcs.core.control.gains import GRAVITY_MPS2
 from skygcs.core.control.trace import TraceHead, TraceRow, TraceWriter
 
 PERIOD_S = 0.02

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from skygcs.core.exchange.base import Effect, Send
-from skygcs.core.mavlink.ftp import Error, Op, Packet, decode, encode
+from skygcs.core.mavlink.ftp_payload import Error, Op, Packet, decode, encode
+from skygcs.core.protocols.base import Effect, Send
 from support.param_vehicle import Network
 
 

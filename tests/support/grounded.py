@@ -9,9 +9,9 @@ from pathlib import Path
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.sim.fleet import make_vehicles
 from skygcs.daemon import Daemon
 from skygcs.links.memory import MemoryLink
+from skygcs.sim.vehicle_group import make_vehicles
 from support.flown import FIELD, Flown
 
 

@@ -15,7 +15,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
 from skygcs.links.base import Channel, OwnMessage
 
 

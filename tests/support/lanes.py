@@ -6,8 +6,8 @@ import socket
 from collections.abc import Callable
 from typing import Any
 
-from skygcs.core.linkstats import SourceStats
-from skygcs.links import express
+from skygcs.core.routing.source_statistics import SourceStats
+from skygcs.links import fast_path
 from skygcs.links.address import Address
 from support.fast_path import encoded
 from support.frames import dialect
@@ -44,7 +44,7 @@ class Bench:
     """A table, a lane, one vehicle's socket that sends to it and one ground station's that receives."""
 
     def __init__(self, *, recording: bool = True) -> None:
-        table = express.new_table(dialect(), recording=recording)
+        table = fast_path.new_table(dialect(), recording=recording)
         assert table is not None, "there is no compiled fast path"
         self.table = table
         self.sockets: list[socket.socket] = []
@@ -70,7 +70,7 @@ class Bench:
         return sock
 
     def new_lane(self, server: socket.socket) -> Any:
-        return express.new_lane(
+        return fast_path.new_lane(
             self.table,
             server.fileno(),
             clock=lambda: self.now,
@@ -80,7 +80,7 @@ class Bench:
         )
 
     def new_out(self, target: Channel, *, whole: bool = False) -> Any:
-        return express.new_out(self.server.fileno(), self.station.getsockname(), target, whole=whole)
+        return fast_path.new_out(self.server.fileno(), self.station.getsockname(), target, whole=whole)
 
     def _on_left(self, data: bytes, address: Address, now: float) -> None:
         self.left.append(data)

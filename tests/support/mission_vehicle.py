@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from skygcs.core.exchange.base import Effect, Report, Send
-from skygcs.core.exchange.mission import ANSWERS, MissionExchange
 from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mission.item import MissionItem
+from skygcs.core.protocols.base import Effect, Report, Send
+from skygcs.core.protocols.mission import ANSWERS, MissionExchange
 from support.frames import dialect
 
 Reply = tuple[str, dict[str, Any], int]

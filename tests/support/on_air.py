@@ -10,11 +10,11 @@ from typing import Any
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.sim.radio_fleet import RadioFleet
-from skygcs.core.sim.vehicle import SimVehicle
 from skygcs.daemon import Daemon
 from skygcs.links.base import Channel
 from skygcs.links.simulated import SimulatedVehiclesLink
+from skygcs.sim.radio_fleet import RadioFleet
+from skygcs.sim.vehicle import SimVehicle
 
 FIELD = {"lat_deg": 43.7806, "lon_deg": -79.4653, "alt_amsl_m": 180.0}
 

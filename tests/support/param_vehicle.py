@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from skygcs.core.exchange.base import Effect, Send
-from skygcs.core.mavlink.param import Encoding, Param, ParamType, ParamValue, from_bits
+from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamType, ParamValue, from_bits
+from skygcs.core.protocols.base import Effect, Send
 
 
 def big_set(count: int) -> list[Param]:

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from skygcs.core.preflight.facts import LinkFacts
-from skygcs.core.sim.vehicle import SimVehicle
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.sim.vehicle import SimVehicle
 from support.sim_field import SimField
 
 UNIX_S = 1_700_000_000.0

@@ -6,11 +6,11 @@ from collections import defaultdict
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
-from skygcs.core.decision import Decision, Verdict
-from skygcs.core.filters import ChannelPolicy
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing import Router
+from skygcs.core.routing.decision import Decision, Verdict
+from skygcs.core.routing.filters import ChannelPolicy
+from skygcs.core.routing.router import Router
 
 DIALECT = load_dialect(("ardupilotmega", "px4-extras"))
 

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from typing import Any, Self
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.fleet import SimFleet, make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from support.vehicles import HOME, flight_dialect
 
 

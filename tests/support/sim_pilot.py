@@ -13,13 +13,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.ardupilot import CopterVehicle
-from skygcs.core.sim.chance import Chance
-from skygcs.core.sim.fleet import SimFleet
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.sim.px4 import Px4Vehicle
-from skygcs.core.sim.px4_setup import Px4Mode
-from skygcs.core.sim.vehicle import SimVehicle
+from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.px4 import Px4Vehicle
+from skygcs.sim.px4_setup import Px4Mode
+from skygcs.sim.rng import Chance
+from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_group import SimFleet
 
 FIELD = LocalFrame(43.7806, -79.4653, 180.0)
 UNIX_US = 1_700_000_000_000_000

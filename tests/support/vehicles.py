@@ -13,11 +13,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.pymav import PymavPeer

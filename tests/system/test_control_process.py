@@ -16,7 +16,7 @@ from skygcs.cli.completion import WAIT_VARIABLE
 pytestmark = pytest.mark.system
 
 TESTS = Path(__file__).parents[1]
-CLI = [sys.executable, "-c", "from skygcs.cli.control import main; main()"]
+CLI = [sys.executable, "-c", "from skygcs.cli.main import main; main()"]
 PATIENCE_S = 60
 """How long a busy machine may take for something that takes milliseconds; not what is tested."""
 
@@ -140,7 +140,7 @@ def test_each_shell_has_a_completion_script(served: Served, shell: str) -> None:
 def test_status_needs_no_numpy_and_json_no_rich(served: Served) -> None:
     code = (
         "import sys; sys.argv = ['skygcs-cli', 'status', '--json']\n"
-        "from skygcs.cli.control import main\n"
+        "from skygcs.cli.main import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
         "print([m for m in ('numpy', 'rich', 'structlog', 'pymavlink', 'uvloop') if m in sys.modules])"

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.config.dialects import offline_dialect
-from skygcs.core.tlog import iter_records
+from skygcs.tlog.format import iter_records
 from support.process import DaemonProcess, PtyRadio, free_port, wait_until
 from support.pymav import PymavPeer, TcpPeer, UdpPeer
 

@@ -11,9 +11,9 @@ import uvloop
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.recording.reading import LogReader
-from skygcs.core.tlog import iter_records
 from skygcs.daemon import Daemon
+from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 from support.frames import offline
 from support.public_data import own_capture
 

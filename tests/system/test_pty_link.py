@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.config import models
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
 from skygcs.links.base import Link
 from skygcs.links.serial import SerialLink
 from skygcs.links.supervisor import LinkSupervisor

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import serial
 
-from skygcs.core.sim.at_radio import AtRadio, Faults
+from skygcs.sim.at_modem import AtRadio, Faults
 from support.at_pty import on_a_pty
 from support.process import DaemonProcess, wait_until
 

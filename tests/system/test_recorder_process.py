@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.tlog import iter_records
+from skygcs.tlog.format import iter_records
 from support.frames import dialect
 
 pytestmark = pytest.mark.system

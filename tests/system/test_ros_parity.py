@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.rpc.methods import METHODS
 from support.process import ROOT, DaemonProcess, wait_until
 

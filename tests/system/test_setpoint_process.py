@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.system
 
 TESTS = Path(__file__).parents[1]
-CLI = [sys.executable, "-c", "from skygcs.cli.control import main; main()"]
+CLI = [sys.executable, "-c", "from skygcs.cli.main import main; main()"]
 PATIENCE_S = 60
 
 
@@ -104,7 +104,7 @@ def test_ctrl_c_during_a_table_says_that_they_fly_on(served: Served, tmp_path: P
 def test_registering_the_commands_imports_nothing_that_they_need() -> None:
     script = (
         "import sys\n"
-        "import skygcs.cli.control\n"
+        "import skygcs.cli.main\n"
         "heavy = ('numpy', 'matplotlib', 'csv', 'tomllib', 'skygcs.core', 'skygcs.cli.track_table',\n"
         "         'skygcs.cli.setpoint_stream', 'skygcs.cli.table_file', 'skygcs.cli.trace_plot')\n"
         "print([m for m in heavy if m in sys.modules])\n"

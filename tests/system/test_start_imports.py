@@ -59,6 +59,6 @@ def test_rich_can_be_imported_after_the_log_was_set_up() -> None:
 
 
 def test_a_command_is_looked_for_without_what_others_need() -> None:
-    code = "import sys\nimport skygcs.cli.control\nprint('loaded', *[m for m in sys.argv[1:] if m in sys.modules])"
+    code = "import sys\nimport skygcs.cli.main\nprint('loaded', *[m for m in sys.argv[1:] if m in sys.modules])"
     heavy = set(HEAVY) - {"typer"} | {"structlog", "uvloop", "pydantic", "skygcs.config.models"}
     assert loaded(code, *heavy) == [set()]

@@ -47,7 +47,7 @@ def hook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     (tmp_path / module.SOURCE).parent.mkdir(parents=True)
-    for file in (ROOT / module.SOURCE).parent.glob("_express*.[ch]"):
+    for file in (ROOT / module.SOURCE).parent.glob("_fast_path*.[ch]"):
         shutil.copy(file, (tmp_path / module.SOURCE).parent)
     return module.FastPathHook(tmp_path)
 
@@ -68,7 +68,7 @@ def test_it_is_compiled_and_hardened(hook: Any, monkeypatch: pytest.MonkeyPatch)
     assert data["infer_tag"] is True
     raw = (Path(hook.root) / built).read_bytes()
     assert b"__stack_chk_fail" in raw
-    assert b"PyInit__express" in raw
+    assert b"PyInit__fast_path" in raw
 
 
 @linux
@@ -102,7 +102,7 @@ def test_what_is_required_and_fails_fails_the_installation(
 
 @linux
 def test_warnings_are_errors_where_it_is_required(hook: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = Path(hook.root) / "src" / "skygcs" / "links" / "_express.c"
+    source = Path(hook.root) / "src" / "skygcs" / "links" / "_fast_path.c"
     source.write_text(source.read_text() + "\nstatic int nobody_calls_this(int x) { return 1; }\n")
     monkeypatch.setenv("CC", "cc")
     assert run(hook)["artifacts"]

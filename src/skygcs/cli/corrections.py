@@ -14,7 +14,7 @@ import typer
 from skygcs.cli import render
 from skygcs.cli.connection import Exit, fail, run
 from skygcs.cli.options import Json
-from skygcs.cli.values import finite
+from skygcs.cli.parsing import finite
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:  # every command line registers every command: what only one needs is imported when it runs

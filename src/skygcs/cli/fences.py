@@ -19,7 +19,7 @@ from skygcs.cli.connection import Exit, fail, run, waiting
 from skygcs.cli.mission_flight import fences
 from skygcs.cli.options import Json, OptionalTargets, Targets
 from skygcs.cli.orders import tell_outcomes
-from skygcs.cli.values import finite
+from skygcs.cli.parsing import finite
 from skygcs.rpc.client import Client
 
 

@@ -14,7 +14,7 @@ import typer
 
 from skygcs.cli.connection import run_offline
 from skygcs.cli.options import Json
-from skygcs.cli.values import parse_number
+from skygcs.cli.parsing import parse_number
 
 PLOT_SUFFIXES = (".svg", ".png")
 
@@ -78,7 +78,7 @@ def gains(
     def command() -> int:
         from skygcs.cli.gains_report import gains_report
         from skygcs.cli.gains_study import Question
-        from skygcs.core.control.config import UTIAS_XY, UTIAS_Z, AxisGains
+        from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, AxisGains
 
         try:
             question = Question(

@@ -20,7 +20,7 @@ from skygcs.core.control.analysis import (
     step_response,
     suggest,
 )
-from skygcs.core.control.config import GRAVITY_MPS2, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains
+from skygcs.core.control.gains import GRAVITY_MPS2, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains
 
 Answer = dict[str, Any]
 

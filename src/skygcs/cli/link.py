@@ -13,10 +13,10 @@ import typer
 from skygcs.cli import link_screen
 from skygcs.cli.connection import Exit, run_offline
 from skygcs.cli.options import Json
-from skygcs.cli.values import finite
+from skygcs.cli.parsing import finite
 
 if TYPE_CHECKING:  # every command line registers every command: what only this one needs is imported when it runs
-    from skygcs.core.linkplan import LinkPlan
+    from skygcs.core.radio_link.capacity import LinkPlan
 
 link = typer.Typer(help="The shared radio: what it carries, what it can carry.", invoke_without_command=True)
 link.command("status")(link_screen.status)
@@ -54,7 +54,7 @@ def plan(
     json_output: Json = False,
 ) -> None:
     """Tell whether a number of vehicles fits on a radio, what each gets, and what would fit. Exit 1 if it does not."""
-    from skygcs.core.linkplan import SETPOINTS, LinkDemand, plan_link
+    from skygcs.core.radio_link.capacity import SETPOINTS, LinkDemand, plan_link
 
     demand = LinkDemand(
         vehicles,
@@ -131,7 +131,7 @@ def _air(text: str) -> float | None:
 
 
 def _rates(profile: str, changes: list[str]) -> dict[str, float]:
-    from skygcs.core.linkplan import FRAME_BYTES, PROFILES
+    from skygcs.core.radio_link.capacity import FRAME_BYTES, PROFILES
 
     rates = {"HEARTBEAT": 1.0} if profile == "custom" else dict(PROFILES[_one_of("--profile", profile, PROFILES)])
     for pair in changes:

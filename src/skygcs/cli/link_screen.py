@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skygcs.cli import render
+from skygcs.cli.admission_lines import foreign_lines
 from skygcs.cli.connection import run
-from skygcs.cli.foreign_lines import foreign_lines
 from skygcs.cli.options import Json
-from skygcs.cli.values import finite
+from skygcs.cli.parsing import finite
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from typing import Any
 
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.recording.faults import Faults
-from skygcs.core.recording.reading import Entry, LogKind, LogReader
-from skygcs.core.tlog import ByteSource, sniff
 from skygcs.errors import SkygcsError
+from skygcs.tlog.faults import Faults
+from skygcs.tlog.format import ByteSource, sniff
+from skygcs.tlog.reading import Entry, LogKind, LogReader
 
 PROGRESS_FROM_BYTES = 20 << 20
 """Some 2 s of work; below this a bar would only flash up."""

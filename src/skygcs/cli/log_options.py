@@ -11,7 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from skygcs.core.mavlink.dialect import Dialect
-    from skygcs.core.recording.selection import Selection, Source
+    from skygcs.tlog.selection import Selection, Source
 
 LogPath = Annotated[
     Path, typer.Argument(metavar="FILE", help="A tlog, or bytes as they came from a link.", show_default=False)
@@ -61,7 +61,7 @@ def selection(
     addressed: bool = False,
 ) -> Selection:
     """What the options say. Raises BadParameter, ConfigError for the fleet file."""
-    from skygcs.core.recording.selection import Selection
+    from skygcs.tlog.selection import Selection
 
     chosen = Selection(
         begin=None if begin is None else moment(begin, "--from"),

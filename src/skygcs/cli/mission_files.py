@@ -14,7 +14,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
-from skygcs.core.mission.firmware import Change, Family, for_firmware, grouped
+from skygcs.core.mission.firmware_items import Change, Family, for_firmware, grouped
 from skygcs.core.mission.formats import Imported, read_plan, write_plan
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.errors import PlanFileError

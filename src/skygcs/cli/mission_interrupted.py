@@ -15,7 +15,7 @@ from typing import Any
 import typer
 
 from skygcs.cli.connection import Exit, client, waiting
-from skygcs.core.mission.firmware import Family, for_firmware
+from skygcs.core.mission.firmware_items import Family, for_firmware
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan, same_start

@@ -13,10 +13,10 @@ import typer
 
 from skygcs.cli.connection import run_offline
 from skygcs.cli.options import Json
-from skygcs.cli.values import finite, parse_number
+from skygcs.cli.parsing import finite, parse_number
 
 if TYPE_CHECKING:
-    from skygcs.core.mission.firmware import Family
+    from skygcs.core.mission.firmware_items import Family
 
 missions = typer.Typer(
     help="Missions, fences and rally points: plan files of QGroundControl and Mission Planner.", no_args_is_help=True

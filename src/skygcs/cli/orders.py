@@ -13,8 +13,8 @@ import typer
 from skygcs.cli import completion
 from skygcs.cli.connection import Exit, client, fail, run, waiting
 from skygcs.cli.options import ComponentTargets, Json, Targets
+from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
 from skygcs.cli.render import outcome_lines, screen_width
-from skygcs.cli.values import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 

@@ -11,7 +11,7 @@ import typer
 from skygcs.cli.connection import run, waiting
 from skygcs.cli.options import Json, Targets
 from skygcs.cli.orders import tell_outcomes
-from skygcs.cli.values import NUMBERS, NumbersCommand, finite
+from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite
 from skygcs.rpc.client import Client
 
 app = typer.Typer(

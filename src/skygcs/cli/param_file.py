@@ -11,9 +11,9 @@ from typing import Any
 
 import typer
 
-from skygcs.core.mavlink.param import Param, ParamType
-from skygcs.core.params.file import MAX_CHARS, Kind, ParamFile, of_vehicle, parse, write
+from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.names import SORTS, Sort
+from skygcs.core.params.param_file import MAX_CHARS, Kind, ParamFile, of_vehicle, parse, write
 from skygcs.errors import ConfigError, RefusedError
 
 STACKS = {"px4": "PX4 Pro", "ardupilot": "ArduPilot"}

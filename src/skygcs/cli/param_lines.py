@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from skygcs.core.mavlink.param import NAME_CHARS, float32, short_float
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, float32, short_float
 from skygcs.core.params.compare import ApplyPlan, Change, Difference
-from skygcs.core.params.file import Rounding
+from skygcs.core.params.param_file import Rounding
 
 BAR_CELLS = 30
 MAX_NAMED = 10

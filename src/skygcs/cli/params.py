@@ -17,14 +17,14 @@ import typer
 
 from skygcs.cli.connection import Exit, run, run_offline
 from skygcs.cli.options import Json, Targets
-from skygcs.cli.values import NUMBERS, NumbersCommand, parse_number
+from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
 from skygcs.errors import RefusedError
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:  # every command line registers every command: what only these need is imported when they run
     from skygcs.cli.param_file import Held
     from skygcs.core.params.compare import ApplyPlan, Difference
-    from skygcs.core.params.file import Entry, ParamFile
+    from skygcs.core.params.param_file import Entry, ParamFile
 
 params = typer.Typer(
     help="Read, set, save, compare and apply parameters; `diff` of two files needs no daemon.", no_args_is_help=True
@@ -235,7 +235,7 @@ def diff_(
     from skygcs.cli import param_lines
     from skygcs.cli.param_file import include_of, read_file
     from skygcs.core.params.compare import diff
-    from skygcs.core.params.file import Entry
+    from skygcs.core.params.param_file import Entry
 
     sorts = include_of(include)
     notes: list[str] = []

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from skygcs.cli.connection import run_offline
-from skygcs.cli.values import finite
+from skygcs.cli.parsing import finite
 
 PLOT_SUFFIXES = (".png", ".svg")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from skygcs.cli.render import wrapped
-from skygcs.core.mavlink.param import NAME_CHARS, short_float
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, short_float
 
 Report = Mapping[str, Any]
 

@@ -12,7 +12,7 @@ import typer
 
 from skygcs.cli.connection import run_offline
 from skygcs.cli.options import Json
-from skygcs.cli.values import parse_pairs
+from skygcs.cli.parsing import parse_pairs
 
 radios = typer.Typer(
     help="Look at and set up SiK and RFD900x radios, without the vendor's tool; see docs/howto/radio-setup.md.",
@@ -104,7 +104,7 @@ def provision(
 
     def command() -> int:
         from skygcs.cli import radio_work
-        from skygcs.core.radio.network import NetworkSettings
+        from skygcs.modem.network import NetworkSettings
 
         common = NetworkSettings(
             net_id=net_id,

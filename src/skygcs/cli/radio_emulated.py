@@ -15,8 +15,8 @@ from pathlib import Path
 import typer
 
 from skygcs.cli.connection import Exit
-from skygcs.core.sim.at_radio import AtRadio, Kind
 from skygcs.errors import RefusedError
+from skygcs.sim.at_modem import AtRadio, Kind
 
 TICK_S = 0.02
 _BAUD = {

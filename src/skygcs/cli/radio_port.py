@@ -12,9 +12,9 @@ from typing import TypeVar
 
 import serial
 
-from skygcs.core.radio.dialogue import Dialogue, Procedure
-from skygcs.core.radio.visit import Visit
 from skygcs.errors import LinkError
+from skygcs.modem.dialogue import Dialogue, Procedure
+from skygcs.modem.visit import Visit
 
 T = TypeVar("T")
 

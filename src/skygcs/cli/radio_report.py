@@ -7,10 +7,10 @@ from typing import Any
 
 import typer
 
-from skygcs.core.radio.backup import Difference
-from skygcs.core.radio.network import NetworkPlan
-from skygcs.core.radio.parameters import SERIAL_BAUD, Firmware, RadioState, inconsistencies
-from skygcs.core.radio.setting import Ledger
+from skygcs.modem.backup import Difference
+from skygcs.modem.change import Ledger
+from skygcs.modem.network import NetworkPlan
+from skygcs.modem.settings import SERIAL_BAUD, Firmware, RadioState, inconsistencies
 
 _MEANING = {"AIR_SPEED": "kbit/s", "TXPOWER": "dBm", "MIN_FREQ": "kHz", "MAX_FREQ": "kHz", "DUTY_CYCLE": "%"}
 _WORDS = {"MAVLINK": ("raw", "MAVLink", "low latency"), "RXFRAME": ("raw", "MAVLink", "low latency"),

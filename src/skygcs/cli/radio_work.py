@@ -20,13 +20,13 @@ from skygcs.cli.radio_daemon import lent
 from skygcs.cli.radio_port import RadioPort
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig, SerialLink
-from skygcs.core.radio.backup import MAX_BYTES, differences, from_toml, restorable, to_toml
-from skygcs.core.radio.network import NetworkPlan, NetworkSettings, check_network, plan_network
-from skygcs.core.radio.parameters import Firmware, RadioState
-from skygcs.core.radio.reading import LIKELY_BAUD
-from skygcs.core.radio.setting import Ledger
-from skygcs.core.radio.visit import Visit, change, look
 from skygcs.errors import ConfigError, LinkError, RefusedError, SkygcsError
+from skygcs.modem.backup import MAX_BYTES, differences, from_toml, restorable, to_toml
+from skygcs.modem.change import Ledger
+from skygcs.modem.network import NetworkPlan, NetworkSettings, check_network, plan_network
+from skygcs.modem.reading import LIKELY_BAUD
+from skygcs.modem.settings import Firmware, RadioState
+from skygcs.modem.visit import Visit, change, look
 
 NODE_OWN = frozenset({"NODEID", "NODEDESTINATION", "NETCOUNT"})
 """Differ in a network as they must."""

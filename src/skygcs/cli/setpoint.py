@@ -11,7 +11,7 @@ import typer
 
 from skygcs.cli.connection import Exit, fail, run
 from skygcs.cli.options import Json, Targets
-from skygcs.cli.values import finite, parse_unset_number
+from skygcs.cli.parsing import finite, parse_unset_number
 from skygcs.errors import DaemonUnreachable
 from skygcs.rpc.client import Client
 

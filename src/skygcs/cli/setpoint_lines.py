@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from skygcs.cli.values import parse_json
+from skygcs.cli.parsing import parse_json
 
 LARGEST_LINE = 1024
 """Bytes. A setpoint with all its numbers has some 300."""

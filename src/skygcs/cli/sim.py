@@ -16,16 +16,16 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.radio import EmulatedRadio
 from skygcs.config.sim_params import load_param_set
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.sim import protocol as m
-from skygcs.core.sim.chance import Chance
-from skygcs.core.sim.conditions import CALM, Conditions, conditions_of
-from skygcs.core.sim.fleet import make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.sim.radio import SimRadio
-from skygcs.core.sim.radio_fleet import RadioFleet
-from skygcs.core.sim.vehicle import TICK_S, SimVehicle
 from skygcs.errors import LinkError
 from skygcs.links.simulated_radio import emulated
+from skygcs.sim import protocol as m
+from skygcs.sim.conditions import CALM, Conditions, conditions_of
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.radio_fleet import RadioFleet
+from skygcs.sim.radio_status import SimRadio
+from skygcs.sim.rng import Chance
+from skygcs.sim.vehicle import TICK_S, SimVehicle
+from skygcs.sim.vehicle_group import make_vehicles
 
 SIM_DIALECT = "ardupilotmega"
 

@@ -21,13 +21,13 @@ from skygcs.cli.radio_emulated import port_rate, set_port_rate
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.fleet import SimFleet
-from skygcs.core.sim.ground_radio import GroundRadio
-from skygcs.core.sim.radio import SimRadio
-from skygcs.core.sim.radio_fleet import RadioFleet
-from skygcs.core.sim.tdm import GROUND
-from skygcs.core.sim.vehicle import SimVehicle
 from skygcs.errors import LinkError
+from skygcs.sim.ground_radio import GroundRadio
+from skygcs.sim.radio_fleet import RadioFleet
+from skygcs.sim.radio_status import SimRadio
+from skygcs.sim.tdm import GROUND
+from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_group import SimFleet
 
 MAX_BACKLOG_BYTES = 65536
 """A TCP connection that does not read loses frames instead of holding the vehicles up."""

@@ -28,8 +28,9 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.firmware import ArduCopter, Px4, find_arducopter, find_px4
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.params.file import parse
-from skygcs.core.sitl import (
+from skygcs.core.params.param_file import parse
+from skygcs.errors import ConfigError, LinkError
+from skygcs.sim.sitl import (
     Autopilot,
     Home,
     Instance,
@@ -42,7 +43,6 @@ from skygcs.core.sitl import (
     px4_launch,
     refused_params,
 )
-from skygcs.errors import ConfigError, LinkError
 
 DIALECT = "ardupilotmega"
 LOOPBACK = "127.0.0.1"

@@ -14,7 +14,7 @@ import typer
 
 from skygcs.cli.connection import Exit, fail, run, run_offline
 from skygcs.cli.options import Json
-from skygcs.cli.values import finite
+from skygcs.cli.parsing import finite
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:

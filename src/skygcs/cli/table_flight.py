@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from skygcs.cli import render
-from skygcs.cli.reading import SCREEN_HZ
+from skygcs.cli.status import SCREEN_HZ
 from skygcs.cli.table_file import Point, Spot
 from skygcs.errors import DaemonUnreachable, RefusedError, RpcError
 from skygcs.rpc.client import Client

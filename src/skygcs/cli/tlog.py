@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.cli.log_file import KIND_NAMES, dialect_named, opened_log
-from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, TYPE_GENERIC, HeartbeatChecks
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
-from skygcs.core.recording.faults import Faults
-from skygcs.core.recording.reading import Entry
+from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.errors import SkygcsError
+from skygcs.tlog.faults import Faults
+from skygcs.tlog.reading import Entry
 
 MOST_KINDS = 8
 """Different (autopilot, type) of one source's heartbeats that are told apart; more are an attack."""

@@ -24,7 +24,7 @@ from skygcs.cli.log_options import (
     selection,
 )
 from skygcs.cli.options import Json
-from skygcs.cli.values import finite, parse_number
+from skygcs.cli.parsing import finite, parse_number
 
 tlog = typer.Typer(help="Recorded flights: tlog files and raw captures.", no_args_is_help=True)
 
@@ -218,7 +218,7 @@ def _play(
     dialect: DialectName = None,
 ) -> None:
     """Send what vehicles told over UDP as it came, for a ground station or another skygcs to watch. Ctrl-C ends it."""
-    from skygcs.core.recording.timeline import speed_problem
+    from skygcs.tlog.timeline import speed_problem
 
     problem = speed_problem(speed)
     if problem is not None:

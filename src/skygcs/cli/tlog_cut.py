@@ -13,11 +13,11 @@ from skygcs.cli.log_file import LogFile, note, opened_log
 from skygcs.cli.log_output import Outputs, make_folder
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.heartbeat import discovers
-from skygcs.core.recording.flight import MOST_VEHICLES
-from skygcs.core.recording.reading import Entry
-from skygcs.core.recording.selection import Selection
-from skygcs.core.tlog import encode_record
 from skygcs.errors import SkygcsError
+from skygcs.tlog.flight import MOST_VEHICLES
+from skygcs.tlog.format import encode_record
+from skygcs.tlog.reading import Entry
+from skygcs.tlog.selection import Selection
 
 REST = "rest"
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from skygcs.cli.figure import svg
 from skygcs.cli.tlog_panels import HEADS, gid, summary_row
-from skygcs.core.recording.flight import Flight, VehicleFlight
+from skygcs.tlog.flight import Flight, VehicleFlight
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

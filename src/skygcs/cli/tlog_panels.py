@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from skygcs.core.recording.curves import Curve
-from skygcs.core.recording.flight import Flight, VehicleFlight
+from skygcs.tlog.curves import Curve
+from skygcs.tlog.flight import Flight, VehicleFlight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

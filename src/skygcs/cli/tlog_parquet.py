@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import IO, Any
 
-from skygcs.core.recording.columns import NUMBER, TEXT, TIME, Kind
 from skygcs.errors import SkygcsError
+from skygcs.tlog.columns import NUMBER, TEXT, TIME, Kind
 
 CELLS_PER_GROUP = 200_000
 """Of one table, in memory at a time: some 10 MB as Python objects. A row group of 20,000 rows with ten columns."""

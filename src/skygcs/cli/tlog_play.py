@@ -13,11 +13,11 @@ from typing import Any
 from skygcs.cli.log_file import LogFile, note, opened_log
 from skygcs.cli.tlog_cut import check_times
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.recording.played import Told
-from skygcs.core.recording.reading import Entry
-from skygcs.core.recording.selection import Selection
-from skygcs.core.recording.timeline import Pace
 from skygcs.errors import SkygcsError
+from skygcs.tlog.played import Told
+from skygcs.tlog.reading import Entry
+from skygcs.tlog.selection import Selection
+from skygcs.tlog.timeline import Pace
 
 AT_ONCE = 32
 """At full speed, frames between two pauses: 2 kB, which every receiver's socket holds (212 kB by default on Linux)."""

@@ -14,9 +14,9 @@ from skygcs.cli.tlog_cut import check_times
 from skygcs.cli.tlog_panels import Style, draw_lines, draw_map, draw_rows, draw_summary
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.recording.flight import Flight, VehicleFlight
-from skygcs.core.recording.selection import Selection
 from skygcs.errors import SkygcsError
+from skygcs.tlog.flight import Flight, VehicleFlight
+from skygcs.tlog.selection import Selection
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,10 +13,10 @@ from skygcs.cli.log_file import LogFile, opened_log
 from skygcs.cli.log_output import Outputs, make_folder
 from skygcs.cli.tlog_cut import selected
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.recording.columns import TIME, Kind, MessageColumns
-from skygcs.core.recording.flight_table import COLUMNS, FlightTables, VehicleKey
-from skygcs.core.recording.selection import Selection
 from skygcs.errors import SkygcsError
+from skygcs.tlog.columns import TIME, Kind, MessageColumns
+from skygcs.tlog.flight_table import COLUMNS, FlightTables, VehicleKey
+from skygcs.tlog.selection import Selection
 
 Columns = tuple[tuple[str, Kind], ...]
 

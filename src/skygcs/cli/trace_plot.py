@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from skygcs.cli.figure import COLOURS, new_figure, require_matplotlib, save
 from skygcs.cli.trace_file import read_trace
-from skygcs.core.control.config import ControlConfig
+from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.trace import WAYS, TraceRow
 from skygcs.errors import SkygcsError
 

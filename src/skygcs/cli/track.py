@@ -11,8 +11,8 @@ import typer
 from skygcs.cli import render
 from skygcs.cli.connection import run
 from skygcs.cli.options import Json, OptionalTargets
-from skygcs.cli.reading import live
-from skygcs.cli.values import finite
+from skygcs.cli.parsing import finite
+from skygcs.cli.status import live
 from skygcs.rpc.client import Client
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from skygcs.core.mavlink.param import NAME_CHARS, is_name
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
 from skygcs.core.preflight.expectations import Expectations, Way
 from skygcs.core.preflight.health import version_problem
 from skygcs.core.preflight.rules import Rule

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from skygcs.config.regular_file import open_regular
-from skygcs.core.params.file import MAX_CHARS, parse
-from skygcs.core.sim.param_set import ParamSet, param_set
+from skygcs.core.params.param_file import MAX_CHARS, parse
 from skygcs.errors import ConfigError
+from skygcs.sim.param_set import ParamSet, param_set
 
 
 def load_param_set(path: Path) -> ParamSet:

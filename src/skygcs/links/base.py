@@ -13,17 +13,17 @@ from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from skygcs.config.models import LinkConfig
-from skygcs.core.airtime import Priority
-from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
-from skygcs.core.presented import Endpoint
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.source_statistics import SourceStats
+from skygcs.core.routing.sysid_translation import Endpoint
+from skygcs.events import Event
 
 if TYPE_CHECKING:
-    from skygcs.links._express import Lane, Out, Table
+    from skygcs.links._fast_path import Lane, Out, Table
     from skygcs.links.paced import AirBudget
 
 

@@ -10,7 +10,7 @@ from itertools import count
 from typing import Any
 
 from skygcs.config import models
-from skygcs.core.airtime import Priority
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing
 from skygcs.links.stream import StreamIntake

@@ -8,13 +8,13 @@ from dataclasses import replace
 from typing import Any
 
 from skygcs.config.radio import ForeignKeys
-from skygcs.core.airtime import ByteBudget, Priority, TxQueue
-from skygcs.core.corrections import Corrections
-from skygcs.core.foreign import CORRECTIONS_SHARE, ForeignRules, ForeignTraffic, Ruling
-from skygcs.core.foreign_frames import FILE_TRANSFER_PROTOCOL, PARAM_VALUE, is_emergency, is_order, parse
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.pacing import Pacer, RadioRates, report_of
+from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, ForeignRules, ForeignTraffic, Ruling
+from skygcs.core.radio_link.admission_frames import FILE_TRANSFER_PROTOCOL, PARAM_VALUE, is_emergency, is_order, parse
+from skygcs.core.radio_link.corrections import Corrections
+from skygcs.core.radio_link.pacing import Pacer, RadioRates, report_of
+from skygcs.core.radio_link.transmit_queue import ByteBudget, Priority, TxQueue
 from skygcs.links.base import Outgoing, OwnMessage
 
 FRAME_OVERHEAD_BYTES = 12

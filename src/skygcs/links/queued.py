@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from skygcs.core.airtime import Priority, TxQueue
-from skygcs.core.foreign import ForeignRules
-from skygcs.core.pacing import RadioRates
+from skygcs.core.radio_link.admission import ForeignRules
+from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.links.base import Channel, Link, Outgoing
 from skygcs.links.paced import AirBudget
 

@@ -9,11 +9,11 @@ from typing import BinaryIO, overload
 
 from skygcs.config import models
 from skygcs.config.regular_file import open_regular
-from skygcs.core.airtime import Priority
-from skygcs.core.tlog import iter_records, sniff
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing
 from skygcs.links.stream import StreamIntake
+from skygcs.tlog.format import iter_records, sniff
 
 RECORDS_PER_TURN = 64
 RAW_BYTES_PER_TURN = 4096

@@ -12,16 +12,16 @@ from collections.abc import Hashable
 from skygcs.config import models
 from skygcs.config.dialects import load_dialect
 from skygcs.config.sim_params import load_param_set
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.conditions import conditions_of
-from skygcs.core.sim.fleet import SimFleet, make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.sim.radio_fleet import RadioFleet
-from skygcs.core.sim.vehicle import TICK_S, SimVehicle
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import ConfigError, LinkError
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing
 from skygcs.links.simulated_radio import SimulatedRadioChannel, emulated, rates_of
+from skygcs.sim.conditions import conditions_of
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.radio_fleet import RadioFleet
+from skygcs.sim.vehicle import TICK_S, SimVehicle
+from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 
 SIM_DIALECT = "ardupilotmega"
 """What the vehicles speak, whatever the daemon's dialect is: it has all of PX4's telemetry sent here as well."""

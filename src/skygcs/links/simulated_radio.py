@@ -7,17 +7,17 @@ from collections.abc import Hashable
 from typing import TYPE_CHECKING
 
 from skygcs.config.radio import EmulatedRadio, RadioKeys
-from skygcs.core.airtime import Priority
-from skygcs.core.linkplan import BITS_PER_BYTE
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.pacing import RadioRates
-from skygcs.core.sim.chance import Chance
-from skygcs.core.sim.radio_fleet import RadioFleet
-from skygcs.core.sim.tdm import GROUND, TdmConfig, TdmNetwork
-from skygcs.core.sim.vehicle import SimVehicle
+from skygcs.core.radio_link.capacity import BITS_PER_BYTE
+from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.links.base import Link, Outgoing
 from skygcs.links.paced import foreign_rules
 from skygcs.links.queued import QueuedChannel
+from skygcs.sim.radio_fleet import RadioFleet
+from skygcs.sim.rng import Chance
+from skygcs.sim.tdm import GROUND, TdmConfig, TdmNetwork
+from skygcs.sim.vehicle import SimVehicle
 
 if TYPE_CHECKING:
     from skygcs.config import models

@@ -10,9 +10,9 @@ import asyncio
 import os
 from collections.abc import Callable, Hashable
 
-from skygcs.core.airtime import Priority
-from skygcs.core.foreign import ForeignRules
-from skygcs.core.pacing import RadioRates
+from skygcs.core.radio_link.admission import ForeignRules
+from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.links.base import Channel, Link, Outgoing
 from skygcs.links.queued import QueuedChannel
 from skygcs.links.readiness import Readiness

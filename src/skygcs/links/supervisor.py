@@ -10,8 +10,8 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Literal
 
-from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
+from skygcs.events import Event
 from skygcs.links.base import Link
 
 LinkState = Literal["opening", "up", "down", "finished"]

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from skygcs.config import models
-from skygcs.core.peer_places import Peer
+from skygcs.core.routing.peer_places import Peer
 from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
-from skygcs.links.admission import Admission
+from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, Link, LinkHost
 from skygcs.links.readiness import Readiness
 from skygcs.links.stream import StreamChannel

@@ -17,19 +17,19 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config import models
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.peer_places import Peer
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.peer_places import Peer
 from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
-from skygcs.links.admission import Admission
+from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing, Way
-from skygcs.links.express import new_lane, new_out
+from skygcs.links.fast_path import new_lane, new_out
 
 if TYPE_CHECKING:
-    from skygcs.links._express import Lane
+    from skygcs.links._fast_path import Lane
 
 DATAGRAMS_PER_WAKEUP = 64
 """Enough that the wake-up costs little per datagram; few enough that other links have their turn within 1 ms."""

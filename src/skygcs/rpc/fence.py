@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import Field
 
-from skygcs.core.vehicle.fence import FenceAction
+from skygcs.core.vehicle.fence_params import FenceAction
 from skygcs.rpc import dispatch
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, order, outcomes

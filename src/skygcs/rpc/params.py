@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
-from skygcs.core.exchange.param_list import BYTES_PER_S
-from skygcs.core.mavlink.param import NAME_CHARS, is_name
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
+from skygcs.core.protocols.parameter_list import BYTES_PER_S
 from skygcs.rpc import dispatch
 from skygcs.rpc import models as m
 from skygcs.rpc.context import Context

@@ -11,7 +11,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
 
 JsonObject = dict[str, Any]
 OnFrame = Callable[[Frame, Any, float], None]
@@ -20,13 +20,13 @@ Unsubscribe = Callable[[], object]
 
 
 class OutcomeLike(Protocol):
-    """skygcs.core.exchange.command.Outcome."""
+    """skygcs.core.protocols.command.Outcome."""
 
     def as_dict(self) -> JsonObject: ...
 
 
 class Parameters(Protocol):
-    """skygcs.runtime.params.VehicleParams."""
+    """skygcs.runtime.param_transfers.VehicleParams."""
 
     async def get(self, name: str) -> OutcomeLike: ...
     async def set(self, values: Mapping[str, Any], *, settle: bool) -> Mapping[str, OutcomeLike]: ...
@@ -36,7 +36,7 @@ class Parameters(Protocol):
 
 
 class Missions(Protocol):
-    """skygcs.runtime.missions.Missions."""
+    """skygcs.runtime.mission_transfers.Missions."""
 
     def status(self) -> JsonObject: ...
 

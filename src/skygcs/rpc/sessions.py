@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
 from skygcs.rpc.context import Context
 from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.ports import Daemon, JsonObject

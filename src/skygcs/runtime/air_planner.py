@@ -7,11 +7,10 @@ from typing import Any
 
 from skygcs.config.models import SerialLink, SimulatedLink
 from skygcs.config.radio import RadioKeys
-from skygcs.core.airtime import Priority
-from skygcs.core.linkplan import BITS_PER_BYTE, SLOT_BYTES
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.preflight.losses import WINDOW_S as LOSS_WINDOW_S
-from skygcs.core.stream_plan import (
+from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES
+from skygcs.core.radio_link.stream_rates import (
     CONTROLLED,
     NORMAL,
     POSITION,
@@ -22,7 +21,8 @@ from skygcs.core.stream_plan import (
     plan_bytes_per_s,
     profile_rates,
 )
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.links.paced import FRAME_OVERHEAD_BYTES, AirBudget
 from skygcs.runtime.fleet import Fleet

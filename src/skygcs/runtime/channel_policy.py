@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from skygcs.config.models import LinkConfig, MessageName
-from skygcs.core.filters import ChannelPolicy, MessageFilter
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
 
 
 def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int] = frozenset()) -> ChannelPolicy:

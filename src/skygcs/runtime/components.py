@@ -10,23 +10,23 @@ import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from skygcs.core.exchange.command import Ack, CommandSpec, Outcome
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.protocols.command import Ack, CommandSpec, Outcome
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
 from skygcs.core.vehicle.component import Component
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.plan import Plan, Step
+from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.snapshot import reading_of
 from skygcs.core.vehicle.state import SEVERITY, name_of
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.unguarded import require_guarded
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.events import Event
 from skygcs.links.base import Noted
-from skygcs.runtime.commander import Commander, SendFn
+from skygcs.runtime.command_client import Commander, SendFn
 
 MAX_OF_SYSTEM = 32
 """Components kept of one system; a vehicle with gimbal, cameras, companion, ADS-B and winch has some ten."""

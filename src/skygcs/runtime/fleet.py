@@ -8,34 +8,34 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
-from skygcs.core.airtime import Priority
-from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.geo import Origin, world_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.preflight.facts import LinkFacts
-from skygcs.core.state_source import KNOWN_BY, Known
+from skygcs.core.protocols.command import CommandSpec, Outcome
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, stop, targets
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
 from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
+from skygcs.events import Event
 from skygcs.links.base import Noted
-from skygcs.runtime.commander import Carrier, SendFn
+from skygcs.runtime.command_client import Carrier, SendFn
 from skygcs.runtime.components import ORDERS as COMPONENT_ORDERS
 from skygcs.runtime.components import ComponentActor, Components
-from skygcs.runtime.errands import Errands, fault
 from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_all import examine_all, meant
+from skygcs.runtime.task_set import Errands, fault
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.runtime.world import World
+from skygcs.runtime.world_frame import World
 
 __all__ = ["Fleet", "OnEvent", "SendFn"]
 

@@ -15,25 +15,25 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.control import ControlSettings
-from skygcs.core.airtime import Priority
 from skygcs.core.control.analysis import why_not_delay
-from skygcs.core.control.fence import Fence
+from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.guard import Way
-from skygcs.core.exchange.command import Outcome
-from skygcs.core.linkplan import FRAME_BYTES
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.vehicle import offboard, orders
-from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.goals import Place, Setpoint
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState, Tick
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.radio_link.capacity import FRAME_BYTES
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle import offboard_entry, orders
+from skygcs.core.vehicle.geodetic_position import Place, Setpoint
+from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState, Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
-from skygcs.runtime.commander import Commander
+from skygcs.events import Event
+from skygcs.runtime.command_client import Commander
 from skygcs.runtime.control_clock import ControlClock
-from skygcs.runtime.errands import Errands
+from skygcs.runtime.offboard_engagement import Takeover
 from skygcs.runtime.plan_runner import Attempt, Execute
-from skygcs.runtime.takeover import Takeover
+from skygcs.runtime.task_set import Errands
 from skygcs.runtime.trace_file import Recording
 
 VALID_S = (0.1, 5.0)
@@ -218,7 +218,7 @@ class FlightControl:
 
     def on_text(self, text: str) -> None:
         """A status text: what the vehicle throws away it is not sent again and again."""
-        if self.pilot.active and offboard.refuses_setpoint(text):
+        if self.pilot.active and offboard_entry.refuses_setpoint(text):
             self.pilot.refusing = text
 
     def origin_changed(self) -> None:
@@ -253,7 +253,7 @@ class FlightControl:
     # -- the inside
 
     def _begin(self, way: Way) -> None:
-        hover_thrust = offboard.told_hover_thrust(self._vehicle)
+        hover_thrust = offboard_entry.told_hover_thrust(self._vehicle)
         try:
             config = _pilot_config(self._settings, hover_thrust)
             if self._law_changed:
@@ -307,7 +307,7 @@ class FlightControl:
     async def _hold_if_it_follows(self, turn: int) -> None:
         """It showed another mode, and control ended. If it is in the mode of setpoints after all, it flies by those it
         got last and drifts when they are over: it is ordered to hold."""
-        follows = await self._commander.until(lambda: offboard.is_following(self._vehicle), LEFT_S)
+        follows = await self._commander.until(lambda: offboard_entry.is_following(self._vehicle), LEFT_S)
         if follows and self._vehicle.armed and not self.pilot.active:
             await self._hold(turn)
 

@@ -13,25 +13,25 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from skygcs.config.models import FleetConfig, LinkConfig
-from skygcs.core.airtime import Priority
-from skygcs.core.decision import RouteNote, Verdict
-from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import SETUP_SIGNING
-from skygcs.core.presented import Endpoint
-from skygcs.core.routing import Router
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.decision import RouteNote, Verdict
+from skygcs.core.routing.router import Router
+from skygcs.core.routing.source_statistics import SourceStats
+from skygcs.core.routing.sysid_translation import Endpoint
+from skygcs.events import Event
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Noted, OwnMessage, Way
-from skygcs.links.express import new_table
+from skygcs.links.fast_path import new_table
 from skygcs.runtime.channel_policy import channel_policy
-from skygcs.runtime.signing import Signing
-from skygcs.runtime.taps import FrameTap, Taps
+from skygcs.runtime.frame_observers import FrameTap, Taps
+from skygcs.runtime.signing_keys import Signing
 
 if TYPE_CHECKING:
-    from skygcs.links._express import Table
+    from skygcs.links._fast_path import Table
 
 OTHER_SOURCES = -1
 """Key under which one channel's further sources are counted together once its table is full."""

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from skygcs.core.airtime import Priority
-from skygcs.core.foreign_frames import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.stream_requests import Leftover, Program, Request, Stream, StreamRequests, restoring
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.admission_frames import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL
+from skygcs.core.radio_link.stream_requests import Leftover, Program, Request, Stream, StreamRequests, restoring
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.runtime.air_planner import OnEvent
 from skygcs.runtime.fleet import Fleet

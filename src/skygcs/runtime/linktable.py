@@ -10,13 +10,13 @@ from skygcs.config.checks import added_conflicts, link_warnings
 from skygcs.config.loader import parse_link
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
+from skygcs.events import Event
 from skygcs.links.base import Channel, Link
 from skygcs.links.factory import make_link
 from skygcs.links.supervisor import LinkSupervisor
 from skygcs.runtime.hub import Hub
-from skygcs.runtime.signing import Signing
+from skygcs.runtime.signing_keys import Signing
 
 
 class _Entry:

@@ -13,33 +13,33 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.models import VehicleConfig
-from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.component import describe
-from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.pilot import PilotState
+from skygcs.core.vehicle.frames import shown
+from skygcs.core.vehicle.offboard_controller import PilotState
 from skygcs.core.vehicle.snapshot import latest_message
 from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.core.vehicle.worldview import shown
+from skygcs.events import Event
 from skygcs.links.base import Noted
-from skygcs.runtime.commander import Commander, SendFn
-from skygcs.runtime.fence import VehicleFence
+from skygcs.runtime.command_client import Commander, SendFn
+from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.flight_control import FlightControl
-from skygcs.runtime.missions import MESSAGES as MISSION_MESSAGES
-from skygcs.runtime.missions import Missions
+from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
+from skygcs.runtime.mission_transfers import Missions
 from skygcs.runtime.order_runner import OrderRunner
 from skygcs.runtime.param_cache import ParamCache
-from skygcs.runtime.params import VehicleParams
-from skygcs.runtime.planned_streams import PlannedStreams
-from skygcs.runtime.preflight import Preflight
+from skygcs.runtime.param_transfers import VehicleParams
+from skygcs.runtime.preflight_run import Preflight
+from skygcs.runtime.rate_controller import PlannedStreams
+from skygcs.runtime.stream_requester import Upkeep
 from skygcs.runtime.undo_journal import UndoJournal
-from skygcs.runtime.upkeep import Upkeep
 
 HEARTBEAT = 0
 COMMAND_ACK = 77

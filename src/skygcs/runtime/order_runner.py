@@ -10,13 +10,13 @@ from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from typing import Any
 
-from skygcs.core.exchange.command import Outcome
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.arming_refusals import todo_for
-from skygcs.core.vehicle.events import Event
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
-from skygcs.runtime.commander import SUPERSEDED, Commander
+from skygcs.events import Event
+from skygcs.runtime.command_client import SUPERSEDED, Commander
 from skygcs.runtime.plan_runner import MOVING, Planner, PlanRunner, two_of_one_id
 
 RETRY_S = 1.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.origin import ORIGIN_MESSAGE, SAME_M, kept, off_m, tell
 from skygcs.core.vehicle.vehicle import Vehicle

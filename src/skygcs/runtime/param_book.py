@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.param import Encoding, Param, encoding_of
+from skygcs.core.mavlink.param_encoding import Encoding, Param, encoding_of
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.param_cache import CachedParams, CacheKey, ParamCache
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skygcs.core.exchange.param_list import MAX_COUNT
-from skygcs.core.mavlink.param import Param, ParamType, is_name
+from skygcs.core.mavlink.param_encoding import Param, ParamType, is_name
+from skygcs.core.protocols.parameter_list import MAX_COUNT
 
 FORMAT = 1
 """Raised whenever the file changes shape: older ones are then never read."""

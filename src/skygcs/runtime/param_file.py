@@ -19,12 +19,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from skygcs.core.exchange.ftp import FileDownload, FileOutcome
-from skygcs.core.exchange.param_list import BYTES_PER_S, ListProgress
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.ftp import CAPABILITY_FTP, MESSAGE
-from skygcs.core.mavlink.param import Param
+from skygcs.core.mavlink.ftp_payload import CAPABILITY_FTP, MESSAGE
+from skygcs.core.mavlink.param_encoding import Param
 from skygcs.core.params import pck
+from skygcs.core.protocols.file_download import FileDownload, FileOutcome
+from skygcs.core.protocols.parameter_list import BYTES_PER_S, ListProgress
 from skygcs.core.vehicle.vehicle import Vehicle
 
 GUESSED_BYTES = 12

@@ -6,12 +6,12 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
-from skygcs.core.exchange.command import CommandSpec, Outcome
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.autopilot import firmware_name
-from skygcs.core.vehicle.plan import Plan, Step
+from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.commander import SUPERSEDED, Commander
+from skygcs.runtime.command_client import SUPERSEDED, Commander
 
 MOVING = frozenset(
     {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}

@@ -10,7 +10,7 @@ from typing import Any
 from skygcs.config.models import VehicleConfig
 from skygcs.core.preflight.report import Report, Severity, failed
 from skygcs.core.vehicle import targets
-from skygcs.runtime.preflight import result
+from skygcs.runtime.preflight_run import result
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 AT_ONCE = 3

@@ -24,8 +24,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from skygcs.core.tlog import TIME_BYTES, encode_record
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
+from skygcs.tlog.format import TIME_BYTES, encode_record
 
 FLUSH_PERIOD_S = 0.25
 """How long a record waits in memory at most while the disk works; with the write it stays well below a second."""

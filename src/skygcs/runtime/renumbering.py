@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from skygcs.config.keylines import key_lines, line_of
-from skygcs.core.exchange.command import Outcome
-from skygcs.core.vehicle.events import Event
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.errors import RefusedError
+from skygcs.events import Event
 from skygcs.runtime.fleet import Expected, Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.vehicle_actor import VehicleActor

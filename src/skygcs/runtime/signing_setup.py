@@ -13,19 +13,19 @@ from pathlib import Path
 
 from skygcs.config.models import SerialLink, TcpClientLink, TcpServerLink, UdpClientLink, UdpServerLink
 from skygcs.config.signing import read_key
-from skygcs.core.airtime import Priority
-from skygcs.core.exchange.command import MAX_TEXTS, Outcome
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.signing import KEY_BYTES, SETUP_SIGNING, is_signed_with, key_id
-from skygcs.core.vehicle.events import Event
+from skygcs.core.protocols.command import MAX_TEXTS, Outcome
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
-from skygcs.runtime.signing import Signing
+from skygcs.runtime.signing_keys import Signing
 
 TRIES = 3
 WAIT_S = 2.5

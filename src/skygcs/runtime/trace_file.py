@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TextIO
 
 from skygcs.core.control.cascade import Memory
-from skygcs.core.control.config import ControlConfig
+from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.trace import TraceHead, TraceRow, TraceWriter
-from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.pilot import Pilot, Tick
+from skygcs.core.vehicle.offboard_controller import Pilot, Tick
+from skygcs.events import Event
 
 FLUSH_S = 1.0
 """A crash loses at most this much."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from skygcs.core.exchange.command import Outcome
-from skygcs.core.vehicle.events import Event
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
 from skygcs.errors import RefusedError
+from skygcs.events import Event
 from skygcs.runtime.undo_journal import Change, UndoJournal
 from skygcs.runtime.vehicle_actor import VehicleActor
 

@@ -14,18 +14,18 @@ from dataclasses import replace
 from typing import Any, Unpack
 
 from skygcs.core.control.guard import Way
-from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
-from skygcs.core.vehicle.goals import Place
-from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.frames import setpoint_from_world
+from skygcs.core.vehicle.geodetic_position import Place
+from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.stop import Action
-from skygcs.core.vehicle.worldview import setpoint_from_world
 from skygcs.errors import RefusedError
-from skygcs.runtime.fence import FenceOutcome
+from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.live_vehicle import LiveVehicle
 from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.plan_runner import two_of_one_id

@@ -13,11 +13,11 @@ from bench.control.steps import ATTITUDE_LAG, EAST, UP, Flight, axis, fly
 from bench.control.wire import BEAR_ALL, Flown, WiredPilot
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control import ControlConfig
-from skygcs.core.control.config import UTIAS_XY, UTIAS_Z
+from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z
 from skygcs.core.control.guard import GuardConfig, Way
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.sim.conditions import Conditions
-from skygcs.core.sim.quad import F450, IDEAL
+from skygcs.sim.conditions import Conditions
+from skygcs.sim.quad import F450, IDEAL
 
 DELAYS_S = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 NOTED = {0.0: 8.0, 0.2: 12.0, 0.3: 20.0, 0.4: 38.0}

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 from bench.control.measures import swing_m
 from skygcs.core.control import ControlConfig, Estimate, Memory, Reference, step
 from skygcs.core.control.analysis import slowed
-from skygcs.core.control.config import GRAVITY_MPS2, UTIAS_XY, UTIAS_Z, AxisGains
-from skygcs.core.sim.quad import F450, IDEAL, Airframe, Quad
-from skygcs.core.sim.wind import Wind
+from skygcs.core.control.gains import GRAVITY_MPS2, UTIAS_XY, UTIAS_Z, AxisGains
+from skygcs.sim.quad import F450, IDEAL, Airframe, Quad
+from skygcs.sim.wind import Wind
 
 Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)

@@ -17,15 +17,15 @@ from skygcs.core.control.guard import GuardConfig, Way
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.chance import Chance
-from skygcs.core.sim.conditions import Conditions
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.sim.px4 import Px4Vehicle
-from skygcs.core.sim.quad import Quad
-from skygcs.core.vehicle.goals import Place
-from skygcs.core.vehicle.offboard import guided_mode
-from skygcs.core.vehicle.pilot import Pilot, PilotConfig, PilotState
+from skygcs.core.vehicle.geodetic_position import Place
+from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState
+from skygcs.core.vehicle.offboard_entry import guided_mode
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.sim.conditions import Conditions
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.px4 import Px4Vehicle
+from skygcs.sim.quad import Quad
+from skygcs.sim.rng import Chance
 
 FIELD = LocalFrame(43.7806, -79.4653, 180.0)
 OWN = (255, 190)

@@ -21,14 +21,14 @@ import structlog
 
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.sim import protocol as m
-from skygcs.core.sim.params import Param
-from skygcs.core.sim.vehicle import SimVehicle
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.daemon import Daemon
+from skygcs.events import Event
 from skygcs.links.simulated import SimulatedVehiclesLink
+from skygcs.sim import protocol as m
+from skygcs.sim.param_table import Param
+from skygcs.sim.vehicle import SimVehicle
 
 Column = Literal["plain", "skygcs"]
 

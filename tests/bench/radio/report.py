@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from skygcs.core.linkplan import PROFILES, LinkDemand, plan_link
+from skygcs.core.radio_link.capacity import PROFILES, LinkDemand, plan_link
 
 AGE_S = 2.5
 ACK_SPARE_S = 0.5

@@ -14,10 +14,10 @@ from bench.control.steps import EAST, UP, Flight, axis, bearable_delay_s, fly, s
 from bench.control.wire import BEAR_ALL, WiredPilot
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control.analysis import Loop, margins
-from skygcs.core.control.config import UTIAS_XY, UTIAS_Z
+from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z
 from skygcs.core.control.guard import GuardConfig, Way
-from skygcs.core.sim.conditions import Conditions
-from skygcs.core.sim.quad import F450, IDEAL
+from skygcs.sim.conditions import Conditions
+from skygcs.sim.quad import F450, IDEAL
 
 QUIET = Carried(
     vehicles=10,

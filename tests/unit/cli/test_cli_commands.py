@@ -13,8 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli import orders
-from skygcs.cli.control import app
-from skygcs.core.vehicle.events import Event
+from skygcs.cli.main import app
+from skygcs.events import Event
 from skygcs.rpc.client import EVENT_KINDS
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome

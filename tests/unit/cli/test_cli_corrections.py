@@ -18,7 +18,7 @@ import pytest
 from skygcs.cli import correction_stream
 from skygcs.cli.correction_stream import PIECE_BYTES, Stream, Tally, at_rate, forward, line_of
 from skygcs.cli.corrections import status_lines
-from skygcs.core.corrections import Corrections
+from skygcs.core.radio_link.corrections import Corrections
 from skygcs.errors import DaemonUnreachable, RefusedError
 from support.controlled import Commanded, commanded
 from support.rtcm import STANDARD_1005, rtcm_frame
@@ -191,7 +191,7 @@ def test_a_wrong_option_is_a_usage_error_that_names_it(fleet: Commanded, args: t
 
 @pytest.mark.parametrize("end", ["eof", "ctrl-c"])
 def test_a_pipe_is_sent_as_it_comes_until_its_end_or_ctrl_c(fleet: Commanded, end: str) -> None:
-    command = [sys.executable, "-c", "from skygcs.cli.control import main; main()"]
+    command = [sys.executable, "-c", "from skygcs.cli.main import main; main()"]
     process = subprocess.Popen(
         [*command, "--socket", str(fleet.socket), "corrections", "send", "--json"],
         stdin=subprocess.PIPE,

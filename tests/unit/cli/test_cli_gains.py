@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
 from skygcs.cli.gains_study import Question
+from skygcs.cli.main import app
 from support.public_data import ROOT
 
 DONE, FAILED, USAGE = 0, 1, 2
@@ -265,7 +265,7 @@ def test_only_what_is_needed_is_imported() -> None:
     """No numpy for the other commands, no matplotlib without a plot, no rich for JSON."""
     script = (
         "import sys\n"
-        "from skygcs.cli.control import app\n"
+        "from skygcs.cli.main import app\n"
         "heavy = ('numpy', 'matplotlib', 'rich', 'skygcs.core.control')\n"
         "print([m for m in heavy if m in sys.modules], file=sys.stderr)\n"
         "app(['gains', '--json'], standalone_mode=False)\n"

@@ -7,9 +7,9 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
-from skygcs.core.linkplan import PROFILES, SETPOINTS
+from skygcs.cli.main import app
 from skygcs.core.params.names import SORTS
+from skygcs.core.radio_link.capacity import PROFILES, SETPOINTS
 
 DONE, FAILED, USAGE = 0, 1, 2
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 
 DONE, FAILED, USAGE = 0, 1, 2
 MISSION = [

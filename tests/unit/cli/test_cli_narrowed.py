@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import typer.main
 
-from skygcs.cli.control import COMPLETION_VARIABLE, _name_of, app, command_of, narrowed
+from skygcs.cli.main import COMPLETION_VARIABLE, _name_of, app, command_of, narrowed
 
 NAMES = [_name_of(c) or "" for c in app.registered_commands] + [str(g.name) for g in app.registered_groups]
 

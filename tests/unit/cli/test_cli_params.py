@@ -14,12 +14,12 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli import param_lines
-from skygcs.cli.control import app
-from skygcs.core.exchange.param import ParamOutcome
-from skygcs.core.mavlink.param import Param, ParamType
-from skygcs.core.params.file import parse
+from skygcs.cli.main import app
+from skygcs.core.mavlink.param_encoding import Param, ParamType
+from skygcs.core.params.param_file import parse
+from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.params import Loaded
+from skygcs.runtime.param_transfers import Loaded
 from support.fake_daemon import FakeDaemon
 
 HELD = (

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.core.control import ControlConfig, Estimate, Memory, Reference
 from skygcs.core.control.trace import TraceRow, TraceWriter
 from support.flown_trace import HEAD, flown_trace

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from skygcs.cli import preflight, preflight_lines
 from skygcs.cli.connection import Exit
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
 

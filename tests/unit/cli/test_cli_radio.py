@@ -12,11 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli import radio_daemon
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.cli.radio_daemon import lent
-from skygcs.core.radio.backup import to_toml
-from skygcs.core.radio.parameters import Firmware, RadioState, Register
 from skygcs.errors import DaemonUnreachable, LinkError, RefusedError, RpcError
+from skygcs.modem.backup import to_toml
+from skygcs.modem.settings import Firmware, RadioState, Register
 
 DONE, FAILED, USAGE = 0, 1, 2
 FLEET = """

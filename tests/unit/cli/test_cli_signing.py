@@ -13,9 +13,9 @@ import pytest
 import structlog
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.cli.process import configure_logging
-from skygcs.core.exchange.command import Outcome
+from skygcs.core.protocols.command import Outcome
 from skygcs.errors import KeyFileError
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon

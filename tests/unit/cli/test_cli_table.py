@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.cli.table_file import Spot
 from skygcs.cli.table_flight import Flight, flight_table, send
 from skygcs.errors import RpcError

@@ -6,8 +6,8 @@ import pytest
 
 from skygcs.cli.serve import main
 from skygcs.cli.sim import parse_conditions
-from skygcs.core.sim.conditions import Conditions, Dynamics
 from skygcs.errors import LinkError
+from skygcs.sim.conditions import Conditions, Dynamics
 
 
 def parse(wind: str = "0", **words: object) -> Conditions:

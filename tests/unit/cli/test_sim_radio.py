@@ -15,11 +15,11 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.radio import EmulatedRadio
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.fleet import make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.sim.tdm import GROUND
 from skygcs.errors import LinkError
 from skygcs.links.simulated_radio import emulated
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.tdm import GROUND
+from skygcs.sim.vehicle_group import make_vehicles
 
 
 def test_an_air_speed_and_keys_make_a_radio() -> None:

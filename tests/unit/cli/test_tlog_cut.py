@@ -8,8 +8,8 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
-from skygcs.core.tlog import encode_record, iter_records
+from skygcs.cli.main import app
+from skygcs.tlog.format import encode_record, iter_records
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline, unknown_frame
 from support.public_data import CAPTURE, PUBLIC, captures, public_file

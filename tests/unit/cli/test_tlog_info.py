@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.cli.tlog import tlog_info
 from skygcs.core.mavlink.signing import sign
-from skygcs.core.tlog import encode_record
 from skygcs.errors import DialectError, SkygcsError
+from skygcs.tlog.format import encode_record
 from support.frames import dialect, frame, heartbeat, noise, unknown_frame
 from support.public_data import CAPTURE, OWN, ROOT, captures, expected, public_file, vehicles_of
 

@@ -10,11 +10,11 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
 from skygcs.cli.log_file import opened_log
+from skygcs.cli.main import app
 from skygcs.cli.tlog_play import Player
-from skygcs.core.recording.selection import Selection
-from skygcs.core.tlog import encode_record
+from skygcs.tlog.format import encode_record
+from skygcs.tlog.selection import Selection
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat
 

@@ -12,11 +12,11 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
+from skygcs.cli.main import app
 from skygcs.cli.tlog_panels import _looks
 from skygcs.cli.tlog_plot import flight_figure, read_flight
-from skygcs.core.recording.selection import Selection
-from skygcs.core.tlog import encode_record, iter_records
+from skygcs.tlog.format import encode_record, iter_records
+from skygcs.tlog.selection import Selection
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline
 from support.public_data import CAPTURE, captures, public_file, vehicles_of

@@ -16,8 +16,8 @@ from click.testing import Result
 from pymavlink.dialects.v20 import all as pymavlink_all
 from typer.testing import CliRunner
 
-from skygcs.cli.control import app
-from skygcs.core.tlog import encode_record, iter_records
+from skygcs.cli.main import app
+from skygcs.tlog.format import encode_record, iter_records
 from support.flight_log import T0_US, FlightLog
 from support.frames import frame, heartbeat, offline
 from support.public_data import captures, expected, present, public_file, vehicles_of

@@ -21,11 +21,11 @@ from skygcs.config.control import (
 )
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
-from skygcs.core.control.config import UTIAS_XY, UTIAS_Z, ControlConfig
-from skygcs.core.control.fence import Fence
+from skygcs.core.control.control_fence import Fence
+from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, ControlConfig
 from skygcs.core.control.guard import GuardConfig
 from skygcs.core.geo import Origin
-from skygcs.core.vehicle.pilot import PilotConfig
+from skygcs.core.vehicle.offboard_controller import PilotConfig
 from skygcs.errors import ConfigError
 
 HERE = Origin(47.4, 8.5, 488.0)

@@ -9,7 +9,7 @@ import pytest
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import SerialLink
 from skygcs.config.radio import radio_rates
-from skygcs.core.pacing import RadioRates
+from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.errors import ConfigError
 
 SERIAL = '[links.r]\ntype = "serial"\ndevice = "/dev/ttyUSB0"\n'

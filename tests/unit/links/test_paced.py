@@ -10,11 +10,11 @@ import pytest
 
 from skygcs.config import models
 from skygcs.config.radio import ForeignKeys
-from skygcs.core.airtime import Priority, TxQueue
-from skygcs.core.foreign import ForeignRules
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.pacing import RadioRates
-from skygcs.core.rtcm import fragments_of
+from skygcs.core.radio_link.admission import ForeignRules
+from skygcs.core.radio_link.pacing import RadioRates
+from skygcs.core.radio_link.rtcm import fragments_of
+from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.links.base import Outgoing, OwnMessage
 from skygcs.links.paced import AirBudget, flow_of, foreign_rules, wire_bytes
 from skygcs.links.serial import SerialLink

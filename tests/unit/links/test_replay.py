@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from skygcs.config import models
-from skygcs.core.tlog import encode_record
 from skygcs.errors import LinkError
 from skygcs.links.replay import LONGEST_GAP_S, LOOKS_PER_TURN, FileWindow, ReplayLink
 from skygcs.links.supervisor import LinkSupervisor
+from skygcs.tlog.format import encode_record
 from support.hosts import RecordingHost, heartbeat, open_descriptors, text
 
 pytestmark = pytest.mark.looptime

@@ -16,7 +16,7 @@ import pytest
 import serial
 
 from skygcs.config import models
-from skygcs.core.airtime import BOUND, Priority
+from skygcs.core.radio_link.transmit_queue import BOUND, Priority
 from skygcs.errors import LinkError
 from skygcs.links.serial import SerialLink
 from skygcs.links.stream import StreamChannel

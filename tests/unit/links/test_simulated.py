@@ -13,12 +13,12 @@ import pytest
 from skygcs.config import models
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.sim.kinematics import Motion
-from skygcs.core.sim.quad import Quad
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, OwnMessage
 from skygcs.links.factory import make_link
 from skygcs.links.simulated import SimulatedVehiclesLink
+from skygcs.sim.kinematics import Motion
+from skygcs.sim.quad import Quad
 from support.hosts import RecordingHost
 from support.sim_pilot import sim_dialect
 

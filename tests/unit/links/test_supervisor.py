@@ -9,8 +9,8 @@ from contextlib import asynccontextmanager
 import pytest
 
 from skygcs.config import models
-from skygcs.core.vehicle.events import Event
 from skygcs.errors import LinkError
+from skygcs.events import Event
 from skygcs.links.base import Channel, Link
 from skygcs.links.factory import make_link
 from skygcs.links.supervisor import LinkSupervisor

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from skygcs.config import models
-from skygcs.core.airtime import BOUND, Priority
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import BOUND, Priority
 from skygcs.errors import LinkError
+from skygcs.events import Event
 from skygcs.links.stream import READ_BYTES
 from skygcs.links.supervisor import LinkSupervisor
 from skygcs.links.tcp import TcpClientLink, TcpServerLink

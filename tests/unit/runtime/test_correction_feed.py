@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.airtime import Priority
-from skygcs.core.corrections import MAX_TYPES
+from skygcs.core.radio_link.corrections import MAX_TYPES
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import RefusedError
-from skygcs.runtime.corrections import MAX_RECENT, RATE_S, CorrectionFeed
+from skygcs.runtime.correction_feed import MAX_RECENT, RATE_S, CorrectionFeed
 from support.frames import dialect
 from support.rtcm import STANDARD_1005, rtcm_frame
 

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.airtime import Priority
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.vehicle.events import Event
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import RefusedError, TargetError
+from skygcs.events import Event
 from skygcs.runtime.fleet import MAX_KEPT, MAX_VEHICLES, MAX_VEHICLES_OF_LINK, Fleet
 from support.public_data import present, public_file
 from support.vehicles import (

@@ -13,18 +13,18 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.control import ControlSettings
-from skygcs.core.airtime import Priority
 from skygcs.core.control.guard import Way
 from skygcs.core.control.trace import decode
-from skygcs.core.exchange.command import Outcome
 from skygcs.core.geo import Origin, geodetic_from_enu
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.goals import Place, Setpoint
-from skygcs.core.vehicle.pilot import PilotState
-from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.geodetic_position import Place, Setpoint
+from skygcs.core.vehicle.offboard_controller import PilotState
+from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
+from skygcs.events import Event
 from skygcs.runtime.flight_control import NEW_STREAM_S, FlightControl
 from support.vehicles import HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect
 

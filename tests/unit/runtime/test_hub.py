@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from skygcs.config.models import FleetConfig, LinkConfig, MemoryLink, RateLimits, ReplayLink
-from skygcs.core.airtime import Priority
-from skygcs.core.decision import RouteNote
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.routing.decision import RouteNote
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
 from skygcs.runtime.channel_policy import channel_policy
 from skygcs.runtime.hub import MAX_CHANNEL_ID, MAX_PARTED, MAX_PARTED_SOURCES, OTHER_SOURCES, Hub

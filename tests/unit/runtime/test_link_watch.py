@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.linkstats import SourceStats
 from skygcs.core.mavlink.frame import Frame, encode
+from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.runtime.link_watch import RADIO_STATUS, LinkWatch
 from support.vehicles import flight_dialect
 

@@ -8,7 +8,7 @@ import math
 
 import pytest
 
-from skygcs.core.exchange.command import Outcome
+from skygcs.core.protocols.command import Outcome
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.sim_field import SimField
 from support.vehicles import HOME

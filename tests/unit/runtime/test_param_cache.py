@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.mavlink.param import Param, ParamType, float32
+from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
 from skygcs.runtime import param_cache
 from skygcs.runtime.param_cache import CachedParams, CacheKey, ParamCache, default_cache_dir
 

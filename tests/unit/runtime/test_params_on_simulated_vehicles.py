@@ -11,18 +11,18 @@ from typing import Any
 import pytest
 
 from skygcs.config.models import FleetConfig
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.mavlink.ftp import MESSAGE
+from skygcs.core.mavlink.ftp_payload import MESSAGE
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.params.compare import plan
-from skygcs.core.params.file import of_vehicle, parse, write
-from skygcs.core.sim.fleet import SimFleet, make_vehicles
-from skygcs.core.sim.kinematics import LocalFrame
-from skygcs.core.vehicle.events import Event
+from skygcs.core.params.param_file import of_vehicle, parse, write
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.param_cache import ParamCache
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from support.vehicles import HOME, flight_dialect
 
 pytestmark = pytest.mark.looptime
@@ -122,7 +122,7 @@ async def test_an_ardupilots_list_comes_as_a_file_with_what_is_set_meanwhile(tmp
 
 
 async def test_a_file_that_does_not_come_is_read_one_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skygcs.core.sim.copter_files.PATH", b"@PARAM/else")
+    monkeypatch.setattr("skygcs.sim.copter_files.PATH", b"@PARAM/else")
     async with field(tmp_path) as (fleet, sent):
         (copter,) = fleet.resolve("2")
         held = await copter.params.load(refresh=True)

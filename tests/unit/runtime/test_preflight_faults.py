@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from skygcs.core.preflight.facts import LinkFacts
-from skygcs.core.sim import protocol as m
-from skygcs.core.sim.ardupilot import CopterVehicle
-from skygcs.core.sim.copter_setup import CopterMode
-from skygcs.core.sim.vehicle import Home
+from skygcs.sim import protocol as m
+from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.vehicle import Home
 from support.preflight_field import PreflightField
 
 pytestmark = pytest.mark.looptime

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.core.tlog import Record, encode_record, iter_records
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
 from skygcs.runtime.recorder import Recorder
+from skygcs.tlog.format import Record, encode_record, iter_records
 from support.frames import dialect, heartbeat
 
 T0 = 1_700_000_000_000_000

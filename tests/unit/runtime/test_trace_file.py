@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.core.control.cascade import Estimate, Memory, Reference, step
-from skygcs.core.control.config import ControlConfig
+from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.trace import TraceHead, TraceRow, decode, rerun
 from skygcs.runtime import trace_file
 from skygcs.runtime.trace_file import TraceFile

@@ -11,8 +11,8 @@ from typing import Any, cast
 import pytest
 
 from skygcs.config.models import FleetConfig, MemoryLink, SerialLink
-from skygcs.core.airtime import Priority
-from skygcs.core.linkplan import FRAME_BYTES
+from skygcs.core.radio_link.capacity import FRAME_BYTES
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.links.base import Channel, ChannelSigning, Outgoing
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.links.serial import SerialLink as Serial

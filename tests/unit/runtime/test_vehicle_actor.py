@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import pytest
 
-from skygcs.core.airtime import Priority
-from skygcs.core.exchange.command import RETRY_TIMERS_S
+from skygcs.core.protocols.command import RETRY_TIMERS_S
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.vehicles import (
     ARDUPILOT,

@@ -11,14 +11,22 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.airtime import Priority
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.mavlink.param import HASH_NAME, INDEX_UNKNOWN, Encoding, Param, ParamType, bits_message, to_bits
-from skygcs.core.vehicle.events import Event
+from skygcs.core.mavlink.param_encoding import (
+    HASH_NAME,
+    INDEX_UNKNOWN,
+    Encoding,
+    Param,
+    ParamType,
+    bits_message,
+    to_bits,
+)
+from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
 from skygcs.runtime.param_cache import ParamCache
-from skygcs.runtime.params import VehicleParams
+from skygcs.runtime.param_transfers import VehicleParams
 from support.hosts import until
 from support.param_vehicle import ParamVehicle, big_set
 from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect, parsed

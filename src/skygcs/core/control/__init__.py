@@ -1,7 +1,7 @@
 """Flight control: the cascade that turns position errors into attitude and thrust."""
 
 from skygcs.core.control.cascade import Estimate, Memory, Output, Reference, Saturation, step, velocity_setpoint
-from skygcs.core.control.config import AxisGains, ControlConfig
+from skygcs.core.control.gains import AxisGains, ControlConfig
 
 __all__ = [
     "AxisGains",

@@ -37,7 +37,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from skygcs.core.control.config import GRAVITY_MPS2, AxisGains, ControlConfig
+from skygcs.core.control.gains import GRAVITY_MPS2, AxisGains, ControlConfig
 
 DEFAULT_RESERVE = 2.0
 """Delay margin over measured delay. An airframe's attitude takes 0.1 to 0.2 s to follow, which the model leaves out."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from skygcs.core.control.config import GRAVITY_MPS2, ControlConfig
+from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
 from skygcs.core.control.pi import (
     Horizontal,
     Vertical,

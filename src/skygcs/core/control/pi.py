@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from skygcs.core.control.config import ControlConfig
+from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.record import record
 
 

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from skygcs.core.control.cascade import Memory, Vector, step, velocity_setpoint
-from skygcs.core.control.config import AxisGains, ControlConfig
+from skygcs.core.control.gains import AxisGains, ControlConfig
 from skygcs.core.control.trace_row import (
     ATTITUDE,
     COLUMNS,

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from skygcs.core.geo import EARTH_RADIUS_M
-from skygcs.core.mission.fence import Corner, FencePlan, FencePolygon
+from skygcs.core.mission.fence_items import Corner, FencePlan, FencePolygon
 
 Point = tuple[float, float]
 

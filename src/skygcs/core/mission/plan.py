@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from skygcs.core.mission.fence import FencePlan, fence_from_items, fence_items
+from skygcs.core.mission.fence_items import FencePlan, fence_from_items, fence_items
 from skygcs.core.mission.item import DO_JUMP, GLOBAL, MISSION_FRAME, NAV_WAYPOINT, MissionItem, MissionType
 
 PLACELESS = frozenset(

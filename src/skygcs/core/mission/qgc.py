@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from skygcs.core.mission.fence import FenceCircle, FencePlan, FencePolygon
+from skygcs.core.mission.fence_items import FenceCircle, FencePlan, FencePolygon
 from skygcs.core.mission.item import DO_JUMP, MAX_ITEMS, RALLY_POINT, RELATIVE_ALT, MissionItem, shortest
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings
 from skygcs.core.mission.structure import StructureScan, structure_items

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skygcs.core.mission.fence import fence_from_items
+from skygcs.core.mission.fence_items import fence_from_items
 from skygcs.core.mission.item import (
     FENCE_COMMANDS,
     GLOBAL,

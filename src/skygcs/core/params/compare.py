@@ -6,9 +6,9 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from skygcs.core.mavlink.param import Param, Value, float32, held_as, value_text
-from skygcs.core.params.file import Entry, ParamFile, Rounding
+from skygcs.core.mavlink.param_encoding import Param, Value, float32, held_as, value_text
 from skygcs.core.params.names import Sort, other_name, sort_of, turns_on
+from skygcs.core.params.param_file import Entry, ParamFile, Rounding
 
 SLACK_ERROR = 1e-6
 """Relative: a value that lies just between two roundings counts for both, as a decimal has no exact binary form."""

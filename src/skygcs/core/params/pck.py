@@ -15,7 +15,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from skygcs.core.mavlink.param import NAME_CHARS, Param, ParamType, Value, is_name
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, Value, is_name
 
 PATH = "@PARAM/param.pck"
 

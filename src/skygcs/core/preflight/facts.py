@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from skygcs.core.mavlink.param import Param, Value
+from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.params.names import other_name
 
 

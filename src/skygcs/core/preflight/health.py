@@ -11,7 +11,7 @@ from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE, COPTER_NOT_ARMABLE
 from skygcs.core.preflight.expectations import FIXES, Expectations
 from skygcs.core.preflight.facts import Facts
 from skygcs.core.preflight.report import Finding, failed, passed, skipped, unknown
-from skygcs.core.vehicle.fold import ESTIMATE_NEEDED
+from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED
 
 FRESH_S = 15.0
 """Older tells nothing of now: three periods of the slowest message asked for by default (0.2 Hz)."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from typing import Any
 
-from skygcs.core.mavlink.param import Value
+from skygcs.core.mavlink.param_encoding import Value
 
 
 class Verdict(StrEnum):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skygcs.core.mavlink.param import Value, value_text
+from skygcs.core.mavlink.param_encoding import Value, value_text
 from skygcs.core.params.compare import equal
 
 

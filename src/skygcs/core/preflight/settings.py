@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from skygcs.core.mavlink.param import value_text
+from skygcs.core.mavlink.param_encoding import value_text
 from skygcs.core.params.names import other_name, sort_of
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Facts
 from skygcs.core.preflight.report import Finding, Fix, Severity, failed, passed, skipped, unknown
 from skygcs.core.preflight.rules import Rule
-from skygcs.core.vehicle.offboard import (
+from skygcs.core.vehicle.offboard_entry import (
     BY_STICKS,
     LONGEST_LEAN_S,
     PILOT_GOES_ON,

@@ -38,10 +38,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
-from skygcs.core.vehicle.plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetNear
+from skygcs.core.protocols.command import CommandSpec, Location
+from skygcs.core.vehicle.order_plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetNear
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
 

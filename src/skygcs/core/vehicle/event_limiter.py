@@ -11,7 +11,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
 
 
 class Limit(NamedTuple):

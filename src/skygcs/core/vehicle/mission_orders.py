@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from skygcs.core.exchange.command import CommandSpec
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
-from skygcs.core.mission.firmware import Converted, Family, for_firmware
+from skygcs.core.mission.firmware_items import Converted, Family, for_firmware
 from skygcs.core.mission.item import GLOBAL, NAV_WAYPOINT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
+from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.flight_evidence import contradiction
+from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected
-from skygcs.core.vehicle.plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 

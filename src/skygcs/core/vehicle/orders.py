@@ -11,14 +11,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypedDict, Unpack
 
-from skygcs.core.exchange.command import CommandSpec, Location
 from skygcs.core.geo import distance_m, geodetic_from_enu
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.streams import MAX_RATE_HZ, rate_problem
+from skygcs.core.protocols.command import CommandSpec, Location
+from skygcs.core.radio_link.requested_streams import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, Destination
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
-from skygcs.core.vehicle.plan import CLIMBED_M, MessageAfter, Plan, Step
+from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 

@@ -15,13 +15,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from skygcs.core.exchange.command import CommandSpec
 from skygcs.core.geo import Origin, distance_m, wrap_deg_360
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, firmware_name
 from skygcs.core.vehicle.flight_evidence import why_not_idle
-from skygcs.core.vehicle.plan import Expectation, MessageAfter, Plan, Step
+from skygcs.core.vehicle.order_plan import Expectation, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from skygcs.core.exchange.command import RESULT_NAMES
 from skygcs.core.geo import world_from_enu, wrap_deg_180
+from skygcs.core.protocols.command import RESULT_NAMES
 from skygcs.core.vehicle.state import SEVERITY, SYSTEM_STATUS, Part, VehicleState, name_of
 
 if TYPE_CHECKING:
-    from skygcs.core.vehicle.readings import Slot
+    from skygcs.core.vehicle.message_cache import Slot
     from skygcs.core.vehicle.vehicle import Vehicle
 
 MAX_STATUS_TEXTS = 32

@@ -16,8 +16,8 @@ from dataclasses import replace
 from typing import Literal
 
 from skygcs.core.vehicle import autopilot
+from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import require_live
-from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 

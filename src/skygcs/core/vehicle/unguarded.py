@@ -16,8 +16,8 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle import orders
+from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import FORCE_HINT
-from skygcs.core.vehicle.plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 

@@ -7,20 +7,17 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from skygcs.core.exchange.command import Ack
 from skygcs.core.geo import Origin, enu_from_geodetic
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatCheck, HeartbeatOrigin
+from skygcs.core.protocols.command import Ack
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.events import Event
+from skygcs.core.vehicle.decoding import Folded
 from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
-from skygcs.core.vehicle.fold import Folded
-from skygcs.core.vehicle.launch import LaunchHeight
-from skygcs.core.vehicle.parameters import Parameters
-from skygcs.core.vehicle.readings import Readings, Slot
+from skygcs.core.vehicle.message_cache import Readings, Slot
 from skygcs.core.vehicle.snapshot import MAX_STATUS_TEXTS, take_snapshot
 from skygcs.core.vehicle.state import (
     ACTIVE,
@@ -34,6 +31,9 @@ from skygcs.core.vehicle.state import (
     name_of,
 )
 from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
+from skygcs.core.vehicle.takeoff_altitude import LaunchHeight
+from skygcs.core.vehicle.watched_params import Parameters
+from skygcs.events import Event
 
 DEFAULT_TIMEOUT_S = 5.0
 """Heartbeats come at 1 Hz; over a multipoint radio several in a row are lost now and then (Skybrush uses 5 s too)."""

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.control.analysis import Loop, margins, slowed, why_not_delay
-from skygcs.core.control.config import GRAVITY_MPS2, AxisGains, ControlConfig
+from skygcs.core.control.gains import GRAVITY_MPS2, AxisGains, ControlConfig
 from skygcs.core.control.guard import GuardConfig
 
 SEED = ControlConfig()
@@ -85,7 +85,7 @@ def test_agrees_with_the_delay_margin_of_the_true_plant(gains: AxisGains, hover:
 def test_does_without_numpy() -> None:
     code = (
         "import sys; from skygcs.core.control.analysis import why_not_delay; "
-        "from skygcs.core.control.config import ControlConfig; why_not_delay(ControlConfig(), 0.1); "
+        "from skygcs.core.control.gains import ControlConfig; why_not_delay(ControlConfig(), 0.1); "
         "sys.exit('numpy' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

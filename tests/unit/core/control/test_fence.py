@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from skygcs.core.control.fence import Fence
+from skygcs.core.control.control_fence import Fence
 from skygcs.core.geo import Origin, ecef, enu_from_geodetic, geodetic_from_enu
 from skygcs.errors import ConfigError
 

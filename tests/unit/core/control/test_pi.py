@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from skygcs.core.control.config import ControlConfig
+from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.pi import clip, filtered_slope, horizontal, horizontal_limit, newest_weight, vertical
 
 CONFIG = ControlConfig()

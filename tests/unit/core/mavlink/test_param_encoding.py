@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.mavlink.param import (
+from skygcs.core.mavlink.param_encoding import (
     Encoding,
     ParamType,
     bits_message,

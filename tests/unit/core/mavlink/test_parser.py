@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.mavlink.frame import MAX_FRAME_BYTES, Frame, encode
 from skygcs.core.mavlink.parser import MAX_VERIFIED_SOURCES, FrameParser
-from skygcs.core.tlog import iter_records
+from skygcs.tlog.format import iter_records
 from support.frames import (
     UNKNOWN_ID,
     UNKNOWN_ID_V1,

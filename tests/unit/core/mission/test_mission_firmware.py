@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as every_dialect
 
 from skygcs.config.dialects import load_dialect
-from skygcs.core.mission import firmware, px4_events
+from skygcs.core.mission import firmware_items, px4_events
 from skygcs.core.mission.check import check_plan, errors
-from skygcs.core.mission.firmware import Family, convert, for_firmware, grouped, px4_order, refusals
+from skygcs.core.mission.firmware_items import Family, convert, for_firmware, grouped, px4_order, refusals
 from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import FENCE_COMMANDS, RALLY_POINT, UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, to_wire
-from skygcs.core.sim import copter_lists, px4_lists
+from skygcs.sim import copter_lists, px4_lists
 
 DIALECT = load_dialect(["ardupilotmega", "px4-extras"])
 NAMES = DIALECT.enums["MAV_CMD"]
@@ -68,12 +68,12 @@ COPTER_SKIPS = """NAV_CONTINUE_AND_CHANGE_ALT DO_GO_AROUND DO_INVERTED_FLIGHT DO
 @pytest.mark.parametrize(
     ("table", "names"),
     [
-        (firmware.PX4_PLACED, PX4_GLOBAL),
-        (firmware.PX4_PLACELESS, PX4_MISSION),
-        (firmware.PX4_NO_PLACE_YET, PX4_BEFORE_TAKEOFF),
-        (firmware.ARDUPILOT_TAKEN, ARDUPILOT),
-        (firmware.ARDUPILOT_PLACED, ARDUPILOT_LOCATION),
-        (firmware.COPTER_SKIPS, COPTER_SKIPS),
+        (firmware_items.PX4_PLACED, PX4_GLOBAL),
+        (firmware_items.PX4_PLACELESS, PX4_MISSION),
+        (firmware_items.PX4_NO_PLACE_YET, PX4_BEFORE_TAKEOFF),
+        (firmware_items.ARDUPILOT_TAKEN, ARDUPILOT),
+        (firmware_items.ARDUPILOT_PLACED, ARDUPILOT_LOCATION),
+        (firmware_items.COPTER_SKIPS, COPTER_SKIPS),
     ],
 )
 def test_the_tables_are_those_of_the_sources(table: frozenset[int], names: str) -> None:
@@ -234,7 +234,7 @@ COMMANDS = sorted(set(NAMES) - FENCE_COMMANDS - {RALLY_POINT})
 VALUES = st.none() | st.sampled_from([0.0, 1.0, 2.0, 3.0, -1.0, 0.5, 250.0])
 ITEMS = st.builds(
     MissionItem,
-    st.sampled_from(COMMANDS) | st.sampled_from(sorted(firmware.PX4_PLACELESS | firmware.ARDUPILOT_TAKEN)),
+    st.sampled_from(COMMANDS) | st.sampled_from(sorted(firmware_items.PX4_PLACELESS | firmware_items.ARDUPILOT_TAKEN)),
     st.sampled_from([0, 1, 2, 3, 10]),
     st.tuples(VALUES, VALUES, VALUES, VALUES),
     st.sampled_from([0, 1, round(LAT * 1e7), UNSET_INT]),

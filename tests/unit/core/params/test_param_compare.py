@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from skygcs.core.mavlink.param import Param, ParamType, float32, short_float
+from skygcs.core.mavlink.param_encoding import Param, ParamType, float32, short_float
 from skygcs.core.params.compare import diff, equal, plan
-from skygcs.core.params.file import Entry, parse
 from skygcs.core.params.names import other_name, sort_of
+from skygcs.core.params.param_file import Entry, parse
 
 I32, F32 = ParamType.INT32, ParamType.REAL32
 

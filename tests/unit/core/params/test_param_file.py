@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.mavlink.param import Param, ParamType, float32
-from skygcs.core.params.file import Entry, ParamFile, of_vehicle, parse, write
+from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
+from skygcs.core.params.param_file import Entry, ParamFile, of_vehicle, parse, write
 from skygcs.errors import ConfigError
 from support.public_data import present, public_file, public_folder
 

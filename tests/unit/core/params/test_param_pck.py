@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.mavlink.param import Param, ParamType, float32
+from skygcs.core.mavlink.param_encoding import Param, ParamType, float32
 from skygcs.core.params.pck import MAX_BYTES, decode
-from skygcs.core.sim import params as sim
-from skygcs.core.sim.copter_files import packed
+from skygcs.sim import param_table as sim
+from skygcs.sim.copter_files import packed
 
 TYPED = st.one_of(
     st.tuples(st.just(ParamType.INT8), st.integers(-128, 127)),

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.mavlink.param import Param, Value
+from skygcs.core.mavlink.param_encoding import Param, Value
 from skygcs.core.preflight import health, settings
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts, LinkFacts

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.mavlink.param import float32
+from skygcs.core.mavlink.param_encoding import float32
 from skygcs.core.preflight.rules import Rule
 
 VALUES = st.integers(-1000, 1000) | st.floats(-1000, 1000, width=32)

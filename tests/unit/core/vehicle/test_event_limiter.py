@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.vehicle.event_limiter import MAX_SOURCES, STATE, TEXT, EventLimiter
-from skygcs.core.vehicle.events import Event
+from skygcs.events import Event
 
 
 def event(kind: str = "mode", vehicle: str | None = "v1", text: str = "x", **data: object) -> Event:

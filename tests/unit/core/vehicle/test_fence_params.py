@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.vehicle import fence
+from skygcs.core.vehicle import fence_params
 from skygcs.errors import RefusedError
 
 PX4 = {"GF_MAX_HOR_DIST": 0.0, "GF_MAX_VER_DIST": 0.0, "GF_ACTION": 0.0}
@@ -17,7 +17,10 @@ sizes = st.none() | st.just(0.0) | st.floats(1, 1000)
 
 
 @given(
-    family=st.sampled_from(["px4", "ardupilot"]), radius_m=sizes, height_m=sizes, action=st.sampled_from(fence.ACTIONS)
+    family=st.sampled_from(["px4", "ardupilot"]),
+    radius_m=sizes,
+    height_m=sizes,
+    action=st.sampled_from(fence_params.ACTIONS),
 )
 def test_what_is_set_is_what_is_told_afterwards(
     family: str, radius_m: float | None, height_m: float | None, action: str
@@ -25,11 +28,11 @@ def test_what_is_set_is_what_is_told_afterwards(
     held = HELD[family]
     if family == "ardupilot" and action == "terminate":
         with pytest.raises(RefusedError, match="no fence action"):
-            fence.changes(family, held, radius_m=radius_m, height_m=height_m, action=action)
+            fence_params.changes(family, held, radius_m=radius_m, height_m=height_m, action=action)
         return
-    changed = fence.changes(family, held, radius_m=radius_m, height_m=height_m, action=action)
-    assert set(changed) <= set(fence.NAMES[family])
-    now = fence.settings_of(family, {**held, **changed})
+    changed = fence_params.changes(family, held, radius_m=radius_m, height_m=height_m, action=action)
+    assert set(changed) <= set(fence_params.NAMES[family])
+    now = fence_params.settings_of(family, {**held, **changed})
     assert now.enabled is (action != "none")
     if not now.enabled:
         assert str(now) == "off"
@@ -41,18 +44,18 @@ def test_what_is_set_is_what_is_told_afterwards(
 
 def test_what_is_not_given_stays() -> None:
     held = {**COPTER, "FENCE_TYPE": 7.0, "FENCE_ENABLE": 1.0}
-    assert fence.changes("ardupilot", held, radius_m=None, height_m=9.0, action=None) == {
+    assert fence_params.changes("ardupilot", held, radius_m=None, height_m=9.0, action=None) == {
         "FENCE_ALT_MAX": 9.0,
         "FENCE_TYPE": 7.0,
         "FENCE_ENABLE": 1.0,
     }
-    assert fence.changes("px4", PX4, radius_m=5.0, height_m=None, action=None) == {"GF_MAX_HOR_DIST": 5.0}
+    assert fence_params.changes("px4", PX4, radius_m=5.0, height_m=None, action=None) == {"GF_MAX_HOR_DIST": 5.0}
 
 
 def test_a_fence_is_switched_on_last_and_off_first() -> None:
-    changed = fence.changes("ardupilot", COPTER, radius_m=2.0, height_m=0.0, action="return")
+    changed = fence_params.changes("ardupilot", COPTER, radius_m=2.0, height_m=0.0, action="return")
     assert list(changed)[-1] == "FENCE_ENABLE"
-    back = fence.back_to("ardupilot", COPTER, changed)
+    back = fence_params.back_to("ardupilot", COPTER, changed)
     assert next(iter(back)) == "FENCE_ENABLE" and {**changed, **back}.items() <= COPTER.items()
     assert all(changed[name] != COPTER[name] for name in back), "what was not changed is not put back"
 
@@ -72,4 +75,4 @@ def test_a_fence_is_switched_on_last_and_off_first() -> None:
     ],
 )
 def test_a_breach_is_known_by_the_words_of_either_autopilot(text: str, told: bool) -> None:
-    assert fence.tells_of_breach(text) is told
+    assert fence_params.tells_of_breach(text) is told

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from skygcs.core.geo import Origin, distance_m
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.plan import Plan
+from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, Voice, flight_dialect

@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from skygcs.core.control.cascade import Estimate, Memory, Reference, step
-from skygcs.core.control.config import ControlConfig
+from skygcs.core.control.gains import ControlConfig
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.setpoint import Message

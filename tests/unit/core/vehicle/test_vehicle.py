@@ -14,10 +14,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import ARRAYS, FIELDS, Decoder
-from skygcs.core.vehicle.events import Event
-from skygcs.core.vehicle.fold import SECTIONS
+from skygcs.core.vehicle.decoding import SECTIONS
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.core.vehicle.vehicle import MAX_STATUS_TEXTS, Vehicle
+from skygcs.events import Event
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LAND, PX4_POSCTL, PX4_TAKEOFF, Voice, flight_dialect
 
 DECODER = Decoder(flight_dialect())

@@ -1,0 +1,291 @@
+"""One MAVLink command to one vehicle: sent, repeated, answered, in one outcome.
+
+Rule: everything that decides how a command goes on is in this file.
+
+    state        what came                                    next         effects
+    ----------   ------------------------------------------   ----------   ------------------------------------------
+    IDLE         start                                        WAITING      Transmit(0)
+    WAITING      timer, repeats left                          WAITING      Transmit(n + 1)
+    WAITING      timer, none left                             DONE         Finish: timeout
+    WAITING      ack in progress                              WORKING      Report
+    WAITING      ack accepted                                 DONE         Finish: accepted
+    WAITING      ack refusing (any other)                     SETTLING     - (the text that says why may follow)
+    WORKING      ack in progress                              WORKING      Report
+    WORKING      ack accepted / refusing                      DONE / SETTLING
+    WORKING      timer: silent or too long                    DONE         Finish: timeout or in_progress
+    SETTLING     timer                                        DONE         Finish: that refusal
+    not DONE     stop (cancelled, vehicle lost, ...)          DONE         Finish: as told
+    any          an ack of another command or for another     unchanged    -
+    DONE         anything                                     DONE         -
+
+Protocol: https://mavlink.io/en/services/command.html
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Any, Self
+
+from skygcs.core.protocols.base import Effect, Exchange, Finish, Report, Transmit
+
+RETRY_TIMERS_S = (1.0, 1.5, 2.0, 2.5)
+"""Waits after each transmission: four transmissions, 7 s in all. The first is longer than a full round of a nine-node
+multipoint radio at 64 kbit/s (0.75 s) plus the vehicle's own answer; growing, because a busy radio gets worse when
+everybody repeats at once. MAVSDK waits 0.5 s, Skybrush 2 s."""
+
+EMERGENCY_TIMERS_S = (0.25, 0.25, 0.5, 0.5, 1.0, 1.0, 1.5)
+"""For a forced disarm: eight times in five seconds; air time does not matter then."""
+
+WORKING_SILENCE_S = 10.0
+"""An in-progress report is expected again within this time (ArduPilot and PX4 report about once a second)."""
+
+WORKING_LIMIT_S = 120.0
+"""No command skygcs waits for takes longer; a calibration does not, a parachute test does not."""
+
+SETTLE_S = 0.5
+"""ArduPilot sends the STATUSTEXT that explains a refusal 0 to 8 ms after the ACK (own capture); a radio's next slot
+may be some tenths of a second away."""
+
+MAX_TEXTS = 8
+"""Status texts kept with one outcome; a failing pre-arm check lists about six."""
+
+RESULT_NAMES = {
+    0: "accepted",
+    1: "temporarily_rejected",
+    2: "denied",
+    3: "unsupported",
+    4: "failed",
+    5: "in_progress",
+    6: "cancelled",
+    7: "unsupported",
+    8: "unsupported",
+}
+"""MAV_RESULT. 7 and 8 are COMMAND_LONG_ONLY and COMMAND_INT_ONLY: unsupported in the form it was sent."""
+
+_DETAIL = {7: "as COMMAND_LONG only", 8: "as COMMAND_INT only"}
+
+IN_PROGRESS = 5
+PROGRESS_UNKNOWN = 255
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How an order ended. ``message`` is for a person, ``result`` one of the words
+
+    accepted temporarily_rejected denied unsupported failed in_progress cancelled timeout refused lost
+    (refused: by skygcs itself, nothing was sent or the order was not carried on).
+    """
+
+    ok: bool
+    result: str
+    message: str
+    attempts: int = 0
+    elapsed_s: float = 0.0
+    status_texts: tuple[str, ...] = ()
+
+    @classmethod
+    def refused(cls, why: str) -> Self:
+        """By skygcs, before anything was sent."""
+        return cls(False, "refused", f"refused: {why}")
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "ok": self.ok,
+            "result": self.result,
+            "message": self.message,
+            "attempts": self.attempts,
+            "elapsed_s": round(self.elapsed_s, 3),
+            "status_texts": list(self.status_texts),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Location:
+    """x, y, z of a COMMAND_INT, as on the wire (x, y: degrees * 1e7 or metres * 1e4), and their MAV_FRAME."""
+
+    frame: int
+    x: int
+    y: int
+    z: float
+
+
+@dataclass(frozen=True, slots=True)
+class CommandSpec:
+    """A command and its parameters: COMMAND_LONG, or COMMAND_INT where there is a ``location``."""
+
+    command: int
+    params: tuple[float, ...] = ()
+    location: Location | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.params) > (7 if self.location is None else 4):
+            raise ValueError(f"command {self.command} has too many parameters: {len(self.params)}")
+
+    @property
+    def message(self) -> str:
+        return "COMMAND_LONG" if self.location is None else "COMMAND_INT"
+
+    def values(self, sysid: int, compid: int, attempt: int) -> dict[str, Any]:
+        """Field values of the message. COMMAND_INT has no confirmation count: it is repeated as it is."""
+        values: dict[str, Any] = {
+            "target_system": sysid,
+            "target_component": compid,
+            "command": self.command,
+            **{f"param{n}": value for n, value in enumerate(self.params, 1)},
+        }
+        if self.location is None:
+            values["confirmation"] = min(attempt, 255)
+        else:
+            at = self.location
+            values.update(frame=at.frame, x=at.x, y=at.y, z=at.z)
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """A COMMAND_ACK. MAVLink 1 carries neither progress nor target: they are 0 then."""
+
+    command: int
+    result: int
+    progress: int = 0
+    target_system: int = 0
+    target_component: int = 0
+
+    @classmethod
+    def from_fields(cls, fields: Mapping[str, Any]) -> Ack:
+        return cls(
+            fields["command"],
+            fields["result"],
+            fields.get("progress", 0),
+            fields.get("target_system", 0),
+            fields.get("target_component", 0),
+        )
+
+    def is_for(self, sysid: int, compid: int) -> bool:
+        """Whether it answers us; 0 is an autopilot that does not say whom."""
+        return self.target_system in (0, sysid) and self.target_component in (0, compid)
+
+
+class CommandState(Enum):
+    IDLE = auto()
+    WAITING = auto()
+    WORKING = auto()
+    SETTLING = auto()
+    DONE = auto()
+
+
+class CommandExchange(Exchange):
+    """See the table at the top. Only acks that answer us (`Ack.is_for`) and are of this vehicle may be handed in.
+
+    ``timers`` are the waits after each transmission; their number is the number of transmissions.
+    """
+
+    def __init__(self, spec: CommandSpec, timers: tuple[float, ...] = RETRY_TIMERS_S) -> None:
+        self.spec = spec
+        self.state = CommandState.IDLE
+        self.outcome: Outcome | None = None
+        self.attempts = 0
+        self.acks = 0
+        self.last_sent = -math.inf
+        self._timers = timers
+        self._started = 0.0
+        self._work_since = 0.0
+        self._result = 0
+        self._percent: int | None = None
+        self._texts: list[str] = []
+
+    @property
+    def done(self) -> bool:
+        return self.state is CommandState.DONE
+
+    @property
+    def outstanding(self) -> int:
+        """Transmissions that no ack was counted for: so many late ones may still come."""
+        return max(0, self.attempts - self.acks)
+
+    def start(self, now: float, *, transmitted: bool = False) -> tuple[Effect, ...]:
+        """Begin; ``transmitted`` if a broadcast frame has just carried the command already."""
+        assert self.state is CommandState.IDLE, "an exchange starts once"
+        self.state = CommandState.WAITING
+        self._started = now
+        effects = self._transmit(now)
+        return () if transmitted else effects
+
+    def on_ack(self, ack: Ack, now: float) -> tuple[Effect, ...]:
+        if self.state in (CommandState.IDLE, CommandState.DONE) or ack.command != self.spec.command:
+            return ()
+        self.acks += 1
+        if self.state is CommandState.SETTLING:
+            return ()
+        if ack.result == IN_PROGRESS:
+            return self._on_progress(ack.progress, now)
+        self._result = ack.result
+        if ack.result == 0:
+            return self._finish(now, "accepted", "accepted")
+        self.state = CommandState.SETTLING
+        self.deadline = now + SETTLE_S
+        return ()
+
+    def on_text(self, text: str) -> None:
+        """A status text of this vehicle came: it may say why."""
+        if self.state in (CommandState.IDLE, CommandState.DONE) or text in self._texts:
+            return
+        self._texts.append(text)
+        del self._texts[:-MAX_TEXTS]
+
+    def on_timer(self, now: float) -> tuple[Effect, ...]:
+        if self.deadline is None or now < self.deadline:
+            return ()
+        if self.state is CommandState.WAITING:
+            if self.attempts < len(self._timers):
+                return self._transmit(now)
+            return self._finish(now, "timeout", f"no answer to {self.attempts} transmissions")
+        if self.state is CommandState.SETTLING:
+            return self._refuse(now)
+        if now - self._work_since >= WORKING_LIMIT_S:
+            return self._finish(now, "in_progress", f"still in progress{self._how_far()} after {WORKING_LIMIT_S:.0f} s")
+        return self._finish(now, "timeout", f"in progress{self._how_far()}, then nothing for {WORKING_SILENCE_S:.0f} s")
+
+    def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
+        """End it from outside: cancelled, lost, or no longer needed because the state shows what was wanted."""
+        if self.state in (CommandState.IDLE, CommandState.DONE):
+            return ()
+        return self._finish(now, result, message)
+
+    def _transmit(self, now: float) -> tuple[Effect, ...]:
+        attempt = self.attempts
+        self.attempts += 1
+        self.last_sent = now
+        self.deadline = now + self._timers[attempt]
+        return (Transmit(attempt),)
+
+    def _on_progress(self, progress: int, now: float) -> tuple[Effect, ...]:
+        if self.state is not CommandState.WORKING:
+            self.state = CommandState.WORKING
+            self._work_since = now
+        self._percent = progress if progress <= 100 else None
+        self.deadline = min(now + WORKING_SILENCE_S, self._work_since + WORKING_LIMIT_S)
+        return (Report(self._percent),)
+
+    def _refuse(self, now: float) -> tuple[Effect, ...]:
+        result = RESULT_NAMES.get(self._result, "failed")
+        detail = _DETAIL.get(self._result) or (None if self._result in RESULT_NAMES else f"MAV_RESULT {self._result}")
+        words = [result.replace("_", " ")]
+        if detail:
+            words.append(f"({detail})")
+        reason = "; ".join(self._texts)
+        return self._finish(now, result, " ".join(words) + (f": {reason}" if reason else ""))
+
+    def _how_far(self) -> str:
+        return "" if self._percent is None else f" ({self._percent} %)"
+
+    def _finish(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
+        self.state = CommandState.DONE
+        self.deadline = None
+        self.outcome = Outcome(
+            result == "accepted", result, message, self.attempts, now - self._started, tuple(self._texts)
+        )
+        return (Finish(),)

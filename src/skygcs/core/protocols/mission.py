@@ -1,0 +1,297 @@
+"""What the mission exchanges share: messages, results, waits, and clearing a list, which is the simplest of them.
+
+    state      what came                                      next         effects
+    --------   --------------------------------------------   ----------   -----------------------------------------
+    IDLE       start                                          WAITING      MISSION_CLEAR_ALL
+    WAITING    timer, repeats left                            WAITING      MISSION_CLEAR_ALL
+    WAITING    timer, none left                               DONE         Finish: timeout
+    WAITING    ack accepted                                   DONE         Finish: accepted
+    WAITING    ack refusing                                   SETTLING     - (the text that says why may follow)
+    SETTLING   timer                                          DONE         Finish: that refusal
+    not DONE   stop (cancelled, vehicle lost, ...)            DONE         Finish: as told
+
+Upload and download have files of their own. Of all of them only messages of this vehicle that are addressed to us and
+of this list's type may be handed in.
+
+Protocol: https://mavlink.io/en/services/mission.html
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from skygcs.core.mission.item import MissionItem, MissionType
+from skygcs.core.protocols.base import Effect, Exchange, Finish, Send
+from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S
+
+FIRST_WAIT_S = 1.0
+"""First wait for an answer; longer than a full round of a nine-node multipoint radio at 64 kbit/s (0.75 s)."""
+
+LEAST_WAIT_S = 0.5
+MOST_WAIT_S = 2.0
+"""Bounds of what the link's own round trips make of it. A PX4 that hears no request for 5 s ends the transfer: it is
+asked more than twice in that time, however slow the link is."""
+
+BACKOFF = 1.25
+SAMPLES = 8
+
+MAX_TRIES = 20
+"""Transmissions of one request. With 20 % lost each way, one exchange in 700 million needs more."""
+
+CLEAR_TRIES = 8
+
+RESULTS = {
+    0: ("accepted", "accepted"),
+    1: ("failed", "the vehicle says error"),
+    2: ("unsupported", "the coordinate frame is not supported"),
+    3: ("unsupported", "not supported by the vehicle"),
+    4: ("denied", "the vehicle has no space for so many items"),
+    5: ("denied", "invalid"),
+    6: ("denied", "param1 is invalid"),
+    7: ("denied", "param2 is invalid"),
+    8: ("denied", "param3 is invalid"),
+    9: ("denied", "param4 is invalid"),
+    10: ("denied", "latitude (param5) is invalid"),
+    11: ("denied", "longitude (param6) is invalid"),
+    12: ("denied", "altitude (param7) is invalid"),
+    13: ("failed", "an item came out of sequence"),
+    14: ("denied", "the vehicle takes no missions from us now"),
+    15: ("cancelled", "the vehicle gave it up"),
+}
+"""MAV_MISSION_RESULT: the outcome's word, and what it means."""
+
+ACCEPTED, ERROR, INVALID_SEQUENCE, DENIED, OPERATION_CANCELLED = 0, 1, 13, 14, 15
+
+ListState = Literal["complete", "cleared", "unchanged", "partial", "unknown"]
+"""What the vehicle holds afterwards, of the list that the exchange was about."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionOutcome:
+    """How an exchange ended. ``message`` is for a person and says what the vehicle holds now where that is in doubt.
+
+    ``result``: accepted denied unsupported failed cancelled timeout lost. ``items`` are those downloaded, else None;
+    ``opaque_id`` is the vehicle's own number for its list, None where it has none; ``sent``: messages sent.
+    """
+
+    ok: bool
+    result: str
+    message: str
+    kind: MissionType
+    state: ListState
+    items: tuple[MissionItem, ...] | None = None
+    opaque_id: int | None = None
+    sent: int = 0
+    elapsed_s: float = 0.0
+    status_texts: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields of every order's outcome, and ``list``, ``state`` and ``opaque_id``."""
+        return {
+            "ok": self.ok,
+            "result": self.result,
+            "message": self.message,
+            "attempts": self.sent,
+            "elapsed_s": round(self.elapsed_s, 3),
+            "status_texts": list(self.status_texts),
+            "list": self.kind.word,
+            "state": self.state,
+            "opaque_id": self.opaque_id,
+        }
+
+
+def opaque_id(payload: bytes, offset: int) -> int | None:
+    """The vehicle's number for a list, behind the fields that every dialect has: at byte 5 of MISSION_COUNT, 4 of
+    MISSION_ACK, 6, 10 and 14 (mission, fence, rally) of MISSION_CURRENT. None: it has none, or a zero was cut off.
+
+    It is read from the bytes because pymavlink's ardupilotmega lacks the field, though a PX4 sends it.
+    """
+    return int.from_bytes(payload[offset : offset + 4], "little") or None
+
+
+class Texts:
+    """Status texts that may explain a refusal."""
+
+    __slots__ = ("_texts",)
+
+    def __init__(self) -> None:
+        self._texts: list[str] = []
+
+    def add(self, text: str) -> None:
+        if text not in self._texts:
+            self._texts.append(text)
+            del self._texts[:-MAX_TEXTS]
+
+    def all(self) -> tuple[str, ...]:
+        return tuple(self._texts)
+
+    def behind(self, message: str) -> str:
+        return ": ".join((message, "; ".join(self._texts))) if self._texts else message
+
+
+class RoundTrip:
+    """How long to wait for an answer before asking again, from the link's own round trips.
+
+    A round trip is counted from the first of several requests, since nobody knows which of them was answered. So the
+    quicker ones tell the link's time, and the slower ones its losses: the lower quartile of the last few counts.
+    """
+
+    __slots__ = ("_took", "wait_s")
+
+    def __init__(self) -> None:
+        self._took: deque[float] = deque(maxlen=SAMPLES)
+        self.wait_s = FIRST_WAIT_S
+
+    def took(self, elapsed_s: float) -> None:
+        self._took.append(elapsed_s)
+        quick_s = sorted(self._took)[(len(self._took) - 1) // 4]
+        self.wait_s = min(MOST_WAIT_S, max(LEAST_WAIT_S, 1.5 * quick_s))
+
+    def failed(self) -> None:
+        """Nothing came within the wait: the link is busier, or slower."""
+        self.wait_s = min(MOST_WAIT_S, BACKOFF * self.wait_s)
+
+
+ANSWERS = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_ACK")
+"""Messages of a vehicle that belong to an exchange."""
+
+
+class MissionExchange(Exchange):
+    """What upload, download and clearing have in common."""
+
+    def __init__(self, kind: MissionType) -> None:
+        self.kind = kind
+        self.outcome: MissionOutcome | None = None
+        self.sent = 0
+        self.texts = Texts()
+        self._started = 0.0
+
+    @property
+    def done(self) -> bool:
+        return self.outcome is not None
+
+    def on_message(self, name: str, fields: Mapping[str, Any], payload: bytes, now: float) -> tuple[Effect, ...]:
+        """One of ANSWERS came."""
+        match name:
+            case "MISSION_COUNT":
+                return self.on_count(fields["count"], now, opaque_id(payload, 5))
+            case "MISSION_ITEM_INT":
+                return self.on_item(fields["seq"], fields, now)
+            case "MISSION_REQUEST_INT" | "MISSION_REQUEST":
+                return self.on_request(fields["seq"], now)
+            case "MISSION_ACK":
+                return self.on_ack(fields["type"], now, opaque_id(payload, 4))
+        return ()
+
+    def on_count(self, count: int, now: float, number: int | None = None) -> tuple[Effect, ...]:
+        """MISSION_COUNT; ``number`` is its opaque id."""
+        return ()
+
+    def on_item(self, seq: int, fields: Mapping[str, Any], now: float) -> tuple[Effect, ...]:
+        """MISSION_ITEM_INT."""
+        return ()
+
+    def on_request(self, seq: int, now: float) -> tuple[Effect, ...]:
+        """MISSION_REQUEST_INT or MISSION_REQUEST."""
+        return ()
+
+    @abstractmethod
+    def on_ack(self, result: int, now: float, number: int | None = None) -> tuple[Effect, ...]:
+        """MISSION_ACK; ``number`` is its opaque id."""
+
+    @abstractmethod
+    def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
+        """End it from outside: cancelled, or the vehicle was lost. The outcome says what the vehicle holds."""
+
+    def on_text(self, text: str) -> None:
+        """A status text of this vehicle came: it may say why."""
+        if not self.done:
+            self.texts.add(text)
+
+    def _send(self, message: str, **values: Any) -> Send:
+        self.sent += 1
+        return Send(message, {**values, "mission_type": int(self.kind)})
+
+    def _end(
+        self,
+        now: float,
+        result: str,
+        message: str,
+        state: ListState,
+        items: tuple[MissionItem, ...] | None = None,
+        number: int | None = None,
+    ) -> tuple[Effect, ...]:
+        self.deadline = None
+        self.outcome = MissionOutcome(
+            result == "accepted",
+            result,
+            message,
+            self.kind,
+            state,
+            items,
+            number,
+            self.sent,
+            now - self._started,
+            self.texts.all(),
+        )
+        return (Finish(),)
+
+
+class MissionClear(MissionExchange):
+    """See the table at the top."""
+
+    def __init__(self, kind: MissionType) -> None:
+        super().__init__(kind)
+        self._wait = RoundTrip()
+        self._refusal: int | None = None
+
+    def start(self, now: float) -> tuple[Effect, ...]:
+        self._started = now
+        return self._ask(now)
+
+    def on_ack(self, result: int, now: float, number: int | None = None) -> tuple[Effect, ...]:
+        if self.done or self._refusal is not None or not self.sent:
+            return ()
+        if result == ACCEPTED:
+            return self._end(now, "accepted", f"the {self.kind.word} is cleared", "cleared", number=number)
+        self._refusal = result
+        self.deadline = now + SETTLE_S
+        return ()
+
+    def on_timer(self, now: float) -> tuple[Effect, ...]:
+        if self.deadline is None or now < self.deadline:
+            return ()
+        if self._refusal is not None:
+            result, meaning = meaning_of(self._refusal)
+            return self._end(now, result, self.texts.behind(f"not cleared: {meaning}"), "unchanged")
+        if self.sent < CLEAR_TRIES:
+            self._wait.failed()
+            return self._ask(now)
+        return self._end(now, "timeout", f"no answer to {self.sent} transmissions; {_UNHEARD}", "unknown")
+
+    def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
+        if self.done:
+            return ()
+        return self._end(now, result, f"{message}; {_UNHEARD}", "unknown")
+
+    def _ask(self, now: float) -> tuple[Effect, ...]:
+        self.deadline = now + self._wait.wait_s
+        return (self._send("MISSION_CLEAR_ALL"),)
+
+
+_UNHEARD = "whether the vehicle has cleared it is not known: download it to see"
+
+
+def meaning_of(result: int) -> tuple[str, str]:
+    """(word of an outcome, meaning) of a MAV_MISSION_RESULT."""
+    return RESULTS.get(result, ("failed", f"the vehicle answers MAV_MISSION_RESULT {result}"))
+
+
+def item_values(item: MissionItem, seq: int) -> Mapping[str, Any]:
+    """Fields of MISSION_ITEM_INT without target and type. No item is marked current: autopilots ignore the mark in an
+    upload, and an ArduPilot takes a 2 for a guided target."""
+    return {**item.values(), "seq": seq, "current": 0}

@@ -1,0 +1,137 @@
+"""The last frame of every message of one vehicle, how often each comes, and the sections of the state they fold to.
+
+Nothing is unpacked before somebody looks, and nothing twice: a folded section is kept as long as its frames are.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.decoding import SECTIONS, Folded, Section
+
+SMOOTHING = 0.4
+"""Weight of the newest second in a rate: a 1 Hz message sampled once a second is counted 0, 1 or 2 times."""
+
+ALTERNATIVE_LAG_S = 2.0
+"""Of messages that say the same, the preferred one is taken unless it is this much older than the newest."""
+
+
+_NOTHING: tuple[None, tuple[Any, ...]] = (None, ())
+
+
+class Slot:
+    """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over some seconds.
+
+    ``unpacked`` is the frame that was unpacked last and what was read of it (see `Readings.values`).
+    """
+
+    __slots__ = ("_mark", "_sampled", "at", "count", "frame", "name", "rate_hz", "unpacked")
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.frame: Frame | None = None
+        self.at = 0.0
+        self.count = 0
+        self.rate_hz = 0.0
+        self.unpacked: tuple[Frame | None, tuple[Any, ...]] = _NOTHING
+        self._mark = 0
+        self._sampled = False
+
+    def sample(self, period_s: float) -> None:
+        """To be called about once a second with the time since the last call."""
+        measured = (self.count - self._mark) / period_s
+        self._mark = self.count
+        if self._sampled:
+            self.rate_hz += SMOOTHING * (measured - self.rate_hz)
+            if self.rate_hz < 0.01:
+                self.rate_hz = 0.0
+        else:
+            self.rate_hz = measured
+            self._sampled = True
+
+
+class Readings:
+    """Slots by message id: never more than the dialect has messages."""
+
+    def __init__(self, decoder: Decoder) -> None:
+        self.decoder = decoder
+        self.slots: dict[int, Slot] = {}
+        self._cache: dict[str, tuple[list[Frame], Folded | None]] = {}
+        self._ids = {s.name: tuple(map(decoder.msgid_of, s.messages)) for s in SECTIONS}
+
+    def slot(self, message: str) -> Slot | None:
+        """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
+        slot = self.slots.get(self.decoder.msgid_of(message))
+        return slot if slot is not None and slot.frame is not None else None
+
+    def values(self, slot: Slot) -> tuple[Any, ...]:
+        """What is read of the slot's frame (`decoder.Values`), unpacked once, however many sections are made of it."""
+        frame = slot.frame
+        if frame is None:
+            return ()
+        if slot.unpacked[0] is not frame:
+            slot.unpacked = (frame, self.decoder.values(frame.name, frame.payload))
+        return slot.unpacked[1]
+
+    def section(self, name: str) -> tuple[Folded | None, float]:
+        """One section without its age, and when its newest message came. It is kept: do not change it."""
+        return self._folded(_BY_NAME[name])
+
+    def sections(self, now: float) -> dict[str, dict[str, Any] | None]:
+        """All sections, each with its age; the caller's own."""
+        result: dict[str, dict[str, Any] | None] = {}
+        for section in SECTIONS:
+            folded, at = self._folded(section)
+            result[section.name] = None if folded is None else {**folded, "age_s": round(now - at, 3)}
+        return result
+
+    def rates(self, now: float) -> dict[str, dict[str, Any]]:
+        return {
+            slot.name: {"rate_hz": round(slot.rate_hz, 2), "age_s": round(now - slot.at, 3), "count": slot.count}
+            for slot in self.slots.values()
+        }
+
+    def sample(self, period_s: float) -> None:
+        """Work out the rates; about once a second."""
+        for slot in self.slots.values():
+            slot.sample(period_s)
+
+    def forget_before(self, now: float, keep: str) -> None:
+        """Forget what was said before ``now`` (the vehicle began anew), but for one message."""
+        kept = self.decoder.msgid_of(keep)
+        for msgid, slot in self.slots.items():
+            if msgid != kept and slot.at < now:
+                slot.frame = None
+
+    def newest(self, messages: tuple[str, ...]) -> Slot | None:
+        """Which of these messages came last."""
+        slots = [s for s in map(self.slot, messages) if s is not None]
+        return max(slots, key=lambda s: s.at) if slots else None
+
+    def _sources(self, section: Section) -> list[Slot]:
+        get = self.slots.get
+        slots = [s for i in self._ids[section.name] if (s := get(i)) is not None and s.frame is not None]
+        if section.combine or len(slots) < 2:
+            return slots
+        newest = max(s.at for s in slots)
+        return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
+
+    def _folded(self, section: Section) -> tuple[Folded | None, float]:
+        slots = self._sources(section)
+        if not slots:
+            return None, 0.0
+        at = slots[0].at if len(slots) == 1 else max(s.at for s in slots)
+        frames = [s.frame for s in slots if s.frame is not None]
+        known = self._cache.get(section.name)
+        if known is not None and len(known[0]) == len(frames) and all(map(operator.is_, known[0], frames)):
+            return known[1], at
+        values = {slot.name: v for slot in slots if (v := self.values(slot))}
+        folded = section.fold(values, self.decoder) if values else None
+        self._cache[section.name] = (frames, folded)
+        return folded, at
+
+
+_BY_NAME = {section.name: section for section in SECTIONS}

@@ -1,0 +1,224 @@
+"""Taking a vehicle over and giving it back: who may be taken over, in which mode it obeys setpoints, and on what terms.
+
+    PX4         OFFBOARD. It enters only while setpoints come: more than 2 a second, for more than a second before
+                (offboardCheck.cpp: one within COM_OF_LOSS_T), and leaves when they stop, to what COM_OBL_RC_ACT says.
+    ArduCopter  GUIDED. It enters with a position; without setpoints of velocity or attitude for GUID_TIMEOUT (3 s) it
+                levels and stops. Thrust of SET_ATTITUDE_TARGET is a climb rate unless GUID_OPTIONS has bit 3.
+
+The order of things: `entry_refusal`; for attitude `ask_parameters` and `attitude_refusal`; start streaming;
+`enter`; and if that fails, or when it is over, `leave`.
+"""
+
+from __future__ import annotations
+
+from skygcs.core.mavlink import modes
+from skygcs.core.vehicle import autopilot, orders
+from skygcs.core.vehicle.order_plan import ParamKnown, Plan, Step
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+
+THRUST_AS_THRUST = 1 << 3
+"""Bit of ArduCopter's GUID_OPTIONS (mode.h, ModeGuided::Options::SetAttitudeTarget_ThrustAsThrust)."""
+
+PX4_THRUST_TYPES = frozenset({2, 3, 4, 13, 14, 15})
+"""Quadrotor, coaxial, helicopter, hexa-, octo- and tricopter: PX4 1.14's fill_thrust knows these MAV_TYPEs; any other
+rotorcraft, a generic one too, it would fly with no thrust at all. (VTOLs are no multirotors for skygcs' law.)"""
+
+PILOT_GOES_ON = 1 << 4
+"""Bit of ArduCopter's FS_OPTIONS (Copter.h, GCS_CONTINUE_IF_PILOT_CONTROL), set by default: the failsafe for a lost
+ground station does nothing in modes that are flown by a pilot, of which BRAKE is one."""
+
+PARAM_WAIT_S = 3.0
+"""Six requests: ArduPilot answers from a background task, within 0.1 s; the rest is the radio."""
+
+OPTIONAL_WAIT_S = 1.0
+
+COPTER_PARAMETERS = (
+    ("GUID_OPTIONS", False),
+    ("GUID_TIMEOUT", True),
+    ("ATC_ANGLE_BOOST", True),
+    ("MOT_THST_HOVER", True),
+    ("FS_GCS_ENABLE", True),
+    ("FS_OPTIONS", True),
+)
+PX4_PARAMETERS = (("MPC_THR_HOVER", True), ("COM_OF_LOSS_T", True), ("COM_OBL_RC_ACT", True))
+"""What flying by attitude has to know, and whether it can do without."""
+
+LONGEST_LEAN_S = 1.0
+"""So long at most may a vehicle go on with the last attitude after the setpoints have ceased. With ArduCopter's default
+GUID_TIMEOUT of 3 s one that had just begun an 8 m step drifted 45 m (ArduCopter 4.6.2 in simulation, daemon killed)."""
+
+BY_STICKS = {0: "Position", 1: "Altitude", 2: "Manual"}
+"""Values of PX4's COM_OBL_RC_ACT after which somebody must have a hand on the sticks."""
+
+FLIES_ITSELF = frozenset(
+    {
+        *("AUTO.LOITER", "AUTO.MISSION", "AUTO.RTL", "AUTO.LAND", "AUTO.PRECLAND", "AUTO.FOLLOW_TARGET"),
+        *("AUTO", "RTL", "SMART_RTL", "AUTO_RTL", "LAND", "BRAKE", "CIRCLE", "FOLLOW"),
+    }
+)
+"""Modes a vehicle may be given back to: nobody's sticks are needed in them. AUTO.TAKEOFF is none, it would climb."""
+
+
+def guided_mode(vehicle: Vehicle) -> int:
+    """custom_mode in which it obeys setpoints. Raises RefusedError for an autopilot without one that skygcs knows."""
+    if vehicle.family == "px4":
+        return modes.px4_custom_mode("OFFBOARD")
+    if vehicle.family == "ardupilot" and "GUIDED" in modes.mode_names(vehicle.autopilot, vehicle.type):
+        return modes.mode_number(vehicle.autopilot, vehicle.type, "GUIDED")
+    raise RefusedError("skygcs knows the setpoints of PX4 and ArduPilot only")
+
+
+def is_following(vehicle: Vehicle) -> bool:
+    """Whether it is in the mode that obeys setpoints, by its last heartbeat."""
+    try:
+        return vehicle.custom_mode == guided_mode(vehicle)
+    except RefusedError:
+        return False
+
+
+def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
+    """Why it cannot be taken over now; None if it can.
+
+    A mode flown by a pilot's sticks is no reason: taking over from it is how many a flight begins, and the pilot takes
+    it back with the mode switch. A failsafe is one: whatever it does then, it does for a reason.
+    """
+    if vehicle.duplicate:
+        return f"two vehicles with system id {vehicle.sysid} are on the air; give one of them another"
+    try:
+        guided_mode(vehicle)
+        if not modes.is_copter(vehicle.type):
+            raise RefusedError(
+                f"it is a {vehicle.enum_name('MAV_TYPE', vehicle.type).lower().replace('_', ' ')}; "
+                "skygcs controls multirotors and helicopters only"
+            )
+        orders.require_going(vehicle, now)
+    except RefusedError as error:
+        return str(error)
+    if vehicle.failsafe:
+        return "its own failsafe is active: see its status texts, then let it land, or take it over with hold first"
+    return None
+
+
+def attitude_refusal(vehicle: Vehicle) -> str | None:
+    """Why it must not be sent attitude and thrust; None if it may be.
+
+    Of an ArduCopter it has to be known (`ask_parameters`) that thrust is thrust: a controller that means thrust and is
+    taken for a climb rate climbs or sinks without end.
+    """
+    if vehicle.family == "px4":
+        if vehicle.type in PX4_THRUST_TYPES:
+            return None
+        kind = vehicle.enum_name("MAV_TYPE", vehicle.type).lower().replace("_", " ")
+        return (
+            f"PX4 takes the thrust of attitude setpoints for multirotors only, and it says it is a {kind}; set MAV_TYPE"
+        )
+    if vehicle.family != "ardupilot" or not modes.is_copter(vehicle.type):
+        return "skygcs knows the attitude setpoints of PX4 and ArduCopter only"
+    options = vehicle.param("GUID_OPTIONS")
+    if options is None:
+        return (
+            "its GUID_OPTIONS is not known, and without bit 3 thrust would mean climb rate; it did not tell when asked "
+            "(ArduCopter has had the option since 4.1)"
+        )
+    if not int(options) & THRUST_AS_THRUST:
+        wanted = int(options) | THRUST_AS_THRUST
+        return f"its GUID_OPTIONS is {options:g}: thrust would mean climb rate; set bit 3 (GUID_OPTIONS to {wanted})"
+    return None
+
+
+def loss_refusal(vehicle: Vehicle) -> str | None:
+    """Why it should not be flown by attitude as its parameters are: what it would do if the setpoints ceased. To insist
+    is the operator's right."""
+    name = "GUID_TIMEOUT" if vehicle.family == "ardupilot" else "COM_OF_LOSS_T"
+    timeout_s = vehicle.param(name)
+    if timeout_s is None or timeout_s <= LONGEST_LEAN_S:
+        return None
+    return (
+        f"its {name} is {timeout_s:g} s: should the setpoints cease, it would lean on as it was last told for so long; "
+        f"set {name} to {LONGEST_LEAN_S:g} or less, or {orders.FORCE_HINT}"
+    )
+
+
+def loss_note(vehicle: Vehicle) -> str | None:
+    """What an operator should know of the vehicle's own reaction to setpoints that cease."""
+    if vehicle.family == "ardupilot" and vehicle.param("FS_GCS_ENABLE") == 0:
+        return (
+            "its FS_GCS_ENABLE is 0: should the setpoints cease, it levels and drifts with the wind, and nothing "
+            "brings it back; set FS_GCS_ENABLE to 1 (return) or 5 (land)"
+        )
+    if vehicle.family == "ardupilot" and int(vehicle.param("FS_OPTIONS") or 0) & PILOT_GOES_ON:
+        options = int(vehicle.param("FS_OPTIONS") or 0)
+        return (
+            f"its FS_OPTIONS is {options}: in GUIDED, where setpoints and hold leave it, a lost ground station brings "
+            "it back, but in BRAKE, where stop leaves it, and in a pilot's modes it stays until its battery is empty; "
+            f"set FS_OPTIONS to {options & ~PILOT_GOES_ON}"
+        )
+    action = vehicle.param("COM_OBL_RC_ACT")
+    if vehicle.family != "px4" or action not in BY_STICKS:
+        return None
+    return (
+        f"its COM_OBL_RC_ACT is {action:g}: should the setpoints cease, it goes to {BY_STICKS[int(action)]} mode and "
+        "needs a hand on the sticks; without a transmitter set it to 5 (Hold) or 3 (Return)"
+    )
+
+
+def refuses_setpoint(text: str) -> bool:
+    """Whether a status text says that a setpoint was thrown away: PX4 names the message, as in
+    "SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame 99". ArduCopter throws it away without a word."""
+    return text.startswith(("SET_POSITION_TARGET_", "SET_ATTITUDE_TARGET"))
+
+
+def boosts_thrust(vehicle: Vehicle) -> bool:
+    """Whether it divides the thrust it is given by the cosine of the tilt (`setpoint.attitude_target`, angle_boost).
+
+    ArduCopter does unless ATC_ANGLE_BOOST, 1 by default, is known to be 0; PX4 does not.
+    """
+    return vehicle.family == "ardupilot" and vehicle.param("ATC_ANGLE_BOOST") != 0
+
+
+def told_hover_thrust(vehicle: Vehicle) -> float | None:
+    """What the vehicle itself takes for its hover thrust, 0 to 1; None if it was not asked or does not tell."""
+    return vehicle.param("MPC_THR_HOVER" if vehicle.family == "px4" else "MOT_THST_HOVER")
+
+
+def ask_parameters(vehicle: Vehicle, now: float) -> Plan:
+    """Read what flying by attitude has to know: all anew, because anybody may have changed it since it was told."""
+    wanted = PX4_PARAMETERS if vehicle.family == "px4" else COPTER_PARAMETERS
+    steps = tuple(ask_parameter(name, after=now, optional=optional) for name, optional in wanted)
+    return Plan("parameters", steps, "parameters read")
+
+
+def ask_parameter(name: str, *, after: float, optional: bool = False) -> Step:
+    """PARAM_REQUEST_READ by name, one of `parameters.WATCHED`, until PARAM_VALUE comes; nothing else answers it, and a
+    name the firmware does not know nothing at all."""
+    return Step(
+        f"read {name}",
+        message=("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1}),
+        expect=ParamKnown(name, after),
+        expect_s=OPTIONAL_WAIT_S if optional else PARAM_WAIT_S,
+        optional=optional,
+    )
+
+
+def enter(vehicle: Vehicle) -> Plan:
+    """Into the mode that obeys setpoints, which have to be on their way already. Raises RefusedError."""
+    number = guided_mode(vehicle)
+    step = autopilot.mode_step(vehicle, number, skip_if_met=True)
+    return Plan("control", (step,), f"following setpoints in {autopilot.mode_name(vehicle, number)}")
+
+
+def leave(vehicle: Vehicle, back_to: int | None) -> Plan:
+    """Back to the custom_mode it was in before. If that was flown by sticks, or is the mode of setpoints itself, or is
+    not known (None), it holds where it is: whether anybody has a hand on the sticks is not known here.
+
+    A vehicle that does not obey setpoints has a mode somebody chose, and is left alone: the plan has no steps then.
+    Raises RefusedError where it has no mode that holds.
+    """
+    if not is_following(vehicle):
+        return Plan("release", (), f"in {vehicle.mode}")
+    if back_to is not None and autopilot.mode_name(vehicle, back_to) in FLIES_ITSELF:
+        step = autopilot.mode_step(vehicle, back_to, or_disarmed=True)
+        return Plan("release", (step,), f"back in {autopilot.mode_name(vehicle, back_to)}", despite_duplicate=True)
+    hold = autopilot.hold(vehicle)
+    return Plan("release", hold.steps, hold.done, despite_duplicate=True)

@@ -1,0 +1,200 @@
+"""An order as data: the steps that carry it out, and by what state of the vehicle each is known to have worked.
+
+`autopilot` makes plans, the vehicle's actor runs them. A step is one command (or a message without acknowledgement);
+the next one begins when the step was accepted and, if ``expect_s`` is not 0, its expectation is met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from skygcs.core.geo import distance_m
+from skygcs.core.protocols.command import CommandSpec
+from skygcs.core.vehicle.flight_evidence import contradiction
+from skygcs.core.vehicle.vehicle import Vehicle
+
+VERIFY_S = 3.0
+"""The heartbeat that shows a change comes within a second; two more may be lost."""
+
+
+class Expectation(Protocol):
+    """A state of the vehicle that shows that an order has worked."""
+
+    def met(self, vehicle: Vehicle, now: float) -> bool: ...
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        """What it is instead, for a person: "still in POSCTL"."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ArmedIs:
+    armed: bool
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        return vehicle.armed is self.armed
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return "still armed" if vehicle.armed else "still disarmed"
+
+
+@dataclass(frozen=True, slots=True)
+class ModeIn:
+    """In one of these modes. ``or_disarmed``: a vehicle that stands on the ground may leave the mode at once."""
+
+    custom_modes: frozenset[int]
+    or_disarmed: bool = False
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        if vehicle.custom_mode in self.custom_modes:
+            return True
+        return self.or_disarmed and not vehicle.armed and contradiction(vehicle, now) is None
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return f"still in {vehicle.mode}"
+
+
+LIFT_OFF_S = 8.0
+"""A PX4 spools up for one to three seconds, an ArduCopter ramps for two; the landed state comes every two seconds."""
+
+CLIMBED_M = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class LiftedOff:
+    """Armed, and off the ground by its own word or by its height over ``from_amsl_m``."""
+
+    from_amsl_m: float | None
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        if not vehicle.armed:
+            return False
+        position = vehicle.section("position")
+        alt_amsl_m = None if position is None else position["alt_amsl_m"]
+        if alt_amsl_m is not None and self.from_amsl_m is not None and alt_amsl_m > self.from_amsl_m + CLIMBED_M:
+            return True
+        return vehicle.in_air(now) is True
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return "still on the ground" if vehicle.armed else "it is disarmed and on the ground"
+
+
+POSITION = 1 << 3 | 1 << 4 | 1 << 8 | 1 << 9
+"""Bits of EKF_STATUS_REPORT (EKF_STATUS_FLAGS): horizontal position, relative or absolute, now or predicted for when it
+is armed. Before that the estimator may still assume to stand still (1 << 7), which position_ok() forgives."""
+
+ESTIMATE_FRESH_S = 6.0
+"""It comes every five seconds on a radio."""
+
+
+@dataclass(frozen=True, slots=True)
+class HasPosition:
+    """Its estimator knows where it is, or will as soon as it is armed: what ArduCopter's position_ok() asks for before
+    GUIDED is taken (system.cpp)."""
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        estimate, at = vehicle.section("estimator"), vehicle.section_at("estimator")
+        if estimate is None or at is None or now - at > ESTIMATE_FRESH_S:
+            return False
+        return bool(int(estimate["flags"]) & POSITION)
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return (
+            f"its estimator has no position yet, and no takeoff could follow in {vehicle.mode}; wait for GPS, or arm "
+            "without --wait to fly it by hand"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class MessageAfter:
+    """The message came after the order; ``count`` is how often it had come before."""
+
+    message: str
+    count: int
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        return vehicle.count(self.message) > self.count
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return f"no {self.message} came"
+
+
+@dataclass(frozen=True, slots=True)
+class ParamKnown:
+    """A parameter of `parameters.WATCHED` was told, by whomever it was asked for, at or after that time."""
+
+    name: str
+    after: float
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        told_at = vehicle.parameters.told_at(self.name)
+        return told_at is not None and told_at >= self.after
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return f"it does not tell its parameter {self.name}"
+
+
+TARGET_TOLERANCE_M = 2.0
+"""POSITION_TARGET_GLOBAL_INT repeats the target within its own rounding; metres are another target."""
+
+
+@dataclass(frozen=True, slots=True)
+class TargetNear:
+    """The vehicle says (POSITION_TARGET_GLOBAL_INT) that it flies to this place."""
+
+    lat_deg: float
+    lon_deg: float
+
+    def met(self, vehicle: Vehicle, now: float) -> bool:
+        target = vehicle.section("target_global")
+        if target is None or target["lat_deg"] is None:
+            return False
+        off = distance_m(self.lat_deg, self.lon_deg, target["lat_deg"], target["lon_deg"])
+        return off <= TARGET_TOLERANCE_M
+
+    def unmet(self, vehicle: Vehicle, now: float) -> str:
+        return "it does not say that it flies there"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """``command`` is acknowledged and repeated; ``message`` is sent once, or with an expectation to wait for again and
+    again until that is met. Exactly one of them is given.
+
+    ``expect_s``: how long to wait for the expectation; 0 does not wait for it (it then only explains a lost ACK).
+    ``skip_if_met``: nothing is sent if the state is as wanted already. ``undo`` is carried out if a later step fails.
+    ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` is what its
+    refusal means, for a vehicle that gives no reason itself. An ``optional`` step may fail: the plan goes on.
+    """
+
+    name: str
+    command: CommandSpec | None = None
+    message: tuple[str, Mapping[str, Any]] | None = None
+    expect: Expectation | None = None
+    expect_s: float = VERIFY_S
+    skip_if_met: bool = False
+    undo: Step | None = None
+    instead: tuple[Step, ...] = ()
+    refused: str = ""
+    optional: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """``done`` is the outcome's message when all steps have worked.
+
+    ``emergency``: sent over every link, before anything else, and to whom plain orders are not sent. For ``persist_s``
+    its steps are given again until the vehicle shows them or refuses. ``final``: no newer order takes its place.
+    ``despite_duplicate``: safe for, or confirmed for, two vehicles of one system id.
+    """
+
+    order: str
+    steps: tuple[Step, ...]
+    done: str
+    emergency: bool = False
+    persist_s: float = 0.0
+    final: bool = False
+    despite_duplicate: bool = False
+    data: Mapping[str, Any] = field(default_factory=dict)

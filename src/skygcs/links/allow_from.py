@@ -1,0 +1,116 @@
+"""Who may be a peer of a server: the networks of `allow_from`, and a place among the others. The same for UDP and TCP.
+
+What is told of it is bounded: a few addresses that are not allowed, and each change between full and not full.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Callable, Hashable, Iterable, Sequence
+
+from skygcs.core.routing.peer_places import Peer, PeerPlaces
+from skygcs.events import Event
+from skygcs.links.address import Address, format_address, format_host
+from skygcs.links.base import Link
+
+MAX_REMEMBERED = 1024
+"""Addresses of which it is remembered whether they are allowed; then all are looked at anew."""
+
+MAX_REPORTED = 8
+"""Addresses of one link that are reported as not allowed, each once; counted are all."""
+
+AMPLE_SHARE = 0.9
+FULL_QUIET_S = 10.0
+"""A server that was full counts as such until no more of its places are taken than this, and is reported no more often
+than that: no event per peer, nor per client that connects and goes."""
+
+
+class AllowedNetworks:
+    """``allow_from``: whether an address lies in one of the networks; without any, all do."""
+
+    def __init__(self, networks: Sequence[str] | None) -> None:
+        self._networks = None if networks is None else [ipaddress.ip_network(text) for text in networks]
+        self._remembered: dict[str, bool] = {}
+
+    def __contains__(self, host: str) -> bool:
+        if self._networks is None:
+            return True
+        allowed = self._remembered.get(host)
+        if allowed is None:
+            if len(self._remembered) >= MAX_REMEMBERED:
+                self._remembered.clear()
+            allowed = self._remembered[host] = self._lies_in_one(host)
+        return allowed
+
+    def _lies_in_one(self, host: str) -> bool:
+        assert self._networks is not None
+        try:
+            address = ipaddress.ip_address(host.partition("%")[0])
+        except ValueError:
+            return False
+        return any(address in network for network in self._networks)
+
+
+class Admission:
+    """Judges whoever comes to one server link, counts, and reports."""
+
+    def __init__(
+        self, link: Link, places: int, networks: Sequence[str] | None, peers: Callable[[], Iterable[Peer]]
+    ) -> None:
+        self.places = PeerPlaces(places, peers)
+        self.not_allowed = 0
+        """Datagrams or connections from addresses that ``allow_from`` does not name."""
+        self.refused = 0
+        """The same of those who found no place."""
+        self.put_out = 0
+        """Peers whose places were given to others."""
+        self._link = link
+        self._networks = AllowedNetworks(networks)
+        self._reported: set[str] = set()
+        self._full = False
+        self._reported_at = float("-inf")
+
+    def allows(self, address: Address) -> bool:
+        """Whether ``allow_from`` names this address. To be asked before anything that it sent is looked at."""
+        host = format_host(address)
+        if host in self._networks:
+            return True
+        self.not_allowed += 1
+        if host not in self._reported and len(self._reported) < MAX_REPORTED:
+            self._reported.add(host)
+            self._report(
+                f"{format_address(address)} is not in allow_from: dropped, as all that comes from {host}",
+                {"change": "not_allowed", "address": host},
+            )
+        return False
+
+    def place_for(self, address: Address, *, autopilot: bool, now: float) -> tuple[bool, Hashable]:
+        """Whether this newcomer gets a place although all are taken, and which peer has to go for it first."""
+        judgement = self.places.judge(format_host(address), autopilot=autopilot, now=now)
+        if not judgement.admitted:
+            self.refused += 1
+        elif judgement.put_out is not None:
+            self.put_out += 1
+        quiet = now - self._reported_at < FULL_QUIET_S
+        if not (self._full or quiet) and (judgement.put_out is not None or not judgement.admitted):
+            self._full = True
+            self._reported_at = now
+            became = "took the place of another" if judgement.admitted else "was refused"
+            self._report(
+                f"all {self.places.places} places are taken: {format_address(address)} {became}; a peer without an "
+                "autopilot that is silent gives way first, an autopilot that is heard never; allow_from keeps "
+                "strangers out",
+                {"change": "full", "address": format_host(address), "places": self.places.places},
+            )
+        return judgement
+
+    def left(self, number: int) -> None:
+        """A peer has gone; so many are there now."""
+        self.places.changed()
+        if self._full and number <= AMPLE_SHARE * self.places.places:
+            self._full = False
+            self._report("there are free places again", {"change": "not_full"})
+
+    def _report(self, text: str, data: dict[str, object]) -> None:
+        name = self._link.name
+        self._link.host.on_event(Event("warning", None, None, f"links.{name}: {text}", {"link": name, **data}))

@@ -1,0 +1,401 @@
+"""Commands in flight to one vehicle: the asyncio side of `CommandExchange`, with one timer for all of them.
+
+At most one command of an id is in flight per vehicle, because a COMMAND_ACK names nothing but the id; the next one of
+the same id waits for its turn. If the one before has left acks outstanding (repeats, or a timeout), the next is held
+back for `LATE_ACK_S` after the last transmission, or until those acks came (and always for `ECHO_ACK_S`): a late ack
+must not pass for the new command's. An emergency waits for nobody; its outcome rests on the vehicle's state rather
+than on an ack.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Collection, Hashable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol
+
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.protocols.base import Effect, Report, Transmit
+from skygcs.core.protocols.command import (
+    EMERGENCY_TIMERS_S,
+    RETRY_TIMERS_S,
+    Ack,
+    CommandExchange,
+    CommandSpec,
+    Outcome,
+)
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.runtime.deadline_timer import Alarm
+
+
+class SendFn(Protocol):
+    """How a message of ours leaves: over the best link to the target, or ``everywhere`` over each that leads to it."""
+
+    def __call__(
+        self,
+        info: MessageInfo,
+        values: Mapping[str, Any],
+        sysid: int,
+        compid: int,
+        priority: Priority,
+        /,
+        *,
+        everywhere: bool = False,
+        key: Hashable | None = None,
+    ) -> bool:
+        """Sysid 0 is every vehicle; whether it was taken. With a ``key`` it replaces what still waits under it."""
+        ...
+
+
+LATE_ACK_S = 1.5
+"""Two rounds of a nine-node multipoint radio at 64 kbit/s; later than that an ack is not expected any more."""
+
+ECHO_ACK_S = 0.05
+"""PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): the second one must not pass for the next
+command's. Where a radio parts the two by more, the mode in the heartbeat decides, as for every mode."""
+
+SUPERSEDED = "a newer order took its place"
+
+MAX_WAITING = 8
+"""Commands of one id waiting for their turn; further ones are refused."""
+
+Check = Callable[[], bool]
+
+
+class Carrier:
+    """A broadcast frame that carries one command to many vehicles at once: their exchanges begin without sending."""
+
+    def __init__(self, spec: CommandSpec) -> None:
+        self.spec = spec
+        self.sent = False
+
+
+class _Line:
+    """All of one command id: who is in flight, who waits, and which acks may still come late."""
+
+    __slots__ = ("ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
+
+    def __init__(self) -> None:
+        self.lock = asyncio.Lock()
+        self.waiting = 0
+        self.late = 0
+        self.quiet_until = 0.0
+        self.ended_at = -ECHO_ACK_S
+        self.quieted = asyncio.Event()
+
+
+class _Running:
+    __slots__ = ("done", "everywhere", "exchange", "moving", "not_taken", "on_report", "priority", "satisfied")
+
+    def __init__(
+        self,
+        exchange: CommandExchange,
+        done: asyncio.Future[Outcome],
+        priority: Priority,
+        satisfied: Check | None,
+        on_report: Callable[[int | None], None] | None,
+        *,
+        everywhere: bool,
+        moving: bool,
+    ) -> None:
+        self.exchange = exchange
+        self.done = done
+        self.priority = priority
+        self.satisfied = satisfied
+        self.on_report = on_report
+        self.everywhere = everywhere
+        self.moving = moving
+        self.not_taken = 0
+
+
+class Commander:
+    """Runs commands for one (sysid, compid). `on_ack`, `on_text` and `wake` are called by the actor as frames come."""
+
+    def __init__(
+        self,
+        target: tuple[int, int],
+        own: tuple[int, int],
+        dialect: Dialect,
+        send: SendFn,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.target = target
+        self.own = own
+        self.carrier: Carrier | None = None
+        self.patience_s = 0.0
+        """Nothing but an emergency is repeated sooner: what a radio whose rounds are long takes to bring an answer."""
+        self.why_silent: Callable[[], str] = lambda: ""
+        """Why the vehicle may not answer, beside the link: the end of a sentence, or nothing."""
+        self._dialect = dialect
+        self._send = send
+        self._loop = loop
+        self._lines: dict[int, _Line] = {}
+        self._running: dict[int, _Running] = {}
+        self._watches: list[tuple[Check, asyncio.Future[bool], float]] = []
+        self._addresses: dict[int, dict[str, int]] = {}
+        self._alarm = Alarm(loop, self._on_timer)
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames have to be shown to `wake`."""
+        return bool(self._watches)
+
+    @property
+    def watches(self) -> list[Any]:
+        """What `busy` is about; always the same list."""
+        return self._watches
+
+    @property
+    def commanding(self) -> bool:
+        return bool(self._running)
+
+    def in_flight(self, command: int) -> bool:
+        return command in self._running
+
+    async def run(
+        self,
+        spec: CommandSpec,
+        *,
+        emergency: bool = False,
+        satisfied: Check | None = None,
+        on_report: Callable[[int | None], None] | None = None,
+        everywhere: bool = False,
+        wanted: Check | None = None,
+    ) -> Outcome:
+        """Send it and wait for its outcome. ``satisfied`` tells whether the state shows already what is wanted: then
+        a lost ack does not matter. Cancelling forgets the command; what was sent cannot be unsent.
+
+        The first transmission takes the best link, repeats take every one that leads to the vehicle: the best may be
+        the very one that loses them. ``everywhere``: the first one as well. ``wanted``: it moves the vehicle, and a
+        newer order may take its place (`supersede`); asked when its turn has come. An emergency's turn is at once.
+        """
+        if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
+            return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
+        try:
+            self._dialect.by_name[spec.message].pack(spec.values(*self.target, 0))
+        except ValueError as error:
+            return Outcome(False, "refused", f"refused: {error}")
+        line = self._lines.setdefault(spec.command, _Line())
+        if emergency:
+            self.stop(spec.command, "cancelled", "an emergency order took its place")
+            return await self._exchange(
+                line,
+                spec,
+                Priority.EMERGENCY,
+                EMERGENCY_TIMERS_S,
+                satisfied,
+                on_report,
+                everywhere=True,
+                moving=wanted is not None,
+            )
+        if line.waiting >= MAX_WAITING:
+            return Outcome(False, "refused", f"{line.waiting} commands of the same kind are waiting already")
+        line.waiting += 1
+        try:
+            await line.lock.acquire()
+        finally:
+            line.waiting -= 1
+        try:
+            ending = self._running.get(spec.command)
+            if ending is not None and ending.done.done():
+                await asyncio.sleep(
+                    0
+                )  # an emergency that was superseded just now leaves, and its acks are to be counted
+            await self._quiet(line)
+            if spec.command in self._running:
+                return Outcome(False, "refused", "an emergency order of the same kind is under way")
+            if wanted is not None and not wanted():
+                return Outcome(False, "cancelled", SUPERSEDED)
+            return await self._exchange(
+                line,
+                spec,
+                Priority.COMMAND,
+                tuple(max(wait_s, self.patience_s) for wait_s in RETRY_TIMERS_S),
+                satisfied,
+                on_report,
+                everywhere=everywhere,
+                moving=wanted is not None,
+            )
+        finally:
+            line.lock.release()
+
+    async def until(self, met: Check, timeout_s: float) -> bool:
+        """Wait until a state is seen; whether it was within the time."""
+        if met():
+            return True
+        future: asyncio.Future[bool] = self._loop.create_future()
+        watch = (met, future, self._loop.time() + timeout_s)
+        self._watches.append(watch)
+        self._set_alarm()
+        try:
+            return await future
+        finally:
+            self._watches.remove(watch)
+
+    def transmit(
+        self,
+        message: str,
+        values: Mapping[str, Any],
+        priority: Priority = Priority.COMMAND,
+        key: Hashable | None = None,
+    ) -> bool:
+        """Send a message without acknowledgement to the vehicle. Raises KeyError if the dialect lacks it."""
+        sysid, compid = self.target
+        info = self._dialect.by_name[message]
+        addressed = {**values, **self._address(info)}
+        if key is None:
+            return self._send(info, addressed, sysid, compid, priority)
+        return self._send(info, addressed, sysid, compid, priority, key=key)
+
+    def _address(self, info: MessageInfo) -> dict[str, int]:
+        """The fields that say for whom a message is, as far as it has them; kept, because every setpoint
+        asks (0.4 us instead of 0.9 for all of `transmit`)."""
+        address = self._addresses.get(info.msgid)
+        if address is None:
+            target = dict(zip(("target_system", "target_component"), self.target, strict=True))
+            address = {f.name: target[f.name] for f in info.fields if f.name in target}
+            self._addresses[info.msgid] = address
+        return address
+
+    def expect_stray_ack(self, command: int, now: float) -> None:
+        """A command of this id is sent beside us, and nobody waits for its ack: it must not pass for one of ours."""
+        line = self._lines.setdefault(command, _Line())
+        line.late += 1
+        line.quiet_until = now + LATE_ACK_S
+
+    def on_ack(self, ack: Ack, now: float) -> None:
+        """A COMMAND_ACK of this vehicle, whomever it answers."""
+        if not ack.is_for(*self.own):
+            return
+        running = self._running.get(ack.command)
+        if running is not None:
+            self._apply(running, running.exchange.on_ack(ack, now))
+            self._set_alarm()
+            return
+        line = self._lines.get(ack.command)
+        if line is not None and line.late:
+            line.late -= 1
+            if not line.late:
+                line.quieted.set()
+
+    def on_text(self, text: str) -> None:
+        for running in self._running.values():
+            running.exchange.on_text(text)
+
+    def wake(self) -> None:
+        """The vehicle's state may have changed."""
+        for met, future, _ in self._watches:
+            if not future.done() and met():
+                future.set_result(True)
+
+    def stop_all(self, result: str, message: str) -> None:
+        """The vehicle is lost or rebooted: nothing in flight will be answered. Emergencies go on."""
+        for command in [c for c, r in self._running.items() if r.priority is not Priority.EMERGENCY]:
+            self.stop(command, result, message)
+
+    def supersede(self, specs: Collection[CommandSpec]) -> None:
+        """A newer order moves the vehicle: older ones are not repeated any more. One of the very same commands goes on,
+        and so does one that was run without ``wanted``."""
+        for command, running in list(self._running.items()):
+            if running.moving and running.exchange.spec not in specs:
+                self.stop(command, "cancelled", SUPERSEDED)
+
+    def close(self) -> None:
+        """The daemon ends."""
+        for command in list(self._running):
+            self.stop(command, "cancelled", "skygcs is shutting down")
+        for _, future, _ in self._watches:
+            if not future.done():
+                future.set_result(False)  # the timer that would end it is none of ours any more
+        self._alarm.set(None)
+
+    async def _quiet(self, line: _Line) -> None:
+        wait_s = line.quiet_until - self._loop.time()
+        if line.late and wait_s > 0:
+            line.quieted.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(wait_s):
+                    await line.quieted.wait()
+        line.late = 0
+        if (echo_s := line.ended_at + ECHO_ACK_S - self._loop.time()) > 0:
+            await asyncio.sleep(echo_s)
+
+    async def _exchange(
+        self,
+        line: _Line,
+        spec: CommandSpec,
+        priority: Priority,
+        timers: tuple[float, ...],
+        satisfied: Check | None,
+        on_report: Callable[[int | None], None] | None,
+        *,
+        everywhere: bool,
+        moving: bool,
+    ) -> Outcome:
+        exchange = CommandExchange(spec, timers)
+        if satisfied is not None and satisfied():
+            satisfied = None  # it tells nothing about this command
+        done: asyncio.Future[Outcome] = self._loop.create_future()
+        running = _Running(exchange, done, priority, satisfied, on_report, everywhere=everywhere, moving=moving)
+        self._running[spec.command] = running
+        now = self._loop.time()
+        carried = self.carrier is not None and not self.carrier.sent and self.carrier.spec == spec
+        self._apply(running, exchange.start(now, transmitted=carried))
+        self._set_alarm()
+        try:
+            outcome = await running.done
+        finally:
+            if self._running.get(spec.command) is running:
+                del self._running[spec.command]
+            line.late = exchange.outstanding
+            line.ended_at = self._loop.time()
+            line.quiet_until = exchange.last_sent + LATE_ACK_S
+        if outcome.result == "timeout" and running.not_taken >= exchange.attempts:
+            return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)
+        if outcome.result == "timeout":
+            return replace(outcome, message=outcome.message + self.why_silent())
+        return outcome
+
+    def _apply(self, running: _Running, effects: tuple[Effect, ...]) -> None:
+        for effect in effects:
+            if isinstance(effect, Transmit):
+                spec = running.exchange.spec
+                values = spec.values(*self.target, effect.attempt)
+                info = self._dialect.by_name[spec.message]
+                everywhere = {"everywhere": True} if running.everywhere or effect.attempt else {}
+                if not self._send(info, values, *self.target, running.priority, **everywhere):
+                    running.not_taken += 1
+            elif isinstance(effect, Report):
+                if running.on_report is not None:
+                    running.on_report(effect.percent)
+            elif not running.done.done():
+                assert running.exchange.outcome is not None
+                running.done.set_result(running.exchange.outcome)
+
+    def stop(self, command: int, result: str, message: str) -> None:
+        """End a command in flight with this outcome, if there is one of that id."""
+        running = self._running.get(command)
+        if running is not None:
+            self._apply(running, running.exchange.stop(self._loop.time(), result, message))
+
+    def _set_alarm(self) -> None:
+        deadlines = [r.exchange.deadline for r in self._running.values() if r.exchange.deadline is not None]
+        deadlines += [deadline for _, future, deadline in self._watches if not future.done()]
+        self._alarm.set(min(deadlines, default=None))
+
+    def _on_timer(self) -> None:
+        now = self._loop.time()
+        for _, future, deadline in self._watches:
+            if now >= deadline and not future.done():
+                future.set_result(False)
+        for running in list(self._running.values()):
+            exchange = running.exchange
+            if exchange.deadline is None or now < exchange.deadline:
+                continue
+            if running.satisfied is not None and running.satisfied():
+                # its ack was lost, or a repeat was refused because the first transmission had worked already
+                self._apply(running, exchange.stop(now, "accepted", "done, though no acknowledgement came"))
+            else:
+                self._apply(running, exchange.on_timer(now))
+        self._set_alarm()

@@ -1,0 +1,141 @@
+"""RTCM that clients of the socket hand in: whole frames of it go to all vehicles, as our own GPS_RTCM_DATA.
+
+What a ground station sends by itself passes the router and not here. What of both a narrow radio carries is decided
+where it is written (`core.corrections`).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from skygcs.core.radio_link.corrections import MAX_TYPES, SOURCE_SILENT_S
+from skygcs.core.radio_link.rtcm import MAX_MESSAGE_BYTES, RtcmDeframer, content_of, fragments_of
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.errors import RefusedError
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.hub import Hub
+
+RATE_S = 10.0
+"""Over so long the rate is told: a base's slowest messages come about that often."""
+
+MAX_RECENT = 1024
+"""Messages of which the rate is made: a hundred a second is more than any base sends."""
+
+
+class CorrectionFeed:
+    """One stream of RTCM at a time, in the pieces in which it comes."""
+
+    def __init__(self, hub: Hub, fleet: Fleet, clock: Callable[[], float]) -> None:
+        self._hub = hub
+        self._fleet = fleet
+        self._clock = clock
+        self._info = hub.dialect.by_name.get("GPS_RTCM_DATA")
+        self._source: str | None = None
+        self._offered_at = 0.0
+        self._deframer = RtcmDeframer()
+        self._sequence = 0
+        self._last_at: float | None = None
+        self._sent = dict.fromkeys(("messages", "bytes", "refused", "too_long", "bad_crc", "skipped_bytes"), 0)
+        self._types: dict[int, list[float]] = {}
+        """Messages, bytes and time of the last one, by RTCM type."""
+        self._recent: deque[tuple[float, int]] = deque(maxlen=MAX_RECENT)
+
+    def send(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
+        """The next piece of the stream of ``source`` (``end``: the last one); what became of the messages that it
+        completed. Raises RefusedError while the stream of another one comes, and without GPS_RTCM_DATA in the dialect.
+        """
+        now = self._clock()
+        self._follow(source, now)
+        before = dict(self._sent)
+        ways = len(self._hub.ways(0, 0))
+        types: dict[int, int] = {}
+        bad_crc, skipped = self._deframer.bad_crc, self._deframer.skipped_bytes
+        for message in self._deframer.feed(data):
+            if len(message) > MAX_MESSAGE_BYTES:
+                self._sent["too_long"] += 1
+            elif not self._spread(message):
+                self._sent["refused"] += 1
+            else:
+                type_ = content_of(message).type
+                types[type_] = types.get(type_, 0) + 1
+                self._note(type_, len(message), now)
+        self._sent["bad_crc"] += self._deframer.bad_crc - bad_crc
+        self._sent["skipped_bytes"] += self._deframer.skipped_bytes - skipped
+        if end:
+            self._source = None
+        return {
+            **{name: count - before[name] for name, count in self._sent.items()},
+            "types": {str(type_): count for type_, count in sorted(types.items())},
+            "links": ways,
+        }
+
+    def status(self) -> dict[str, Any]:
+        """What was sent since the daemon began, what each radio made of it, and what fix each vehicle has."""
+        now = self._clock()
+        while self._recent and self._recent[0][0] < now - RATE_S:
+            self._recent.popleft()
+        return {
+            "source": self._source if now < self._offered_at + SOURCE_SILENT_S else None,
+            "age_s": None if self._last_at is None else round(now - self._last_at, 2),
+            "bytes_per_s": round(sum(size for _, size in self._recent) / RATE_S, 1),
+            **self._sent,
+            "types": {
+                str(type_): {"messages": int(count), "bytes": int(size), "age_s": round(now - at, 2)}
+                for type_, (count, size, at) in sorted(self._types.items())
+            },
+            "radios": [
+                {
+                    "link": channel.link.name,
+                    "peer": channel.peer,
+                    **(told := channel.air.corrections.status()),
+                    "source": None if told["source"] is None else f"{told['source'] >> 8}/{told['source'] & 0xFF}",
+                }
+                for channel in self._hub.channels.values()
+                if channel.air is not None
+            ],
+            "vehicles": self._fixes(now),
+        }
+
+    def _follow(self, source: str, now: float) -> None:
+        """Pieces of two streams make no stream, and two bases no position."""
+        if self._info is None:
+            raise RefusedError(
+                f"the dialect {self._hub.dialect.name} has no GPS_RTCM_DATA: choose one that includes common.xml"
+            )
+        if source != self._source:
+            if self._source is not None and now < self._offered_at + SOURCE_SILENT_S:
+                raise RefusedError(
+                    f"{self._source} sends corrections already (last {now - self._offered_at:.1f} s ago), and "
+                    f"receivers follow one base: end that one, or wait until it was silent for {SOURCE_SILENT_S:g} s"
+                )
+            self._source = source
+            self._deframer = RtcmDeframer()
+        self._offered_at = now
+
+    def _spread(self, message: bytes) -> bool:
+        """Whether every fragment was taken by some link."""
+        assert self._info is not None
+        self._sequence += 1
+        taken = True
+        for values in fragments_of(message, self._sequence):
+            taken &= self._hub.send(self._info, values, 0, 0, Priority.CORRECTION)
+        return taken
+
+    def _note(self, type_: int, size: int, now: float) -> None:
+        self._sent["messages"] += 1
+        self._sent["bytes"] += size
+        self._last_at = now
+        self._recent.append((now, size))
+        if type_ in self._types or len(self._types) < MAX_TYPES:
+            count, total, _ = self._types.get(type_, (0, 0, 0.0))
+            self._types[type_] = [count + 1, total + size, now]
+
+    def _fixes(self, now: float) -> list[dict[str, Any]]:
+        """None where a vehicle has not told (GPS_RAW_INT)."""
+        fixes = []
+        for _, actor in sorted(self._fleet.vehicles.items()):
+            gps = actor.state(now)["gps"] or {}
+            fixes.append({"name": actor.name, "fix": gps.get("fix"), "satellites": gps.get("satellites")})
+        return fixes

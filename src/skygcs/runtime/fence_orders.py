@@ -1,0 +1,431 @@
+"""The fence of a vehicle's parameters: set, read, and tested on foot.
+
+The test (as in the UTIAS report, section 2.2.1): a small fence is set, somebody carries the vehicle out of it, and what
+it says and does is recorded. What it held before is put back whatever happens: also when the test is
+cancelled or the caller goes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.vehicle import fence_params
+from skygcs.core.vehicle.orders import require_connected
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from skygcs.events import Event
+from skygcs.runtime.param_transfers import VehicleParams
+from skygcs.runtime.undo_journal import Change, UndoJournal
+
+LOOK_S = 0.25
+ASK_S = 1.0
+"""FENCE_STATUS is asked for once a second: on foot nobody gets far in that time."""
+
+AFTER_S = 12.0
+"""From the first sign of a breach: a PX4 holds for COM_FAIL_ACT_T (5 s) before it acts, for a pilot to take over."""
+
+STATUS_S = 3.0
+
+FINISH_S = 1.0
+"""For the parameter under way when a test is cancelled: two round trips of a nine-node radio."""
+
+SIGNS_MAX = 20
+
+
+@dataclass(frozen=True, slots=True)
+class FenceOutcome:
+    """An outcome with the vehicle's fence, or with the record of its test."""
+
+    outcome: Outcome
+    fence: Mapping[str, Any] | None = None
+    record: Mapping[str, Any] | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.outcome.ok
+
+    def as_dict(self) -> dict[str, Any]:
+        return {**self.outcome.as_dict(), "fence": self.fence, "record": self.record}
+
+
+@dataclass(slots=True)
+class _Walk:
+    """A test under way: where it began, and what was seen."""
+
+    began: float
+    mode: str
+    was_armed: bool
+    armed: bool
+    signs: list[str] = field(default_factory=list)
+    breached_at: float | None = None
+    breached_m: float | None = None
+    farthest_m: float = 0.0
+    reacted: bool = False
+
+    def sign(self, text: str, now: float) -> None:
+        if text not in self.signs and len(self.signs) < SIGNS_MAX:
+            self.signs.append(text)
+        if self.breached_at is None:
+            self.breached_at = now
+
+
+class VehicleFence:
+    """One per vehicle. ``ask`` requests one message; ``on_event`` is told of tests."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        params: VehicleParams,
+        dialect: Dialect,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+        ask: Callable[[str], Awaitable[Outcome]],
+        *,
+        log_dir: Path,
+        journal: UndoJournal,
+    ) -> None:
+        self._vehicle = vehicle
+        self._params = params
+        self._dialect = dialect
+        self._loop = loop
+        self._on_event = on_event
+        self._ask = ask
+        self._log_dir = log_dir
+        self._journal = journal
+        self._testing = False
+        self._tester: asyncio.Task[FenceOutcome] | None = None
+        self._ended_with: Outcome | None = None
+        """Of the last test."""
+        self._walk: _Walk | None = None
+        self._endings: set[asyncio.Task[Outcome]] = set()
+        """Tests that put back what was there; a task that nobody holds may be thrown away."""
+        self._last_text: str | None = None
+
+    @property
+    def testing(self) -> bool:
+        """Whether a test is under way, its end included."""
+        return self._testing
+
+    async def wind_down(self) -> None:
+        """End the test under way; until its fence is put back, or is known not to be."""
+        if self._tester is not None:
+            self._tester.cancel()
+            await asyncio.wait({self._tester})
+        await self.ended()
+
+    async def ended(self) -> None:
+        """Until no test is being ended any more."""
+        if self._endings:
+            await asyncio.wait(set(self._endings))
+
+    def on_text(self, text: str) -> None:
+        """A status text of this vehicle."""
+        if fence_params.tells_of_breach(text):
+            self._last_text = text
+            if self._walk is not None:
+                self._walk.sign(f'it says "{text}"', self._loop.time())
+
+    async def set(self, *, radius_m: float | None, height_m: float | None, action: str | None) -> FenceOutcome:
+        """Set what is not None and read all of it back."""
+        if self._testing:
+            return FenceOutcome(_UNDER_TEST)
+        held = await self._held()
+        if isinstance(held, Outcome):
+            return FenceOutcome(held)
+        try:
+            wanted = fence_params.changes(
+                self._vehicle.family, held, radius_m=radius_m, height_m=height_m, action=action
+            )
+        except RefusedError as error:
+            return FenceOutcome(_refused(error))
+        failed = await self._put(wanted)
+        now = await self._held()
+        if isinstance(now, Outcome):
+            return FenceOutcome(now if failed is None else failed)
+        settings = fence_params.settings_of(self._vehicle.family, now)
+        return FenceOutcome(failed or Outcome(True, "accepted", f"the fence is {settings}"), settings.as_dict())
+
+    async def status(self) -> FenceOutcome:
+        """Its settings as read now, and what it tells of breaches."""
+        held = await self._held()
+        if isinstance(held, Outcome):
+            return FenceOutcome(held)
+        asked = self._loop.time()
+        if self._tells_status:
+            await self._ask("FENCE_STATUS")
+        beyond = fence_params.breach(self._vehicle, fresh_after=asked - STATUS_S)
+        settings = fence_params.settings_of(self._vehicle.family, held)
+        status = self._fence_status()
+        told = {
+            **settings.as_dict(),
+            "breached": beyond,
+            "breaches": None if status is None else status["breach_count"],
+            "from_home_m": _rounded(fence_params.from_home_m(self._vehicle)),
+            "last_text": self._last_text,
+        }
+        where = {None: "", True: "; OUTSIDE", False: "; inside"}[beyond]
+        return FenceOutcome(Outcome(True, "accepted", f"the fence is {settings}{where}"), told)
+
+    async def test(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
+        """The walk. Ok: it told of the breach, and did what its fence asks for if it was armed."""
+        if self._testing:
+            return FenceOutcome(_UNDER_TEST)
+        self._testing, self._ended_with = True, None
+        # a task of its own, which the daemon's end can cancel without its caller
+        work = self._tested(radius_m, action, timeout_s)
+        self._tester = self._loop.create_task(work, name=f"{self._vehicle.name} fence test")
+        try:
+            return await self._tester
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if task is None or not task.cancelling():  # the test was ended, and not whoever waits for it
+                return FenceOutcome(self._ended_with or Outcome(False, "cancelled", "cancelled"))
+            self._tester.cancel()
+            await asyncio.wait({self._tester})
+            raise
+        finally:
+            self._tester = None
+            self._testing = bool(self._endings)
+
+    async def _tested(self, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
+        vehicle = self._vehicle
+        try:
+            require_connected(vehicle, self._loop.time())
+            fence_params.names_of(vehicle)
+            await self._ask("HOME_POSITION")
+            fence_params.require_testable(vehicle, self._loop.time(), radius_m)
+            held = await self._held()
+            if isinstance(held, Outcome):
+                return FenceOutcome(held)
+            wanted = fence_params.changes(vehicle.family, held, radius_m=radius_m, height_m=0.0, action=action)
+        except RefusedError as error:
+            return FenceOutcome(_refused(error))
+        record: dict[str, Any] = {
+            "vehicle": vehicle.name,
+            "sysid": vehicle.sysid,
+            "autopilot": vehicle.family,
+            "began": _clock(),
+            "radius_m": radius_m,
+            "action": action,
+            "before": dict(held),
+            "state": "running: the parameters under 'before' are to be put back",
+        }
+        try:
+            path = self._write(None, record)
+        except OSError as error:
+            text = f"refused: the record cannot be written to {self._log_dir}: {error.strerror or error}"
+            return FenceOutcome(Outcome(False, "refused", text))
+        back = fence_params.back_to(vehicle.family, held, wanted)
+        try:
+            change = self._journal.begin(
+                vehicle.name,
+                vehicle.sysid,
+                vehicle.family,
+                "fence test",
+                back,
+                {n: wanted.get(n, back[n]) for n in back},
+            )
+        except RefusedError as error:
+            return FenceOutcome(_refused(error))
+        outcome = Outcome(False, "cancelled", "cancelled")
+        self._walk = walk = _Walk(self._loop.time(), vehicle.mode, vehicle.armed, vehicle.armed)
+        try:
+            failed = await self._put_whole(wanted)
+            outcome = failed or await self._walked(walk, action, timeout_s)
+        finally:
+            self._walk = None
+            ending = self._loop.create_task(self._end(path, record, walk, change, outcome))
+            self._endings.add(ending)
+            ending.add_done_callback(self._ended)
+            outcome = await asyncio.shield(ending)
+        return FenceOutcome(outcome, record=record)
+
+    # -- the walk
+
+    async def _walked(self, walk: _Walk, action: str, timeout_s: float) -> Outcome:
+        self._tell(f"fence test: carry it out of {self._vehicle.name}'s fence now", {"state": "walk"})
+        vehicle, next_ask = self._vehicle, self._loop.time()
+        walk.began = self._loop.time()
+        while True:
+            now = self._loop.time()
+            if self._tells_status and now >= next_ask:
+                next_ask = now + ASK_S
+                await self._ask("FENCE_STATUS")
+            self._look(walk, action, now)
+            if walk.breached_at is not None and (walk.reacted or now - walk.breached_at >= AFTER_S):
+                return self._judged(walk, action)
+            if not vehicle.connected:
+                return Outcome(False, "lost", "it was lost during the test", elapsed_s=now - walk.began)
+            if walk.breached_at is None and now - walk.began >= timeout_s:
+                text = f"timeout: no breach told in {timeout_s:g} s; it came {walk.farthest_m:.1f} m from its home"
+                return Outcome(False, "timeout", text, elapsed_s=now - walk.began)
+            await asyncio.sleep(LOOK_S)
+
+    def _look(self, walk: _Walk, action: str, now: float) -> None:
+        vehicle = self._vehicle
+        away_m = fence_params.from_home_m(vehicle)
+        if away_m is not None:
+            walk.farthest_m = max(walk.farthest_m, away_m)
+        if fence_params.breach(vehicle, fresh_after=walk.began):
+            walk.sign("its telemetry tells of the breach", now)
+        walk.was_armed = walk.was_armed or vehicle.armed
+        if vehicle.mode != walk.mode and vehicle.mode in fence_params.REACTIONS.get(action, ()) and vehicle.armed:
+            walk.sign(f"it went from {walk.mode} to {vehicle.mode}", now)
+            walk.reacted = True
+        if walk.armed and not vehicle.armed and walk.breached_at is not None:
+            walk.sign("it disarmed", now)
+            walk.reacted = True
+        walk.armed = vehicle.armed
+        if walk.breached_at is not None and walk.breached_m is None and away_m is not None:
+            walk.breached_m = away_m
+
+    def _judged(self, walk: _Walk, action: str) -> Outcome:
+        assert walk.breached_at is not None
+        where = "" if walk.breached_m is None else f" {walk.breached_m:.1f} m from home"
+        text = f"breached{where} after {walk.breached_at - walk.began:.0f} s: {'; '.join(walk.signs)}"
+        elapsed_s = self._loop.time() - walk.began
+        if walk.reacted or action in ("none", "warn"):
+            return Outcome(True, "accepted", text, elapsed_s=elapsed_s)
+        if walk.was_armed:
+            message = f"{text}; but it was armed and did not {action} within {AFTER_S:g} s"
+            return Outcome(False, "failed", message, elapsed_s=elapsed_s)
+        message = f"{text}; it was not armed, so that what it does then was not tested"
+        return Outcome(True, "accepted", message, elapsed_s=elapsed_s)
+
+    async def _end(self, path: Path, record: dict[str, Any], walk: _Walk, change: Change, outcome: Outcome) -> Outcome:
+        """Put back what it held, write the record, tell."""
+        failed = await self._put_back(change.before)
+        message = outcome.message
+        if failed is None:
+            message += "; the fence is as before"
+            try:
+                self._journal.undone(change)
+            except OSError as error:
+                message += f" (its note {change.id} in {self._journal.folder} cannot be removed: {error.strerror})"
+        else:
+            self._journal.left_over(change)
+            message += f"; THE FENCE IS NOT AS BEFORE ({failed.message}): skygcs-cli undo run {change.id} puts it back"
+        ok = outcome.ok and failed is None
+        ended = Outcome(
+            ok, outcome.result if ok or not outcome.ok else "failed", message, elapsed_s=self._loop.time() - walk.began
+        )
+        record |= {
+            "ended": _clock(),
+            "state": "done",
+            "ok": ok,
+            "message": message,
+            "breached": walk.breached_at is not None,
+            "after_s": None if walk.breached_at is None else round(walk.breached_at - walk.began, 1),
+            "breached_at_m": _rounded(walk.breached_m),
+            "farthest_m": _rounded(walk.farthest_m),
+            "armed": walk.was_armed,
+            "reacted": walk.reacted,
+            "signs": walk.signs,
+            "restored": failed is None,
+            "file": str(path),
+        }
+        try:
+            self._write(path, record)
+        except OSError as error:
+            record["file"] = None
+            self._tell(f"fence test: {path} cannot be written: {error.strerror or error}", {})
+        self._tell(f"fence test: {message}", {"state": "done", "ok": ok, "file": record["file"]})
+        self._ended_with = ended
+        return ended
+
+    def _ended(self, ending: asyncio.Task[Outcome]) -> None:
+        self._endings.discard(ending)
+        self._testing = False
+
+    # -- parameters and messages
+
+    async def _held(self) -> dict[str, float] | Outcome:
+        """What it holds of its fence's parameters; the outcome to tell where that cannot be read."""
+        try:
+            require_connected(self._vehicle, self._loop.time())
+            names = fence_params.names_of(self._vehicle)
+        except RefusedError as error:
+            return _refused(error)
+        held: dict[str, float] = {}
+        for name in names:
+            told = await self._params.get(name)
+            if told.param is None:
+                result = told.result if told.result in ("timeout", "lost", "cancelled", "refused") else "failed"
+                return Outcome(False, result, f"{name} cannot be read: {told.message}")
+            held[name] = float(told.param.value)
+        return held
+
+    async def _put(self, values: Mapping[str, float]) -> Outcome | None:
+        """Set these in order; the outcome to tell if not all of them were taken."""
+        told = await self._params.set(values)
+        wrong = [outcome for outcome in told.values() if not outcome.ok]
+        if not wrong:
+            return None
+        return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
+
+    async def _put_back(self, values: Mapping[str, float]) -> Outcome | None:
+        """What switches the fence first, then all others at the same time: a daemon that ends has little of it."""
+        first = {name: value for name, value in list(values.items())[:1] if name == "FENCE_ENABLE"}
+        failed = await self._put(first) if first else None
+        rest = [self._put({name: value}) for name, value in values.items() if name not in first]
+        outcomes = [failed, *await asyncio.gather(*rest)]
+        wrong = "; ".join(outcome.message for outcome in outcomes if outcome is not None)
+        return Outcome(False, "failed", wrong) if wrong else None
+
+    async def _put_whole(self, values: Mapping[str, float]) -> Outcome | None:
+        """As `_put`; when cancelled it lets the parameter under way be finished first: an answer to it that comes later
+        could be taken for one to the undo, which would have to wait for that."""
+        for name, value in values.items():
+            setting = self._loop.create_task(self._put({name: value}), name=f"{self._vehicle.name} {name}")
+            try:
+                failed = await asyncio.shield(setting)
+            except asyncio.CancelledError:
+                await asyncio.wait({setting}, timeout=FINISH_S)
+                setting.cancel()
+                raise
+            if failed is not None:
+                return failed
+        return None
+
+    @property
+    def _tells_status(self) -> bool:
+        return self._vehicle.family == "ardupilot" and "FENCE_STATUS" in self._dialect.by_name
+
+    def _fence_status(self) -> Mapping[str, Any] | None:
+        slot = self._vehicle.slot("FENCE_STATUS")
+        return None if slot is None or slot.frame is None else slot.frame.fields()
+
+    def _write(self, path: Path | None, record: Mapping[str, Any]) -> Path:
+        """Raises OSError."""
+        if path is None:
+            self._log_dir.mkdir(parents=True, exist_ok=True)
+            name = "".join(c if c.isalnum() else "_" for c in self._vehicle.name)
+            path = self._log_dir / f"fence-test-{name}-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}.json"
+        path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+        return path
+
+    def _tell(self, text: str, data: dict[str, Any]) -> None:
+        self._on_event(Event("fence", self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+_UNDER_TEST = Outcome(False, "refused", "refused: its fence is being tested; wait for the end, or cancel the test")
+
+
+def _refused(error: RefusedError) -> Outcome:
+    return Outcome(False, "refused", f"refused: {error}")
+
+
+def _clock() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)

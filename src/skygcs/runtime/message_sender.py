@@ -1,0 +1,179 @@
+"""Any message of the dialect, sent by a person or a program: to whom, over what, and what to say of it.
+
+It goes out behind orders (priority EXCHANGE), so that a stream of such messages holds up none of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from skygcs.core.mavlink.dialect import ABSENT, MessageInfo
+from skygcs.core.mavlink.signing import SETUP_SIGNING
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.unguarded import message_way
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.linktable import LinkTable
+
+SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT"})
+
+
+def target_fields(info: MessageInfo) -> tuple[str | None, str | None]:
+    """Names of the fields that say which system and component a message is for ("target" in MANUAL_CONTROL)."""
+    at = {f.offset: f.name for f in info.fields}
+    system, component = info.target_system_offset, info.target_component_offset
+    return (None if system == ABSENT else at[system]), (None if component == ABSENT else at[component])
+
+
+class Postman:
+    """`send` for the RPC's messages.send."""
+
+    def __init__(self, hub: Hub, fleet: Fleet, links: LinkTable, now: Callable[[], float]) -> None:
+        self._hub = hub
+        self._fleet = fleet
+        self._links = links
+        self._now = now
+
+    def send(
+        self,
+        name: str,
+        fields: Mapping[str, Any],
+        target: str | list[str] | None = None,
+        link: str | None = None,
+        *,
+        force: bool = False,
+    ) -> dict[str, Any]:
+        """Send it to the vehicles of ``target``, with their ids filled in; or to all on ``link``; or where its own
+        target field says (0: everyone). One without a target field and given none goes to every link with vehicles.
+
+        What would pass the checks of an order (`core.vehicle.unguarded`) is refused unless ``force``.
+
+        The answer's "sent" counts transmissions; "note" says who else hears what was meant for some. Raises KeyError
+        (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
+        """
+        info = self._hub.dialect.find(name)
+        if info.msgid == SETUP_SIGNING:
+            raise RefusedError("a signing key is not sent as a message: use signing.setup (skygcs-cli signing setup)")
+        system, _ = target_fields(info)
+        if target is not None and link is not None:
+            raise RefusedError("give either a target or a link, not both")
+        if info.name in SETPOINTS:
+            self._refuse_flown(info, fields, target)
+        if link is not None:
+            self._links.require(link)
+            if self._links.configs[link].vehicles:
+                raise RefusedError(f"link {link} is bound to vehicles: who is behind it is sent nothing of ours")
+        if target is None and link is None and system is not None and system not in fields:
+            raise RefusedError(
+                f"{info.name} is for somebody: give a target (a vehicle, a group, all), a link, or its field {system} "
+                "(0: everyone)"
+            )
+        if not force:
+            self._require_guarded(info, fields, target, link)
+        if link is not None:
+            return self._answer(info, int(self._on(self._hub.channels_of_link(link), info, fields)))
+        if target is not None:
+            return self._to_vehicles(info, fields, target)
+        return self._to_field(info, fields)
+
+    def _refuse_flown(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None) -> None:
+        """Two streams of setpoints to one vehicle would tear it to and fro."""
+        system, _ = target_fields(info)
+        sysid = int(fields.get(system or "", 0) or 0)
+        meant = None if target is None else {actor.sysid for actor in self._fleet.resolve_any(target)}
+        for actor in self._fleet.flown():
+            if actor.sysid in meant if meant is not None else sysid in (0, actor.sysid):
+                raise RefusedError(
+                    f"{actor.name} is flown by setpoints of skygcs: end that first (control set {actor.name} off)"
+                )
+
+    def _require_guarded(
+        self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
+    ) -> None:
+        """Raises RefusedError for what would fly a vehicle, or stop its motors, past the checks of an order."""
+        way = message_way(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
+        if way is None:
+            return
+        refusal = way.refusal(self._reached(info, fields, target, link), self._now())
+        if refusal is not None:
+            raise RefusedError(refusal)
+
+    def _reached(
+        self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
+    ) -> list[Vehicle]:
+        """The vehicles that will take a message for their own."""
+        system, _ = target_fields(info)
+        live = {key: actor for key, actor in self._fleet.vehicles.items() if not actor.vehicle.replayed}
+        channels: set[int] | None = None if link is None else set(self._hub.channels_of_link(link))
+        if target is not None:
+            meant = self._fleet.resolve_any(target)
+            if system is not None:  # an autopilot may take what is for a component that it does not know
+                sysids = sorted({actor.sysid for actor in meant})
+                return [vehicle for sysid in sysids for vehicle in self._fleet.vehicles_of(sysid)]
+            channels = {way for actor in meant for way in self._hub.ways(actor.sysid, actor.compid)}
+        sysid = 0 if system is None else int(fields.get(system, 0) or 0)
+        if sysid:
+            return [actor.vehicle for actor in live.values() if actor.sysid == sysid]
+        heard_on = self._hub.router.channels_of
+        return [
+            actor.vehicle for key, actor in live.items() if channels is None or channels.intersection(heard_on(key))
+        ]
+
+    def _to_field(self, info: MessageInfo, fields: Mapping[str, Any]) -> dict[str, Any]:
+        """Where the message's own target fields say; to all without such fields."""
+        system, component = target_fields(info)
+        sysid = int(fields.get(system, 0) or 0) if system is not None else 0
+        compid = int(fields.get(component, 0) or 0) if component is not None else 0
+        sent = self._on(self._hub.ways(sysid, compid), info, fields)
+        if not sent:
+            raise RefusedError(f"{info.name} was not sent: {self._why_not(sysid)}")
+        return self._answer(info, int(sent))
+
+    def _to_vehicles(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str]) -> dict[str, Any]:
+        meant = [(actor.sysid, actor.compid) for actor in self._fleet.resolve_any(target)]
+        system, component = target_fields(info)
+        sent = 0
+        if system is None:
+            ways = dict.fromkeys(way for sysid, compid in meant for way in self._hub.ways(sysid, compid))
+            sent = sum(self._on((way,), info, fields) for way in ways)
+            note = self._overheard(info, meant, set(ways))
+        else:
+            note = None
+            given = int(fields.get(system, 0) or 0)
+            if given and any(given != sysid for sysid, _ in meant):
+                raise RefusedError(f"{system}={given} says another target than {target}; leave one of them out")
+            for sysid, compid in meant:
+                addressed = {**fields, system: sysid}
+                if component is not None:
+                    addressed.setdefault(component, compid)
+                sent += self._on(self._hub.ways(sysid, compid), info, addressed)
+        if not sent:
+            raise RefusedError(f"{info.name} was not sent: {self._why_not(*(sysid for sysid, _ in meant))}")
+        return self._answer(info, sent, note)
+
+    def _on(self, ways: tuple[int, ...], info: MessageInfo, fields: Mapping[str, Any]) -> bool:
+        return self._hub.send_on(ways, info, fields, Priority.EXCHANGE)
+
+    def _overheard(self, info: MessageInfo, meant: list[tuple[int, int]], ways: set[int]) -> str | None:
+        """Who else is behind the same channels as those who are meant."""
+        others = [
+            actor.name
+            for key, actor in sorted(self._fleet.vehicles.items())
+            if (actor.sysid, actor.compid) not in meant and ways.intersection(self._hub.router.channels_of(key))
+        ]
+        if not others:
+            return None
+        shown = ", ".join(others[:10]) + (f" and {len(others) - 10} more" if len(others) > 10 else "")
+        return f"{info.name} has no target field: on the same link {shown} got it as well"
+
+    def _why_not(self, *sysids: int) -> str:
+        if sysids and all(any(key >> 8 == sysid for key in self._hub.replayed) for sysid in sysids):
+            return "its target is heard in a recording only"
+        return "no link on which its target was heard"
+
+    @staticmethod
+    def _answer(info: MessageInfo, sent: int, note: str | None = None) -> dict[str, Any]:
+        return {"sent": sent, "message": info.name} | ({"note": note} if note is not None else {})

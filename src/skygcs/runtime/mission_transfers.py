@@ -1,0 +1,380 @@
+"""Missions, fences and rally points of one vehicle in transfer: the asyncio side of the mission exchanges.
+
+One exchange at a time: an autopilot has one place for a transfer, whatever its type. The next one waits for its turn.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable, Collection
+from dataclasses import replace
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mission.firmware_items import Change, grouped
+from skygcs.core.mission.item import MissionItem, MissionType
+from skygcs.core.mission.plan import MissionPlan
+from skygcs.core.mission.px4_events import EVENT, rejection
+from skygcs.core.protocols.base import Effect, Report, Send
+from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S, Outcome
+from skygcs.core.protocols.mission import ANSWERS, MissionClear, MissionExchange, MissionOutcome
+from skygcs.core.protocols.mission_download import MissionDownload
+from skygcs.core.protocols.mission_upload import LINGER_S, MissionUpload
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.mission_orders import (
+    converted,
+    keeps_home,
+    keeps_old,
+    number_of,
+    on_wire,
+    require_clearable,
+    require_uploadable,
+    with_downloaded,
+)
+from skygcs.core.vehicle.orders import require_connected
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError
+from skygcs.events import Event
+from skygcs.runtime.command_client import Commander
+from skygcs.runtime.deadline_timer import Alarm
+from skygcs.runtime.plan_runner import two_of_one_id
+
+NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_REQUEST_LIST", "MISSION_CLEAR_ALL",
+          "MISSION_ACK")  # fmt: skip
+"""Messages without which a dialect cannot carry a mission."""
+
+MISSION_CURRENT, MISSION_ITEM_REACHED = 42, 46
+EVENT_ID = 410
+MESSAGES = frozenset({40, MISSION_CURRENT, 44, MISSION_ITEM_REACHED, 47, 51, 73, EVENT_ID})
+"""Ids of what `on_frame` wants to see."""
+
+REPORT_STEP = 10
+"""Percent between two reports of progress: a report per item would be two hundred events."""
+
+MAX_WAITING = 4
+
+MAX_CHANGES = 5
+"""Kinds of changes to a mission that are named in the outcome of its upload."""
+
+STATES = {1: "no mission", 2: "not started", 3: "active", 4: "paused", 5: "complete"}
+"""MISSION_STATE."""
+
+
+class Missions:
+    """One per vehicle. ``on_progress(what, percent)`` is told of transfers, ``on_event`` of the mission that flies."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        commander: Commander,
+        dialect: Dialect,
+        loop: asyncio.AbstractEventLoop,
+        on_progress: Callable[[str, int | None], None],
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self.opaque_ids: dict[MissionType, int] = {}
+        """The vehicle's own numbers for its lists, as last heard."""
+        self.counts: dict[MissionType, int] = {}
+        """Items of each list as last sent or read, without home."""
+        self.last: dict[MissionType, MissionOutcome] = {}
+        """How the last transfer of each list ended."""
+        self._vehicle = vehicle
+        self._commander = commander
+        self._dialect = dialect
+        self._loop = loop
+        self._on_progress = on_progress
+        self._on_event = on_event
+        self._lock = asyncio.Lock()
+        self._waiting = 0
+        self._running: tuple[MissionExchange, asyncio.Future[None], str] | None = None
+        self._told_percent = 0
+        self._percent: int | None = None
+        self._done_upload: tuple[MissionUpload, float] | None = None
+        self._rejections: deque[str] = deque(maxlen=MAX_TEXTS)
+        """Why a PX4 rejects its mission, since the last upload began."""
+        self._alarm = Alarm(loop, self._on_timer)
+        self._current = b""
+        self._seq: int | None = None
+        self._state = 0
+        self._reached: int | None = None
+
+    async def upload(self, kind: MissionType, items: tuple[MissionItem, ...]) -> MissionOutcome:
+        """``items`` as on the wire (`mission_orders.on_wire`); none of them clears the list."""
+        if not items:
+            return await self.clear(kind)
+        home_first = kind is MissionType.MISSION and keeps_home(self._vehicle)
+        exchange = MissionUpload(
+            kind,
+            items,
+            keeps_old=keeps_old(self._vehicle, kind),
+            first_number=0 if home_first else 1,
+            home_first=home_first,
+        )
+        self._rejections.clear()
+        outcome = await self._run(exchange, f"{kind.word} upload")
+        if outcome.ok:
+            self._done_upload = (exchange, self._loop.time())
+            self._keep(outcome, len(items) - home_first)
+            if kind is MissionType.MISSION and self._vehicle.family == "px4":
+                outcome = await self._feasible(outcome)
+        return outcome
+
+    async def _feasible(self, outcome: MissionOutcome) -> MissionOutcome:
+        """A PX4 takes a mission and then looks whether it can be flown; only an event or a text says that it cannot."""
+        await asyncio.sleep(SETTLE_S)
+        if not self._rejections:
+            return outcome
+        reasons = tuple(dict.fromkeys(self._rejections))
+        message = f"{outcome.message}, and it will not fly them: {'; '.join(reasons)}"
+        return replace(outcome, ok=False, result="denied", message=message)
+
+    async def download(self, kind: MissionType) -> MissionOutcome:
+        """Its ``items`` are as on the wire."""
+        outcome = await self._run(MissionDownload(kind), f"{kind.word} download")
+        if outcome.items is not None:
+            home = kind is MissionType.MISSION and keeps_home(self._vehicle) and bool(outcome.items)
+            self._keep(outcome, len(outcome.items) - home)
+        return outcome
+
+    async def clear(self, kind: MissionType) -> MissionOutcome:
+        outcome = await self._run(MissionClear(kind), f"{kind.word} clear")
+        if outcome.ok:
+            self._done_upload = None
+            self._keep(outcome, 0)
+        return outcome
+
+    async def bring(self, plan: MissionPlan, kinds: Collection[MissionType], *, limit_m: float, force: bool) -> Outcome:
+        """Check these lists of a plan and upload them, fence first; stops at the first that is not taken."""
+        kinds = _ordered(kinds)
+        try:
+            require_uploadable(
+                self._vehicle, self._loop.time(), plan, kinds, self._dialect, limit_m=limit_m, force=force
+            )
+        except RefusedError as error:
+            return Outcome(False, "refused", f"refused: {error}")
+        outcome = await self._each(
+            kinds, lambda kind: self.upload(kind, on_wire(self._vehicle, plan, kind, self._dialect))
+        )
+        changes = converted(self._vehicle, plan, self._dialect).changes if MissionType.MISSION in kinds else ()
+        return replace(outcome, message="; ".join((outcome.message, *_told(changes)))) if changes else outcome
+
+    async def drop(self, kinds: Collection[MissionType], *, force: bool) -> Outcome:
+        """Clear these lists."""
+        kinds = _ordered(kinds)
+        try:
+            require_clearable(self._vehicle, self._loop.time(), kinds, force=force)
+        except RefusedError as error:
+            return Outcome(False, "refused", f"refused: {error}")
+        return await self._each(kinds, self.clear)
+
+    async def fetch(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
+        """Download these lists; the plan holds those that came, and an ArduPilot's home."""
+        plan = MissionPlan()
+        vehicle = self._vehicle
+
+        async def one(kind: MissionType) -> MissionOutcome:
+            nonlocal plan
+            outcome = await self.download(kind)
+            if outcome.items is None:
+                return outcome
+            try:
+                plan = with_downloaded(vehicle, plan, kind, outcome.items)
+            except ValueError as error:
+                return replace(outcome, ok=False, result="failed", message=f"not a {kind.word}: {error}")
+            return outcome
+
+        try:
+            require_connected(vehicle, self._loop.time())
+        except RefusedError as error:
+            return Outcome(False, "refused", f"refused: {error}"), plan
+        return await self._each(_ordered(kinds), one), plan
+
+    async def _each(
+        self, kinds: tuple[MissionType, ...], transfer: Callable[[MissionType], Awaitable[MissionOutcome]]
+    ) -> Outcome:
+        """One transfer after the other, as one outcome that says how far it came."""
+        if self._vehicle.duplicate:
+            return two_of_one_id(self._vehicle)
+        told: list[str] = []
+        sent, began = 0, self._loop.time()
+        for done, kind in enumerate(kinds):
+            outcome = await transfer(kind)
+            sent += outcome.sent
+            told.append(outcome.message if kind.word in outcome.message else f"{kind.word}: {outcome.message}")
+            elapsed_s = self._loop.time() - began
+            if outcome.result == "timeout":
+                told[-1] += self._commander.why_silent()
+            if not outcome.ok:
+                if rest := kinds[done + 1 :]:
+                    told.append(f"{' and '.join(k.word for k in rest)} not begun")
+                return Outcome(False, outcome.result, "; ".join(told), sent, elapsed_s, outcome.status_texts)
+        return Outcome(True, "accepted", "; ".join(told), sent, self._loop.time() - began)
+
+    def status(self) -> dict[str, Any]:
+        """What the vehicle tells of its mission, and the transfer that is under way."""
+        transfer = None
+        if self._running is not None:
+            exchange, _, what = self._running
+            transfer = {"what": what, "percent": self._percent, "sent": exchange.sent}
+        return {
+            "item": None if self._seq is None else number_of(self._vehicle, self._seq),
+            "reached": None if self._reached is None else number_of(self._vehicle, self._reached),
+            "state": STATES.get(self._state),
+            "counts": {kind.word: self.counts.get(kind) for kind in MissionType},
+            "opaque_ids": {kind.word: self.opaque_ids.get(kind) for kind in MissionType},
+            "transfer": transfer,
+            "last": {kind.word: self.last[kind].as_dict() if kind in self.last else None for kind in MissionType},
+        }
+
+    def on_frame(self, frame: Frame, now: float) -> None:
+        """One of MESSAGES, of this vehicle, whomever it is for."""
+        if frame.msgid == MISSION_CURRENT:
+            self._on_current(frame)
+        elif frame.msgid == MISSION_ITEM_REACHED:
+            self._on_reached(frame.fields()["seq"])
+        elif frame.name == EVENT:
+            if (reason := rejection(frame.fields()["id"])) is not None:
+                self._rejections.append(reason)
+        elif frame.name in ANSWERS:
+            self._on_answer(frame, now)
+
+    def on_text(self, text: str) -> None:
+        """A status text of this vehicle: it may say why something is refused."""
+        if "mission rejected" in text.lower():
+            self._rejections.append(text)
+        if self._running is not None:
+            self._running[0].on_text(text)
+
+    def stop(self, result: str, message: str) -> None:
+        """The vehicle is lost or rebooted."""
+        self._done_upload = None
+        if self._running is not None:
+            self._apply(self._running[0].stop(self._loop.time(), result, message))
+
+    def close(self) -> None:
+        """The daemon ends."""
+        self.stop("cancelled", "skygcs is shutting down")
+        self._alarm.set(None)
+
+    async def _run(self, exchange: MissionExchange, what: str) -> MissionOutcome:
+        missing = [name for name in NEEDED if name not in self._dialect.by_name]
+        if missing:
+            text = f"dialect {self._dialect.name} has no {missing[0]}"
+            return MissionOutcome(False, "refused", text, exchange.kind, "unchanged")
+        if self._waiting >= MAX_WAITING:
+            text = f"{self._waiting} transfers are waiting already"
+            return MissionOutcome(False, "refused", text, exchange.kind, "unchanged")
+        self._waiting += 1
+        try:
+            await self._lock.acquire()
+        finally:
+            self._waiting -= 1
+        try:
+            return await self._exchange(exchange, what)
+        finally:
+            self._lock.release()
+
+    async def _exchange(self, exchange: MissionExchange, what: str) -> MissionOutcome:
+        over: asyncio.Future[None] = self._loop.create_future()
+        self._running = (exchange, over, what)
+        self._done_upload = None
+        self._told_percent, self._percent = 0, None
+        try:
+            self._apply(exchange.start(self._loop.time()))
+            await over
+        except asyncio.CancelledError:
+            self._apply(exchange.stop(self._loop.time(), "cancelled", "cancelled"))
+            if exchange.outcome is not None:
+                self._tell("warning", f"{what}: {exchange.outcome.message}", exchange.outcome.as_dict())
+            raise
+        finally:
+            self._running = None
+            self._alarm.set(None)
+            if exchange.outcome is not None:
+                self.last[exchange.kind] = replace(exchange.outcome, items=None)
+        assert exchange.outcome is not None
+        return exchange.outcome
+
+    def _apply(self, effects: tuple[Effect, ...]) -> None:
+        for effect in effects:
+            if isinstance(effect, Send):
+                self._commander.transmit(effect.message, effect.values, Priority.EXCHANGE)
+            elif isinstance(effect, Report):
+                self._report(effect.percent)
+        if self._running is None:
+            return
+        exchange, over, _ = self._running
+        if exchange.done and not over.done():
+            over.set_result(None)
+        self._alarm.set(exchange.deadline)
+
+    def _report(self, percent: int | None) -> None:
+        self._percent = percent
+        if self._running is None or percent is None or percent < self._told_percent + REPORT_STEP:
+            return
+        self._told_percent = percent - percent % REPORT_STEP
+        self._on_progress(self._running[2], self._told_percent)
+
+    def _on_timer(self) -> None:
+        if self._running is not None:
+            self._apply(self._running[0].on_timer(self._loop.time()))
+
+    def _on_answer(self, frame: Frame, now: float) -> None:
+        fields = frame.fields()
+        exchange = None if self._running is None else self._running[0]
+        if exchange is None and self._done_upload is not None:
+            exchange, done_at = self._done_upload
+            if now - done_at > LINGER_S:
+                self._done_upload = exchange = None
+        if exchange is None or fields.get("mission_type", 0) != exchange.kind or not self._for_us(fields):
+            return
+        self._apply(exchange.on_message(frame.name, fields, frame.payload, now))
+
+    def _for_us(self, fields: dict[str, Any]) -> bool:
+        sysid, compid = self._commander.own
+        return fields["target_system"] in (0, sysid) and fields["target_component"] in (0, compid)
+
+    def _on_current(self, frame: Frame) -> None:
+        if frame.payload == self._current:
+            return
+        self._current = frame.payload
+        fields = frame.fields()
+        seq, state = fields["seq"], fields.get("mission_state", 0)
+        if self._seq is not None and seq != self._seq:
+            number = number_of(self._vehicle, seq)
+            self._tell("mission", f"goes on with item {number}", {"item": number})
+        if state != self._state and self._state and state in STATES:
+            self._tell("mission", f"the mission is {STATES[state]}", {"state": STATES[state]})
+        self._seq, self._state = seq, state
+
+    def _on_reached(self, seq: int) -> None:
+        if seq == self._reached:
+            return
+        self._reached = seq
+        number = number_of(self._vehicle, seq)
+        count = self.counts.get(MissionType.MISSION)
+        of = f" of {count}" if count else ""
+        self._tell("mission", f"reached item {number}{of}", {"reached": number, "count": count})
+
+    def _keep(self, outcome: MissionOutcome, count: int) -> None:
+        self.counts[outcome.kind] = count
+        if outcome.opaque_id is None:
+            self.opaque_ids.pop(outcome.kind, None)
+        else:
+            self.opaque_ids[outcome.kind] = outcome.opaque_id
+
+    def _tell(self, kind: str, text: str, data: dict[str, Any]) -> None:
+        self._on_event(Event(kind, self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+def _told(changes: tuple[Change, ...]) -> list[str]:
+    lines = grouped(changes)
+    more = [f"and {len(lines) - MAX_CHANGES} more kinds of changes: skygcs-cli mission check lists them"]
+    return [f"mission {line}" for line in lines[:MAX_CHANGES]] + (more if len(lines) > MAX_CHANGES else [])
+
+
+def _ordered(kinds: Collection[MissionType]) -> tuple[MissionType, ...]:
+    """Fence, rally points, mission: what protects comes first."""
+    return tuple(kind for kind in (MissionType.FENCE, MissionType.RALLY, MissionType.MISSION) if kind in kinds)

@@ -1,0 +1,64 @@
+"""Watches that somebody watches: when no ground station and no client has shown life for so long, the vehicles that are
+flown by setpoints are told to hold, land or return (`core.control.deadman`)."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from skygcs.core.control.deadman import DeadMan, Fired
+from skygcs.core.mavlink.frame import Frame
+from skygcs.events import Event
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.task_set import Errands
+
+GCS_TYPE = 6
+"""MAV_TYPE_GCS in a HEARTBEAT."""
+
+
+class Watchman:
+    """`on_client` with every request of an RPC client, `on_heartbeat` with every heartbeat, `tick` now and then."""
+
+    def __init__(
+        self, dead_man: DeadMan, fleet: Fleet, loop: asyncio.AbstractEventLoop, on_event: Callable[[Event], None]
+    ) -> None:
+        self._dead_man = dead_man
+        self._fleet = fleet
+        self._loop = loop
+        self._on_event = on_event
+        self._flown: frozenset[str] = frozenset()
+        self._errands = Errands(loop, on_event)
+
+    @property
+    def watching(self) -> bool:
+        return self._dead_man.timeout_s is not None
+
+    def on_client(self) -> None:
+        self._dead_man.alive("a client of the socket", self._loop.time())
+
+    def on_heartbeat(self, frame: Frame, now: float) -> None:
+        """Any HEARTBEAT; only a ground station's counts."""
+        if frame.fields().get("type") == GCS_TYPE:
+            self._dead_man.alive(f"ground station {frame.sysid}/{frame.compid}", now)
+
+    def tick(self, now: float) -> None:
+        """Begin to count when control begins, and act when the silence has become too long."""
+        if not self.watching:
+            return
+        flown = frozenset(actor.name for actor in self._fleet.flown())
+        if flown - self._flown:
+            self._dead_man.begin(now)
+        self._flown = flown
+        if flown and (fired := self._dead_man.check(now)) is not None:
+            self._act(fired, sorted(flown))
+
+    def close(self) -> None:
+        self._errands.close()
+
+    def _act(self, fired: Fired, names: list[str]) -> None:
+        data = {"action": fired.action, "vehicles": names}
+        self._on_event(Event("warning", None, None, f"{fired.reason}: {fired.action} for {', '.join(names)}", data))
+        self._errands.start(self._order(fired, names), f"dead-man {fired.action}")
+
+    async def _order(self, fired: Fired, names: list[str]) -> None:
+        await self._fleet.command_all(names, fired.action)  # what became of it is told per vehicle, as of any order

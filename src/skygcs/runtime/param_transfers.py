@@ -1,0 +1,541 @@
+"""Parameters of one vehicle: the asyncio side of `ParamExchange`, `ParamList` and `FileDownload`, with one timer.
+
+The actor owns one and hands it what the vehicle says (`on_frame`, `on_text`, `stop_all`). Nothing here asks by itself:
+a parameter goes over the link when somebody wants it, and a list only if it is not known already.
+
+What is known of a list stays good as long as the vehicle vouches for it: PX4 by a hash over all values; ArduPilot,
+which has none, by its firmware and the number of parameters, which tells nothing of values. Changes others make are
+heard here like our own, as the vehicle tells everybody.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections import defaultdict
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.ftp_payload import MSGID as FILE_TRANSFER
+from skygcs.core.mavlink.ftp_payload import decode
+from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
+from skygcs.core.params.names import other_name
+from skygcs.core.protocols.base import Effect, Exchange, Report, Send
+from skygcs.core.protocols.command import MAX_TEXTS
+from skygcs.core.protocols.file_download import FileDownload, FileOutcome
+from skygcs.core.protocols.parameter import ABSENT_PROBES, ParamExchange, ParamOutcome
+from skygcs.core.protocols.parameter_list import BYTES_PER_S, MAX_COUNT, ListProgress, ParamList
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
+from skygcs.runtime import param_file
+from skygcs.runtime.command_client import SendFn
+from skygcs.runtime.deadline_timer import Alarm
+from skygcs.runtime.param_book import ParamBook
+from skygcs.runtime.param_cache import ParamCache
+from skygcs.runtime.task_set import fault
+
+PARAM_VALUE = 22
+NEEDED = ("PARAM_VALUE", "PARAM_SET", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST")
+
+MAX_EXCHANGES = 16
+"""Single parameters asked for at the same time; further ones wait for their turn."""
+
+LOCKS = 64
+"""One exchange of a name at a time; names share locks, so that their number is bounded."""
+
+PROGRESS_EVERY_S = 1.0
+
+SETTLE_S = 0.5
+"""From the last parameter that was set until what was set is read once more: a PX4 puts some of them right itself
+(MPC_XY_CRUISE above MPC_XY_VEL_MAX), within a run of the module that they are of, some ms."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """All parameters of a vehicle, or why not. ``source``: "vehicle", or "cache" if the vehicle vouched for what was
+    known.
+
+    ``vouched``: how sure that is: "read" (and whatever changed since was heard), "hash" (of all values), or "count"
+    (only their number and the firmware are what they were). ``sent``: messages it took.
+    """
+
+    ok: bool
+    result: str
+    message: str
+    source: str
+    vouched: str
+    params: tuple[Param, ...]
+    count: int | None
+    sent: int
+    elapsed_s: float
+
+
+class VehicleParams:
+    """See the head of the file. Outcomes tell how everything ended; nothing raises for what the vehicle does."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        dialect: Dialect,
+        send: SendFn,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+        cache: ParamCache,
+        *,
+        own: tuple[int, int] | None = None,
+        link_bytes_per_s: Callable[[], float] = lambda: math.inf,
+    ) -> None:
+        """``own``: our ids, to which a vehicle addresses its files; None: all are taken. ``link_bytes_per_s``: what the
+        link to it leaves, infinite where none is known to be thin."""
+        self.progress: ListProgress | None = None
+        """Of the list that is being read."""
+        self._vehicle = vehicle
+        self._dialect = dialect
+        self._send = send
+        self._loop = loop
+        self._on_event = on_event
+        self._book = ParamBook(vehicle, dialect, cache)
+        self._able = all(name in dialect.by_name for name in NEEDED)
+        self._read = value_reader(dialect) if self._able else None
+        self._set_info = bits_message(dialect.by_name["PARAM_SET"]) if self._able else None
+        error = dialect.by_name.get("PARAM_ERROR")
+        self._error_id = -1 if error is None else error.msgid
+        self._running: dict[Exchange, asyncio.Future[None]] = {}
+        self._taken: dict[Exchange, int] = {}
+        """Messages of each that a link took."""
+        self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._quiet_until: dict[str, float] = {}
+        self._slots = asyncio.Semaphore(MAX_EXCHANGES)
+        self._hashless = False
+        """Whether it has said, by answering all else, that it has no hash."""
+        self._count: int | None = None
+        self._own = own
+        self._link_bytes_per_s = link_bytes_per_s
+        self._file_session = 0
+        self._file_running = False
+        self._changed: dict[str, Param] = {}
+        """What it has said while a file was read: newer than what is in it."""
+        self._loading: asyncio.Task[Loaded] | None = None
+        self._waiting = 0
+        self._closed = False
+        self._cancelled = 0
+        self._told_at = -math.inf
+        self._alarm = Alarm(loop, self._on_timer)
+        self._probe = 0
+        self._texts: list[str] = []
+        """What a PX4 has said of its limits since the last `set` began: "Cruise speed has been constrained by …"."""
+        self.why_silent: Callable[[], str] = lambda: ""
+        """Why it may not answer, beside the link: see `Commander`."""
+
+    # -- what the vehicle says
+
+    def on_frame(self, frame: Frame, now: float) -> None:
+        """A frame of this vehicle of one of `messages`. Never raises."""
+        if frame.msgid == PARAM_VALUE and self._read is not None:
+            value = self._read(frame.payload, self._book.encoding)
+            if value is None:
+                return
+            self._count = value.count
+            self._book.heard(value.param)
+            if self._file_running and len(self._changed) < MAX_COUNT:
+                self._changed[value.param.name] = value.param
+            for exchange in list(self._running):
+                if isinstance(exchange, ParamExchange | ParamList):
+                    self._apply(exchange, exchange.on_value(value, now))
+        elif frame.msgid == self._error_id and self._running:
+            fields = frame.fields()
+            name, code = str(fields.get("param_id", "")), int(fields.get("error", 0))
+            for exchange in list(self._running):
+                if isinstance(exchange, ParamExchange):
+                    self._apply(exchange, exchange.on_error(name, code, now))
+        elif frame.msgid == FILE_TRANSFER and self._running:
+            self._on_file_reply(frame, now)
+        else:
+            return
+        self._set_alarm()
+
+    def _on_file_reply(self, frame: Frame, now: float) -> None:
+        reply = decode(frame.payload) if self._own is None or frame.target() == self._own else None
+        for exchange in list(self._running):
+            if isinstance(exchange, FileDownload) and reply is not None:
+                self._apply(exchange, exchange.on_reply(reply, now))
+
+    @property
+    def messages(self) -> frozenset[int]:
+        """Ids of the messages that `on_frame` is to be given."""
+        return frozenset({PARAM_VALUE, FILE_TRANSFER, self._error_id})
+
+    def on_text(self, text: str) -> None:
+        if "constrained" in text and text not in self._texts and len(self._texts) < MAX_TEXTS:
+            self._texts.append(text)
+        for exchange in list(self._running):
+            if isinstance(exchange, ParamExchange):
+                self._apply(exchange, exchange.on_text(text, self._loop.time()))
+        self._set_alarm()
+
+    def stop_all(self, result: str, message: str) -> int:
+        """End all that is under way; how many that were. After a reboot nothing that was known is vouched for."""
+        if result == "lost":
+            self._book.doubt()
+            self._hashless = False
+        self._cancelled += 1
+        running = list(self._running)
+        for exchange in running:
+            if isinstance(exchange, ParamExchange | ParamList | FileDownload):
+                self._apply(exchange, exchange.stop(self._loop.time(), result, message))
+        self._set_alarm()
+        return len(running)
+
+    def cancel(self) -> int:
+        """Somebody wants it to stop; how many requests were under way. Safe at any moment."""
+        return self.stop_all("cancelled", "cancelled")
+
+    def stop_list(self) -> None:
+        """Give up the list that is being read, if there is one."""
+        if self._loading is not None:
+            self._loading.cancel()
+
+    def close(self) -> None:
+        """The daemon ends, or the vehicle is forgotten."""
+        self._closed = True
+        self._book.save()
+        self.stop_all("cancelled", "skygcs is shutting down")
+        if self._loading is not None:
+            self._loading.cancel()
+        self._alarm.set(None)
+
+    # -- what people want
+
+    async def get(self, name: str) -> ParamOutcome:
+        """One parameter, from the vehicle; by its other generation's name if it has only that."""
+        return await self._either(name, lambda n: self._one(n))
+
+    async def set(self, values: Mapping[str, Value], *, settle: bool = False) -> dict[str, ParamOutcome]:
+        """Set parameters one after another, each read back; the outcome of every one, also of those left out because it
+        was cancelled. ``settle``: what was changed is read once more at the end, as a vehicle may change it itself."""
+        cancelled = self._cancelled
+        hashed = self._book.complete and self._book.hash is not None
+        vouched = hashed and self._book.vouches(await self._ask_hash())
+        outcomes: dict[str, ParamOutcome] = {}
+        self._texts.clear()
+        try:
+            for done, (name, value) in enumerate(values.items()):
+                if self._cancelled != cancelled:
+                    outcomes[name] = ParamOutcome(False, "cancelled", "cancelled: not sent", name)
+                    continue
+                if done:
+                    self._progress("set", ListProgress(done, len(values), done, 0.0, None), f"setting {name}")
+                outcomes[name] = await self._either(name, lambda n, v=value: self._one(n, v))  # type: ignore[misc]
+            if settle and self._cancelled == cancelled:
+                await self._settle(outcomes)
+        finally:
+            self._tell_set(outcomes, len(values))
+        if hashed:
+            self._book.vouched(await self._ask_hash() if vouched else None)
+        self._book.save()
+        return outcomes
+
+    async def _settle(self, outcomes: dict[str, ParamOutcome]) -> None:
+        """Read what has been changed once more; an outcome says so if the vehicle holds another value now."""
+        changed = [n for n, o in outcomes.items() if o.ok and o.param is not None and o.param != o.before]
+        if not changed:
+            return
+        await asyncio.sleep(SETTLE_S)
+        again = await asyncio.gather(*(self._one(outcomes[name].name) for name in changed))
+        for name, now in zip(changed, again, strict=True):
+            taken = outcomes[name]
+            assert taken.param is not None
+            if now.ok and now.param is not None and now.param.value != taken.param.value:
+                took, held = value_text(taken.param.value), value_text(now.param.value)
+                before = "" if taken.before is None else f" (it was {value_text(taken.before.value)})"
+                why = f": {'; '.join(self._texts)}" if self._texts else ""
+                message = f"it took {took} and then made it {held} itself{before}{why}"
+                outcomes[name] = replace(taken, ok=False, result="changed", message=message, param=now.param)
+
+    async def load(
+        self, *, refresh: bool = False, burst: bool = False, bytes_per_s: float | None = BYTES_PER_S
+    ) -> Loaded:
+        """All parameters. One list at a time: who asks while it is being read waits for the same. It is given up when
+        nobody waits for it any more."""
+        if self._loading is None:
+            work = self._load(refresh=refresh, burst=burst, bytes_per_s=bytes_per_s)
+            self._loading = self._loop.create_task(work, name=f"parameters of {self._vehicle.name}")
+            self._loading.add_done_callback(self._loaded)
+        self._waiting += 1
+        try:
+            return await asyncio.shield(self._loading)
+        finally:
+            self._waiting -= 1
+            if not self._waiting and self._loading is not None:
+                self._loading.cancel()
+                self._loading = None
+
+    async def vouched(self) -> Mapping[str, Param]:
+        """What is known of all parameters, if the vehicle says by its hash that it still holds; else nothing."""
+        book = self._book
+        book.recall()
+        if not book.complete or book.hash is None or self._refusal() is not None:
+            return {}
+        return dict(book.params) if book.vouches(await self._ask_hash()) else {}
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able: what is known, and what is going on."""
+        progress = None if self.progress is None else _progress_data(self.progress)
+        return {
+            "known": len(self._book.params),
+            "complete": self._book.complete,
+            "hash": self._book.hash,
+            "loading": progress,
+            "under_way": len(self._running),
+        }
+
+    # -- how
+
+    def _refusal(self) -> tuple[str, str] | None:
+        """Why nothing is to be asked of it now: the word of the outcome, and the text."""
+        if self._closed:
+            return "cancelled", "cancelled: skygcs is shutting down"
+        if not self._able:
+            return "refused", f"refused: dialect {self._dialect.name} has no parameter messages"
+        if self._vehicle.replayed:
+            return "refused", "refused: it is heard in a recording only"
+        if self._vehicle.duplicate:
+            text = f"two vehicles with system id {self._vehicle.sysid} are on the air; give one of them another"
+            return "refused", f"refused: {text}"
+        return None if self._vehicle.connected else ("lost", "the vehicle is lost: nothing is heard of it")
+
+    async def _either(self, name: str, run: Callable[[str], Coroutine[Any, Any, ParamOutcome]]) -> ParamOutcome:
+        other = other_name(name)
+        if other is None:
+            return await run(name)
+        if self._book.complete and name not in self._book.params and other in self._book.params:
+            return await run(other)
+        outcome = await run(name)
+        if outcome.result != "unknown":
+            return outcome
+        second = await run(other)
+        return second if second.result != "unknown" else outcome
+
+    async def _one(self, name: str, value: Value | None = None) -> ParamOutcome:
+        refusal = self._refusal()
+        if refusal is not None:
+            return ParamOutcome(False, *refusal, name)
+        cancelled = self._cancelled
+        async with self._locks[hash(name) % LOCKS], self._slots:
+            await asyncio.sleep(max(0.0, self._quiet_until.pop(name, 0.0) - self._loop.time()))
+            if self._cancelled != cancelled:
+                return ParamOutcome(False, "cancelled", "cancelled: not sent", name)
+            exchange = ParamExchange(
+                name, self._book.encoding, value, absent_of=self._absent_of(name), probe_index=self._probe
+            )
+            self._probe += ABSENT_PROBES + 1
+            try:
+                unsent = await self._run(exchange)
+            finally:
+                self._keep_quiet(name, exchange.quiet_until)
+        assert exchange.outcome is not None
+        if exchange.outcome.result != "timeout":
+            return exchange.outcome
+        if unsent:
+            return ParamOutcome(False, "lost", "could not be sent: no link leads to it", name)
+        return replace(exchange.outcome, message=exchange.outcome.message + self.why_silent())
+
+    def _absent_of(self, name: str) -> int:
+        """How many parameters its complete list has, if none of them has this name; else 0."""
+        self._book.recall()
+        known = self._book.params
+        return len(known) if self._book.complete and name not in known and name != HASH_NAME else 0
+
+    async def _load(self, *, refresh: bool, burst: bool, bytes_per_s: float | None) -> Loaded:
+        started = self._loop.time()
+        refusal = self._refusal()
+        if refusal is not None:
+            return Loaded(False, *refusal, "vehicle", "read", (), None, 0, 0.0)
+        cancelled = self._cancelled
+        px4 = self._vehicle.family == "px4"
+        before = await self._ask_hash() if px4 else None
+        if not refresh and await self._still_known(before):
+            return self._known_list(started)
+        if self._cancelled != cancelled:
+            return Loaded(False, "cancelled", "cancelled", "vehicle", "read", (), None, 0, self._loop.time() - started)
+        why_not = ""
+        if param_file.offered(self._vehicle, self._dialect, self._book.capabilities):
+            by_file = await self._load_file(burst=burst, bytes_per_s=bytes_per_s)
+            if by_file.ok or by_file.result in ("cancelled", "lost", "refused"):
+                return by_file
+            why_not = f" (not by file: {by_file.message})"
+        exchange = ParamList(burst=burst, bytes_per_s=bytes_per_s, stops_burst=px4)
+        try:
+            await self._run(exchange)
+        finally:
+            self.progress = None
+        outcome = exchange.outcome
+        assert outcome is not None
+        if outcome.ok:
+            # what changed while it was read is good for now, but nobody will vouch for it
+            after = await self._ask_hash() if before is not None else None
+            self._book.remember(outcome.params, after if after == before else None)
+        message = outcome.message + why_not + (self.why_silent() if outcome.result == "timeout" else "")
+        self._tell("list", f"parameters: {message}", {"received": len(outcome.params), "count": outcome.count})
+        return Loaded(
+            outcome.ok,
+            outcome.result,
+            message,
+            "vehicle",
+            "read",
+            outcome.params,
+            outcome.count,
+            outcome.sent,
+            self._loop.time() - started,
+        )
+
+    async def _load_file(self, *, burst: bool, bytes_per_s: float | None) -> Loaded:
+        self._file_session = (self._file_session + 16) & 0xFF  # a download may need some
+        started, link = self._loop.time(), self._link_bytes_per_s()
+        exchange = param_file.download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
+        self._changed.clear()
+        self._file_running = True
+        try:
+            await self._run(exchange)
+        finally:
+            self.progress = None
+            self._file_running = False
+        outcome = exchange.outcome
+        assert outcome is not None
+        return self._loaded_file(outcome, self._loop.time() - started)
+
+    def _loaded_file(self, outcome: FileOutcome, elapsed_s: float) -> Loaded:
+        try:
+            params = param_file.params_of(outcome, self._changed)
+        except ValueError as error:
+            result = "incomplete" if outcome.ok else outcome.result
+            return Loaded(False, result, str(error), "vehicle", "read", (), None, outcome.sent, elapsed_s)
+        self._book.remember(params, None)
+        text, count = f"{len(params)} parameters, by file", len(params)
+        self._tell("list", f"parameters: {text}", {"received": count, "count": count})
+        return Loaded(True, "accepted", text, "vehicle", "read", params, count, outcome.sent, elapsed_s)
+
+    async def _still_known(self, hash_now: int | None) -> bool:
+        """Whether what was read before, now or in an earlier run, is what the vehicle holds, as far as it can tell."""
+        book = self._book
+        book.recall()
+        if not book.complete or self._vehicle.family == "px4":
+            return book.vouches(hash_now)
+        outcome = await self._one(next(iter(book.params)))
+        return outcome.ok and self._count == len(book.params)
+
+    def _known_list(self, started: float) -> Loaded:
+        params = tuple(self._book.params.values())
+        text = f"{len(params)} parameters, as known"
+        vouched = "hash" if self._book.hash is not None else "count" if self._book.recalled else "read"
+        return Loaded(True, "accepted", text, "cache", vouched, params, len(params), 1, self._loop.time() - started)
+
+    async def _ask_hash(self) -> int | None:
+        if self._hashless:
+            return None
+        outcome = await self._one(HASH_NAME)
+        self._hashless = outcome.result == "unknown"
+        return int(outcome.param.value) if outcome.ok and outcome.param is not None else None
+
+    def _keep_quiet(self, name: str, until: float) -> None:
+        """No further exchange of this name before: answers to the last one may still come."""
+        now = self._loop.time()
+        for past in [n for n, t in self._quiet_until.items() if t <= now]:
+            del self._quiet_until[past]
+        if until > now:
+            self._quiet_until[name] = until
+
+    async def _run(self, exchange: ParamExchange | ParamList | FileDownload) -> bool:
+        """Until it is done; whether no link took any of its messages."""
+        done: asyncio.Future[None] = self._loop.create_future()
+        self._running[exchange] = done
+        self._taken[exchange] = 0
+        self._apply(exchange, exchange.start(self._loop.time()))
+        self._set_alarm()
+        try:
+            await done
+            return self._taken[exchange] == 0
+        except asyncio.CancelledError:
+            self._apply(exchange, exchange.stop(self._loop.time(), "cancelled", "nobody waits for it any more"))
+            raise
+        finally:
+            self._running.pop(exchange, None)
+            del self._taken[exchange]
+            self._set_alarm()
+
+    def _apply(self, exchange: Exchange, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Send):
+                self._transmit(exchange, effect)
+            elif isinstance(effect, Report) and isinstance(exchange, ParamList):
+                self.progress = exchange.progress(self._loop.time())
+                self._progress("list", self.progress, "reading parameters")
+            elif isinstance(effect, Report) and isinstance(exchange, FileDownload):
+                self.progress = param_file.progress_of(exchange, self._loop.time())
+                self._progress("list", self.progress, "reading parameters by file, some")
+        done = self._running.get(exchange)
+        if exchange.done and done is not None and not done.done():
+            done.set_result(None)
+
+    def _transmit(self, exchange: Exchange, effect: Send) -> None:
+        sysid, compid = self._vehicle.sysid, self._vehicle.compid
+        info = self._set_info if effect.message == "PARAM_SET" else self._dialect.by_name[effect.message]
+        assert info is not None
+        values = {**effect.values, "target_system": sysid, "target_component": compid}
+        self._taken[exchange] += self._send(info, values, sysid, compid, Priority.EXCHANGE)
+
+    def _set_alarm(self) -> None:
+        self._alarm.set(min((e.deadline for e in self._running if e.deadline is not None), default=None))
+
+    def _on_timer(self) -> None:
+        now = self._loop.time()
+        for exchange in list(self._running):
+            self._apply(exchange, exchange.on_timer(now))
+        self._set_alarm()
+
+    def _loaded(self, task: asyncio.Task[Loaded]) -> None:
+        if self._loading is task:
+            self._loading = None
+        if (text := fault(task)) is not None:
+            self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, text, {}))
+
+    def _progress(self, action: str, progress: ListProgress, text: str) -> None:
+        """At most one event a second."""
+        now = self._loop.time()
+        if now - self._told_at >= PROGRESS_EVERY_S:
+            self._told_at = now
+            rest = "" if progress.remaining_s is None else f", {progress.remaining_s:.0f} s left"
+            told = f"{text}: {progress.received} of {progress.count}{rest}"
+            self._tell(action, told, _progress_data(progress) | {"state": "under_way"})
+
+    def _tell_set(self, outcomes: Mapping[str, ParamOutcome], wanted: int) -> None:
+        """What was set is worth a line, also when whoever wanted it has gone meanwhile."""
+        good = sum(o.ok for o in outcomes.values())
+        if wanted == 1 and outcomes:
+            ((name, outcome),) = outcomes.items()
+            text = f"{name}: {outcome.message}"
+        else:
+            text = f"{good} of {wanted} parameters set"
+        failed = [name for name, o in outcomes.items() if not o.ok]
+        self._tell("set", text, {"received": good, "count": wanted, "failed": failed})
+
+    def _tell(self, action: str, text: str, data: dict[str, Any]) -> None:
+        data = {"action": action, "state": "done"} | data
+        self._on_event(Event("params", self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+def _progress_data(progress: ListProgress) -> dict[str, Any]:
+    percent = None if not progress.count else 100 * progress.received // progress.count
+    return {
+        "received": progress.received,
+        "count": progress.count,
+        "percent": percent,
+        "elapsed_s": round(progress.elapsed_s, 1),
+        "remaining_s": None if progress.remaining_s is None else round(progress.remaining_s, 1),
+    }

@@ -1,0 +1,251 @@
+"""Preflight of one vehicle: asks for what the checks need, lets `core.preflight` judge, sets what would put it right.
+
+It also is the gate before the motors: with ``require_preflight`` an arming is refused unless the vehicle has passed
+since it started, and not too long ago.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
+from skygcs.config.models import VehicleConfig
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.modes import is_copter
+from skygcs.core.params.names import turns_on
+from skygcs.core.preflight.expectations import Expectations
+from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
+from skygcs.core.preflight.health import FRESH_S
+from skygcs.core.preflight.report import Fix, Report
+from skygcs.core.preflight.table import examine, needed_messages, needed_params
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.protocols.parameter import ParamOutcome
+from skygcs.core.vehicle.flight_evidence import why_not_idle
+from skygcs.core.vehicle.orders import FORCE_HINT
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.runtime.param_transfers import VehicleParams
+
+AT_ONCE = 8
+"""Parameters of one vehicle asked for at the same time: 8 x 45 B are 65 ms of 57600 baud; one it has not takes 7 s."""
+
+SETTLE_S = 3.0
+"""From a parameter that was set until what the vehicle tells of itself knows of it: it looks at its arming checks once
+a second, and SYS_STATUS comes every two."""
+
+Links = Callable[[], Mapping[str, LinkFacts]]
+Request = Callable[[str], Awaitable[Outcome]]
+Confirmed = Mapping[str, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """A report, when it was made (the loop's clock), what was set before it, and why what was to be set was not."""
+
+    report: Report
+    at: float
+    fixed: Mapping[str, ParamOutcome]
+    unfixed: str = ""
+
+
+class Preflight:
+    """``request`` asks the vehicle for one message; ``links`` tells how it is heard.
+
+    ``configured``: whether it is in the fleet file; None: that names no vehicle. ``valid_s``: how long a pass lasts.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        config: VehicleConfig,
+        params: VehicleParams,
+        dialect: Dialect,
+        request: Request,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        gcs_sysid: int,
+        configured: bool | None,
+        valid_s: float,
+        links: Links,
+        wall_clock: Callable[[], float] = time.time,
+    ) -> None:
+        self.required = config.require_preflight
+        self.last: Examined | None = None
+        """Of this life of the vehicle; a reboot ends it."""
+        self._vehicle = vehicle
+        self._config = config
+        self._params = params
+        self._dialect = dialect
+        self._request = request
+        self._loop = loop
+        self._gcs_sysid = gcs_sysid
+        self._configured = configured
+        self._valid_s = valid_s
+        self._links = links
+        self.wall_clock = wall_clock
+        """The time of day in Unix seconds, against which the vehicle's clock is held."""
+        self._lock = asyncio.Lock()
+        self._lives = 0
+        self._absent: set[str] = set()
+        """Names it was found not to have; without those that it must have, which somebody is about to make appear."""
+        self._expectations = _expectations(config)
+
+    async def run(self, *, fix: bool = False, confirmed: Confirmed = None) -> Examined:
+        """Examine it. With ``fix`` set the parameters that would put something right, and examine it again.
+
+        ``confirmed``: set these only, and only to these values, as somebody has agreed to them.
+        """
+        async with self._lock:
+            examined = await self._examine({}, "")
+            fixes = _agreed(examined.report.fixes, confirmed) if fix else ()
+            if not fixes:
+                return examined
+            if (why := why_not_idle(self._vehicle, self._loop.time())) is not None:
+                return await self._examine({}, f"{why}: parameters are not changed then")
+            fixed = await self._params.set({f.name: f.value for f in fixes})
+            await asyncio.sleep(SETTLE_S)
+            return await self._examine(fixed, "")
+
+    def forget(self) -> None:
+        """The vehicle has rebooted: what was found is of another life."""
+        self._lives += 1
+        self._absent.clear()
+        self.last = None
+
+    def refusal(self, *, force: bool = False) -> str | None:
+        """Why it must not be armed now; None if it may. Nothing is asked of the vehicle."""
+        if force or not self.required or self._vehicle.armed:
+            return None
+        state, name = self.state(), self._vehicle.name
+        if state == "passed":
+            return None
+        how = f"run skygcs-cli preflight {name}, or {FORCE_HINT}"
+        if state == "never":
+            return f"it has not passed preflight since it started; {how}"
+        assert self.last is not None
+        if state == "expired":
+            ago_min, limit_min = (self._loop.time() - self.last.at) / 60, self._valid_s / 60
+            return f"its preflight was passed {ago_min:.0f} min ago (valid for {limit_min:g} min); {how}"
+        return f"preflight failed: {self.last.report.summary()}; put it right and {how}"
+
+    def state(self) -> str:
+        """never, failed, passed, expired."""
+        if self.last is None:
+            return "never"
+        if not self.last.report.ok:
+            return "failed"
+        return "passed" if self._loop.time() - self.last.at <= self._valid_s else "expired"
+
+    def status(self) -> dict[str, Any]:
+        """JSON-able: the last report of this life, and whether it lets the vehicle arm."""
+        last = self.last
+        age_s = None if last is None else self._loop.time() - last.at
+        return {
+            "state": self.state(),
+            "required": self.required,
+            "age_s": None if age_s is None else round(age_s, 1),
+            "valid_s": None if age_s is None or self.state() != "passed" else round(self._valid_s - age_s, 1),
+            "refusal": self.refusal(),
+            "report": None if last is None else result(last, self._vehicle),
+        }
+
+    async def _examine(self, fixed: Mapping[str, ParamOutcome], unfixed: str) -> Examined:
+        """The report counts as this life's only if the vehicle has not rebooted meanwhile."""
+        life = self._lives
+        wanted = self._expectations
+        asked: dict[str, Answer] = {}
+        if self._facts({}).able:
+            asked = await self._ask_params(wanted)
+            await self._ask_messages()
+        examined = Examined(examine(self._facts(asked), wanted), self._loop.time(), fixed, unfixed)
+        if life == self._lives:
+            self.last = examined
+        return examined
+
+    def _facts(self, answers: Mapping[str, Answer]) -> Facts:
+        return Facts(
+            state=dict(self._vehicle.snapshot(self._loop.time(), self.wall_clock())),
+            gcs_sysid=self._gcs_sysid,
+            configured=self._configured,
+            expected_autopilot=self._config.autopilot,
+            links=self._links(),
+            answers=answers,
+            copter=is_copter(self._vehicle.type),
+        )
+
+    async def _ask_params(self, wanted: Expectations) -> dict[str, Answer]:
+        """Every parameter needed, by the name asked for, some at a time. What PX4 vouches for by its hash is not read
+        again."""
+        answers: dict[str, Answer] = {}
+        known = await self._params.vouched()
+        slots = asyncio.Semaphore(AT_ONCE)
+
+        async def ask(names: tuple[str, ...]) -> None:
+            async with slots:
+                for name in names:
+                    if name in known:
+                        answers[name] = Answer(known[name])
+                    elif name in self._absent:
+                        answers[name] = Answer(absent=True)
+                    else:
+                        answers[name] = _answer(await self._params.get(name))
+                    if not answers[name].absent:
+                        return
+                    if name not in wanted.params or wanted.params[name].optional:
+                        self._absent.add(name)
+
+        async with asyncio.TaskGroup() as group:
+            for names in needed_params(self._vehicle.family, wanted, self._vehicle.mode):
+                group.create_task(ask(names), name=f"preflight of {self._vehicle.name}: {names[0]}")
+        return answers
+
+    async def _ask_messages(self) -> None:
+        """Those that have not come lately, one after another; what does not come is told by its check."""
+        for message in needed_messages(self._vehicle.family):
+            slot = self._vehicle.slot(message) if message in self._dialect.by_name else None
+            if message in self._dialect.by_name and (slot is None or self._loop.time() - slot.at > FRESH_S):
+                if self._unneeded(message):
+                    continue
+                await self._request(message)
+
+    def _unneeded(self, message: str) -> bool:
+        """What another message has told already: a battery's charge is in SYS_STATUS, too; who it is does not change,
+        and where its home is it tells when that does."""
+        vehicle = self._vehicle
+        if message == "BATTERY_STATUS":
+            battery = vehicle.section("battery")
+            return battery is not None and battery["percent"] is not None
+        if message == "AUTOPILOT_VERSION":
+            return vehicle.firmware is not None
+        return False
+
+
+def result(examined: Examined, vehicle: Vehicle) -> dict[str, Any]:
+    """JSON-able: the report, and what was set before it."""
+    return {
+        "sysid": vehicle.sysid,
+        "autopilot": vehicle.family,
+        "in_air": vehicle.in_air(examined.at),
+        **examined.report.as_dict(),
+        "fixed": {name: outcome.as_dict() for name, outcome in examined.fixed.items()},
+        "unfixed": examined.unfixed,
+    }
+
+
+def _expectations(config: VehicleConfig) -> Expectations:
+    control = config.control
+    slowest_hz = min(control.velocity_hz or VELOCITY_HZ, control.position_hz or POSITION_HZ)
+    return config.preflight.expectations(control=config.control_planned, setpoint_hz=slowest_hz)
+
+
+def _answer(outcome: ParamOutcome) -> Answer:
+    return Answer(outcome.param if outcome.ok else None, outcome.result == "unknown", outcome.message)
+
+
+def _agreed(fixes: tuple[Fix, ...], confirmed: Confirmed) -> tuple[Fix, ...]:
+    """In an order in which a vehicle shows them: switches of features first."""
+    agreed = [f for f in fixes if confirmed is None or confirmed.get(f.name) == f.value]
+    return tuple(sorted(agreed, key=lambda f: not (turns_on(f.name) and f.value)))

@@ -1,0 +1,373 @@
+"""Which link signs with which key: the keys in use, their time on disk, and what is told of frames that are refused.
+
+One key has one clock, whatever the number of its links, and one table of streams, so that what was recorded on one link
+cannot be played on another. Links of one group carry copies of the same frames on purpose: each of them has a table of
+its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from skygcs.config.models import LinkConfig
+from skygcs.config.signing import EVERY_MESSAGE, read_key
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.signing import (
+    MAX_AHEAD_S,
+    TICKS_PER_S,
+    Gate,
+    SigningClock,
+    Streams,
+    Verdict,
+    is_signed_with,
+    key_id,
+    sign,
+    timestamp_at,
+    timestamp_of,
+    unix_time_of,
+)
+from skygcs.errors import KeyFileError, RefusedError
+from skygcs.events import Event
+from skygcs.links.base import Channel
+from skygcs.runtime.signing_store import SigningStore
+
+MAX_TOLD = 64
+"""So many kinds of refused frames of one link (verdict and source) are told, each once; counted are all."""
+
+SAVE_EVERY_S = 10.0
+"""At the latest a clock is on disk after this time; the guide asks for once a minute."""
+
+_KEPT_OUT = {
+    Verdict.UNSIGNED: "is not signed: give its sender the key (skygcs-cli signing setup, over a cable) or name the "
+    "message in accept_unsigned",
+    Verdict.FORGED: "is signed with another key than this link's, or was changed on its way",
+    Verdict.REPLAYED: "is not newer than the one before of its sender: a copy, a replay, or overtaken by a later one; "
+    "links that carry the same vehicles belong in one group",
+    Verdict.STALE: "is {behind_s:.0f} s older than what others signed: played from a recording, or its sender's clock "
+    "is behind and will follow ours as soon as it hears us",
+    Verdict.AHEAD: "is stamped {ahead} ahead of this computer's clock ({now}), and nothing follows it: set this "
+    "computer's clock if that is wrong (a computer without a battery for its clock starts with an old time); else the "
+    "sender's is: give a vehicle its key again over a cable (skygcs-cli signing setup), set another station's clock; "
+    "links.{link}.signing.max_ahead_s allows for more",
+    Verdict.CROWDED: "comes from one sender too many",
+}
+
+OnRefused = Callable[[Frame, Verdict], None]
+
+
+@dataclass(slots=True)
+class _Key:
+    """A key in use: its clock and how much of it is on disk."""
+
+    secret: bytes = field(repr=False)
+    clock: SigningClock
+    saved: int
+
+    @property
+    def id(self) -> str:
+        return key_id(self.secret)
+
+
+class LinkSigning:
+    """One link's key and rules, and what all of its channels have in common."""
+
+    def __init__(self, config: LinkConfig, key: _Key, gate: Gate, wall: Callable[[], int]) -> None:
+        assert config.signing is not None
+        self.config = config
+        self.settings = config.signing
+        self.key = key
+        self.gate = gate
+        self.wall = wall
+        self.told: set[tuple[Verdict, int]] = set()
+
+
+class _ChannelSigning:
+    """Fulfils `links.base.ChannelSigning` for one channel."""
+
+    def __init__(self, link: LinkSigning, on_refused: Callable[[LinkSigning, Channel, Frame, Verdict], None]) -> None:
+        self._link = link
+        self._on_refused = on_refused
+        self._counts = dict.fromkeys(Verdict, 0)
+        self._sent = 0
+
+    def admit(self, channel: Channel, frames: list[Frame]) -> list[Frame]:
+        check = self._link.gate.check
+        counts = self._counts
+        wall = self._link.wall()
+        admitted = []
+        for frame in frames:
+            verdict = check(frame, wall)
+            counts[verdict] += 1
+            if verdict is Verdict.SIGNED or verdict is Verdict.ALLOWED:
+                admitted.append(frame)
+            else:
+                self._on_refused(self._link, channel, frame, verdict)
+        return admitted
+
+    def sign(self, raw: bytes, info: MessageInfo) -> bytes:
+        link = self._link
+        if not link.settings.sign_outgoing:
+            return raw
+        self._sent += 1
+        stamp = link.key.clock.stamp(link.wall())
+        return sign(raw, info.crc_extra_byte, link.key.secret, link.settings.link_id, stamp)
+
+    def counters(self) -> dict[str, int]:
+        return {verdict.value: count for verdict, count in self._counts.items()} | {"sent_signed": self._sent}
+
+
+def why_silent(heartbeat: Frame | None, links: Iterable[LinkConfig]) -> str:
+    """Why a vehicle with this newest heartbeat may not answer what goes to it over these links, as the end of a
+    sentence: it signs, and we do not. "" if that is not so."""
+    links = list(links)
+    unsigned = [link.name for link in links if link.signing is None or not link.signing.sign_outgoing]
+    if heartbeat is None or not heartbeat.signed or not unsigned or len(unsigned) < len(links):
+        return ""
+    name = unsigned[0]
+    return (
+        f"; it signs its messages and drops those that are not signed with its key, and link {name} signs none: "
+        f"give it that key (links.{name}.signing)"
+    )
+
+
+class Signing:
+    """`prepare` each link before it opens, `attach` each of its channels, `run` for as long as the daemon lives."""
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        on_event: Callable[[Event], None],
+        store: SigningStore,
+        unix_s: Callable[[], float] = time.time,
+    ) -> None:
+        self._dialect = dialect
+        self._on_event = on_event
+        self._store = store
+        self._unix_s = unix_s
+        self._keys: dict[bytes, _Key] = {}
+        self._links: dict[str, LinkSigning] = {}
+        self._streams: dict[tuple[bytes, str | None], Streams] = {}
+        self._watchers: list[OnRefused] = []
+        self._store_failed = ""
+
+    # -- links
+
+    def prepare(self, config: LinkConfig) -> None:
+        """Read the link's key. Raises KeyFileError; what was prepared for this name before stays then."""
+        if config.signing is None or not config.enabled:
+            self.forget(config.name)
+            return
+        try:
+            key = self.key_of(read_key(config.signing.key_file))
+        except KeyFileError as error:
+            raise KeyFileError(error.path, f"{error.reason} (links.{config.name}.signing)") from None
+        self._require_own_link_id(config, key)
+        scope = config.name if config.group is not None else None
+        streams = self._streams.setdefault((key.secret, scope), Streams(key.clock))
+        allowed = self._allowed(config.signing.accept_unsigned)
+        gate = Gate(key.secret, key.clock, streams, allowed, config.signing.max_ahead_s)
+        self._links[config.name] = LinkSigning(config, key, gate, self._wall)
+
+    def forget(self, name: str) -> None:
+        """The link is gone; its key's clock and streams stay, in case it comes back."""
+        self._links.pop(name, None)
+
+    def attach(self, channel: Channel) -> None:
+        """The channel of a link with a key checks and signs from now on."""
+        if channel.config.signing is not None:
+            channel.signing = _ChannelSigning(self._links[channel.link.name], self._refused)
+
+    def key_of(self, secret: bytes) -> _Key:
+        """The key with its clock, which goes on from where it was on disk."""
+        key = self._keys.get(secret)
+        if key is None:
+            clock = SigningClock(*self._store.load(key_id(secret)))
+            clock.see_wall(self._wall())
+            key = self._keys[secret] = _Key(secret, clock, saved=0)
+            if self.is_pinned(secret):
+                data = {"key_id": key.id, "ahead_s": round(self._ahead_s(key))}
+                self._on_event(Event("warning", None, None, f"signing: {self.pinned_text(secret)}", data))
+        return key
+
+    def is_pinned(self, secret: bytes) -> bool:
+        """Whether the key's clock is further ahead of this computer's than anybody could move it now."""
+        return self._ahead_s(self.key_of(secret)) > MAX_AHEAD_S
+
+    def pinned_text(self, secret: bytes) -> str:
+        """What is wrong with a clock that `is_pinned`, and what to do."""
+        key = self.key_of(secret)
+        back_s = (key.clock.wall - self._wall()) / TICKS_PER_S
+        back = (
+            f"this computer's clock is {_duration(back_s)} behind what it was: set it; " if back_s > MAX_AHEAD_S else ""
+        )
+        return (
+            f"the clock of key {key.id} is {_duration(self._ahead_s(key))} ahead of this computer's "
+            f"({self._now_text()}): {back}if this computer's clock is right, somebody signed with a wrong time, and "
+            f"what we sign carries it on: set the key's clock back with skygcs-cli signing reset-clock {key.id}"
+        )
+
+    def reset_clock(self, wanted: str) -> str:
+        """Set a key's clock back to this computer's, in memory and on disk; what is said of it. Raises RefusedError."""
+        key = next((key for key in self._keys.values() if key.id == wanted), None)
+        if key is None:
+            in_use = ", ".join(key.id for key in self._keys.values()) or "none"
+            raise RefusedError(f"no key {wanted!r} is in use; in use: {in_use}")
+        wall = self._wall()
+        before_s = self._ahead_s(key)
+        key.clock.reset(wall)
+        for (secret, _), streams in self._streams.items():
+            if secret == key.secret:
+                streams.reset()
+        self._store.save(key.id, wall, wall=wall, exact=False)
+        key.saved = wall
+        self._tell_store()
+        text = f"the clock of key {key.id} was {_duration(before_s)} ahead of this computer's and is set back to it"
+        self._on_event(Event("signing", None, None, f"signing: {text}", {"key_id": key.id, "ahead_s": round(before_s)}))
+        return text
+
+    def _ahead_s(self, key: _Key) -> float:
+        """Of this computer's clock as it is now."""
+        return (key.clock.timestamp - self._wall()) / TICKS_PER_S
+
+    def _now_text(self) -> str:
+        return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(self._unix_s()))
+
+    def stamp(self, secret: bytes) -> int:
+        """A time for somebody who gets this key: not before any that was used with it."""
+        return self.key_of(secret).clock.stamp(self._wall())
+
+    def link_key(self, name: str) -> bytes | None:
+        """The key of a link; None for one without."""
+        link = self._links.get(name)
+        return None if link is None else link.key.secret
+
+    def vouches_for(self, name: str, frames: list[Frame]) -> bool:
+        """Whether a stranger who sends these frames may become a peer of the link: one of them is signed with its key,
+        or nothing has to be. No stream moves on by this."""
+        link = self._links.get(name)
+        if link is None or EVERY_MESSAGE in link.settings.accept_unsigned:
+            return True
+        return any(frame.signed and is_signed_with(frame.raw, link.key.secret) for frame in frames)
+
+    @contextmanager
+    def watching(self, on_refused: OnRefused) -> Iterator[None]:
+        """Hand every refused frame to ``on_refused`` meanwhile."""
+        self._watchers.append(on_refused)
+        try:
+            yield
+        finally:
+            self._watchers.remove(on_refused)
+
+    def _allowed(self, names: tuple[str | int, ...]) -> frozenset[int] | None:
+        if EVERY_MESSAGE in names:
+            return None
+        return frozenset(
+            int(n) if isinstance(n, int) or n.isdecimal() else self._dialect.find(n).msgid
+            for n in names
+            if isinstance(n, int) or n.isdecimal() or n.upper() in self._dialect.by_name
+        )
+
+    def _require_own_link_id(self, config: LinkConfig, key: _Key) -> None:
+        assert config.signing is not None
+        for name, other in self._links.items():
+            if name != config.name and other.key is key and other.settings.link_id == config.signing.link_id:
+                raise KeyFileError(
+                    str(config.signing.key_file),
+                    f"is the key of links.{name} as well, with the same link_id {config.signing.link_id}; "
+                    f"give links.{config.name}.signing another link_id, so that the streams are told apart",
+                )
+
+    def _wall(self) -> int:
+        return timestamp_at(self._unix_s())
+
+    # -- what is told
+
+    def _refused(self, link: LinkSigning, channel: Channel, frame: Frame, verdict: Verdict) -> None:
+        for watcher in self._watchers:
+            watcher(frame, verdict)
+        source = frame.sysid << 8 | frame.compid
+        if (verdict, source) in link.told or len(link.told) >= MAX_TOLD:
+            return
+        link.told.add((verdict, source))
+        name = channel.link.name
+        stamp, clock = (timestamp_of(frame.raw) if frame.signed else 0), link.key.clock
+        why = _KEPT_OUT[verdict].format(
+            behind_s=(clock.timestamp - stamp) / TICKS_PER_S,
+            ahead=_duration((stamp - clock.wall) / TICKS_PER_S),
+            now=self._now_text(),
+            link=name,
+        )
+        text = f"{name} ({channel.peer}): {frame.name} of {frame.sysid}/{frame.compid} is dropped: it {why} (told once)"
+        data = {"link": name, "compid": frame.compid, "verdict": verdict.value, "message": frame.name}
+        self._on_event(Event("signing", None, frame.sysid, text, data))
+
+    def status(self, channels: dict[str, list[Channel]]) -> dict[str, Any]:
+        """Keys by their id with their time, links with their rules and counters; ``channels`` by link."""
+        used = {name: link.key.id for name, link in self._links.items()}
+        keys = [
+            {
+                "key_id": key.id,
+                "time_unix_s": round(unix_time_of(key.clock.timestamp), 5),
+                "ahead_s": round(self._ahead_s(key), 3),
+                "pinned": self._ahead_s(key) > MAX_AHEAD_S,
+                "links": [name for name, used_id in used.items() if used_id == key.id],
+            }
+            for key in self._keys.values()
+        ]
+        links = [
+            {
+                "link": name,
+                "key_id": link.key.id,
+                "key_file": str(link.settings.key_file),
+                "link_id": link.settings.link_id,
+                "sign_outgoing": link.settings.sign_outgoing,
+                "accept_unsigned": list(link.settings.accept_unsigned),
+                "channels": [
+                    {"peer": channel.peer, **channel.signing.counters()}
+                    for channel in channels.get(name, [])
+                    if channel.signing is not None
+                ],
+            }
+            for name, link in self._links.items()
+        ]
+        return {"keys": keys, "links": links}
+
+    # -- time on disk
+
+    async def run(self) -> None:
+        """Keep the clocks on disk; at the end each of them as it then is."""
+        try:
+            while True:
+                await asyncio.sleep(1.0)
+                for key in list(self._keys.values()):
+                    if key.clock.timestamp - key.saved > SAVE_EVERY_S * TICKS_PER_S or not key.saved:
+                        stamp = max(key.clock.timestamp, self._wall())
+                        key.clock.see_wall(self._wall())
+                        await asyncio.to_thread(self._store.save, key.id, stamp, wall=key.clock.wall, exact=False)
+                        key.saved = stamp
+                    self._tell_store()
+        finally:
+            for key in self._keys.values():
+                self._store.save(key.id, key.clock.timestamp, wall=key.clock.wall, exact=True)
+            self._tell_store()
+
+    def _tell_store(self) -> None:
+        """A clock that cannot be kept is told once per reason."""
+        problem = self._store.problem
+        if problem and problem != self._store_failed:
+            text = f"{problem}: after a restart with a wrong system clock, vehicles may take our messages for old ones"
+            self._on_event(Event("warning", None, None, f"signing: {text}", {}))
+        self._store_failed = problem
+
+
+def _duration(seconds: float) -> str:
+    """ "28,502 days", "3.2 h", "80 s"."""
+    if seconds >= 2 * 86400:
+        return f"{seconds / 86400:,.0f} days"
+    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds:.0f} s"

@@ -1,0 +1,89 @@
+"""The fleet's one world frame: who sets it, who is told, and how often it has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from skygcs.core.geo import EAST_DEG, Origin
+from skygcs.core.vehicle import origin as origins
+from skygcs.errors import RefusedError
+from skygcs.events import Event
+from skygcs.runtime.live_vehicle import OnEvent
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+
+class World:
+    """``origin`` (None: there is no frame yet) and ``generation``, the count of its changes.
+
+    A change is one synchronous step: before the next frame is read or the next question answered, every vehicle has the
+    new origin, so no answer mixes two frames. Nothing is sent to any vehicle by it.
+    """
+
+    def __init__(self, origin: Origin | None, actors: Mapping[int, VehicleActor], on_event: OnEvent) -> None:
+        self.origin = origin
+        self.generation = 0 if origin is None else 1
+        self._actors = actors
+        self._on_event = on_event
+
+    def join(self, actor: VehicleActor) -> None:
+        """A vehicle that was just met gets the frame of all others."""
+        actor.set_origin(self.origin, self.generation)
+
+    def set(self, origin: Origin | None, *, force: bool = False, source: str = "") -> None:
+        """Everything is expressed in this frame from now on. The same origin again changes nothing.
+
+        Raises RefusedError for what can be no origin, and without ``force`` for one of another site. ``source`` is told
+        in the event: "alpha".
+        """
+        if origin is not None:
+            origin = origins.checked(origin)
+            if not force:
+                origins.require_near(origin, [actor.vehicle for actor in self._actors.values()])
+        old = self.origin
+        if origin == old:
+            return
+        self.origin = origin
+        self.generation += 1
+        for actor in self._actors.values():
+            self.join(actor)
+        data = {"old": as_dict(old), "new": as_dict(origin), "generation": self.generation, "source": source or None}
+        self._on_event(Event("origin", None, None, _told(old, origin, source), data))
+
+    def set_from_vehicle(self, actor: VehicleActor, now: float, *, heading: bool = False, force: bool = False) -> None:
+        """The vehicle's place is the origin; with ``heading`` its nose points along x, else x stays as it is.
+
+        Raises RefusedError.
+        """
+        if actor.duplicate and not force:
+            raise RefusedError(f"two vehicles speak as system {actor.sysid}: nobody knows whose position that is")
+        origin = origins.from_vehicle(actor.vehicle, now, heading=heading, force=force)
+        if not heading and self.origin is not None:
+            origin = Origin(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m, self.origin.x_heading_deg)
+        self.set(origin, force=force, source=actor.name)
+
+    def status(self) -> dict[str, Any]:
+        """For people and programs."""
+        return {"origin": as_dict(self.origin), "generation": self.generation}
+
+
+def as_dict(origin: Origin | None) -> dict[str, float] | None:
+    if origin is None:
+        return None
+    return {
+        "lat_deg": origin.lat_deg,
+        "lon_deg": origin.lon_deg,
+        "alt_amsl_m": origin.alt_amsl_m,
+        "x_heading_deg": origin.x_heading_deg,
+    }
+
+
+def _told(old: Origin | None, new: Origin | None, source: str) -> str:
+    return f"origin {_place(new)}" + (f", from {source}" if source else "") + f"; it was {_place(old)}"
+
+
+def _place(origin: Origin | None) -> str:
+    if origin is None:
+        return "none"
+    place = f"{origin.lat_deg:.7f}, {origin.lon_deg:.7f}, {origin.alt_amsl_m:.1f} m AMSL"
+    return place if origin.x_heading_deg == EAST_DEG else f"{place}, x to {origin.x_heading_deg:.1f}°"

@@ -1,0 +1,440 @@
+"""ArduCopter as a ground station sees it (4.5): modes, arming checks, refusals, GUIDED, streams by SRx groups.
+
+disarmed --arm--> armed on ground --GUIDED + NAV_TAKEOFF--> in air --LAND/RTL--> touch --2 s--> disarmed
+armed on ground for DISARM_DELAY: disarmed
+GUIDED: flies to the last position target; a velocity target lasts GUID_TIMEOUT, then it stops
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import isfinite, radians
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
+from skygcs.core.mission.item import MissionItem
+from skygcs.sim import copter_failsafe, copter_guided, copter_mission
+from skygcs.sim import protocol as m
+from skygcs.sim.command_message import Command
+from skygcs.sim.conditions import CALM, Conditions
+from skygcs.sim.copter_files import FileServer
+from skygcs.sim.copter_lists import CopterLists
+from skygcs.sim.copter_mission import CopterRun
+from skygcs.sim.copter_setup import (
+    GUIDED_FLAG_MODES,
+    NEEDS_POSITION,
+    NO_ARMING_MODES,
+    STREAM_GROUPS,
+    CopterMode,
+    copter_params,
+)
+from skygcs.sim.kinematics import Limits, LocalFrame
+from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
+from skygcs.sim.param_table import Params
+from skygcs.sim.position_targets import is_altitude, is_position, up_of
+from skygcs.sim.requests import common_command
+from skygcs.sim.rng import Chance
+from skygcs.sim.vehicle import Home, SimVehicle
+
+FORCE = 21196
+"""Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
+
+PREARM_EVERY_S = 30.0
+"""Failing pre-arm checks are told this often."""
+
+BOOT_TEXTS = ("ArduCopter V4.5.7 (skygcs01)", "Frame: QUAD/X", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
+"""Ground stations read the firmware and its version from the first."""
+
+
+class CopterVehicle(SimVehicle):
+    """An ArduCopter quadrotor."""
+
+    autopilot = m.MAV_AUTOPILOT_ARDUPILOTMEGA
+    vtol_state = m.MAV_VTOL_STATE_MC
+    ready_after_s = 7.0
+    landed_after_s = 2.0
+    spool_up_s = 2.0
+    default_rates_hz = {"HEARTBEAT": 1.0}  # noqa: RUF012  a constant; the SR1_ parameters say the rest
+    sysid_param = "SYSID_THISMAV"
+    unknown_message_result = m.MAV_RESULT_FAILED
+    armed_reboot_result = m.MAV_RESULT_FAILED
+    can_sign = True
+    named_param_index = 65535
+    renumbers_at_once = False
+    """Whether a new system id takes effect when it is set: GCS::update_send from 4.7 on; before, GCS::init reads it."""
+    attitude_timeout_s: float | None = 1.0
+    """GUIDED_ATTITUDE_TIMEOUT_MS of ArduCopter up to 4.0. None: GUID_TIMEOUT (3 s), as from 4.1 on."""
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        sysid: int,
+        where: LocalFrame,
+        *,
+        chance: Chance,
+        now: float = 0.0,
+        unix_us: int = 0,
+        heading_deg: float = 0.0,
+        conditions: Conditions = CALM,
+    ) -> None:
+        params = Params(copter_params(sysid), bytewise=False)
+        super().__init__(
+            dialect,
+            where,
+            params=params,
+            chance=chance,
+            now=now,
+            unix_us=unix_us,
+            heading_deg=heading_deg,
+            conditions=conditions,
+        )
+
+    # -- what it says of itself
+
+    @property
+    def low_battery_percent(self) -> float:
+        return 100 * self.params["BATT_LOW_MAH"] / self.battery.capacity_mah
+
+    @property
+    def base_mode(self) -> int:
+        flags = (
+            m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+            | m.MAV_MODE_FLAG_STABILIZE_ENABLED
+            | m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        )
+        if self.mode in GUIDED_FLAG_MODES:
+            flags |= m.MAV_MODE_FLAG_GUIDED_ENABLED
+        return flags | (m.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+
+    @property
+    def system_status(self) -> int:
+        if self.failsafe:
+            return m.MAV_STATE_CRITICAL
+        return m.MAV_STATE_STANDBY if self.landed else m.MAV_STATE_ACTIVE
+
+    @property
+    def version(self) -> dict[str, Any]:
+        return {
+            "capabilities": m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+            | m.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+            | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | m.MAV_PROTOCOL_CAPABILITY_FTP
+            | m.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+            | m.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+            | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
+            "flight_sw_version": 4 << 24 | 5 << 16 | 7 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "board_version": 140 << 16,
+            "flight_custom_version": list(b"skygcs01"),
+            "uid": 0x4150430000000000 | self.sysid,
+        }
+
+    def limits(self) -> Limits:
+        p = self.params
+        return Limits(
+            speed_mps=self.speed_mps or p["WPNAV_SPEED"] / 100,
+            accel_mps2=p["WPNAV_ACCEL"] / 100,
+            climb_mps=p["WPNAV_SPEED_UP"] / 100,
+            descent_mps=p["WPNAV_SPEED_DN"] / 100,
+            yaw_rate_radps=radians(60),
+        ).bounded()
+
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm now, None if it would."""
+        if self.faults.refuse_arming:
+            return self.faults.refuse_arming
+        if self.params["ARMING_CHECK"] and not self.position_ok:
+            return "Need Position Estimate"
+        return None
+
+    @property
+    def tells_of_fence(self) -> bool:
+        return bool(self.params["FENCE_ENABLE"])
+
+    def make_lists(self) -> tuple[CopterLists, CopterRun]:
+        run = CopterRun()
+        return CopterLists(lambda: run.changed(self), guided_item), run
+
+    # -- life
+
+    def on_boot(self, now: float) -> None:
+        self.mode: int = CopterMode.STABILIZE
+        self.files = FileServer()
+        self.failsafe = False
+        self.speed_mps = 0.0
+        self.target_at = now
+        self.velocity_target = False
+        self._prearm_at = now + 3.0
+        for stream, (param, _) in STREAM_GROUPS.items():
+            self._set_group(stream, self.params[param], now)
+        self._tell_banner(now)
+
+    def _tell_banner(self, now: float) -> None:
+        for i, text in enumerate(BOOT_TEXTS):
+            self.later(now + 0.3 + 0.4 * i, partial(self.tx.say, m.MAV_SEVERITY_INFO, text))
+
+    def on_ready(self, now: float) -> None:
+        self.tx.say(m.MAV_SEVERITY_INFO, "EKF3 IMU0 origin set")
+        self.tx.say(m.MAV_SEVERITY_INFO, "EKF3 IMU0 is using GPS")
+        self.send_soon("GPS_GLOBAL_ORIGIN")
+
+    def on_file_transfer(self, payload: bytes, sender: tuple[int, int], now: float) -> None:
+        self.files.hear(self, payload, sender, now)
+
+    def on_tick(self, now: float) -> None:
+        self.files.step(self, now)
+        if not self.armed and now >= self._prearm_at:
+            self._prearm_at = now + PREARM_EVERY_S
+            self._tell_prearm()
+        if self.taking_off and self.plan.arrived and self.mode != CopterMode.AUTO:
+            self.taking_off = False
+        if self.mode == CopterMode.AUTO and self.armed:
+            self.run.step(self, now)
+        copter_guided.watch(self, now)
+        copter_failsafe.watch(self, now)
+        delay = self.params["DISARM_DELAY"]
+        if self.armed and self.landed and not self.taking_off and delay > 0:
+            since = max(self.armed_at, self.landed_at)
+            if now - since >= delay:
+                self.switch_off()
+
+    def _tell_prearm(self) -> None:
+        refusal = self.arming_refusal()
+        if refusal is not None:
+            self.tx.say(m.MAV_SEVERITY_CRITICAL, f"PreArm: {refusal}")
+
+    def switch_off(self) -> None:
+        """Disarm and say so."""
+        self.disarm()
+        self.failsafe = False
+        self.tx.say(m.MAV_SEVERITY_INFO, "Disarming motors")
+
+    def on_takeoff(self, now: float) -> None:
+        return  # ArduCopter says nothing
+
+    def on_landed(self, now: float) -> None:
+        lands = self.mode in (CopterMode.LAND, CopterMode.RTL, CopterMode.SMART_RTL) or self.run.landing
+        if lands and self.armed:
+            self.switch_off()
+
+    def on_gcs_heartbeat(self, sender: tuple[int, int], now: float) -> None:
+        if sender[0] == int(self.params["SYSID_MYGCS"]):
+            self.failsafes.gcs_heard_at = now
+
+    # -- modes
+
+    def try_mode(self, number: int, now: float) -> bool:
+        """Change the mode if ArduCopter would; a disarmed vehicle takes any mode it has."""
+        if number not in CopterMode._value2member_map_:
+            self.tx.say(m.MAV_SEVERITY_WARNING, f"No such mode {number}")
+            return False
+        mode = CopterMode(number)
+        reason = self.faults.refuse_mode
+        if not reason and self.armed and mode == CopterMode.AUTO and mode != self.mode:
+            reason = copter_mission.why_not_auto(self)
+        if not reason and self.armed and mode != self.mode and mode in NEEDS_POSITION and not self.position_ok:
+            reason = "requires position"
+        if reason:
+            self.tx.say(m.MAV_SEVERITY_WARNING, f"Mode change to {mode.name} failed: {reason}")
+            return False
+        self.enter(mode, now)
+        return True
+
+    def enter(self, mode: CopterMode, now: float) -> None:
+        """Be in this mode and begin what it does."""
+        if mode == self.mode:
+            return
+        if self.mode == CopterMode.AUTO:
+            self.run.leave()
+        self.mode = mode
+        self.failsafe = False
+        self.taking_off = False
+        self.velocity_target = False
+        self.send_soon("HEARTBEAT")  # a mode change is told at once
+        motion = self.believed
+        if mode == CopterMode.LAND:
+            speed = self.params["LAND_SPEED"] / 100
+            self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
+        elif mode in (CopterMode.RTL, CopterMode.SMART_RTL) and not self.landed and self.home is not None:
+            self.fly_home()
+        elif mode == CopterMode.AUTO and self.armed:
+            self.run.begin(self, now)
+        else:
+            self.hold_here()
+
+    def fly_home(self) -> None:
+        """Climb, go there, wait, and down as far as RTL_ALT_FINAL says."""
+        motion, home, p = self.believed, self.home or Home(*self.believed.pos_enu_m), self.params
+        up = max(motion.up_m, home.up_m + p["RTL_ALT"] / 100)
+        legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up), GoTo(home.east_m, home.north_m, up)]
+        legs.append(Wait(p["RTL_LOIT_TIME"] / 1000))
+        final = p["RTL_ALT_FINAL"] / 100
+        if final > 0:
+            legs.append(GoTo(home.east_m, home.north_m, home.up_m + final))
+        else:
+            legs.append(Land(home.east_m, home.north_m, p["LAND_SPEED"] / 100))
+        self.plan.fly(*legs)
+
+    def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
+        self.try_mode(custom_mode, now)  # SET_MODE is not acknowledged
+
+    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        copter_guided.take(self, name, fields, now)
+
+    # -- streams
+
+    def on_data_stream(self, stream: int, rate_hz: float, now: float) -> None:
+        for group in STREAM_GROUPS:  # the SR1_ parameters stay: after a reboot the rates are theirs again
+            if stream in (group, m.MAV_DATA_STREAM_ALL):
+                self._set_group(group, rate_hz, now)
+
+    def on_param(self, name: str, now: float) -> None:
+        if name == self.sysid_param and self.renumbers_at_once:
+            self.sysid = self.tx.sysid = self.sysid_of_params()
+        for stream, (param, _) in STREAM_GROUPS.items():
+            if param == name:
+                self._set_group(stream, self.params[param], now)
+
+    def _set_group(self, stream: int, rate_hz: float, now: float) -> None:
+        for name in STREAM_GROUPS[stream][1]:
+            self.streams.set_default(name, min(rate_hz, 50.0), now)
+
+    # -- commands
+
+    def command(self, c: Command, now: float) -> int | None:
+        match c.id:
+            case m.MAV_CMD_COMPONENT_ARM_DISARM:
+                return self._command_arm(c, now)
+            case m.MAV_CMD_DO_SET_MODE:
+                if not (isfinite(c.p1) and isfinite(c.p2) and int(c.p1) & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
+                    return m.MAV_RESULT_DENIED
+                return self._accepted_if(self.try_mode(int(c.p2), now))
+            case m.MAV_CMD_NAV_TAKEOFF:
+                return self._command_takeoff(c)
+            case m.MAV_CMD_NAV_LAND:
+                return self._accepted_if(self.try_mode(CopterMode.LAND, now))
+            case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return self._accepted_if(self.try_mode(CopterMode.RTL, now))
+            case m.MAV_CMD_DO_REPOSITION:
+                return self._command_reposition(c, now)
+            case m.MAV_CMD_DO_CHANGE_SPEED:
+                self.speed_mps = c.p2 if c.p2 > 0 else 0.0
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_CONDITION_YAW:
+                return self._command_yaw(c)
+            case m.MAV_CMD_DO_SET_HOME:
+                return self._command_home(c)
+            case m.MAV_CMD_RUN_PREARM_CHECKS:
+                if self.armed:
+                    return m.MAV_RESULT_TEMPORARILY_REJECTED
+                self._tell_prearm()
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_DO_SEND_BANNER:
+                self._tell_banner(now)
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_MISSION_START:
+                return copter_mission.start(self, now)
+            case m.MAV_CMD_DO_SET_MISSION_CURRENT:
+                return copter_mission.set_current(self, c, now)
+            case _:
+                return common_command(self, c, now)
+
+    @staticmethod
+    def _accepted_if(ok: bool) -> int:
+        return m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_FAILED
+
+    def _command_arm(self, c: Command, now: float) -> int:
+        if c.p1 not in (0.0, 1.0):
+            return m.MAV_RESULT_UNSUPPORTED
+        forced = round(c.p2) == FORCE if isfinite(c.p2) else False
+        if c.p1 == 0.0:
+            if self.armed and not self.landed and not forced:
+                return m.MAV_RESULT_FAILED
+            if self.armed:
+                self.switch_off()
+            return m.MAV_RESULT_ACCEPTED
+        if self.armed:
+            return m.MAV_RESULT_ACCEPTED
+        refusal = None if forced else self._mode_refusal() or self.arming_refusal()
+        if refusal is not None:
+            self.tx.say(m.MAV_SEVERITY_CRITICAL, f"Arm: {refusal}")
+            return m.MAV_RESULT_FAILED
+        self.arm(now)
+        self.tx.say(m.MAV_SEVERITY_INFO, "Arming motors")
+        return m.MAV_RESULT_ACCEPTED
+
+    def _mode_refusal(self) -> str | None:
+        auto = self.mode == CopterMode.AUTO and not int(self.params["AUTO_OPTIONS"]) & COPTER_AUTO_ARMABLE
+        return f"{CopterMode(self.mode).name} mode not armable" if auto or self.mode in NO_ARMING_MODES else None
+
+    def _command_takeoff(self, c: Command) -> int:
+        if c.frame not in (None, m.MAV_FRAME_GLOBAL_RELATIVE_ALT):
+            return m.MAV_RESULT_DENIED
+        ready = self.mode == CopterMode.GUIDED and self.armed and self.landed
+        if not ready or not is_altitude(c.p7) or c.p7 <= self.height_m():
+            return m.MAV_RESULT_FAILED
+        home_up = self.home.up_m if self.home else 0.0
+        self.plan.fly(GoTo(self.believed.east_m, self.believed.north_m, home_up + c.p7))
+        self.taking_off = True
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_reposition(self, c: Command, now: float) -> int:
+        change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+        if self.mode != CopterMode.GUIDED and not change_mode:
+            return m.MAV_RESULT_DENIED
+        # a COMMAND_LONG has no frame: heights are above home
+        up = up_of(self, m.MAV_FRAME_GLOBAL_RELATIVE_ALT if c.frame is None else c.frame, c.p7)
+        if up is None or not is_position(c.lat_deg, c.lon_deg):
+            return m.MAV_RESULT_DENIED
+        east, north = self.where.to_local(c.lat_deg, c.lon_deg)
+        if not copter_failsafe.inside_fence(self, east, north, up):
+            return m.MAV_RESULT_FAILED
+        if self.mode != CopterMode.GUIDED and not self.try_mode(CopterMode.GUIDED, now):
+            return m.MAV_RESULT_FAILED
+        if not self.landed:
+            self.taking_off = self.velocity_target = False
+            self.plan.fly(GoTo(east, north, up))
+        return m.MAV_RESULT_ACCEPTED
+
+    def guided_waypoint(self, item: MissionItem) -> bool:
+        """ModeAuto::do_guided: a waypoint outside a mission is a target, in GUIDED only; whether it is taken."""
+        up = up_of(self, item.frame, item.z or 0.0)
+        if self.mode != CopterMode.GUIDED or up is None or item.position is None:
+            return False
+        east, north = self.where.to_local(*item.position)
+        if not copter_failsafe.inside_fence(self, east, north, up):
+            return False
+        if not self.landed:
+            self.taking_off = self.velocity_target = False
+            self.plan.fly(GoTo(east, north, up))
+        return True
+
+    def _command_yaw(self, c: Command) -> int:
+        if not 0 <= c.p1 <= 360 or c.p4 not in (0.0, 1.0):
+            return m.MAV_RESULT_FAILED
+        leg = self.plan.leg
+        if self.mode == CopterMode.GUIDED and isinstance(leg, GoTo):
+            yaw = radians(c.p1)
+            if c.p4 == 1.0:
+                yaw = self.believed.yaw_rad + (yaw if c.p3 >= 0 else -yaw)
+            self.plan.fly(GoTo(leg.east_m, leg.north_m, leg.up_m, yaw_rad=yaw))
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_home(self, c: Command) -> int:
+        if c.p1 == 1 or (c.p5 == 0 and c.p6 == 0 and c.p7 == 0):
+            if not self.position_ok:
+                return m.MAV_RESULT_FAILED
+            self.set_home_here()
+            return m.MAV_RESULT_ACCEPTED
+        up = up_of(self, m.MAV_FRAME_GLOBAL if c.frame is None else c.frame, c.p7)
+        if up is None or not is_position(c.lat_deg, c.lon_deg):
+            return m.MAV_RESULT_DENIED
+        self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), up))
+        return m.MAV_RESULT_ACCEPTED
+
+
+def guided_item(v: SimVehicle, item: MissionItem, now: float) -> bool:
+    """See `CopterVehicle.guided_waypoint`."""
+    return isinstance(v, CopterVehicle) and v.guided_waypoint(item)

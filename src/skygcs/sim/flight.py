@@ -1,0 +1,67 @@
+"""One tick of a simulated vehicle's flight: plan, setpoint, motion, battery, and whether it is in the air."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from skygcs.sim.body import AttitudeSetpoint
+from skygcs.sim.kinematics import Setpoint
+from skygcs.sim.quad import Quad
+
+if TYPE_CHECKING:
+    from skygcs.sim.vehicle import SimVehicle
+
+FLYING_ABOVE_M = 0.15
+"""Higher than this is taken off."""
+
+
+def step(v: SimVehicle, now: float, dt_s: float) -> None:
+    """Move on by one tick of ``dt_s`` that ends at ``now``."""
+    motion = v.motion
+    if v.landed and not v.armed and motion.on_ground:  # most of a fleet most of the time
+        v.battery.step(dt_s, flying=False)
+        v.sensors.step()
+        return
+    setpoint, limits = v.plan.step(v.believed, v.limits(), now)
+    lifts = v.armed and setpoint is not None and now - v.armed_at >= v.spool_up_s
+    if v.landed and v.plan.landing:
+        lifts = False
+    if isinstance(motion, Quad):
+        motion.supply_v = v.battery.volts
+    motion.step(dt_s, _as_flown(v, setpoint) if lifts else None, limits)
+    v.sensors.step()
+    v.battery.step(dt_s * v.faults.battery_drain, flying=not motion.on_ground, climb_mps=motion.vel_u_mps)
+    _watch_ground(v, now)
+
+
+def _watch_ground(v: SimVehicle, now: float) -> None:
+    """Taken off when it is clear of the ground, landed when it has lain there for a while."""
+    if v.landed:
+        if v.motion.up_m > FLYING_ABOVE_M:
+            v.landed = False
+            v.flown_since_arming = True
+            v.touched_at = None
+            v.on_takeoff(now)
+    elif not v.motion.on_ground:
+        v.touched_at = None
+    elif v.touched_at is None:
+        v.touched_at = now
+    elif now - v.touched_at >= v.landed_after_s:
+        v.landed = True
+        v.landed_at = now
+        v.on_landed(now)
+
+
+def _as_flown(v: SimVehicle, setpoint: Setpoint | AttitudeSetpoint | None) -> Setpoint | AttitudeSetpoint | None:
+    """The setpoint towards where the vehicle, wrong about where it is, takes the target to be."""
+    if v.believed is v.motion or not isinstance(setpoint, Setpoint):
+        return setpoint
+    east, north, up = setpoint.pos_enu_m
+    off_e, off_n, off_u = v.sensors.error_enu_m
+    shifted = (
+        None if east is None else east - off_e,
+        None if north is None else north - off_n,
+        None if up is None else up - off_u,
+    )
+    return replace(setpoint, pos_enu_m=shifted)

@@ -1,0 +1,183 @@
+"""How a simulated multirotor moves: it follows a setpoint within limits of speed and acceleration.
+
+No forces, no wind: position, velocity and yaw are what a ground station sees, and they move as a well-tuned
+autopilot makes them move. ENU metres about the point where the vehicle was first powered; the ground is flat, up 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, copysign, cos, hypot, pi, radians, remainder, sin, sqrt
+
+from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, wrap_pi
+
+POSITION_GAIN_PER_S = 1.0
+"""Speed per metre of distance close to the target (PX4's MPC_XY_P 0.95, ArduCopter's PSC_POSXY_P 1.0)."""
+
+ACCEL_UP_MPS2 = 2.5
+"""ArduCopter's WPNAV_ACCEL_Z 1.0 and PX4's MPC_ACC_UP_MAX 4.0 have this between them."""
+
+TOP_SPEED_MPS = 30.0
+SLOWEST = 0.05
+"""m/s, m/s², rad/s: what a parameter of 0 comes to."""
+
+TERMINAL_MPS = 40.0
+"""A quadrotor that falls with its motors off."""
+
+EARTH_A_M = 6378137.0
+EARTH_E2 = 6.69437999014e-3
+"""WGS84 (NIMA TR8350.2): semi-major axis and first eccentricity squared."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocalFrame:
+    """East and north about a point, by its radii of curvature: 8 cm off at 1 km, as the autopilots' own frames are."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_amsl_m: float
+
+    def _metres_per_degree(self) -> tuple[float, float]:
+        lat = radians(self.lat_deg)
+        w2 = 1 - EARTH_E2 * sin(lat) ** 2
+        east = EARTH_A_M / sqrt(w2) + self.alt_amsl_m
+        north = EARTH_A_M * (1 - EARTH_E2) / w2**1.5 + self.alt_amsl_m
+        return radians(east) * max(cos(lat), 1e-6), radians(north)
+
+    def to_geodetic(self, east_m: float, north_m: float) -> tuple[float, float]:
+        """(lat_deg, lon_deg)."""
+        per_east, per_north = self._metres_per_degree()
+        return self.lat_deg + north_m / per_north, self.lon_deg + east_m / per_east
+
+    def to_local(self, lat_deg: float, lon_deg: float) -> tuple[float, float]:
+        """(east_m, north_m)."""
+        per_east, per_north = self._metres_per_degree()
+        return remainder(lon_deg - self.lon_deg, 360) * per_east, (lat_deg - self.lat_deg) * per_north
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the vehicle's parameters allow, as far as the airframe does (`bounded`)."""
+
+    speed_mps: float
+    accel_mps2: float
+    climb_mps: float
+    descent_mps: float
+    yaw_rate_radps: float = radians(60)
+
+    def bounded(self) -> Limits:
+        """No parameter makes it faster than the airframe, nor unable to move."""
+        return Limits(
+            min(max(self.speed_mps, SLOWEST), TOP_SPEED_MPS),
+            min(max(self.accel_mps2, SLOWEST), GRAVITY_MPS2),
+            min(max(self.climb_mps, SLOWEST), TOP_SPEED_MPS),
+            min(max(self.descent_mps, SLOWEST), TOP_SPEED_MPS),
+            min(max(self.yaw_rate_radps, SLOWEST), pi),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Where to be (``pos_enu_m``) or, on an axis whose position is None, how fast to move; None there as well: stop.
+
+    East and north go together: both have a position or neither has. ``yaw_rad`` is ENU-independent compass yaw
+    (0 north, clockwise); None keeps it, or turns with ``yaw_rate_radps``.
+    """
+
+    pos_enu_m: tuple[float | None, float | None, float | None]
+    vel_enu_mps: tuple[float | None, float | None, float | None] = (None, None, None)
+    yaw_rad: float | None = None
+    yaw_rate_radps: float = 0.0
+
+
+def approach_speed(distance_m: float, accel_mps2: float, top_mps: float) -> float:
+    """The speed from which one can still stop at the target with ``accel_mps2``; proportional when close."""
+    near = accel_mps2 / POSITION_GAIN_PER_S**2
+    if distance_m <= near:
+        return min(POSITION_GAIN_PER_S * distance_m, top_mps)
+    return min(sqrt(2 * accel_mps2 * (distance_m - near / 2)), top_mps)
+
+
+class Motion(Body):
+    """A vehicle that moves like this. It has no attitude to command: an `AttitudeSetpoint` lets it stop and climb."""
+
+    __slots__ = ("floor_m",)
+
+    def __init__(self, yaw_rad: float = 0.0) -> None:
+        super().__init__(yaw_rad)
+        self.floor_m = 0.0
+
+    def step(self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | None, limits: Limits) -> None:
+        """Move on by ``dt_s``. Without a setpoint the motors give no lift: it stays on the ground, or falls."""
+        if isinstance(setpoint, AttitudeSetpoint):
+            setpoint = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
+        before = (self.vel_e_mps, self.vel_n_mps, self.vel_u_mps)
+        if setpoint is None:
+            self.yaw_rate_radps = 0.0
+            if self.on_ground:
+                self.rest()
+                return
+            self.vel_u_mps = max(self.vel_u_mps - GRAVITY_MPS2 * dt_s, -TERMINAL_MPS)
+        else:
+            self._steer(dt_s, setpoint, limits)
+            self._turn(dt_s, setpoint, limits)
+        self.up_m += self.vel_u_mps * dt_s
+        if self.up_m <= self.floor_m:
+            self.up_m = self.floor_m
+            if self.vel_u_mps <= 0.0:
+                self.rest()
+                return
+        self.east_m += self.vel_e_mps * dt_s
+        self.north_m += self.vel_n_mps * dt_s
+        self.accel_enu_mps2 = (
+            (self.vel_e_mps - before[0]) / dt_s,
+            (self.vel_n_mps - before[1]) / dt_s,
+            (self.vel_u_mps - before[2]) / dt_s,
+        )
+        self._tilt(dt_s)
+
+    def _steer(self, dt_s: float, setpoint: Setpoint, limits: Limits) -> None:
+        east, north, up = setpoint.pos_enu_m
+        want_e, want_n, want_u = (v or 0.0 for v in setpoint.vel_enu_mps)
+        if east is not None and north is not None:
+            de, dn = east - self.east_m, north - self.north_m
+            distance = hypot(de, dn)
+            speed = approach_speed(distance, limits.accel_mps2, limits.speed_mps)
+            want_e, want_n = (de / distance * speed, dn / distance * speed) if distance > 1e-9 else (0.0, 0.0)
+        else:
+            too_fast = hypot(want_e, want_n) / limits.speed_mps
+            if too_fast > 1.0:
+                want_e, want_n = want_e / too_fast, want_n / too_fast
+        if up is not None:
+            du = up - self.up_m
+            top = limits.climb_mps if du > 0 else limits.descent_mps
+            want_u = copysign(approach_speed(abs(du), ACCEL_UP_MPS2, top), du)
+        else:
+            want_u = max(-limits.descent_mps, min(limits.climb_mps, want_u))
+        dve, dvn = want_e - self.vel_e_mps, want_n - self.vel_n_mps
+        change, most = hypot(dve, dvn), limits.accel_mps2 * dt_s
+        if change > most:
+            dve, dvn = dve * most / change, dvn * most / change
+        self.vel_e_mps += dve
+        self.vel_n_mps += dvn
+        most = ACCEL_UP_MPS2 * dt_s
+        self.vel_u_mps += max(-most, min(most, want_u - self.vel_u_mps))
+
+    def _turn(self, dt_s: float, setpoint: Setpoint, limits: Limits) -> None:
+        if setpoint.yaw_rad is not None:
+            error = wrap_pi(setpoint.yaw_rad - self.yaw_rad)
+            turn = max(-limits.yaw_rate_radps * dt_s, min(limits.yaw_rate_radps * dt_s, error))
+        else:
+            rate = max(-limits.yaw_rate_radps, min(limits.yaw_rate_radps, setpoint.yaw_rate_radps))
+            turn = rate * dt_s
+        self.yaw_rad = wrap_pi(self.yaw_rad + turn)
+        self.yaw_rate_radps = turn / dt_s
+
+    def _tilt(self, dt_s: float) -> None:
+        """A multirotor leans into its acceleration; body axes FRD, so forward acceleration is nose down."""
+        east, north, _ = self.accel_enu_mps2
+        forward = north * cos(self.yaw_rad) + east * sin(self.yaw_rad)
+        right = -north * sin(self.yaw_rad) + east * cos(self.yaw_rad)
+        blend = min(1.0, dt_s / 0.15)  # attitude follows within some 0.15 s
+        self.pitch_rad += (atan2(-forward, GRAVITY_MPS2) - self.pitch_rad) * blend
+        self.roll_rad += (atan2(right, GRAVITY_MPS2) - self.roll_rad) * blend

@@ -1,0 +1,133 @@
+"""What a flying vehicle is about to do: a row of legs, each flown until it is finished; the last one is kept.
+
+A take-off is [GoTo], a return is [GoTo (climb), GoTo (home), Wait, Land], a goto is [GoTo] and then stays there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import assert_never
+
+from skygcs.sim.body import AttitudeSetpoint, Body
+from skygcs.sim.kinematics import Limits, Setpoint
+
+LAND_FAST_ABOVE_M = 10.0
+"""ArduCopter's LAND_ALT_LOW: above it a landing vehicle descends at its normal speed."""
+
+
+@dataclass(frozen=True, slots=True)
+class GoTo:
+    """Fly there and hold. ``climb_mps`` replaces the normal climb speed (take-off)."""
+
+    east_m: float
+    north_m: float
+    up_m: float
+    yaw_rad: float | None = None
+    climb_mps: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Follow:
+    """Follow this setpoint: OFFBOARD and GUIDED targets. Never finished."""
+
+    setpoint: Setpoint | AttitudeSetpoint
+
+    @property
+    def needs_position(self) -> bool:
+        return isinstance(self.setpoint, Setpoint)
+
+
+@dataclass(slots=True)
+class Wait:
+    """Hold here for so long."""
+
+    seconds: float
+    since: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """Straight down here at ``speed_mps`` (faster high up) until the ground is met."""
+
+    east_m: float
+    north_m: float
+    speed_mps: float
+
+
+@dataclass(frozen=True, slots=True)
+class Descend:
+    """Down without a position: level, drifting with the wind, until the ground is met."""
+
+    speed_mps: float
+
+
+Leg = GoTo | Follow | Wait | Land | Descend
+
+
+class Plan:
+    """The legs still to fly; empty on the ground."""
+
+    def __init__(self) -> None:
+        self._legs: list[Leg] = []
+        self.arrived = False
+        """The last leg is finished (and held)."""
+
+    @property
+    def leg(self) -> Leg | None:
+        """The leg being flown."""
+        return self._legs[0] if self._legs else None
+
+    @property
+    def landing(self) -> bool:
+        return isinstance(self.leg, Land | Descend)
+
+    def fly(self, *legs: Leg) -> None:
+        """Forget what was planned and fly these."""
+        self._legs = list(legs)
+        self.arrived = False
+
+    def step(self, motion: Body, limits: Limits, now: float) -> tuple[Setpoint | AttitudeSetpoint | None, Limits]:
+        """What to steer to now, and the limits on the way; moves on to the next leg when one is finished."""
+        while self._legs and _finished(self._legs[0], motion, now):
+            if len(self._legs) == 1:
+                self.arrived = True
+                break
+            self._legs.pop(0)
+        leg = self.leg
+        return (None, limits) if leg is None else _steer(leg, motion, limits)
+
+
+def _finished(leg: Leg, motion: Body, now: float) -> bool:
+    match leg:
+        case GoTo(east_m, north_m, up_m):
+            return motion.is_at(east_m, north_m, up_m)
+        case Follow():
+            return False
+        case Wait(seconds, since):
+            if since is None:
+                leg.since = now
+                return seconds <= 0
+            return now - since >= seconds
+        case Land() | Descend():
+            return motion.on_ground
+        case _:
+            assert_never(leg)
+
+
+def _steer(leg: Leg, motion: Body, limits: Limits) -> tuple[Setpoint | AttitudeSetpoint, Limits]:
+    match leg:
+        case GoTo(east_m, north_m, up_m, yaw_rad, climb_mps):
+            if climb_mps is not None:
+                limits = replace(limits, climb_mps=climb_mps)
+            return Setpoint((east_m, north_m, up_m), yaw_rad=yaw_rad), limits
+        case Follow(setpoint):
+            return setpoint, limits
+        case Wait():
+            return Setpoint((None, None, None)), limits
+        case Land(east_m, north_m, speed_mps):
+            speed = limits.descent_mps if motion.up_m > LAND_FAST_ABOVE_M else speed_mps
+            return Setpoint((east_m, north_m, None), (None, None, -speed)), limits
+        case Descend(speed_mps):
+            return AttitudeSetpoint(None, climb_mps=-speed_mps), limits
+        case _:
+            assert_never(leg)

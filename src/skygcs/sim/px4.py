@@ -1,0 +1,421 @@
+"""PX4 as a ground station sees it (1.16 multicopter): navigation modes, arming rules, refusals, failsafes.
+
+disarmed --arm--> armed on ground --TAKEOFF/OFFBOARD--> in air --LAND/RTL/touch--> landed --2 s--> disarmed
+armed on ground, not taken off for COM_DISARM_PRFLT: disarmed
+OFFBOARD: entered with one setpoint younger than COM_OF_LOSS_T (offboardCheck.cpp: no warm-up); without one for so long:
+LOITER, failsafe
+TAKEOFF at its height, or disarmed after landing: LOITER
+"""
+
+from __future__ import annotations
+
+from math import isfinite, radians
+from typing import Any
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.sim import protocol as m
+from skygcs.sim import px4_failsafe, px4_mission
+from skygcs.sim.attitude_targets import Refusal, px4_attitude
+from skygcs.sim.body import AttitudeSetpoint
+from skygcs.sim.command_message import Command
+from skygcs.sim.conditions import CALM, Conditions
+from skygcs.sim.kinematics import Limits, LocalFrame, Setpoint
+from skygcs.sim.legs import Descend, Follow, GoTo, Land, Leg, Wait
+from skygcs.sim.param_table import Params
+from skygcs.sim.position_targets import is_altitude, is_position, setpoint_of
+from skygcs.sim.px4_lists import Px4Lists
+from skygcs.sim.px4_mission import Px4Run
+from skygcs.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_params, wanted_mode
+from skygcs.sim.requests import common_command
+from skygcs.sim.rng import Chance
+from skygcs.sim.vehicle import Home, SimVehicle
+
+FORCE = 21196
+"""Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
+
+RTL_NEAR_M = 10.0
+"""RTL_MIN_DIST: closer to home than this a return climbs no higher than RTL_DESCEND_ALT."""
+
+
+class Px4Vehicle(SimVehicle):
+    """A PX4 quadrotor without a transmitter, as the lab flies it under a ground station."""
+
+    autopilot = m.MAV_AUTOPILOT_PX4
+    ready_after_s = 4.0
+    landed_after_s = 1.0
+    spool_up_s = 1.0
+    default_rates_hz = PX4_RATES_HZ
+    sysid_param = "MAV_SYS_ID"
+    unknown_message_result = m.MAV_RESULT_DENIED
+    armed_reboot_result = m.MAV_RESULT_DENIED
+    named_param_index = None
+    hears_broadcast_commands = False
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        sysid: int,
+        where: LocalFrame,
+        *,
+        chance: Chance,
+        now: float = 0.0,
+        unix_us: int = 0,
+        heading_deg: float = 0.0,
+        conditions: Conditions = CALM,
+    ) -> None:
+        params = Params(px4_params(sysid), bytewise=True)
+        super().__init__(
+            dialect,
+            where,
+            params=params,
+            chance=chance,
+            now=now,
+            unix_us=unix_us,
+            heading_deg=heading_deg,
+            conditions=conditions,
+        )
+
+    # -- what it says of itself
+
+    @property
+    def base_mode(self) -> int:
+        flags = m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        if self.mode in MANUAL_MODES:
+            flags |= m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
+        if self.mode != Px4Mode.ACRO:
+            flags |= m.MAV_MODE_FLAG_STABILIZE_ENABLED
+        if self.mode >> 16 & 0xFF == Px4Mode.LOITER >> 16 & 0xFF:
+            flags |= m.MAV_MODE_FLAG_AUTO_ENABLED | m.MAV_MODE_FLAG_GUIDED_ENABLED
+        return flags | (m.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+
+    @property
+    def system_status(self) -> int:
+        if self.failsafe:
+            return m.MAV_STATE_CRITICAL
+        return m.MAV_STATE_ACTIVE if self.armed else m.MAV_STATE_STANDBY
+
+    @property
+    def version(self) -> dict[str, Any]:
+        return {
+            "capabilities": m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+            | m.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+            | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+            | m.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+            | m.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+            | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+            | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
+            "flight_sw_version": 1 << 24 | 16 << 16 | 0 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "os_sw_version": 11 << 24 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "board_version": 0x38,
+            "flight_custom_version": list(b"skygcs01"),
+            "uid": 0x5058340000000000 | self.sysid,
+        }
+
+    def limits(self) -> Limits:
+        p = self.params
+        return Limits(
+            speed_mps=self.cruise_mps or p["MPC_XY_CRUISE"],
+            accel_mps2=p["MPC_ACC_HOR"],
+            climb_mps=p["MPC_Z_V_AUTO_UP"],
+            descent_mps=p["MPC_Z_V_AUTO_DN"],
+            yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
+        ).bounded()
+
+    @property
+    def low_battery_percent(self) -> float:
+        return 100 * self.params["BAT_LOW_THR"]
+
+    def say_event(self, severity: int, text: str) -> None:
+        """PX4 marks texts that are also sent as events by a trailing tab."""
+        self.tx.say(severity, text + "\t")
+
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm now, None if it would."""
+        if self.faults.refuse_arming:
+            return self.faults.refuse_arming
+        if not self.position_ok:
+            return "Preflight Fail: position estimate not ready"
+        if self.battery.percent <= self.low_battery_percent:
+            return "Preflight Fail: low battery"
+        if self.mode in MANUAL_MODES:
+            return "Preflight Fail: no manual control input"
+        if self.mode in NO_ARMING_MODES:
+            return "Arming denied: switch to another mode first"
+        return None
+
+    @property
+    def tells_of_fence(self) -> bool:
+        return False
+
+    def make_lists(self) -> tuple[Px4Lists, Px4Run]:
+        run = Px4Run()
+        return Px4Lists(lambda: run.changed(self)), run
+
+    def tail_of(self, name: str) -> bytes:
+        return px4_mission.ids(self) if name == "MISSION_CURRENT" else b""
+
+    # -- life
+
+    def on_boot(self, now: float) -> None:
+        self.mode: int = Px4Mode.LOITER
+        self._mode_after_disarming: int = Px4Mode.LOITER
+        self.failsafe = False
+        self.cruise_mps = 0.0
+        self.setpoint_at = -1e9
+        self._last_thrust = 0.0
+        self._told_ready = False
+
+    def on_ready(self, now: float) -> None:
+        self.say_event(m.MAV_SEVERITY_INFO, "Ready for takeoff!")
+
+    def on_tick(self, now: float) -> None:
+        if self.mode == Px4Mode.TAKEOFF and self.plan.arrived and not self.landed:
+            self.mode = Px4Mode.LOITER
+            self.intend(self.mode)
+            self.taking_off = False
+        if self.mode == Px4Mode.MISSION and self.armed:
+            self.run.step(self, now)
+        px4_failsafe.watch(self, now)
+        if self.armed and self.landed:
+            self._auto_disarm(now)
+
+    def _auto_disarm(self, now: float) -> None:
+        if self.flown_since_arming:
+            delay, since, text = self.params["COM_DISARM_LAND"], self.landed_at, "Disarmed by landing"
+        else:
+            delay, since = self.params["COM_DISARM_PRFLT"], self.armed_at
+            text = "Disarmed by auto preflight disarming"
+        if delay > 0 and now - since >= delay:
+            self.switch_off(text)
+
+    def switch_off(self, text: str) -> None:
+        """Disarm and say why."""
+        self.disarm()
+        self.failsafe = False
+        self.say_event(m.MAV_SEVERITY_INFO, text)
+        self.run.leave()
+        self.mode = self._mode_after_disarming
+
+    def on_takeoff(self, now: float) -> None:
+        self.say_event(m.MAV_SEVERITY_INFO, "Takeoff detected")
+
+    def on_landed(self, now: float) -> None:
+        self.say_event(m.MAV_SEVERITY_INFO, "Landing detected")
+
+    def on_gcs_heartbeat(self, sender: tuple[int, int], now: float) -> None:
+        self.failsafes.gcs_heard_at = now
+
+    # -- modes
+
+    def try_mode(self, mode: int, now: float) -> bool:
+        """Change the mode if PX4 would."""
+        if self.faults.refuse_mode or not self._may_enter(mode, now):
+            name = Px4Mode(mode).name if mode in Px4Mode._value2member_map_ else "unknown"
+            reason = f": {self.faults.refuse_mode}" if self.faults.refuse_mode else ""
+            self.say_event(m.MAV_SEVERITY_CRITICAL, f"Switching to {name} is currently not possible{reason}")
+            return False
+        self.intend(mode)
+        self.enter(mode, now)
+        return True
+
+    def intend(self, mode: int) -> None:
+        """Somebody wants this mode: the last one in which it may be armed is what it disarms into."""
+        if mode not in NO_ARMING_MODES:
+            self._mode_after_disarming = mode
+
+    def _may_enter(self, mode: int, now: float) -> bool:
+        if mode not in Px4Mode._value2member_map_ or mode == Px4Mode.READY:
+            return False
+        if mode == Px4Mode.MISSION and not self.lists.mission:
+            return False
+        if mode == Px4Mode.OFFBOARD:
+            return now - self.setpoint_at < self.params["COM_OF_LOSS_T"]
+        if self.armed and mode in MANUAL_MODES:
+            return False  # no transmitter
+        return not self.armed or self.position_ok or mode == Px4Mode.LAND
+
+    def enter(self, mode: int, now: float) -> None:
+        """Be in this mode and begin what it does."""
+        if mode == self.mode and mode not in (Px4Mode.TAKEOFF, Px4Mode.MISSION):
+            return  # in LOITER as well: it flies on to where DO_REPOSITION sent it
+        if self.mode == Px4Mode.MISSION:
+            self.run.leave()
+        self._set_mode(mode)
+        motion = self.believed
+        if mode == Px4Mode.TAKEOFF:
+            home_up = self.home.up_m if self.home else motion.up_m
+            self._take_off_to(home_up + self.params["MIS_TAKEOFF_ALT"], None)
+        elif mode in (Px4Mode.LAND, Px4Mode.PRECLAND):
+            self.say_event(m.MAV_SEVERITY_INFO, "Landing at current position")
+            speed = self.params["MPC_LAND_SPEED"]
+            self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
+        elif mode == Px4Mode.RTL:
+            self._return()
+        elif mode == Px4Mode.MISSION and self.armed:
+            self.run.begin(self, now)
+        else:
+            self.hold_here()
+
+    def _set_mode(self, mode: int) -> None:
+        self.mode = mode
+        self.failsafe = False
+        self.taking_off = False
+
+    def _take_off_to(self, up_m: float, goal: tuple[float, float] | None) -> None:
+        motion = self.believed
+        if up_m <= motion.up_m + 0.1:
+            self.say_event(m.MAV_SEVERITY_CRITICAL, "Already higher than takeoff altitude")
+            up_m = motion.up_m
+        legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up_m, climb_mps=self.params["MPC_TKO_SPEED"])]
+        if goal is not None:
+            legs.append(GoTo(*goal, up_m))
+        self.taking_off = True
+        self.plan.fly(*legs)
+
+    def _return(self) -> None:
+        if self.landed or self.home is None:
+            return
+        motion, home, p = self.believed, self.home, self.params
+        near = motion.distance_m(home.east_m, home.north_m, motion.up_m) < RTL_NEAR_M
+        return_up = home.up_m + (p["RTL_DESCEND_ALT"] if near else p["RTL_RETURN_ALT"])
+        up = max(motion.up_m, return_up)
+        self.say_event(m.MAV_SEVERITY_INFO, f"RTL: start return at {round(up - home.up_m)} m above home")
+        self.plan.fly(
+            GoTo(motion.east_m, motion.north_m, up),
+            GoTo(home.east_m, home.north_m, up),
+            Wait(max(0.0, p["RTL_LAND_DELAY"])),
+            Land(home.east_m, home.north_m, p["MPC_LAND_SPEED"]),
+        )
+
+    def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
+        ok = self.try_mode(custom_mode, now)
+        result = m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_TEMPORARILY_REJECTED
+        self.tx.acknowledge(m.MAV_CMD_DO_SET_MODE, result, sender)
+
+    def on_data_stream(self, stream: int, rate_hz: float, now: float) -> None:
+        return  # PX4 knows SET_MESSAGE_INTERVAL only
+
+    def on_param(self, name: str, now: float) -> None:
+        return  # read where they are used; MAV_SYS_ID at the next boot
+
+    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        setpoint: Setpoint | AttitudeSetpoint | None
+        if name == "SET_ATTITUDE_TARGET":
+            target = px4_attitude(fields, self._last_thrust)
+            if target is Refusal.NOTHING or target is Refusal.STOP:
+                return
+            setpoint = target
+        else:
+            setpoint = setpoint_of(self, name, fields, any_bit=False)
+        self.setpoint_at = now
+        if self.mode == Px4Mode.OFFBOARD and setpoint is not None:
+            if isinstance(setpoint, AttitudeSetpoint):
+                self._last_thrust = setpoint.thrust or 0.0
+            self.plan.fly(Follow(setpoint))
+
+    # -- commands
+
+    def command(self, c: Command, now: float) -> int | None:
+        match c.id:
+            case m.MAV_CMD_COMPONENT_ARM_DISARM:
+                return self._command_arm(c, now)
+            case m.MAV_CMD_DO_SET_MODE:
+                return self._command_mode(c, now)
+            case m.MAV_CMD_NAV_TAKEOFF:
+                return self._command_takeoff(c, now)
+            case m.MAV_CMD_NAV_LAND:
+                return self._accepted_if(self.try_mode(Px4Mode.LAND, now))
+            case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
+                return self._accepted_if(self.try_mode(Px4Mode.RTL, now))
+            case m.MAV_CMD_MISSION_START:
+                return px4_mission.start(self, c, now)
+            case m.MAV_CMD_DO_REPOSITION:
+                return self._command_reposition(c, now)
+            case m.MAV_CMD_DO_CHANGE_SPEED:
+                self.cruise_mps = c.p2 if c.p2 > 0 else 0.0
+                return m.MAV_RESULT_ACCEPTED
+            case m.MAV_CMD_DO_SET_HOME:
+                return self._command_home(c)
+            case _:
+                return common_command(self, c, now)
+
+    @staticmethod
+    def _accepted_if(ok: bool) -> int:
+        return m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_TEMPORARILY_REJECTED
+
+    def _command_arm(self, c: Command, now: float) -> int:
+        if c.p1 not in (0.0, 1.0):
+            return m.MAV_RESULT_UNSUPPORTED
+        forced = round(c.p2) == FORCE if isfinite(c.p2) else False
+        if c.p1 == 0.0:
+            if self.armed and not self.landed and not forced:
+                self.say_event(m.MAV_SEVERITY_CRITICAL, "Disarming denied: not landed")
+                return m.MAV_RESULT_TEMPORARILY_REJECTED
+            if self.armed:
+                self.switch_off("Disarmed by external command")
+            return m.MAV_RESULT_ACCEPTED
+        return self._accepted_if(self.try_arm(now, forced=forced))
+
+    def try_arm(self, now: float, *, forced: bool = False) -> bool:
+        """Armed afterwards; why not is said."""
+        if self.armed:
+            return True
+        refusal = None if forced else self.arming_refusal()
+        if refusal is not None:
+            self.say_event(m.MAV_SEVERITY_CRITICAL, "Arming denied: preflight checks failed")
+            self.say_event(m.MAV_SEVERITY_CRITICAL, refusal)
+            return False
+        self.arm(now)
+        if self.mode in (Px4Mode.TAKEOFF, Px4Mode.MISSION) and self.plan.leg is None:
+            self.enter(self.mode, now)
+        self.say_event(m.MAV_SEVERITY_INFO, "Armed by external command")
+        return True
+
+    def _command_mode(self, c: Command, now: float) -> int:
+        if not all(isfinite(p) and 0 <= p < 256 for p in (c.p1, c.p2, c.p3)):
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        mode = wanted_mode(int(c.p1), int(c.p2), int(c.p3))
+        # numbers that name no mode are accepted and change nothing, as its commander does
+        result = m.MAV_RESULT_ACCEPTED if mode is None else self._accepted_if(self.try_mode(mode, now))
+        # commander and navigator both answer: a real PX4 acknowledges DO_SET_MODE twice
+        self.tx.acknowledge(c.id, result, c.sender)
+        return result
+
+    def _command_takeoff(self, c: Command, now: float) -> int:
+        if not self._may_enter(Px4Mode.TAKEOFF, now):
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        self._set_mode(Px4Mode.TAKEOFF)
+        # AMSL whatever the frame says; a position that is given is flown to, 0/0 as well
+        home_up = self.home.up_m if self.home else 0.0
+        up = c.p7 - self.where.alt_amsl_m if is_altitude(c.p7) else home_up + self.params["MIS_TAKEOFF_ALT"]
+        goal = self.where.to_local(c.lat_deg, c.lon_deg) if is_position(c.lat_deg, c.lon_deg) else None
+        self._take_off_to(up, goal)
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_reposition(self, c: Command, now: float) -> int:
+        change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+        if change_mode and not self.try_mode(Px4Mode.LOITER, now):
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
+        if self.mode == Px4Mode.LOITER and not any(map(isfinite, (c.p4, c.lat_deg, c.lon_deg, c.p7))):
+            self.hold_here()  # "pause vehicle"
+        elif self.mode == Px4Mode.LOITER and not self.landed:
+            motion = self.believed
+            east, north = motion.east_m, motion.north_m
+            if is_position(c.lat_deg, c.lon_deg):
+                east, north = self.where.to_local(c.lat_deg, c.lon_deg)
+            up = c.p7 - self.where.alt_amsl_m if is_altitude(c.p7) else motion.up_m
+            self.cruise_mps = c.p1 if c.p1 > 0 else 0.0
+            self.plan.fly(GoTo(east, north, up, yaw_rad=c.p4 if isfinite(c.p4) else None))
+        return m.MAV_RESULT_ACCEPTED
+
+    def _command_home(self, c: Command) -> int:
+        if c.p1 == 1:
+            if not self.position_ok:
+                return m.MAV_RESULT_TEMPORARILY_REJECTED
+            self.set_home_here()
+            return m.MAV_RESULT_ACCEPTED
+        if not (is_position(c.lat_deg, c.lon_deg) and is_altitude(c.p7)):
+            return m.MAV_RESULT_DENIED
+        self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), c.p7 - self.where.alt_amsl_m))
+        return m.MAV_RESULT_ACCEPTED

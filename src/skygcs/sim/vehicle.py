@@ -1,0 +1,448 @@
+"""A simulated vehicle: what PX4 and ArduCopter have in common. `px4` and `ardupilot` hold their differences.
+
+Pure: frames go in through `on_frame`, come out of `step`; time is an argument, chance is seeded. What happens is
+worked out on a fixed grid of TICK_S, so that it does not depend on how often `step` is called.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from math import radians
+from typing import Any, Final
+
+from skygcs.core.mavlink import ftp_payload
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.sim import flight, requests, telemetry
+from skygcs.sim import protocol as m
+from skygcs.sim.battery import Battery
+from skygcs.sim.body import Body, Vector
+from skygcs.sim.command_message import Command
+from skygcs.sim.conditions import CALM, Conditions, body_of
+from skygcs.sim.failsafe import Failsafes
+from skygcs.sim.faults import Faults
+from skygcs.sim.kinematics import Limits, LocalFrame
+from skygcs.sim.legs import GoTo, Plan
+from skygcs.sim.mission_lists import MissionLists
+from skygcs.sim.mission_run import MissionRun
+from skygcs.sim.onboard_signing import BoardSigning
+from skygcs.sim.param_table import Param, Params
+from skygcs.sim.rng import Chance
+from skygcs.sim.rtk import RtkReceiver
+from skygcs.sim.sensors import Sensors
+from skygcs.sim.stream_schedule import Streams
+from skygcs.sim.transmitter import Transmitter
+
+TICK_S = 0.02
+"""50 Hz: the fastest stream a ground station asks a radio link for, and 2 cm of flight at 1 m/s."""
+
+MAX_CATCH_UP_S = 60.0
+"""A `step` after a longer pause (a suspended laptop) skips what is older: 3000 ticks take a tenth of a second."""
+
+REBOOT_S = 2.0
+"""Silence of a rebooting autopilot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    east_m: float
+    north_m: float
+    up_m: float
+
+    @property
+    def pos_enu_m(self) -> Vector:
+        return self.east_m, self.north_m, self.up_m
+
+
+class SimVehicle(ABC):
+    """One vehicle, component 1 of the system its parameters name.
+
+    It boots at ``now``; ``unix_us`` is the wall clock of that moment.
+
+    Feed every received frame to `on_frame` (it ignores what is not for it) and call `step` often; each returned
+    frame is one datagram or one write. After `on_frame`, the answers come out of the next `step`.
+    """
+
+    autopilot: int
+    vtol_state: int = m.MAV_VTOL_STATE_UNDEFINED
+    default_rates_hz: Mapping[str, float]
+    sysid_param: str
+    ready_after_s: float
+    """From boot until the position estimate is good enough to arm."""
+    landed_after_s: float
+    """From touching the ground until the vehicle believes it."""
+    spool_up_s: float
+    """From arming until the motors can lift."""
+    unknown_message_result: int
+    """Answer to REQUEST_MESSAGE for a message it does not have."""
+    armed_reboot_result: int
+    named_param_index: int | None
+    """param_index of an answer to a request by name; None: the parameter's own."""
+    can_sign: bool = False
+    """Whether SETUP_SIGNING does anything; PX4 1.16 takes no notice."""
+    hears_broadcast_commands: bool = True
+    """Whether a command for system 0 is taken; PX4 takes those for its own id only (and asks for capabilities)."""
+    mode: int
+    """HEARTBEAT.custom_mode."""
+    lists: MissionLists
+    """Mission, fence and rally points on board."""
+    run: MissionRun
+    """The mission as it is flown."""
+    fence_breach: int
+    """FENCE_BREACH: which side of its fence it is beyond, flying or not."""
+    fence_breaches: int
+    """Since boot."""
+
+    def __init__(
+        self,
+        dialect: Dialect,
+        where: LocalFrame,
+        *,
+        params: Params,
+        chance: Chance,
+        now: float = 0.0,
+        unix_us: int = 0,
+        heading_deg: float = 0.0,
+        conditions: Conditions = CALM,
+    ) -> None:
+        self.dialect = dialect
+        self.compid: Final = m.MAV_COMP_ID_AUTOPILOT1
+        self.where = where
+        self.params = params
+        self.chance = chance
+        self.faults = Faults()
+        self.signing = BoardSigning()
+        self.tx = Transmitter(dialect, chance, self.faults, self.signing)
+        self.motion = body_of(conditions, radians(heading_deg), chance.seed())
+        self.sensors = Sensors(self.motion, conditions, TICK_S, chance.seed())
+        self.battery = Battery()
+        self.plan = Plan()
+        self.lists, self.run = self.make_lists()
+        self._unix_offset_us = unix_us - now * 1e6
+        self._clock = now
+        self.home: Home | None = None
+        self.local_zero: Home | None = None
+        self._boot(now)
+
+    # -- what differs between the firmwares
+
+    @property
+    @abstractmethod
+    def base_mode(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def system_status(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def version(self) -> dict[str, Any]:
+        """Fields of AUTOPILOT_VERSION."""
+
+    @property
+    @abstractmethod
+    def tells_of_fence(self) -> bool:
+        """Whether SYS_STATUS has a bit for the fence now."""
+
+    @abstractmethod
+    def make_lists(self) -> tuple[MissionLists, MissionRun]: ...
+
+    @property
+    @abstractmethod
+    def low_battery_percent(self) -> float: ...
+
+    @abstractmethod
+    def limits(self) -> Limits:
+        """Speeds as the parameters say."""
+
+    @abstractmethod
+    def arming_refusal(self) -> str | None:
+        """Why it would not arm now, None if it would."""
+
+    @abstractmethod
+    def command(self, c: Command, now: float) -> int | None:
+        """Carry out a command; its MAV_RESULT, or None if it was answered already."""
+
+    @abstractmethod
+    def on_boot(self, now: float) -> None:
+        """Set the first mode and schedule the boot texts."""
+
+    @abstractmethod
+    def on_ready(self, now: float) -> None:
+        """The position estimate has become good."""
+
+    @abstractmethod
+    def on_tick(self, now: float) -> None:
+        """Mode logic and failsafes of one tick, before the vehicle moves."""
+
+    @abstractmethod
+    def on_takeoff(self, now: float) -> None: ...
+
+    @abstractmethod
+    def on_landed(self, now: float) -> None: ...
+
+    @abstractmethod
+    def on_gcs_heartbeat(self, sender: tuple[int, int], now: float) -> None:
+        """A HEARTBEAT of a ground station."""
+
+    @abstractmethod
+    def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
+        """A SET_POSITION_TARGET_* or SET_ATTITUDE_TARGET for us."""
+
+    @abstractmethod
+    def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
+        """The deprecated SET_MODE (11)."""
+
+    @abstractmethod
+    def on_data_stream(self, stream: int, rate_hz: float, now: float) -> None:
+        """REQUEST_DATA_STREAM."""
+
+    @abstractmethod
+    def on_param(self, name: str, now: float) -> None:
+        """A parameter was set."""
+
+    def on_file_transfer(self, payload: bytes, sender: tuple[int, int], now: float) -> None:
+        """FILE_TRANSFER_PROTOCOL's payload. A vehicle without files ends sessions and has no such file, as PX4 answers
+        for what is not there (mavlink_ftp.cpp: ENOENT becomes kErrFileNotFound); silence would make a client wait."""
+        request = ftp_payload.decode(b"\0\0\0" + payload)
+        if request is None or request.opcode in (ftp_payload.Op.ACK, ftp_payload.Op.NAK):
+            return
+        ends = request.opcode in (0, ftp_payload.Op.TERMINATE_SESSION, ftp_payload.Op.RESET_SESSIONS)
+        known = request.opcode <= ftp_payload.Op.BURST_READ_FILE
+        error = ftp_payload.Error.FILE_NOT_FOUND if known else ftp_payload.Error.UNKNOWN_COMMAND
+        reply = ftp_payload.Packet(
+            request.seq + 1 & 0xFFFF,
+            request.session,
+            ftp_payload.Op.ACK if ends else ftp_payload.Op.NAK,
+            b"" if ends else bytes([error]),
+            req_opcode=request.opcode,
+            offset=request.offset,
+        )
+        fields = {"target_system": sender[0], "target_component": sender[1]}
+        self.tx.send(ftp_payload.MESSAGE, {**fields, "payload": ftp_payload.encode(reply)})
+
+    # -- in and out
+
+    def on_frame(self, frame: Frame, now: float) -> None:
+        """Take one received frame; answers come with the next `step`. Never raises on what a sender can do wrong."""
+        if (
+            now < self.boot_at
+            or self.faults.deaf
+            or frame.info is None
+            or (frame.sysid, frame.compid) == (self.sysid, self.compid)
+            or not self.signing.hears(frame)
+        ):
+            return
+        system, component = frame.target()
+        if system not in (0, self.sysid) or component not in (0, self.compid):
+            return
+        requests.handle(self, frame.info.name, frame.fields(), (frame.sysid, frame.compid), now)
+        self._flush()
+
+    def step(self, now: float) -> list[bytes]:
+        """Live on until ``now``; the frames that were due, in order."""
+        if now - self._clock > MAX_CATCH_UP_S:
+            self._clock = now - MAX_CATCH_UP_S
+        while self._clock + TICK_S <= now + 1e-9:
+            self._clock += TICK_S
+            self._tick(self._clock)
+        return self.tx.take()
+
+    def send_message(self, name: str, now: float) -> bool:
+        """Send a telemetry message built from the present state; False if this vehicle has none of this name."""
+        builder = self.builders.get(name)
+        if builder is None or name not in self.dialect.by_name:
+            return False
+        fields = builder(self, now)
+        if fields is not None:
+            self.tx.send(name, fields, self.tail_of(name))
+        return True
+
+    def tail_of(self, name: str) -> bytes:
+        """What its firmware sends behind the fields that the dialect knows."""
+        return b""
+
+    def send_soon(self, name: str) -> None:
+        """Send this message after the answer that is being worked out."""
+        self._requested.append(name)
+
+    def later(self, at: float, what: Callable[[], None]) -> None:
+        """Do this at that time, unless the vehicle reboots before."""
+        self._later.append((at, what))
+        self._later.sort(key=lambda entry: entry[0])
+
+    def begin_with(self, sets: Iterable[Mapping[str, Param]]) -> None:
+        """Take these parameters in and boot with them, as if it had always had them."""
+        told = list(sets)
+        for params in told:
+            self.params.take_in(params)
+        if told:
+            self._boot(self._clock)
+
+    # -- state others read
+
+    @property
+    def believed(self) -> Body:
+        """Where the autopilot takes itself to be; ``motion`` is where it is."""
+        return self.sensors.believed
+
+    @property
+    def told(self) -> Body:
+        """What telemetry says: what was believed a latency ago."""
+        return self.sensors.told
+
+    @property
+    def boot_ms(self) -> int:
+        return max(0, round((self._clock - self.boot_at) * 1000))
+
+    @property
+    def unix_us(self) -> int:
+        return max(0, round(self._unix_offset_us + self._clock * 1e6))
+
+    @property
+    def position_ok(self) -> bool:
+        """GPS is there and the estimator has converged on it."""
+        return not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s
+
+    @property
+    def gps_ok(self) -> bool:
+        """A fix comes at half the time the estimator needs."""
+        return not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s / 2
+
+    @property
+    def landed_state(self) -> int:
+        if self.landed:
+            return m.MAV_LANDED_STATE_ON_GROUND
+        if self.plan.landing:
+            return m.MAV_LANDED_STATE_LANDING
+        return m.MAV_LANDED_STATE_TAKEOFF if self.taking_off else m.MAV_LANDED_STATE_IN_AIR
+
+    @property
+    def local_origin(self) -> Home:
+        """What its local frame is about: what a ground station told it, else where it was first powered."""
+        return self.local_zero or Home(0.0, 0.0, 0.0)
+
+    def true_position(self) -> tuple[float, float, float]:
+        """Where it is, whatever it believes: (lat_deg, lon_deg, alt_amsl_m)."""
+        lat_deg, lon_deg = self.where.to_geodetic(self.motion.east_m, self.motion.north_m)
+        return lat_deg, lon_deg, self.where.alt_amsl_m + self.motion.up_m
+
+    def sysid_of_params(self) -> int:
+        """What the parameter says; 1 if that is no system id."""
+        sysid = int(self.params[self.sysid_param])
+        return sysid if 1 <= sysid <= 255 else 1
+
+    def height_m(self) -> float:
+        """Above home."""
+        return self.told.up_m - (self.home.up_m if self.home else 0.0)
+
+    # -- orders both firmwares carry out alike
+
+    def arm(self, now: float) -> None:
+        self.armed = True
+        self.armed_at = now
+        self.flown_since_arming = False
+        self.set_home_here()
+
+    def disarm(self) -> None:
+        self.armed = False
+        self.taking_off = False
+        self.plan.fly()
+
+    def hold_here(self) -> None:
+        """Stop and stay where it comes to a stop; on the ground: stay there."""
+        if self.landed:
+            self.plan.fly()
+            return
+        body = self.believed
+        slide_s = 0.5 * body.groundspeed_mps / self.limits().accel_mps2
+        self.plan.fly(GoTo(body.east_m + body.vel_e_mps * slide_s, body.north_m + body.vel_n_mps * slide_s, body.up_m))
+
+    def set_home_here(self) -> None:
+        if self.position_ok:
+            self.set_home(Home(*self.believed.pos_enu_m))
+
+    def set_home(self, home: Home) -> None:
+        self.home = home
+        self.send_soon("HOME_POSITION")
+
+    def set_local_origin(self, east_m: float, north_m: float, up_m: float) -> None:
+        """Its local frame is about this point of `where` from now on."""
+        self.local_zero = Home(east_m, north_m, up_m)
+        self.send_soon("GPS_GLOBAL_ORIGIN")
+
+    def reboot(self, now: float) -> None:
+        """Off at once, back after REBOOT_S; the parameters stay. In the air the motors stop and it falls."""
+        self._flush()
+        self.disarm()
+        self._later.clear()
+        self.boot_at = now + REBOOT_S
+        self._rebooting = True
+
+    # -- the inside
+
+    def _boot(self, now: float) -> None:
+        self.boot_at = now
+        self._rebooting = False
+        self.sysid = self.sysid_of_params()
+        self.tx.restart(self.sysid)
+        self._requested: list[str] = []
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._ready_s = self.ready_after_s * (1 + self.chance.spread(0.2))
+        self._was_ready = False
+        self.failsafes = Failsafes()
+        self.fence_breach = m.FENCE_BREACH_NONE
+        self.fence_breaches = 0
+        self.lists.forget_transfers()
+        self.run.leave()
+        self.armed = False
+        self.armed_at = now
+        self.landed = self.motion.on_ground
+        self.taking_off = False
+        self.touched_at: float | None = None
+        self.landed_at = now
+        self.flown_since_arming = False
+        self.home = None
+        self.local_zero = None
+        self.calibration: requests.Calibration | None = None
+        self.param_queue: list[int] = []
+        self.builders = telemetry.builders_of(self.autopilot)
+        self.streams = Streams(
+            (n for n in self.builders if n in self.dialect.by_name), self.default_rates_hz, self.chance, now
+        )
+        self.rtk = RtkReceiver(whole_messages=self.autopilot != m.MAV_AUTOPILOT_PX4)
+        self.plan.fly()
+        self.on_boot(now)
+
+    def _tick(self, now: float) -> None:
+        if self.faults.reboot:
+            self.faults.reboot = False
+            self.reboot(now)
+        if now < self.boot_at:
+            self.motion.step(TICK_S, None, self.limits())  # the autopilot is off, the vehicle falls on
+            return
+        if self._rebooting:
+            self._boot(now)
+        while self._later and self._later[0][0] <= now:
+            self._later.pop(0)[1]()
+        self._watch_position(now)
+        self.on_tick(now)
+        flight.step(self, now, TICK_S)
+        requests.step(self, now)
+        for name in self.streams.due(now):
+            self.send_message(name, now)
+        self._flush()
+
+    def _watch_position(self, now: float) -> None:
+        if self.position_ok and not self._was_ready:
+            self._was_ready = True
+            self.set_home_here()
+            self.on_ready(now)
+
+    def _flush(self) -> None:
+        self.tx.flush()
+        requested, self._requested = self._requested, []
+        for name in requested:
+            self.send_message(name, self._clock)

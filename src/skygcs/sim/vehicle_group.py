@@ -1,0 +1,81 @@
+"""Several simulated vehicles together: on one link, or all on the same radio."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import cos, radians, sin
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.frame import Frame
+from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.conditions import CALM, Conditions
+from skygcs.sim.kinematics import LocalFrame
+from skygcs.sim.param_set import ParamSet
+from skygcs.sim.px4 import Px4Vehicle
+from skygcs.sim.rng import Chance
+from skygcs.sim.vehicle import SimVehicle
+
+SPACING_M = 5.0
+"""Between neighbours on the ground: two F450s need 3 m."""
+
+ROW = 5
+
+
+class SimFleet:
+    """Vehicles that hear the same frames and answer on the same channel."""
+
+    def __init__(self, vehicles: list[SimVehicle]) -> None:
+        self.vehicles = vehicles
+
+    def on_frame(self, frame: Frame, now: float) -> None:
+        for vehicle in self.vehicles:
+            vehicle.on_frame(frame, now)
+
+    def step(self, now: float) -> list[bytes]:
+        """The frames of all of them until ``now``, vehicle by vehicle."""
+        return [raw for vehicle in self.vehicles for raw in vehicle.step(now)]
+
+
+def make_vehicles(
+    dialect: Dialect,
+    *,
+    px4: int,
+    ardupilot: int,
+    first_sysid: int,
+    home: LocalFrame,
+    heading_deg: float = 0.0,
+    seed: int = 1,
+    now: float = 0.0,
+    unix_us: int = 0,
+    conditions: Conditions = CALM,
+    params: Iterable[ParamSet] = (),
+) -> list[SimVehicle]:
+    """PX4s first, then ArduCopters, sysids from ``first_sysid`` on, in rows of five SPACING_M apart about ``home``.
+    ``params``: each for the vehicles of its firmware, a later one over an earlier.
+
+    Raises ValueError if the last sysid would be above 255.
+    """
+    count = px4 + ardupilot
+    if first_sysid < 1 or first_sysid + count - 1 > 255:
+        raise ValueError(f"{count} vehicles from system id {first_sysid} on do not fit in 1..255")
+    vehicles: list[SimVehicle] = []
+    params = tuple(params)
+    for i in range(count):
+        right, back = SPACING_M * (i % ROW), SPACING_M * (i // ROW)
+        turn = radians(heading_deg)
+        east, north = right * cos(turn) - back * sin(turn), -right * sin(turn) - back * cos(turn)
+        lat, lon = home.to_geodetic(east, north)
+        kind = Px4Vehicle if i < px4 else CopterVehicle
+        vehicle = kind(
+            dialect,
+            first_sysid + i,
+            LocalFrame(lat, lon, home.alt_amsl_m),
+            chance=Chance(seed * 1000 + i),
+            now=now,
+            unix_us=unix_us,
+            heading_deg=heading_deg,
+            conditions=conditions,
+        )
+        vehicle.begin_with(s.params for s in params if s.family == ("px4" if kind is Px4Vehicle else "ardupilot"))
+        vehicles.append(vehicle)
+    return vehicles

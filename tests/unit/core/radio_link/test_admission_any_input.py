@@ -1,0 +1,166 @@
+"""Whatever others send: no exception, bounded memory, no more than the rates, and emergencies always pass."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter, defaultdict
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skygcs.core.radio_link.admission import MAX_SOURCES, MAX_WAITING, ForeignRules, ForeignTraffic
+from skygcs.core.radio_link.admission_frames import BUILT_IN, is_emergency, parse
+from skygcs.core.radio_link.list_turns import MAX_WAITING as MAX_LISTS
+from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
+from support.frames import dialect
+
+IDS = [0, 2, 4, 11, 20, 21, 23, 40, 43, 47, 66, 70, 73, 75, 76, 84, 109, 110, 111, 117, 233, 244, 65000]
+
+
+def built(msgid: int, source: int, payload: bytes, version: int) -> bytes:
+    """A frame around any payload; its CRC does not matter here, the parser has looked at it."""
+    if version == 1:
+        return bytes((0xFE, len(payload), 0, source >> 8, source & 0xFF, msgid & 0xFF)) + payload + b"\0\0"
+    head = bytes(
+        (0xFD, len(payload), 0, 0, 0, source >> 8, source & 0xFF, msgid & 0xFF, msgid >> 8 & 0xFF, msgid >> 16)
+    )
+    return head + payload + b"\0\0"
+
+
+COMMANDS = st.builds(
+    lambda p1, p2, command, target: struct.pack("<7fHBBB", p1, p2, 0, 0, 0, 0, 0, command, target, 1, 0),
+    st.sampled_from([0.0, 1.0, float("nan")]),
+    st.sampled_from([0.0, 21196.0, float("inf")]),
+    st.sampled_from([22, 185, 400, 511, 512]),
+    st.integers(0, 4),
+)
+FRAMES = st.builds(
+    built,
+    st.sampled_from(IDS),
+    st.sampled_from([255 << 8 | 190, 1 << 8 | 240, 250 << 8]) | st.integers(0, 0xFFFF),
+    COMMANDS | st.binary(max_size=255) | st.binary(max_size=8),
+    st.sampled_from([1, 2]),
+)
+OFFERS = st.lists(st.tuples(st.floats(0, 3), FRAMES), max_size=80)
+VALUES = st.lists(st.tuples(*[st.integers(0, 255)] * 2, *[st.integers(0, 0xFFFF)] * 2), max_size=20)
+RULES = st.builds(
+    ForeignRules,
+    st.sampled_from(["one", "deny", "allow"]),
+    st.sampled_from(["one", "deny", "allow"]),
+    st.sampled_from(["deny", "allow"]),
+    st.sampled_from(["deny", "allow"]),
+    st.dictionaries(st.sampled_from(IDS), st.sampled_from([0.0, 0.001, 0.5, 100.0]), max_size=4),
+    st.sampled_from([None, 1.0, 300.0]),
+)
+
+
+@given(st.lists(st.binary(max_size=300) | FRAMES, max_size=60), RULES, VALUES)
+def test_no_bytes_are_wrong_enough_to_raise(
+    frames: list[bytes], rules: ForeignRules, values: list[tuple[int, int, int, int]]
+) -> None:
+    traffic = ForeignTraffic(rules, dialect().messages, 500.0, 0.0)
+    queue: TxQueue[bytes] = TxQueue()
+    for number, raw in enumerate(frames):
+        traffic.judge(raw, number / 10, queue.holds)
+        for value in values:
+            traffic.on_param_value(*value, number / 10)
+            traffic.on_file_part(value[0], number / 10)
+        traffic.poll(number / 10)
+        traffic.next_poll(number / 10)
+        traffic.status(number / 10)
+
+
+@given(OFFERS, RULES)
+def test_emergencies_always_pass_and_nothing_else_goes_as_one(
+    offers: list[tuple[float, bytes]], rules: ForeignRules
+) -> None:
+    traffic = ForeignTraffic(rules, dialect().messages, 500.0, 0.0)
+    queue: TxQueue[bytes] = TxQueue()
+    now = 0.0
+    for pause_s, raw in offers:
+        now += pause_s
+        ruling = traffic.judge(raw, now, queue.holds)
+        frame = parse(raw, dialect().messages)
+        if frame is not None and is_emergency(frame):
+            assert ruling.outcome == "send"
+            assert ruling.priority in (Priority.EMERGENCY, Priority.COMMAND, Priority.FORWARDED)
+        else:
+            assert ruling.priority is not Priority.EMERGENCY
+        if ruling.outcome == "send":
+            assert queue.offer(raw, ruling.priority, now, ruling.key, size=len(raw), flow=ruling.flow)
+
+
+@given(OFFERS)
+@settings(max_examples=50)
+def test_no_source_sends_more_of_anything_than_its_rate(offers: list[tuple[float, bytes]]) -> None:
+    rules = ForeignRules(param_lists="allow", streams="allow", logs="allow")
+    traffic = ForeignTraffic(rules, dialect().messages, 500.0, 0.0)
+    went: defaultdict[tuple[int, str], list[float]] = defaultdict(list)
+
+    def note(raw: bytes, now: float) -> None:
+        frame = parse(raw, dialect().messages)
+        assert frame is not None
+        if frame.msgid in BUILT_IN:
+            went[frame.source, BUILT_IN[frame.msgid].group].append(now)
+
+    now = 0.0
+    for pause_s, raw in [*offers, (100.0, b"")]:
+        end = now + pause_s
+        while (at := traffic.next_poll(now)) is not None and at <= end:
+            now = max(now, at)
+            released = traffic.poll(now)
+            assert released, "next_poll is a promise"
+            for one in released:
+                note(one.raw, now)
+        now = end
+        if traffic.judge(raw, now, lambda *_: False).outcome == "send":
+            note(raw, now)
+    rates = {allotment.group: allotment for allotment in BUILT_IN.values()}
+    for (_, group), times in went.items():
+        hz, burst = rates[group].hz, rates[group].burst
+        for first, since in enumerate(times):
+            for last in range(first, len(times)):
+                assert last - first + 1 <= burst + hz * (times[last] - since) + 1e-3
+
+
+@given(OFFERS, st.floats(20, 2000))
+@settings(max_examples=50)
+def test_everything_foreign_together_keeps_to_its_share(offers: list[tuple[float, bytes]], rate: float) -> None:
+    """But for orders and emergencies, which may be ahead of it by their bursts."""
+    traffic = ForeignTraffic(ForeignRules(streams="allow", logs="allow"), dialect().messages, rate, 0.0)
+    queue: TxQueue[bytes] = TxQueue()
+    queue.forwarded = traffic.budget
+    sent: list[tuple[float, int]] = []
+    now = 0.0
+    for pause_s, raw in [*offers, (5.0, b"")]:
+        end = now + pause_s
+        while (at := queue.next_send_time(now)) is not None and at <= end:
+            now = max(now, at)
+            popped = queue.pop(now)
+            assert popped is not None
+            if popped[1] is Priority.FORWARDED:
+                sent.append((now, len(popped[0])))
+        now = end
+        ruling = traffic.judge(raw, now, queue.holds)
+        if ruling.outcome == "send":
+            queue.offer(raw, ruling.priority, now, ruling.key, size=len(raw), flow=ruling.flow)
+    for first, (since, _) in enumerate(sent):
+        total = 0
+        for at, size in sent[first:]:
+            total += size
+            assert total <= traffic.budget.burst_bytes + rate * 0.5 * (at - since) + 0.01
+
+
+@given(st.lists(st.tuples(st.floats(0, 2), st.integers(0, 0xFFFF), st.binary(max_size=40)), max_size=400))
+@settings(max_examples=20)
+def test_memory_is_bounded_whatever_comes_from_whomever(offers: list[tuple[float, int, bytes]]) -> None:
+    traffic = ForeignTraffic(ForeignRules(), dialect().messages, 500.0, 0.0)
+    now = 0.0
+    for pause_s, source, payload in offers:
+        now += pause_s
+        for msgid in (20, 21, 76, 110, 111):
+            traffic.judge(built(msgid, source, payload, 2), now, lambda *_: False)
+    told = traffic.status(now)
+    assert len(told["sources"]) <= MAX_SOURCES + 1
+    assert traffic.waiting <= MAX_WAITING + MAX_LISTS
+    assert Counter(s["source"] for s in told["sources"])["others"] <= 1

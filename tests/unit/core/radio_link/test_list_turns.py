@@ -1,0 +1,157 @@
+"""One parameter list at a time: how one ends, what is repeated, who is next."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from skygcs.core.radio_link.admission_frames import ForeignFrame
+from skygcs.core.radio_link.list_turns import (
+    FIRST_VALUE_S,
+    LONGEST_S,
+    MAX_WAITING,
+    NO_INDEX,
+    RESEND_S,
+    SILENCE_S,
+    Asked,
+    ParamLists,
+)
+
+QGC = 255 << 8 | 190
+
+
+def request(system: int, component: int = 1, source: int = QGC) -> ForeignFrame:
+    return ForeignFrame(b"", 21, source, system, component, bytes((system, component)))
+
+
+def due(lists: ParamLists, now: float) -> int | None:
+    frame = lists.due(now, lambda source: True)
+    return None if frame is None else frame.target
+
+
+def test_a_list_is_through_when_every_index_was_seen_in_any_order_and_more_than_once() -> None:
+    lists = ParamLists()
+    assert lists.ask(request(1), 0.0) is Asked.SEND
+    assert lists.ask(request(2), 0.0) is Asked.HOLD
+    for index in (2, 0, 2, 0, NO_INDEX, 7):
+        lists.heard(1, 1, index, 3, 1.0)
+    lists.heard(2, 1, 1, 3, 1.0)  # another vehicle's
+    lists.heard(1, 100, 1, 3, 1.0)  # another component's
+    assert due(lists, 1.0) is None
+    assert lists.running == (1, 2, 3)
+    lists.heard(1, 1, 1, 3, 2.0)
+    assert due(lists, 2.0) == 2
+    assert lists.finished == 1
+
+
+def test_a_list_of_all_components_is_the_autopilots() -> None:
+    lists = ParamLists()
+    lists.ask(request(1, 0), 0.0)
+    lists.heard(1, 1, 0, 1, 1.0)
+    assert lists.ask(request(2), 1.0) is Asked.SEND
+
+
+@pytest.mark.parametrize("values", [0, 1, 10])
+def test_a_list_that_ceases_ends_after_a_while_and_lets_the_next_go(values: int) -> None:
+    lists = ParamLists()
+    lists.ask(request(1), 0.0)
+    lists.ask(request(2), 0.0)
+    for index in range(values):
+        lists.heard(1, 1, index, 900, 1.0 + index)
+    ends = values + SILENCE_S if values else FIRST_VALUE_S
+    assert lists.next_at(0.0) == ends
+    assert due(lists, ends - 0.01) is None
+    assert due(lists, ends) == 2
+    assert (lists.finished, lists.unfinished) == (0, 1)
+
+
+def test_a_request_that_brought_nothing_is_sent_again_but_not_for_ever() -> None:
+    lists = ParamLists()
+    lists.ask(request(2), 0.0)
+    lists.ask(request(1), 0.0)
+    now, sent = 0.0, 0
+    while due(lists, now) is None:
+        now += 1.0
+        sent += lists.ask(request(2), now) is Asked.SEND
+        assert now < 60
+    assert now <= 2 * FIRST_VALUE_S
+    assert 2 <= sent <= 2 * FIRST_VALUE_S / RESEND_S
+
+
+def test_once_values_come_repeats_are_swallowed() -> None:
+    lists = ParamLists()
+    lists.ask(request(1), 0.0)
+    lists.heard(1, 1, 0, 900, 1.0)
+    assert lists.ask(request(1), 1.0 + SILENCE_S - 0.1) is Asked.SWALLOW
+    assert lists.ask(request(1, source=7), 2.0) is Asked.SWALLOW, "the list comes to everybody"
+
+
+def test_somebody_who_goes_on_asking_for_values_does_not_keep_the_others_for_ever() -> None:
+    lists = ParamLists()
+    lists.ask(request(1), 0.0)
+    lists.ask(request(2), 0.0)
+    now = 0.0
+    while due(lists, now) is None:
+        now += 1.0
+        lists.heard(1, 1, 5, 900, now)
+    assert now == LONGEST_S
+
+
+def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_turn() -> None:
+    lists = ParamLists()
+    for system in (1, 2, 3):
+        lists.ask(request(system), 0.0)
+    assert lists.ask(request(2, source=7), 1.0) is Asked.SWALLOW
+    assert lists.waiting == [2, 3]
+    frame = lists.due(FIRST_VALUE_S, lambda source: source == 7)
+    assert frame is not None
+    assert (frame.target, frame.source) == (2, 7)
+
+
+def test_who_is_gone_is_passed_over_and_a_broken_link_forgets_all() -> None:
+    lists = ParamLists()
+    for system in (1, 2, 3):
+        lists.ask(request(system), 0.0)
+    assert lists.due(FIRST_VALUE_S, lambda source: False) is None
+    assert lists.abandoned == 2
+    assert lists.ask(request(4), FIRST_VALUE_S) is Asked.SEND
+    lists.ask(request(5), FIRST_VALUE_S)
+    assert lists.clear() == 1
+    assert lists.ask(request(6), FIRST_VALUE_S) is Asked.SEND
+
+
+Step = tuple[float, int, int, int]
+
+
+@given(
+    st.lists(st.tuples(st.floats(0, 8), st.integers(1, 4), st.integers(0, 70000), st.integers(0, 70000)), max_size=80)
+)
+def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[Step]) -> None:
+    lists = ParamLists()
+    asked: set[int] = set()
+    sent: list[int] = []
+    now = 0.0
+    for pause_s, system, index, count in steps:
+        now += pause_s
+        before = lists.running
+        answer = lists.ask(request(system), now)
+        asked.add(system)
+        if answer is Asked.SEND:
+            sent.append(system)
+            assert before is None or before[0] == system or lists.finished + lists.unfinished
+        lists.heard(system, 1, index, count, now)
+    while (at := lists.next_at(now)) is not None:
+        now = max(now, at)
+        system_now = due(lists, now)
+        assert system_now is not None, "next_at is a promise"
+        sent.append(system_now)
+    assert set(sent) == asked
+
+
+def test_no_more_wait_than_there_can_be_vehicles() -> None:
+    lists = ParamLists()
+    for system in range(1, 256):
+        for component in (1, 2):
+            lists.ask(request(system, component), 0.0)
+    assert len(lists.waiting) == MAX_WAITING

@@ -1,0 +1,309 @@
+"""The budget of bytes: never overdrawn, spent on what is urgent first and on vehicles alike, and nothing starves."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skygcs.core.radio_link.transmit_queue import (
+    HEARTBEAT_WAITS_S,
+    RESERVED_SHARE,
+    WAITS_KEPT,
+    ByteBudget,
+    Priority,
+    TxQueue,
+    Waits,
+)
+
+Offer = tuple[float, Priority, int, int]
+"""Seconds since the one before, class, bytes, vehicle."""
+
+OFFERS = st.lists(
+    st.tuples(st.floats(0, 2), st.sampled_from(list(Priority)), st.integers(12, 280), st.integers(1, 5)), max_size=60
+)
+
+
+def run(queue: TxQueue[int], offers: list[Offer], until: float = 1e9) -> list[tuple[float, Priority, int, int, float]]:
+    """Offer and send as a sender would: (sent at, class, bytes, vehicle, offered at) of everything that went."""
+    told: dict[int, tuple[Priority, int, int, float]] = {}
+    sent = []
+    now = 0.0
+
+    def send_until(limit: float) -> None:
+        nonlocal now
+        while (at := queue.next_send_time(now)) is not None and at <= limit:
+            assert at >= now
+            now = at
+            entry = queue.pop(now)
+            assert entry is not None, "next_send_time is a promise"
+            sent.append((now, *told[entry[0]]))
+        now = max(now, limit)
+
+    at = 0.0
+    for number, (pause_s, priority, size, vehicle) in enumerate(offers):
+        at += pause_s
+        send_until(at)
+        told[number] = (priority, size, vehicle, at)
+        queue.offer(number, priority, at, size=size, flow=vehicle)
+    send_until(until)
+    return sent
+
+
+@given(OFFERS, st.floats(20, 6000), st.floats(60, 1000))
+@settings(max_examples=50, deadline=None)
+def test_over_no_time_more_is_sent_than_the_budget_and_one_burst(
+    offers: list[Offer], bytes_per_s: float, burst: float
+) -> None:
+    sent = run(TxQueue(ByteBudget(bytes_per_s, burst)), offers)
+    for first in range(len(sent)):
+        total = 0
+        for at, _, size, _, _ in sent[first:]:
+            total += size
+            assert total <= bytes_per_s * (at - sent[first][0]) + max(burst, size + burst * (size > burst)) + 1
+
+
+@given(OFFERS, st.floats(20, 6000), st.floats(600, 1000))
+@settings(max_examples=50, deadline=None)
+def test_nothing_that_is_less_urgent_goes_while_something_urgent_waits(
+    offers: list[Offer], bytes_per_s: float, burst: float
+) -> None:
+    sent = run(TxQueue(ByteBudget(bytes_per_s, burst)), offers)
+    for at, priority, _, _, _ in sent:
+        for later, other, _, _, offered in sent:
+            if other < priority and offered < at < later and priority is not Priority.HEARTBEAT:
+                pytest.fail(f"{priority.name} went at {at} before {other.name}, offered at {offered}")
+
+
+@given(OFFERS, st.floats(100, 6000))
+@settings(max_examples=40, deadline=None)
+def test_everything_that_was_taken_goes_in_the_end(offers: list[Offer], bytes_per_s: float) -> None:
+    queue: TxQueue[int] = TxQueue(ByteBudget(bytes_per_s, 300.0))
+    sent = run(queue, offers)
+    lost = sum(c.dropped + c.refused for c in queue.counters.values())
+    assert len(sent) + lost == len(offers)
+    assert sum(c.sent_bytes for c in queue.counters.values()) == sum(size for _, _, size, _, _ in sent)
+
+
+def test_an_order_leaves_at_once_from_a_link_that_telemetry_saturates() -> None:
+    queue: TxQueue[str] = TxQueue(ByteBudget(500.0, 500.0))
+    now = 0.0
+    for step in range(2000):
+        now = step * 0.01
+        queue.offer("forwarded", Priority.FORWARDED, now, size=100)
+        if step % 100 == 50:
+            queue.offer("order", Priority.COMMAND, now, size=45, flow=step)
+        while queue.pop(now) is not None:
+            pass
+    waits = queue.counters[Priority.COMMAND].waits
+    assert waits.percentile(1.0) == 0.0, "the reserve was there whenever one came"
+    assert queue.counters[Priority.FORWARDED].dropped > 0
+
+
+def test_a_stop_for_each_of_ten_vehicles_leaves_within_the_burst_and_the_rest_within_the_rate() -> None:
+    queue: TxQueue[int] = TxQueue(ByteBudget(500.0, 500.0))
+    now = 0.0
+    for n in range(200):
+        queue.offer(-1, Priority.FORWARDED, now, size=100)
+        while queue.pop(now) is not None:
+            pass
+        now = n * 0.01
+    for vehicle in range(10):
+        queue.offer(vehicle, Priority.EMERGENCY, now, size=45, flow=vehicle)
+    start, gone = now, []
+    while (at := queue.next_send_time(now)) is not None and len(gone) < 10:
+        now = at
+        entry = queue.pop(now)
+        assert entry is not None
+        gone.append(entry[0])
+    assert gone == list(range(10))
+    assert now - start <= (450 - RESERVED_SHARE * 500) / 500 + 0.01
+
+
+@pytest.mark.parametrize("flood", [Priority.COMMAND, Priority.SETPOINT, Priority.EXCHANGE])
+def test_heartbeats_go_under_any_flood_and_any_budget(flood: Priority) -> None:
+    queue: TxQueue[str] = TxQueue(ByteBudget(60.0, 120.0))
+    sent = []
+    for step in range(6000):
+        now = step * 0.01
+        queue.offer("flood", flood, now, size=45, flow=step % 7)
+        if step % 100 == 0:
+            queue.offer("heartbeat", Priority.HEARTBEAT, now, "heartbeat", size=21)
+        while (entry := queue.pop(now)) is not None:
+            if entry[0] == "heartbeat":
+                sent.append(now)
+    gaps = [b - a for a, b in zip([0.0, *sent], sent, strict=False)]
+    assert max(gaps) <= 2 * HEARTBEAT_WAITS_S + 45 / 60 + 0.1
+
+
+def test_vehicles_get_alike_many_bytes_however_many_frames_wait_for_each() -> None:
+    queue: TxQueue[int] = TxQueue(ByteBudget(1000.0, 200.0))
+    size_of = {1: 200, 2: 40, 3: 40, 4: 20}
+    for vehicle, size in size_of.items():
+        for _ in range(110 if vehicle == 2 else 40):
+            queue.offer(vehicle, Priority.COMMAND, 0.0, size=size, flow=vehicle)
+    bytes_of: Counter[int] = Counter()
+    now = 0.0
+    while bytes_of[4] < 700:  # nobody has run out of frames yet
+        now = queue.next_send_time(now) or now
+        entry = queue.pop(now)
+        assert entry is not None
+        bytes_of[entry[0]] += size_of[entry[0]]
+    assert len(bytes_of) == 4
+    assert max(bytes_of.values()) - min(bytes_of.values()) <= 200
+
+
+def test_one_that_comes_again_after_each_of_its_frames_has_no_advantage() -> None:
+    queue: TxQueue[str] = TxQueue()
+    for _ in range(50):
+        queue.offer("many", Priority.COMMAND, 0.0, size=50, flow=1)
+    order = []
+    for _ in range(40):
+        if "again" not in order[-1:]:
+            queue.offer("again", Priority.COMMAND, 0.0, size=50, flow=2)
+        entry = queue.pop(0.0)
+        assert entry is not None
+        order.append(entry[0])
+    assert abs(order.count("many") - order.count("again")) <= 1
+
+
+def test_who_was_silent_has_saved_nothing_up() -> None:
+    queue: TxQueue[str] = TxQueue()
+    queue.offer("busy", Priority.COMMAND, 0.0, size=10, flow="busy")
+    for _ in range(100):
+        queue.offer("busy", Priority.COMMAND, 0.0, size=10, flow="busy")
+        queue.pop(0.0)
+    for _ in range(10):
+        queue.offer("new", Priority.COMMAND, 0.0, size=10, flow="new")
+        queue.offer("busy", Priority.COMMAND, 0.0, size=10, flow="busy")
+    first = [entry[0] for _ in range(10) if (entry := queue.pop(0.0)) is not None]
+    assert 4 <= first.count("busy") <= 6
+
+
+def test_a_flood_for_one_vehicle_drops_its_own_frames() -> None:
+    queue: TxQueue[str] = TxQueue()
+    queue.offer("other", Priority.FORWARDED, 0.0, flow=2)
+    for _ in range(1000):
+        queue.offer("flood", Priority.FORWARDED, 0.0, flow=1)
+    entries = []
+    while (entry := queue.pop(0.0)) is not None:
+        entries.append(entry[0])
+    assert "other" in entries
+
+
+def test_a_setpoint_that_was_replaced_waits_from_the_newest_on_and_takes_its_size() -> None:
+    queue: TxQueue[str] = TxQueue(ByteBudget(100.0, 100.0))
+    queue.offer("first", Priority.SETPOINT, 0.0, size=50, flow=1)
+    assert queue.pop(0.0) == ("first", Priority.SETPOINT)
+    queue.offer("old", Priority.SETPOINT, 0.1, "k", size=50, flow=1)
+    queue.offer("new", Priority.SETPOINT, 0.3, "k", size=40, flow=1)
+    assert queue.next_send_time(0.3) == pytest.approx(0.4)
+    assert queue.pop(0.4) == ("new", Priority.SETPOINT)
+    assert queue.counters[Priority.SETPOINT].waits.percentile(1.0) == pytest.approx(0.1)
+
+
+def test_a_changed_rate_holds_from_then_on() -> None:
+    budget = ByteBudget(100.0, 100.0)
+    budget.spend(100, 0.0)
+    budget.set_rate(10.0, 0.5)
+    assert budget.saved(0.5) == pytest.approx(50)
+    assert budget.ready_at(60, 0.0, 0.5) == pytest.approx(1.5)
+    budget.set_burst(20.0, 0.5)
+    assert budget.saved(0.5) == 20
+
+
+def test_a_frame_larger_than_the_burst_goes_when_all_is_saved_and_is_paid_for() -> None:
+    queue: TxQueue[str] = TxQueue(ByteBudget(100.0, 100.0))
+    for _ in range(2):
+        queue.offer("large", Priority.FORWARDED, 0.0, size=280)
+    assert queue.pop(0.0) is not None
+    assert queue.next_send_time(0.0) == pytest.approx(2.8)
+
+
+def test_a_clock_that_runs_for_months_makes_no_promise_it_does_not_keep() -> None:
+    now = 3e7
+    queue: TxQueue[str] = TxQueue(ByteBudget(547.3, 300.0, now))
+    for _ in range(100):
+        queue.offer("x", Priority.FORWARDED, now, size=77)
+    for _ in range(100):
+        at = queue.next_send_time(now)
+        assert at is not None
+        now = at
+        assert queue.pop(now) is not None
+
+
+def test_percentiles_are_of_the_last_waits_only() -> None:
+    waits = Waits()
+    assert waits.percentile(0.5) is None
+    for _ in range(WAITS_KEPT):
+        waits.add(100.0)
+    for n in range(WAITS_KEPT):
+        waits.add(float(n))
+    assert waits.percentile(0.5) == WAITS_KEPT // 2
+    assert waits.percentile(1.0) == WAITS_KEPT - 1
+
+
+def test_the_status_names_every_class() -> None:
+    queue: TxQueue[str] = TxQueue()
+    queue.offer("x", Priority.COMMAND, 0.0, size=45)
+    status = queue.status()
+    assert list(status) == [p.name.lower() for p in Priority]
+    assert status["command"]["waiting"] == 1
+    queue.pop(0.25)
+    assert queue.status()["command"] == {
+        "waiting": 0,
+        "sent": 1,
+        "sent_bytes": 45,
+        "replaced": 0,
+        "dropped": 0,
+        "refused": 0,
+        "wait_p50_s": 0.25,
+        "wait_p95_s": 0.25,
+    }
+
+
+def test_the_last_class_keeps_to_its_part_and_holds_up_nobody() -> None:
+    queue: TxQueue[int] = TxQueue(ByteBudget(1000.0, 400.0))
+    queue.forwarded = ByteBudget(100.0, 100.0)
+    for number in range(10):
+        queue.offer(number, Priority.FORWARDED, 0.0, size=100)
+    assert queue.pop(0.0) == (0, Priority.FORWARDED)
+    assert queue.pop(0.0) is None
+    assert queue.next_send_time(0.0) == 1.0
+    queue.offer(99, Priority.EXCHANGE, 0.5, size=100)
+    assert queue.next_send_time(0.5) == 0.5
+    assert queue.pop(0.5) == (99, Priority.EXCHANGE)
+    assert queue.pop(0.99) is None
+    assert queue.pop(1.0) == (1, Priority.FORWARDED)
+
+
+def test_it_tells_what_would_be_replaced() -> None:
+    queue: TxQueue[int] = TxQueue()
+    queue.offer(1, Priority.COMMAND, 0.0, "key", flow=3)
+    assert queue.holds(Priority.COMMAND, 3, "key")
+    assert not queue.holds(Priority.COMMAND, 4, "key")
+    assert not queue.holds(Priority.FORWARDED, 3, "key")
+    queue.pop(0.0)
+    assert not queue.holds(Priority.COMMAND, 3, "key")
+
+
+def test_what_is_no_longer_wanted_is_taken_out_of_its_class() -> None:
+    queue: TxQueue[int] = TxQueue()
+    for number in range(6):
+        queue.offer(number, Priority.COMMAND, 0.0, size=10, flow=number % 3)
+    queue.offer(3, Priority.FORWARDED, 0.0)
+    assert queue.drop(Priority.COMMAND, lambda entry: entry % 3 == 0 or entry == 5) == 3
+    assert len(queue) == 4
+    assert queue.counters[Priority.COMMAND].dropped == 3
+    assert [queue.pop(0.0) for _ in range(5)] == [
+        (1, Priority.COMMAND),
+        (2, Priority.COMMAND),
+        (4, Priority.COMMAND),
+        (3, Priority.FORWARDED),
+        None,
+    ]
+    queue.offer(1, Priority.HEARTBEAT, 0.0, "beat")
+    assert queue.drop(Priority.HEARTBEAT, lambda entry: True) == 1
+    assert queue.next_send_time(5.0) is None

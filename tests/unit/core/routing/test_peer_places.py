@@ -1,0 +1,131 @@
+"""Which peer of a server gives way when all places are taken."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skygcs.core.routing.peer_places import AUTOPILOT_SILENT_S, LET_IN, REFUSED, SILENT_S, Judgement, Peer, PeerPlaces
+
+NOW = 1000.0
+
+
+def places(number: int, *peers: Peer) -> PeerPlaces:
+    return PeerPlaces(number, lambda: peers)
+
+
+def gcs(key: str, host: str = "a", silent_s: float = 0.0) -> Peer:
+    return Peer(key, host, False, NOW - silent_s)
+
+
+def autopilot(key: str, host: str = "v", silent_s: float = 0.0) -> Peer:
+    return Peer(key, host, True, NOW - silent_s)
+
+
+def test_the_peer_without_an_autopilot_that_is_silent_for_longest_gives_way() -> None:
+    table = places(3, gcs("x", silent_s=SILENT_S), gcs("y", silent_s=9.0), autopilot("v", silent_s=50.0))
+    assert table.judge("a", autopilot=False, now=NOW) == Judgement(True, "y")
+    assert table.judge("b", autopilot=True, now=NOW) == Judgement(True, "y")
+
+
+def test_whoever_speaks_keeps_its_place_against_one_without_an_autopilot() -> None:
+    table = places(3, gcs("x", "a", 1.0), gcs("y", "b", 1.0), autopilot("v", silent_s=50.0))
+    assert table.judge("a", autopilot=False, now=NOW) is REFUSED
+
+
+def test_an_autopilot_takes_the_place_of_one_that_speaks_but_not_of_an_autopilot_that_does() -> None:
+    table = places(3, gcs("x", "a", 1.0), gcs("y", "a", 2.0), autopilot("v", silent_s=9.0))
+    assert table.judge("b", autopilot=True, now=NOW) == Judgement(True, "y")
+    table = places(2, autopilot("v", silent_s=9.0), autopilot("w", silent_s=8.0))
+    assert table.judge("b", autopilot=True, now=NOW) is REFUSED
+    assert table.judge("b", autopilot=True, now=NOW + AUTOPILOT_SILENT_S - 9.0) == Judgement(True, "v")
+
+
+def test_a_flood_of_autopilots_leaves_an_eighth_to_ground_stations_that_speak() -> None:
+    peers: dict[object, Peer] = {n: gcs(f"gcs{n}", "g", 1.0) for n in range(16)}
+    table = PeerPlaces(16, peers.values)
+    for number in range(100):
+        admitted, out = table.judge("hostile", autopilot=True, now=NOW)
+        if admitted:
+            if out is not None:
+                peers = {k: p for k, p in peers.items() if p.key != out}
+                table._peers = peers.values
+            peers[f"forged{number}"] = autopilot(f"forged{number}", "hostile")
+            table.changed()
+    assert Counter(p.autopilot for p in peers.values()) == {True: 14, False: 2}
+
+
+def test_an_address_that_holds_many_places_gives_one_to_another_address() -> None:
+    crowd = [gcs(f"h{n}", "hostile", 1.0) for n in range(10)]
+    table = places(11, *crowd, gcs("x", "a", 2.0))
+    assert table.judge("b", autopilot=False, now=NOW) == Judgement(True, "h0")
+    assert table.judge("hostile", autopilot=False, now=NOW) is REFUSED
+
+
+def test_a_few_places_are_kept_for_addresses_that_have_none() -> None:
+    crowd = [autopilot(f"h{n}", "hostile") for n in range(32)]
+    table = places(32, *crowd)
+    assert table.judge("hostile", autopilot=True, now=NOW) is REFUSED
+    assert table.judge("v", autopilot=True, now=NOW) is LET_IN
+    table = places(32, *crowd, autopilot("v1", "v"), autopilot("w1", "w"))
+    assert table.judge("x", autopilot=True, now=NOW) is REFUSED
+
+
+def test_a_flood_of_strangers_costs_one_look_at_the_peers_in_a_tenth_of_a_second() -> None:
+    looks = 0
+
+    def peers() -> list[Peer]:
+        nonlocal looks
+        looks += 1
+        return [gcs("x", "a", 1.0)]
+
+    table = PeerPlaces(1, peers)
+    for number in range(1000):
+        assert table.judge("a", autopilot=False, now=NOW + number * 1e-4) is REFUSED
+    assert looks == 1
+    table.judge("a", autopilot=False, now=NOW + 0.1)
+    assert looks == 2
+
+
+STEPS = st.lists(
+    st.tuples(
+        st.sampled_from(["a", "b", "c", "d"]),
+        st.booleans(),
+        st.sampled_from([0.0, 0.05, 1.0, 4.0, 15.0]),
+        st.integers(0, 40),
+    ),
+    max_size=60,
+)
+
+
+@settings(deadline=None)
+@given(st.integers(1, 40), STEPS)
+def test_whoever_comes_the_bounds_hold_and_no_autopilot_that_is_heard_goes(
+    number: int, steps: list[tuple[str, bool, float, int]]
+) -> None:
+    peers: dict[object, Peer] = {}
+    table = PeerPlaces(number, lambda: peers.values())
+    now = 0.0
+    for count, (host, is_autopilot, pause_s, speaker) in enumerate(steps):
+        now += pause_s
+        if speaker in peers:
+            peers[speaker] = peers[speaker]._replace(heard_at=now)
+        if len(peers) >= number:
+            admitted, out = table.judge(host, autopilot=is_autopilot, now=now)
+            if out is not None:
+                gone = peers.pop(out)
+                assert admitted
+                assert not gone.autopilot or (is_autopilot and now - gone.heard_at >= AUTOPILOT_SILENT_S)
+                if not gone.autopilot and not is_autopilot and now - gone.heard_at < SILENT_S:
+                    by_host = Counter(p.host for p in peers.values())
+                    assert by_host[gone.host] + 1 >= by_host[host] + 2
+            elif admitted:
+                assert all(p.host != host for p in peers.values())
+        else:
+            admitted = True
+        if admitted:
+            peers[count] = Peer(count, host, is_autopilot, now)
+            table.changed()
+        assert len(peers) <= number + table.kept

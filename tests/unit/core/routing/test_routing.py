@@ -1,0 +1,490 @@
+"""Rules beyond the 22 cases: own id, roles, copies, moves, reboots, expiry, filters, limits, bounds."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skygcs.core.routing.decision import Verdict
+from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+from support.routed import RoutedNet, five_ports, heartbeat, message
+
+VEHICLE = ChannelPolicy(role="vehicle")
+RADIO = ChannelPolicy(role="radio", forward_unknown=False)
+GCS = ChannelPolicy(role="gcs")
+
+
+def to(target: int, component: int = 1, sysid: int = 250, compid: int = 190, seq: int = 1) -> bytes:
+    return message("COMMAND_LONG", sysid, compid, seq, target_system=target, target_component=component, command=400)
+
+
+def test_a_frame_for_our_own_id_is_consumed_and_goes_nowhere() -> None:
+    net = five_ports()
+    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=25))
+    assert net.reached() == set()
+    assert net.decisions[-1].local
+
+
+def test_a_frame_for_component_0_of_our_system_reaches_us_and_others_with_our_system_id() -> None:
+    net = five_ports()
+    net.open("script")
+    net.datagram("script", heartbeat(255, 1, gcs=True))
+    net.clear()
+    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255))
+    assert net.reached() == {"script"}
+    assert net.decisions[-1].local
+
+
+def test_another_ground_station_with_our_system_id_gets_its_own_acks() -> None:
+    net = five_ports()
+    net.open("qgc")
+    net.datagram("qgc", heartbeat(255, 190, gcs=True))
+    net.clear()
+    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=190))
+    assert net.reached() == {"qgc"}
+    assert not net.decisions[-1].local
+
+
+def test_broadcast_is_for_us_too() -> None:
+    net = five_ports()
+    net.datagram("V0", heartbeat(1, seq=1))
+    assert net.decisions[-1].local
+
+
+def test_our_own_id_from_outside_is_a_conflict_noted_once_and_not_learned() -> None:
+    net = five_ports()
+    net.router.notes.clear()
+    for seq in range(3):
+        net.datagram("G0", heartbeat(255, 25, seq, gcs=True))
+    assert net.reached() == set()
+    assert [n.kind for n in net.router.notes] == ["conflict"]
+    assert net.router.counters[Verdict.CONFLICT] == 3
+    net.clear()
+    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=25))
+    assert net.reached() == set()
+
+
+def test_telemetry_of_a_vehicle_does_not_go_to_other_vehicles_or_the_radio() -> None:
+    net = RoutedNet()
+    for name, policy in {"v1": VEHICLE, "v2": VEHICLE, "radio": RADIO, "gcs": GCS, "peer": ChannelPolicy()}.items():
+        net.open(name, policy)
+    for name, sysid in {"v1": 1, "v2": 2, "radio": 3}.items():
+        net.datagram(name, heartbeat(sysid))
+    for name, sysid in {"v1": 1, "v2": 2, "radio": 3}.items():
+        net.clear()
+        net.datagram(name, message("ATTITUDE", sysid, seq=2))
+        assert net.reached() == {"gcs", "peer"}
+
+
+def test_telemetry_of_a_vehicle_behind_a_peer_link_spares_the_radio() -> None:
+    net = RoutedNet()
+    net.open("radio", RADIO)
+    net.open("udp")
+    net.open("gcs", GCS)
+    net.datagram("udp", heartbeat(7))
+    net.clear()
+    net.datagram("udp", message("ATTITUDE", 7, seq=1))
+    assert net.reached() == {"gcs"}
+
+
+def test_targeted_frames_between_vehicles_pass() -> None:
+    net = RoutedNet()
+    net.open("v1", VEHICLE)
+    net.open("radio", RADIO)
+    net.datagram("v1", heartbeat(1))
+    net.datagram("radio", heartbeat(3))
+    net.clear()
+    net.datagram("v1", to(3, sysid=1, compid=1))
+    assert net.reached() == {"radio"}
+
+
+def test_broadcast_commands_of_a_ground_station_reach_vehicles_and_radio() -> None:
+    net = RoutedNet()
+    for name, policy in {"v1": VEHICLE, "radio": RADIO, "gcs": GCS}.items():
+        net.open(name, policy)
+    net.datagram("gcs", to(0, 0))
+    assert net.reached() == {"v1", "radio"}
+
+
+def test_radio_status_never_goes_to_vehicles_of_any_role() -> None:
+    net = RoutedNet()
+    for name, policy in {"radio": RADIO, "v1": VEHICLE, "peer": ChannelPolicy(), "gcs": GCS}.items():
+        net.open(name, policy)
+    net.datagram("peer", heartbeat(9))
+    net.clear()
+    net.datagram("radio", message("RADIO_STATUS", 51, 68, 1, txbuf=90))
+    net.datagram("radio", message("RADIO", 51, 68, 1, txbuf=90))
+    assert net.reached() == {"gcs"}
+    assert len(net.got["gcs"]) == 2
+
+
+def test_unknown_ids_go_to_a_radio_only_if_it_says_so_and_teach_no_route() -> None:
+    unknown = bytes((0xFD, 1, 0, 0, 9, 250, 77, 0x40, 0xEE, 0x02)) + b"a" + b"\x12\x34"
+    net = RoutedNet()
+    net.open("gcs", GCS)
+    net.open("radio", RADIO)
+    net.open("radio2", ChannelPolicy(role="radio", forward_unknown=True))
+    net.datagram("gcs", heartbeat(250, 77, gcs=True))
+    net.clear()
+    net.datagram("gcs", unknown)
+    assert net.reached() == {"radio2"}
+    before = net.router.routes()
+    net.router.close(net.ids["gcs"])
+    net.router.open(net.ids["gcs"], GCS)
+    net.datagram("gcs", unknown)  # the parser still trusts the source; the route is not made by it
+    assert [r[:2] for r in net.router.routes()] == [r[:2] for r in before if r[0] != 250]
+
+
+def test_links_of_one_group_do_not_feed_each_other() -> None:
+    net = RoutedNet()
+    net.open("a", ChannelPolicy(group="mast"))
+    net.open("b", ChannelPolicy(group="mast"))
+    net.open("gcs")
+    net.datagram("a", heartbeat(1))
+    assert net.reached() == {"gcs"}
+
+
+def test_a_frame_heard_over_two_links_is_forwarded_once() -> None:
+    net = RoutedNet()
+    for name in ("a", "b", "gcs"):
+        net.open(name, GCS if name == "gcs" else ChannelPolicy())
+    for seq in range(20):
+        frame = message("ATTITUDE", 1, seq=seq, roll=seq * 0.1)
+        net.datagram("a", frame)
+        net.datagram("b", frame)
+    assert len(net.got["gcs"]) == 20
+    assert net.router.counters[Verdict.DUPLICATE] == 20
+
+
+def test_a_repeated_frame_on_the_same_link_is_no_copy() -> None:
+    """Scripts that never count their seq up mean what they repeat."""
+    net = five_ports()
+    for _ in range(3):
+        net.datagram("G0", to(1))
+    assert len(net.got["V0"]) == 3
+
+
+def test_the_better_of_two_parallel_links_is_used_to_send() -> None:
+    net = RoutedNet()
+    for name in ("lossy", "good"):
+        net.open(name)
+    net.open("gcs", GCS)
+    net.datagram("gcs", heartbeat(250, 190, gcs=True))
+    for seq in range(400):
+        frame = message("ATTITUDE", 1, seq=seq & 0xFF, roll=seq * 0.1)
+        net.now += 0.02
+        if seq % 3 == 0:
+            net.datagram("lossy", frame)
+        net.datagram("good", frame)
+    net.clear()
+    net.datagram("gcs", to(1))
+    assert net.reached() == {"good"}
+    assert net.router.route_own(1, 1, net.now) == (net.ids["good"],)
+
+
+def test_when_the_better_parallel_link_falls_silent_the_other_takes_over() -> None:
+    net = RoutedNet()
+    for name in ("a", "b"):
+        net.open(name)
+    net.open("gcs", GCS)
+    for seq in range(200):
+        frame = message("ATTITUDE", 1, seq=seq & 0xFF, roll=seq * 0.1)
+        net.now += 0.02
+        net.datagram("a", frame)
+        if seq % 4:
+            net.datagram("b", frame)
+    for seq in range(200):
+        net.now += 0.02
+        net.datagram("b", message("ATTITUDE", 1, seq=seq & 0xFF, roll=-seq * 0.1))
+    net.clear()
+    net.datagram("gcs", to(1))
+    assert net.reached() == {"b"}
+
+
+def test_two_ground_stations_of_one_id_both_keep_their_answers() -> None:
+    """Equal heartbeats by chance do not make two programs one: each gets the answer."""
+    net = five_ports()
+    net.open("qgc1")
+    net.open("qgc2")
+    for n in range(400):
+        net.now += 1.0
+        net.datagram("V0", message("ATTITUDE", 1, seq=n & 0xFF, roll=n * 0.1))
+        net.datagram("qgc1", heartbeat(255, 190, n & 0xFF, gcs=True))
+        net.datagram("qgc2", heartbeat(255, 190, n & 0xFF if n == 30 else (n + 7) & 0xFF, gcs=True))
+    net.clear()
+    net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=190))
+    assert net.reached() == {"qgc1", "qgc2"}
+
+
+def test_an_echo_from_a_ground_station_is_no_vehicle_and_no_way_to_it() -> None:
+    net = RoutedNet()
+    net.open("radio", RADIO)
+    net.open("gcs", GCS)
+    net.open("gcs2", GCS)
+    net.datagram("gcs", heartbeat(1, seq=9))  # met through the station first
+    net.datagram("radio", heartbeat(1, seq=1))
+    for seq in range(2, 10):
+        net.now += 0.2
+        net.datagram("radio", heartbeat(1, seq=seq))
+        net.datagram("gcs", heartbeat(1, seq=seq))
+        net.datagram("gcs", message("ATTITUDE", 1, seq=seq))
+    assert net.router.route_own(1, 1, net.now) == (net.ids["radio"],)
+    net.clear()
+    net.datagram("gcs2", to(1))
+    assert net.reached() == {"radio"}
+    assert [n.kind for n in net.router.notes].count("echo") == 1
+
+
+def test_a_recording_reaches_ground_stations_only_and_never_commands_anybody() -> None:
+    net = RoutedNet()
+    net.open("replay", ChannelPolicy(replayed=True))
+    for name, policy in {"radio": RADIO, "v1": VEHICLE, "peer": ChannelPolicy(), "gcs": GCS}.items():
+        net.open(name, policy)
+    net.datagram("radio", heartbeat(1))
+    net.clear()
+    net.datagram("replay", heartbeat(5))
+    net.datagram("replay", heartbeat(255, 190, gcs=True))
+    assert net.reached() == {"gcs"}
+    net.clear()
+    net.datagram("replay", to(1, sysid=255, compid=190))
+    net.datagram("replay", to(0, 0, sysid=255, compid=190, seq=2))
+    assert net.reached() <= {"gcs"}
+    net.clear()
+    net.datagram("replay", message("ATTITUDE", 1, seq=7))
+    assert net.reached() == set(), "vehicle 1 is alive: nothing of its recording passes"
+    net.datagram("gcs", to(5))
+    net.datagram("gcs", to(0, 0, seq=2))
+    assert "replay" not in net.reached()
+    assert net.router.route_own(5, 1, net.now) == ()
+    assert net.ids["replay"] not in net.router.route_own(0, 0, net.now)
+    net.datagram("replay", heartbeat(255, 25, gcs=True))
+    assert "conflict" not in [n.kind for n in net.router.notes], "our own old heartbeats are no conflict"
+
+
+def beats(net: RoutedNet, seconds: float, *ports: str, **modes: int) -> None:
+    """Heartbeats of vehicle 1 on these ports, once a second, never as copies."""
+    for n in range(int(seconds)):
+        net.now += 1.0
+        net.router.expire(net.now)
+        for at, port in enumerate(ports):
+            net.datagram(
+                port,
+                message(
+                    "HEARTBEAT",
+                    1,
+                    1,
+                    (n * 3 + at * 100) & 0xFF,
+                    type=2,
+                    autopilot=3,
+                    mavlink_version=3,
+                    custom_mode=modes.get(port, 4),
+                ),
+            )
+
+
+def notes(net: RoutedNet) -> list[str]:
+    return [n.kind for n in net.router.notes if n.kind.startswith("duplicate")]
+
+
+def test_one_id_on_two_peers_of_one_port_is_two_vehicles_until_one_is_gone() -> None:
+    net = RoutedNet()
+    net.open("a", ChannelPolicy(link="udp"))
+    net.open("b", ChannelPolicy(link="udp"))
+    beats(net, 3, "a", "b")
+    assert notes(net) == []
+    beats(net, 4, "a", "b")
+    assert notes(net) == ["duplicate"]
+    assert net.router.duplicates == {1 << 8 | 1}
+    beats(net, 5, "a")
+    assert notes(net) == ["duplicate", "duplicate_over"]
+    assert net.router.duplicates == set()
+
+
+def test_one_vehicle_with_a_radio_and_wifi_is_one_vehicle_whatever_its_mode() -> None:
+    net = RoutedNet()
+    net.open("radio", ChannelPolicy(link="radio"))
+    net.open("wifi", ChannelPolicy(link="wifi"))
+    beats(net, 10, "radio", "wifi")
+    beats(net, 2, "radio", "wifi", wifi=5)  # the mode change shows on the radio a little later
+    beats(net, 10, "radio", "wifi", wifi=5, radio=5)
+    assert notes(net) == []
+
+
+def test_one_id_in_two_modes_at_once_is_two_vehicles() -> None:
+    net = RoutedNet()
+    net.open("radio", ChannelPolicy(link="radio"))
+    net.open("wifi", ChannelPolicy(link="wifi"))
+    beats(net, 8, "radio", "wifi", wifi=5)
+    assert notes(net) == ["duplicate"]
+
+
+def test_a_vehicle_that_moves_to_another_peer_of_one_port_is_no_duplicate() -> None:
+    net = RoutedNet()
+    net.open("a", ChannelPolicy(link="udp"))
+    net.open("b", ChannelPolicy(link="udp"))
+    beats(net, 10, "a")
+    beats(net, 10, "b")
+    assert notes(net) == []
+
+
+def test_a_slightly_late_system_time_is_no_reboot() -> None:
+    net = five_ports()
+    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=600_000))
+    net.datagram("V2", heartbeat(1, seq=4))
+    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 5, time_boot_ms=599_800))
+    assert "cleared" not in [n.kind for n in net.router.notes]
+
+
+def test_a_system_that_moves_is_followed_at_once() -> None:
+    net = five_ports()
+    net.datagram("V2", heartbeat(1, seq=9))
+    net.clear()
+    net.datagram("G0", to(1))
+    assert "V2" in net.reached()
+
+
+def test_system_time_going_back_clears_the_routes_of_that_system_only() -> None:
+    net = five_ports()
+    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 3, time_boot_ms=600_000))
+    net.datagram("V2", heartbeat(1, seq=4))
+    net.now += 2.5
+    net.datagram("V0", message("SYSTEM_TIME", 1, 1, 5, time_boot_ms=3_000))
+    net.clear()
+    net.datagram("G0", to(1))
+    assert net.reached() == {"V0"}
+    net.clear()
+    net.datagram("G0", to(2))
+    assert net.reached() == {"V1"}
+    assert [n.sysid for n in net.router.notes if n.kind == "cleared"] == [1]
+
+
+def test_routes_expire_and_say_so_once() -> None:
+    net = five_ports()
+    net.now += 59
+    net.datagram("V1", heartbeat(2, seq=1))
+    net.now += 2
+    net.router.notes.clear()
+    net.router.expire(net.now)
+    net.router.expire(net.now)
+    assert sorted((n.kind, n.sysid) for n in net.router.notes) == [("expired", s) for s in (1, 1, 3, 249, 250)]
+    net.clear()
+    net.datagram("G0", to(1))
+    net.datagram("G0", to(2))
+    assert net.reached() == {"V1"}
+
+
+def test_a_closed_channel_takes_its_routes_with_it() -> None:
+    net = five_ports()
+    net.close("V1")
+    net.datagram("G0", to(2))
+    assert net.reached() == set()
+    assert net.decisions[-1].verdict is Verdict.UNKNOWN_TARGET
+
+
+def test_component_heard_elsewhere_is_reached_there_and_not_at_the_autopilot() -> None:
+    net = five_ports()
+    net.datagram("V2", message("HEARTBEAT", 1, 191, type=18, autopilot=8, mavlink_version=3))
+    net.clear()
+    net.datagram("G0", to(1, 191))
+    assert net.reached() == {"V2"}
+    net.clear()
+    net.datagram("G0", to(1, 1, seq=2))
+    assert net.reached() == {"V0"}
+
+
+def test_manual_control_has_a_target_system_in_its_field_called_target() -> None:
+    net = five_ports()
+    net.datagram("G0", message("MANUAL_CONTROL", 250, 190, target=2, x=100))
+    assert net.reached() == {"V1"}
+
+
+def test_filters_keep_messages_out_in_both_directions() -> None:
+    net = RoutedNet()
+    net.open("gcs", ChannelPolicy(filter_out=MessageFilter(block_msgids=frozenset({30}))))
+    net.open("only2", ChannelPolicy(filter_out=MessageFilter(allow_sysids=frozenset({2}))))
+    net.open("v", ChannelPolicy(filter_in=MessageFilter(block_compids=frozenset({100}))))
+    net.datagram("v", message("ATTITUDE", 1))
+    assert net.reached() == set()
+    net.datagram("v", message("ATTITUDE", 2))
+    assert net.reached() == {"only2"}
+    net.clear()
+    net.datagram("v", heartbeat(1))
+    assert net.reached() == {"gcs"}
+    net.clear()
+    net.datagram("v", heartbeat(2, 100))
+    assert net.reached() == set()
+    assert all(route[:2] != (2, 100) for route in net.router.routes()), "what a filter kept out teaches nothing"
+    assert net.router.port_counters(net.ids["gcs"])["filtered_out"] == 2
+    assert net.router.port_counters(net.ids["v"])["filtered_in"] == 1
+
+
+def test_a_rate_limit_per_message_holds_per_source() -> None:
+    net = RoutedNet()
+    net.open("gcs", ChannelPolicy(rates_out={30: 2.0}))
+    net.open("v")
+    for tick in range(1000):
+        net.now = 100.0 + tick * 0.01
+        for sysid in (1, 2):
+            net.datagram("v", message("ATTITUDE", sysid, seq=tick & 0xFF))
+            net.datagram("v", message("VFR_HUD", sysid, seq=tick & 0xFF))
+    attitudes = [raw for raw in net.got["gcs"] if raw[7] == 30]
+    assert 2 * 20 <= len(attitudes) <= 2 * 22
+    assert len(net.got["gcs"]) - len(attitudes) == 2000
+
+
+def test_a_byte_budget_slows_broadcasts_but_never_commands_or_heartbeats() -> None:
+    net = RoutedNet()
+    net.open("thin", ChannelPolicy(bytes_per_s_out=500.0))
+    net.open("v")
+    net.open("gcs")
+    net.datagram("thin", heartbeat(9))
+    net.clear()
+    for tick in range(1000):
+        net.now = 100.0 + tick * 0.01
+        net.datagram("v", message("ATTITUDE", 1, seq=tick & 0xFF, roll=0.1, yawspeed=0.1))
+        if tick % 100 == 0:
+            net.datagram("v", heartbeat(1, seq=tick & 0xFF))
+            net.datagram("gcs", to(9, seq=tick & 0xFF))
+    sizes = {30: 0, 0: 0, 76: 0}
+    for raw in net.got["thin"]:
+        sizes[raw[7]] += 1
+    assert sizes[0] == 10
+    assert sizes[76] == 10
+    assert sum(len(raw) for raw in net.got["thin"] if raw[7] == 30) <= 500 * 10 + 280
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["V0", "V1", "V2", "G0", "G1"]),
+            st.integers(0, 6),
+            st.sampled_from([1, 25, 100, 190]),
+            st.integers(0, 6),
+            st.sampled_from([0, 1, 25, 77]),
+            st.booleans(),
+        ),
+        max_size=60,
+    )
+)
+def test_whatever_comes_no_frame_returns_to_its_channel_and_targets_stay_private(
+    steps: list[tuple[str, int, int, int, int, bool]],
+) -> None:
+    net = RoutedNet(own=(6, 25))
+    roles = {"V0": VEHICLE, "V1": VEHICLE, "V2": RADIO, "G0": GCS, "G1": ChannelPolicy()}
+    for name, policy in roles.items():
+        net.open(name, policy)
+    heard: dict[int, set[str]] = {}
+    for port, sysid, compid, target, component, is_beat in steps:
+        net.clear()
+        net.now += 0.3
+        frame = heartbeat(sysid, compid) if is_beat else to(target, component, sysid, compid)
+        net.datagram(port, frame)
+        assert port not in net.reached()
+        if (sysid, compid) == (6, 25):
+            assert net.reached() == set()
+            continue
+        if not is_beat and target != 0:
+            assert net.reached() <= heard.get(target, set())
+        if sysid:
+            heard.setdefault(sysid, set()).add(port)

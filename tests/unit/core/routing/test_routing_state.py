@@ -1,0 +1,119 @@
+"""Routing of a vehicle that several channels hear: `core.state_source` in the router."""
+
+from __future__ import annotations
+
+import pytest
+
+from skygcs.core.routing.filters import ChannelPolicy
+from support.routed import RoutedNet, heartbeat, message
+
+GCS = ChannelPolicy(role="gcs", link="gcs")
+KEY = 1 << 8 | 1
+
+
+def two_vehicles() -> RoutedNet:
+    """The one over "a" was there first; over "b" another sends with its ids."""
+    net = RoutedNet()
+    net.open("a", ChannelPolicy(link="a"))
+    net.open("b", ChannelPolicy(link="b"))
+    net.datagram("a", heartbeat(1, seq=1))
+    for n in range(8):
+        net.now += 1.0
+        net.router.expire(net.now)
+        for name, up_s in (("a", 100.0), ("b", 9000.0)):
+            seq = (10 * n + (name == "b") * 128) & 0xFF
+            net.datagram(name, heartbeat(1, seq=seq))
+            net.datagram(name, message("ATTITUDE", 1, 1, seq + 1, time_boot_ms=round((up_s + net.now) * 1000)))
+    return net
+
+
+def test_orders_go_where_the_state_comes_from_and_emergencies_everywhere() -> None:
+    net = two_vehicles()
+    assert {name for name, counts in net.counted if counts} == {"a"}
+    assert net.router.route_own(1, 1, net.now) == (net.ids["a"],)
+    assert set(net.router.route_own(1, 1, net.now, everywhere=True)) == set(net.ids.values())
+    assert net.router.duplicates == {KEY}
+    assert net.router.channels_of(KEY) == (net.ids["a"], net.ids["b"])
+    (note,) = [n for n in net.router.notes if n.kind == "duplicate"]
+    assert (note.channel_id, note.present_id) == (net.ids["b"], net.ids["a"])
+
+
+def test_an_order_is_not_sent_to_the_other_vehicle_when_the_channel_of_the_first_is_closed() -> None:
+    net = two_vehicles()
+    b = net.ids["b"]
+    net.close("a")
+    assert net.router.route_own(1, 1, net.now) == ()
+    assert net.router.route_own(1, 1, net.now, everywhere=True) == (b,)
+
+
+def test_a_restart_that_another_channel_pretends_clears_no_route() -> None:
+    net = two_vehicles()
+    net.router.notes.clear()
+    net.datagram("b", message("SYSTEM_TIME", 1, 1, 77, time_boot_ms=9_000_000))
+    net.datagram("b", message("SYSTEM_TIME", 1, 1, 78, time_boot_ms=1_000))
+    assert "cleared" not in [n.kind for n in net.router.notes]
+    assert net.router.route_own(1, 1, net.now) == (net.ids["a"],)
+    net.datagram("a", message("SYSTEM_TIME", 1, 1, 77, time_boot_ms=90_000))
+    net.datagram("a", message("SYSTEM_TIME", 1, 1, 78, time_boot_ms=1_000))
+    assert "cleared" in [n.kind for n in net.router.notes]
+    assert net.router.channels_of(KEY) == (net.ids["a"],)
+
+
+def test_a_channel_whose_table_is_full_supplies_nothing_either() -> None:
+    """Frames of a source that finds no room there are no less those of another channel."""
+    net = RoutedNet()
+    net.open("a", ChannelPolicy(link="a"))
+    net.open("flood", ChannelPolicy(link="flood"))
+    net.datagram("a", heartbeat(1))
+    for sysid in range(2, 12):
+        for compid in range(1, 200):
+            net.datagram("flood", message("ATTITUDE", sysid, compid, 0))
+    net.datagram("flood", message("GLOBAL_POSITION_INT", 1, 1, 9, lat=1, lon=1))
+    assert net.router.channels_of(KEY) == (net.ids["a"],)
+    assert net.counted == [("flood", False)]
+
+
+@pytest.mark.parametrize("role", ["peer", "gcs"])
+def test_a_bound_program_never_supplies_the_state_of_its_vehicle(role: str) -> None:
+    net = RoutedNet()
+    net.open("air", ChannelPolicy(link="air", role=role))
+    net.open("program", ChannelPolicy(link="program", role="gcs", vehicles=frozenset({1})))
+    net.datagram("air", heartbeat(1))
+    net.datagram("program", message("GLOBAL_POSITION_INT", 1, 1, 9, lat=1, lon=1))
+    assert ("program", True) not in net.counted
+    assert not net.counted or net.counted == [("program", False)]
+
+
+def test_it_is_one_channel_again_when_nobody_else_has_its_ids() -> None:
+    net = two_vehicles()
+    for n in range(80):
+        net.now += 1.0
+        net.datagram("a", heartbeat(1, seq=n & 0xFF))
+        net.router.expire(net.now)
+    assert net.router.state_sources == {}
+    net.counted.clear()
+    net.datagram("a", heartbeat(1, seq=99))
+    assert net.counted == [], "nothing is compared any more"
+
+
+def test_a_station_that_handed_back_frames_gives_way_to_the_vehicles_own_channel() -> None:
+    net = RoutedNet()
+    net.open("gcs", GCS)
+    net.open("radio", ChannelPolicy(role="radio", link="radio"))
+    net.datagram("gcs", heartbeat(1, seq=250))
+    for n in range(20):
+        net.now += 0.2
+        net.datagram("radio", message("ATTITUDE", 1, 1, 2 * n, time_boot_ms=round(net.now * 1000)))
+        net.datagram("radio", heartbeat(1, seq=2 * n + 1))
+        net.datagram("gcs", heartbeat(1, seq=2 * n + 1))
+    assert net.router.route_own(1, 1, net.now) == (net.ids["radio"],)
+
+
+def test_the_channel_that_supplies_the_state_comes_first() -> None:
+    net = two_vehicles()
+    for n in range(8):  # the first one is lost
+        net.now += 1.0
+        net.datagram("b", heartbeat(1, seq=n))
+        net.router.expire(net.now)
+    assert net.router.channels_of(KEY) == (net.ids["b"], net.ids["a"])
+    assert "replaced" in [n.kind for n in net.router.notes]

@@ -1,0 +1,286 @@
+"""SET_ATTITUDE_TARGET on a simulated PX4 and ArduCopter: who takes what, what it does, and what its end does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, hypot, inf, nan, radians
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.attitude_targets import copter_attitude, px4_attitude
+from skygcs.sim.body import AttitudeSetpoint, quaternion_of
+from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.px4_setup import Px4Mode
+from support.sim_pilot import COPTER_GUIDED, Pilot, copter, px4, px4_mode
+
+ATTITUDE_AND_THRUST = 0b111
+LEVEL = [1.0, 0.0, 0.0, 0.0]
+Message = mav.MAVLink_set_attitude_target_message
+
+
+def target(
+    thrust: float, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, mask: int = ATTITUDE_AND_THRUST
+) -> Message:
+    return raw_target(list(quaternion_of(roll, pitch, yaw)), thrust, mask)
+
+
+def raw_target(q: list[float], thrust: float, mask: int = ATTITUDE_AND_THRUST) -> Message:
+    return mav.MAVLink_set_attitude_target_message(0, 1, 1, mask, q, 0.0, 0.0, 0.0, thrust)
+
+
+def stream(pilot: Pilot, seconds: float, message: Message, rate_hz: float = 20.0) -> None:
+    for _ in range(round(seconds * rate_hz)):
+        pilot.send(message)
+        pilot.run(1 / rate_hz, 0.05)
+
+
+def hover_thrust(pilot: Pilot) -> float:
+    """What holds the height at this battery's voltage."""
+    motion = pilot.vehicles[0].motion
+    stream(pilot, 0.1, target(0.45))
+    return 0.45 * (15.6 / motion.supply_v) ** 2  # type: ignore[union-attr]  # a Quad here
+
+
+def offboard(height_m: float = 10.0) -> Pilot:
+    pilot = Pilot(px4())
+    pilot.hovering(height_m)
+    stream(pilot, 1.3, target(0.42))
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == 0
+    return pilot
+
+
+def guided(options: int = 0, height_m: float = 10.0) -> Pilot:
+    pilot = Pilot(copter())
+    pilot.get_ready()
+    pilot.send(mav.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", options, mav.MAV_PARAM_TYPE_INT32))
+    pilot.take_off(height_m)
+    pilot.forget()
+    return pilot
+
+
+def guided_with_thrust() -> Pilot:
+    return guided(options=8)
+
+
+FLOAT = st.sampled_from([0.0, 1.0, -1.0, 0.5, nan, inf, -inf, 3e38]) | st.floats(width=32)
+
+
+@given(q=st.lists(FLOAT, min_size=4, max_size=4), thrust=FLOAT, rate=FLOAT, mask=st.integers(0, 255))
+def test_no_target_from_outside_is_anything_but_a_unit_attitude_with_a_bounded_thrust(
+    q: list[float], thrust: float, rate: float, mask: int
+) -> None:
+    rates = {"body_roll_rate": rate, "body_pitch_rate": rate, "body_yaw_rate": rate}
+    fields = {"q": q, "thrust": thrust, "type_mask": mask, **rates}
+    for taken in (
+        px4_attitude(fields, 0.4),
+        copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5, angle_boost=True),
+        copter_attitude(fields, thrust_as_thrust=False, climb_mps=2.5, descent_mps=1.5),
+    ):
+        if isinstance(taken, AttitudeSetpoint):
+            assert taken.attitude_ned_frd is not None
+            assert hypot(*taken.attitude_ned_frd) == pytest.approx(1.0)
+            assert taken.thrust is None or -1.0 <= taken.thrust <= 1.0
+            assert -1.5 <= taken.climb_mps <= 2.5
+
+
+# -- both
+
+
+@pytest.mark.parametrize("start", [offboard, guided_with_thrust])
+def test_thrust_is_thrust_and_a_lean_moves_it(start: Callable[[], Pilot]) -> None:
+    pilot = start()
+    motion = pilot.vehicles[0].motion
+    thrust = hover_thrust(pilot)
+    before = motion.pos_enu_m
+    stream(pilot, 2.0, target(thrust, pitch=-radians(5)))
+    assert motion.north_m - before[0] > 1.0, "nose north, nose down"
+    assert abs(motion.east_m - before[0]) < 0.1
+    assert motion.up_m == pytest.approx(before[2], abs=0.5)
+    stream(pilot, 2.0, target(thrust + 0.05))
+    assert motion.vel_u_mps > 1.0
+    stream(pilot, 3.0, target(thrust, yaw=radians(60)))
+    assert motion.heading_deg == pytest.approx(60, abs=1)
+    assert pilot.last("ATTITUDE").yaw == pytest.approx(radians(60), abs=0.05)
+
+
+def test_the_accelerometer_of_a_leaning_vehicle_feels_its_thrust_along_its_own_axis() -> None:
+    pilot = guided_with_thrust()
+    thrust = hover_thrust(pilot)
+    stream(pilot, 0.6, target(thrust, roll=0.3, pitch=-0.2, yaw=0.2))
+    pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 27)
+    felt = pilot.last("RAW_IMU")
+    assert (felt.xacc, felt.yacc) == pytest.approx((0, 0), abs=60), "milli-g; drag is what is left"
+    assert felt.zacc == pytest.approx(-1000, abs=60)
+    pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 74)
+    assert pilot.last("VFR_HUD").throttle == round(100 * thrust / (cos(0.3) * cos(0.2))), "a copter boosts by the tilt"
+
+
+def test_where_it_truly_is_agrees_with_what_it_tells() -> None:
+    pilot = offboard()
+    pilot.run(1.0)
+    pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, 33)
+    told = pilot.last("GLOBAL_POSITION_INT")
+    assert pilot.vehicles[0].true_position() == pytest.approx(
+        (told.lat / 1e7, told.lon / 1e7, told.alt / 1e3), abs=2e-3
+    )
+
+
+# -- PX4
+
+
+def test_px4_enters_offboard_only_with_a_fresh_finite_attitude() -> None:
+    pilot = Pilot(px4())
+    pilot.hovering()
+    for bad in (raw_target([nan, 0.0, 0.0, 0.0], 0.4), raw_target([0.0] * 4, 0.4), raw_target(LEVEL, nan)):
+        stream(pilot, 1.5, bad)
+        assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == mav.MAV_RESULT_TEMPORARILY_REJECTED
+    stream(pilot, 0.1, target(0.42))
+    pilot.run(1.1)
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == mav.MAV_RESULT_TEMPORARILY_REJECTED, (
+        "COM_OF_LOSS_T is 1 s"
+    )
+    stream(pilot, 0.1, target(0.42))
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == mav.MAV_RESULT_ACCEPTED
+
+
+def test_px4_holds_when_the_stream_ends_or_turns_nan() -> None:
+    for last in (None, raw_target([nan] * 4, 0.45)):
+        pilot = offboard()
+        stream(pilot, 0.5, target(0.42, roll=0.1))
+        if last is not None:
+            stream(pilot, 1.5, last)
+        else:
+            pilot.run(0.9)
+            assert px4_mode(pilot) == Px4Mode.OFFBOARD, "COM_OF_LOSS_T is 1 s"
+        pilot.run(0.3)
+        assert px4_mode(pilot) == Px4Mode.LOITER
+        pilot.run(10)
+        assert pilot.vehicles[0].motion.groundspeed_mps < 0.05
+
+
+def test_px4_keeps_its_thrust_where_a_message_ignores_it() -> None:
+    pilot = offboard()
+    stream(pilot, 0.5, target(hover_thrust(pilot)))
+    up = pilot.vehicles[0].motion.up_m
+    stream(pilot, 1.0, target(0.0, mask=ATTITUDE_AND_THRUST | 64))
+    assert pilot.vehicles[0].motion.up_m == pytest.approx(up, abs=0.3)
+
+
+def test_px4_lifts_off_and_lands_on_thrust_alone() -> None:
+    pilot = Pilot(px4())
+    pilot.get_ready()
+    stream(pilot, 1.3, target(0.0))
+    assert pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6, 0) == 0
+    assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == 0
+    stream(pilot, 2.0, target(0.2, roll=0.2))
+    assert pilot.vehicles[0].motion.pos_enu_m == (0.0, 0.0, 0.0)
+    stream(pilot, 3.0, target(0.5))
+    assert pilot.vehicles[0].motion.up_m > 1.0
+    stream(pilot, 15.0, target(0.36))
+    assert pilot.vehicles[0].landed and not pilot.vehicles[0].armed
+
+
+# -- ArduCopter
+
+
+def test_without_the_option_the_thrust_is_a_climb_rate() -> None:
+    pilot = guided()
+    motion = pilot.vehicles[0].motion
+    stream(pilot, 3.0, target(0.5))
+    assert motion.up_m == pytest.approx(10.0, abs=0.1), "half holds the height, whatever carries the weight"
+    stream(pilot, 4.0, target(1.0))
+    assert motion.vel_u_mps == pytest.approx(2.5, abs=0.1), "WPNAV_SPEED_UP"
+    stream(pilot, 4.0, target(0.25))
+    assert motion.vel_u_mps == pytest.approx(-0.75, abs=0.1), "half of WPNAV_SPEED_DN"
+    stream(pilot, 2.0, target(0.5, pitch=-0.2))
+    assert motion.vel_n_mps > 2.0
+    assert motion.vel_u_mps == pytest.approx(0.0, abs=0.1), "leaning costs no height"
+
+
+@pytest.mark.parametrize("options", [0, 8])
+def test_an_attitude_nobody_renews_for_a_second_ends_level_and_without_climb(options: int) -> None:
+    pilot = guided(options)
+    vehicle = pilot.vehicles[0]
+    stream(pilot, 1.5, target(0.6, pitch=-0.15))
+    pilot.run(0.9)
+    assert vehicle.motion.pitch_rad == pytest.approx(-0.15, abs=0.01)
+    pilot.run(5.0)
+    assert (vehicle.motion.pitch_rad, vehicle.motion.roll_rad) == pytest.approx((0.0, 0.0), abs=0.01)
+    assert vehicle.motion.vel_u_mps == pytest.approx(0.0, abs=0.3)
+    assert vehicle.motion.vel_n_mps > 1.0, "level is not still"
+    assert vehicle.mode == CopterMode.GUIDED
+
+
+def test_from_4_1_on_the_timeout_is_that_of_guid_timeout() -> None:
+    pilot = guided()
+    vehicle = pilot.vehicles[0]
+    assert isinstance(vehicle, CopterVehicle)
+    vehicle.attitude_timeout_s = None
+    stream(pilot, 1.0, target(0.5, pitch=-0.15))
+    pilot.run(2.8)
+    assert vehicle.motion.pitch_rad == pytest.approx(-0.15, abs=0.01)
+    pilot.run(1.5)
+    assert vehicle.motion.pitch_rad == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        target(0.8, mask=ATTITUDE_AND_THRUST | 64),
+        target(0.8, mask=0b011),
+        raw_target([1.01, 0.0, 0.0, 0.0], 0.8),
+        raw_target([nan, 0.0, 0.0, 0.0], 0.8),
+        raw_target(LEVEL, nan),
+    ],
+    ids=["thrust ignored", "one rate ignored", "no unit quaternion", "NaN", "NaN thrust"],
+)
+def test_an_ill_defined_target_makes_it_stop_and_hold(bad: Message) -> None:
+    pilot = guided()
+    motion = pilot.vehicles[0].motion
+    stream(pilot, 2.0, target(0.5, pitch=-0.1))
+    assert motion.vel_n_mps > 1.0
+    stream(pilot, 8.0, bad)
+    assert motion.groundspeed_mps < 0.1
+    assert motion.up_m == pytest.approx(10.0, abs=0.3)
+
+
+def test_attitudes_do_nothing_outside_guided_or_during_the_take_off() -> None:
+    pilot = Pilot(copter())
+    pilot.get_ready()
+    pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, COPTER_GUIDED)
+    pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    pilot.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 10.0)
+    stream(pilot, 6.0, target(0.0, pitch=0.3))
+    motion = pilot.vehicles[0].motion
+    assert motion.up_m > 5.0 and motion.pitch_rad == 0.0
+    pilot.run(10.0)
+    pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, CopterMode.LOITER)
+    pilot.run(5.0)
+    before = motion.pos_enu_m
+    stream(pilot, 5.0, target(0.9, pitch=0.3))
+    assert motion.pos_enu_m == pytest.approx(before, abs=0.2)
+
+
+def test_an_attitude_with_a_climb_lifts_it_off_the_ground() -> None:
+    pilot = Pilot(copter())
+    pilot.get_ready()
+    pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, COPTER_GUIDED)
+    pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1)
+    pilot.run(3.0)
+    stream(pilot, 2.0, target(0.5))
+    assert pilot.vehicles[0].motion.on_ground
+    stream(pilot, 4.0, target(0.8))
+    assert pilot.vehicles[0].motion.up_m > 1.0
+
+
+@pytest.mark.parametrize(("boost", "thrust"), [(True, 0.6), (False, 0.3)])
+def test_a_copter_divides_thrust_by_the_cosine_of_the_tilt_unless_told_not_to(boost: bool, thrust: float) -> None:
+    rates = {"body_roll_rate": 0.0, "body_pitch_rate": 0.0, "body_yaw_rate": 0.0}
+    fields = {"q": list(quaternion_of(radians(60), 0.0, 0.0)), "thrust": 0.3, "type_mask": ATTITUDE_AND_THRUST, **rates}
+    taken = copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5, angle_boost=boost)
+    assert isinstance(taken, AttitudeSetpoint)
+    assert taken.thrust == pytest.approx(thrust)
