@@ -34,7 +34,7 @@ from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
-from skygcs.runtime.admission_reports import ForeignWatch
+from skygcs.runtime.admission_reports import AdmissionReports
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.fleet import Fleet
@@ -42,8 +42,8 @@ from skygcs.runtime.hub import Hub
 from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
 from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
 from skygcs.runtime.linktable import LinkTable
-from skygcs.runtime.message_sender import Postman
-from skygcs.runtime.operator_watchdog import Watchman
+from skygcs.runtime.message_sender import MessageSender
+from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
@@ -182,30 +182,30 @@ class Daemon:
             signing=self.signing,
             on_key=self._on_key,
             record_many=self.recorder.offer_many if self.recorder is not None else None,
-            only_noted=self.fleet.only_noted,
+            state_update_only=self.fleet.state_update_only,
             on_event=self.on_event,
         )
         self.hub.router.known = self.fleet.known
         self.hub.router.on_replaced = self.fleet.replaced
         self.link_watch = LinkWatch(self.hub)
-        self.hub.add_tap({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
-        self.fleet.on_roster = self.hub.forget_lanes
+        self.hub.add_observer({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
+        self.fleet.on_roster = self.hub.forget_flows
         self.fleet.why_silent = self._why_silent
-        self.watchman = Watchman(
+        self.operator_watchdog = OperatorWatchdog(
             DeadMan(own.operator_timeout_s, own.operator_lost), self.fleet, self.loop, self.on_event
         )
-        if self.watchman.watching:
-            self.hub.add_tap({HEARTBEAT}, None, self._on_heartbeat)
+        if self.operator_watchdog.watching:
+            self.hub.add_observer({HEARTBEAT}, None, self._on_heartbeat)
         self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, self.on_event)
-        self.foreign = ForeignWatch(self.hub, own, dialect, self.on_event)
+        self.third_party = AdmissionReports(self.hub, own, dialect, self.on_event)
         self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, self.on_event)
-        self.hub.add_tap(set(WATCHED) & set(dialect.messages), None, self.leftover_streams.on_frame)
+        self.hub.add_observer(set(WATCHED) & set(dialect.messages), None, self.leftover_streams.on_frame)
         self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
         self.renumbering = Renumbering(self.hub, self.fleet, self.loop, self.on_event, source)
         self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
         self._keys_told: set[str] = set()
         self._corrections = CorrectionFeed(self.hub, self.fleet, self.now)
-        self._postman = Postman(self.hub, self.fleet, self.links, self.now)
+        self._message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
 
@@ -239,12 +239,12 @@ class Daemon:
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
                 group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
-                group.create_task(self._every(1.0, self._tick_foreign), name="foreign traffic"),
-                group.create_task(self._every(1.0, lambda: self.watchman.tick(self.now())), name="watchman"),
+                group.create_task(self._every(1.0, self._tick_third_party), name="third-party traffic"),
+                group.create_task(self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="watchman"),
             ]
             signing = group.create_task(self.signing.run(), name="signing")
             if self.config.daemon.heartbeat:
-                beat = self._every(HEARTBEAT_PERIOD_S, self._beat)
+                beat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
                 clocks.append(group.create_task(beat, name="heartbeat"))
             self.links.start(group)
             try:
@@ -256,7 +256,7 @@ class Daemon:
             finally:  # also if a part of the daemon has failed: nothing flies on then
                 for clock in clocks:
                     clock.cancel()
-                self.watchman.close()
+                self.operator_watchdog.close()
                 self.fleet.close()  # who waits for an outcome is told before the links are gone
                 await self.fleet.ended(NOTE_S)
             await self.links.close()
@@ -294,9 +294,9 @@ class Daemon:
     def _on_heartbeat(self, frame: Frame, channel: Channel, now: float) -> None:
         """The operator of a recording is nobody who watches."""
         if channel.config.type != "replay":
-            self.watchman.on_heartbeat(frame, now)
+            self.operator_watchdog.on_heartbeat(frame, now)
 
-    def _beat(self) -> None:
+    def _heartbeat_task(self) -> None:
         values = {"type": 6, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
@@ -339,8 +339,8 @@ class Daemon:
         *,
         force: bool = False,
     ) -> dict[str, Any]:
-        """Any message of the dialect by name; see `Postman.send`."""
-        return self._postman.send(name, fields, target, link, force=force)
+        """Any message of the dialect by name; see `MessageSender.send`."""
+        return self._message_sender.send(name, fields, target, link, force=force)
 
     # -- events
 
@@ -352,8 +352,8 @@ class Daemon:
                 self.leftover_streams.forget(key)
         self._publish_events(self._event_limiter.offer(event, self.now()))
 
-    def _tick_foreign(self) -> None:
-        self.foreign.tick(self.now())
+    def _tick_third_party(self) -> None:
+        self.third_party.tick(self.now())
         self.leftover_streams.tick(self.now())
 
     def _tick_events(self) -> None:
@@ -456,7 +456,7 @@ class Daemon:
     ) -> Callable[[], None]:
         """Call ``watcher`` with every accepted frame of these names and sources; KeyError for an unknown name."""
         msgids = None if names is None else {self.dialect.find(n).msgid for n in names}
-        return self.hub.add_tap(msgids, keys, watcher)
+        return self.hub.add_observer(msgids, keys, watcher)
 
     # -- links
 
@@ -474,7 +474,7 @@ class Daemon:
 
     def client_alive(self) -> None:
         """A client of the socket asked for something."""
-        self.watchman.on_client()
+        self.operator_watchdog.on_client()
 
     # -- what a person asks
 
@@ -522,7 +522,7 @@ class Daemon:
     def links_status(self) -> list[dict[str, Any]]:
         """Every link with its state, channels, counters and sources."""
         now = self.now()
-        self.hub.after_lane()
+        self.hub.after_fast_path()
         return self.links.status(now, lambda channel: self._channel_status(channel, now))
 
     def _channel_status(self, channel: Channel, now: float) -> dict[str, Any]:
@@ -553,7 +553,7 @@ class Daemon:
 
     def router_stats(self) -> dict[str, Any]:
         """Counters of decisions and the route table."""
-        self.hub.after_lane()
+        self.hub.after_fast_path()
         router = self.hub.router
         now = self.now()
         return {

@@ -26,16 +26,16 @@ from skygcs.config.control import ControlSettings
 from skygcs.config.models import FleetConfig, MemoryLink, UdpClientLink
 from skygcs.core.control.cascade import Estimate, Memory, Reference, step
 from skygcs.core.control.control_fence import Fence
-from skygcs.core.control.guard import Way
+from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.geodetic_position import Place
-from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.memory import MemoryLink as Link
 from skygcs.links.udp import UdpClientLink as UdpLink
-from skygcs.runtime.command_client import Commander
+from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.recorder import Recorder
@@ -54,7 +54,7 @@ BATTERY = mav.MAVLink_sys_status_message(0, 0, 0, 0, 15800, 1200, 80, 0, 0, 0, 0
 class Flown:
     """One vehicle behind a memory link, flown by ``way``, with a new position for every tick."""
 
-    def __init__(self, way: Way) -> None:
+    def __init__(self, way: ControlMode) -> None:
         self.loop = asyncio.get_running_loop()
         self.now = self.loop.time()
         dialect = flight_dialect()
@@ -71,9 +71,9 @@ class Flown:
         self.hub = hub
         self.vehicle = Vehicle(1, 1, dialect, decoder=Decoder(dialect))
         self.voice = Voice(1)
-        self.commander = Commander((1, 1), (255, 25), dialect, hub.send, self.loop)
+        self.commands = CommandClient((1, 1), (255, 25), dialect, hub.send, self.loop)
         settings = ControlSettings()
-        self.pilot = Pilot(self.vehicle, PilotConfig(settings.law(), settings.guard()))
+        self.pilot = OffboardController(self.vehicle, OffboardConfig(settings.law(), settings.guard()))
         self.way = way
         self.positions = [
             self.voice.position(HOME[0] + 1e-6 * math.sin(i / 9), HOME[1], HOME[2] + 10, 10.0, heading=100 * i)
@@ -91,10 +91,10 @@ class Flown:
         for _ in range(5):
             self.pilot.delay.on_pong(self.pilot.delay.ping(self.now - 0.004), self.now)
         self.pilot.entered()
-        self.pilot.fly_to(Place(HOME[0] + 1e-5, HOME[1], HOME[2] + 12), None)
+        self.pilot.fly_to(GeodeticPosition(HOME[0] + 1e-5, HOME[1], HOME[2] + 12), None)
         for i in range(400):
             self.tick(i)
-        assert (self.pilot.state, self.pilot.way) == (PilotState.FLYING, self.way)
+        assert (self.pilot.state, self.pilot.way) == (OffboardState.FLYING, self.way)
 
     def hear(self, i: int) -> None:
         """A position every other tick, once a second the rest."""
@@ -113,7 +113,7 @@ class Flown:
         tick = self.pilot.tick(self.now)
         assert tick.message is not None
         if send:
-            self.commander.transmit(*tick.message, Priority.SETPOINT, key=("setpoint", 1, 1))
+            self.commands.transmit(*tick.message, Priority.SETPOINT, key=("setpoint", 1, 1))
 
     def cost_us(self, send: bool) -> float:
         """CPU of one tick; of the pilot alone without ``send``. What the vehicle says is not counted."""
@@ -150,7 +150,7 @@ class TimeOfItsOwn:
 class Whole:
     """One vehicle as the daemon flies it, but for who calls: each tick has a position and an attitude of its own."""
 
-    def __init__(self, way: Way, folder: Path) -> None:
+    def __init__(self, way: ControlMode, folder: Path) -> None:
         self.loop = TimeOfItsOwn(asyncio.get_running_loop())
         loop: Any = self.loop
         dialect = flight_dialect()
@@ -172,7 +172,7 @@ class Whole:
         self.flight = FlightControl(
             self.vehicle,
             ControlSettings(),
-            Commander((1, 1), (255, 25), dialect, self.hub.send, loop),
+            CommandClient((1, 1), (255, 25), dialect, self.hub.send, loop),
             dialect,
             loop,
             execute=_nothing,
@@ -202,7 +202,7 @@ class Whole:
         self.flight.clock.start()
         pilot.delay.on_pong(pilot.delay.ping(self.loop.now - 0.004), self.loop.now)
         pilot.entered()
-        pilot.fly_to(Place(HOME[0] + 1e-5, HOME[1], HOME[2] + 12), None)
+        pilot.fly_to(GeodeticPosition(HOME[0] + 1e-5, HOME[1], HOME[2] + 12), None)
         self.cost_us()
 
     def hear(self, _: int) -> None:
@@ -227,7 +227,7 @@ class Whole:
         cost = per_tick_us(self.tick) - per_tick_us(self.hear)
         self.loop.forget()
         pilot = self.flight.pilot
-        assert (pilot.state, pilot.way) == (PilotState.FLYING, self.way), pilot.reasons
+        assert (pilot.state, pilot.way) == (OffboardState.FLYING, self.way), pilot.reasons
         return cost
 
 
@@ -255,8 +255,8 @@ def test_control_tick_cost(tmp_path: Path) -> None:
 
 
 async def _measure(folder: Path) -> None:
-    flown = {way: Flown(way) for way in Way}
-    whole = {way: Whole(way, folder) for way in Way}
+    flown = {way: Flown(way) for way in ControlMode}
+    whole = {way: Whole(way, folder) for way in ControlMode}
     for flight in (*flown.values(), *whole.values()):
         await flight.begin()
     rows: dict[str, list[float]] = {}

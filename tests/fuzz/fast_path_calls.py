@@ -35,7 +35,7 @@ class Chaos:
         self.bench = bench = Bench(recording=self.rng.random() < 0.5)
         bench.on_left = self._left
         self.servers = [bench.server, bench.socket()]
-        self.lanes = [bench.lane, bench.new_lane(self.servers[1])]
+        self.lanes = [bench.fast_path, bench.new_fast_path(self.servers[1])]
         self.peers = [bench.socket() for _ in range(4)]
         self.outs = [bench.new_out(Channel(), whole=self.rng.random() < 0.5) for _ in range(3)]
         self.depth = 0
@@ -48,8 +48,8 @@ class Chaos:
         try:
             for _ in range(CALLS):
                 self._guarded(self._any_call)
-            for lane in self.lanes:
-                self._guarded(lane.close)
+            for fast_path in self.lanes:
+                self._guarded(fast_path.close)
         finally:
             sys.unraisablehook = unraisable
             self.bench.close()
@@ -107,7 +107,7 @@ class Chaos:
 
     def _flow(self) -> None:
         rng, bench = self.rng, self.bench
-        rng.choice(self.lanes).let_through(
+        rng.choice(self.lanes).add_flow(
             rng.choice(self.peers).getsockname(),
             rng.choice((0x0101, 0x0101, 0x0201)),
             rng.choice((30, 30, 30, 0, 77777)),
@@ -138,7 +138,7 @@ class Chaos:
         number = self.rng.randrange(2)
         self.lanes[number].close()
         if self.rng.random() < 0.7:
-            self.lanes[number] = self.bench.new_lane(self.servers[number])
+            self.lanes[number] = self.bench.new_fast_path(self.servers[number])
             self.outs[self.rng.randrange(3)] = self.bench.new_out(Channel())
 
     def _pass_time(self) -> None:

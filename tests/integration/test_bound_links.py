@@ -120,9 +120,9 @@ async def test_eight_programs_fly_eight_vehicles(tmp_path: Path, shown: int | No
             assert program.sources() == {shown or sysid}, "its vehicle, and not even skygcs"
             assert program.counters["out_of_bounds"] == 0
             assert {m.get_srcComponent() for m in program.got("HEARTBEAT")} == {1}
-        foreign = [frame for _, frame in heard]
-        assert foreign
-        assert all(frame.name == "COMMAND_LONG" for frame in foreign), "no program's heartbeat is on the radio"
+        third_party = [frame for _, frame in heard]
+        assert third_party
+        assert all(frame.name == "COMMAND_LONG" for frame in third_party), "no program's heartbeat is on the radio"
         armed_by = {(sysid, frame.target()[0]) for sysid, frame in heard if frame.target()[0] == sysid}
         assert armed_by == {(sysid, sysid) for sysid in VEHICLES}
         assert {key >> 8 for key in air.daemon.fleet.vehicles} == set(VEHICLES)

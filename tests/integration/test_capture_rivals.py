@@ -42,8 +42,8 @@ def heartbeats(name: str, sysid: int) -> list[tuple[float, Any]]:
 @RIVALS
 async def test_the_vehicle_keeps_its_state_and_the_rival_is_reported(tmp_path: Path, name: str, sysid: int) -> None:
     truth = [(at, m) for at, m in heartbeats(name, sysid) if m.autopilot != mav.MAV_AUTOPILOT_INVALID]
-    foreign = [m for _, m in heartbeats(name, sysid) if m.autopilot == mav.MAV_AUTOPILOT_INVALID]
-    assert len(foreign) > 10 and {m.autopilot for _, m in truth} == {mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
+    third_party = [m for _, m in heartbeats(name, sysid) if m.autopilot == mav.MAV_AUTOPILOT_INVALID]
+    assert len(third_party) > 10 and {m.autopilot for _, m in truth} == {mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
         links={"capture": ReplayLink(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},

@@ -293,8 +293,8 @@ async def test_messages_give_way_to_orders_and_heartbeats(tmp_path: Path, monkey
         daemon.send_message("STATUSTEXT", {}, link="radio")
         daemon.send_message("STATUSTEXT", {})
         daemon.send_message("COMMAND_LONG", {"target_system": 7})
-        assert set(used) <= {Priority.EXCHANGE, Priority.HEARTBEAT}
-        assert used.count(Priority.EXCHANGE) == 5
+        assert set(used) <= {Priority.PROTOCOL, Priority.HEARTBEAT}
+        assert used.count(Priority.PROTOCOL) == 5
 
 
 async def test_a_fault_in_one_vehicles_tick_grounds_nobody_and_is_told_once(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from support.on_air import OnAir, on_air
 pytestmark = pytest.mark.looptime
 
 NAV = {"link": {"stream_profile": "nav"}}
-FLOODED = {"stream_profile": "nav", "foreign": {"bytes_per_s": 100_000, "rates": {"PARAM_REQUEST_READ": 1000}}}
+FLOODED = {"stream_profile": "nav", "third_party": {"bytes_per_s": 100_000, "rates": {"PARAM_REQUEST_READ": 1000}}}
 """Nobody is slowed down: what others send fills whatever is left."""
 
 
@@ -42,9 +42,9 @@ async def test_ten_vehicles_at_64_kbit_stream_their_plan_and_nothing_else(tmp_pa
         assert told["down"]["planned_bytes_per_s"] <= told["down"]["budget_bytes_per_s"]
         assert 0.3 < told["vehicles"][0]["round_trip_s"] < 2 * told["up"]["round_s"]
         assert air.radio.network.stats(0).overflow_bytes == 0
-        sent = told["up"]["classes"]["exchange"]["sent"]
+        sent = told["up"]["classes"]["protocol"]["sent"]
         await asyncio.sleep(60)
-        assert air.air()["up"]["classes"]["exchange"]["sent"] <= sent + 2, "and is left alone then"
+        assert air.air()["up"]["classes"]["protocol"]["sent"] <= sent + 2, "and is left alone then"
 
 
 async def test_no_more_goes_up_than_the_slot_of_the_ground_carries(tmp_path: Path) -> None:
@@ -175,14 +175,14 @@ async def test_the_state_tells_planned_rates_beside_measured_ones(tmp_path: Path
 async def test_a_vehicle_that_is_heard_badly_is_told_of_once_and_again_when_it_is_well(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=2, ardupilot=0, **NAV) as air:
         await air.settled(2)
-        chance = air.radio.network._is_lost
+        rng = air.radio.network._is_lost
         air.radio.network._is_lost = lambda node, now: node == 1 and now % 1.0 < 0.5  # type: ignore[method-assign]
         await air.until(lambda: air.events("link_degraded"), 60)
         await asyncio.sleep(20)
         (text,) = air.events("link_degraded")
         assert "frames are lost" in text and "radio air" in text
         assert air.air()["poor"] == ["v1"]
-        air.radio.network._is_lost = chance  # type: ignore[method-assign]
+        air.radio.network._is_lost = rng  # type: ignore[method-assign]
         await air.until(lambda: air.events("link_recovered"), 120)
         assert air.air()["poor"] == []
 

@@ -49,7 +49,7 @@ async def test_an_attitude_stream_of_a_client_moves_no_vehicle_unless_forced(tmp
 TO = {"target_system": 1}
 """A system without its component."""
 
-WAYS: list[dict[str, Any]] = [
+CONTROL_MODES: list[dict[str, Any]] = [
     {"target": "v1"},
     {"target": "all"},
     {"target": ["v1", "v2"]},
@@ -62,7 +62,7 @@ WAYS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("way", WAYS, ids=str)
+@pytest.mark.parametrize("way", CONTROL_MODES, ids=str)
 async def test_every_address_that_reaches_a_vehicle_in_the_air_is_refused(tmp_path: Path, way: dict[str, Any]) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1) as gcs:
         since = gcs.now

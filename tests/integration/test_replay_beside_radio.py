@@ -87,8 +87,8 @@ async def test_nothing_of_it_reaches_the_radio_and_its_vehicle(tmp_path: Path) -
         live = daemon.fleet.vehicles[1 << 8 | 1]
         await play(daemon, tmp_path / "flight.tlog")
         for name in ("radio", "other"):
-            foreign = [f for f in got(daemon, name) if (f.sysid, f.compid) not in ((255, 25), (1, 1))]
-            assert foreign == [], "only our own heartbeats and requests, and the live vehicle"
+            third_party = [f for f in got(daemon, name) if (f.sysid, f.compid) not in ((255, 25), (1, 1))]
+            assert third_party == [], "only our own heartbeats and requests, and the live vehicle"
         shown = [f for f in got(daemon, "gcs") if (f.sysid, f.compid) != (255, 25)]
         assert any(f.sysid == 2 for f in shown)
         assert [f for f in shown if f.target() != (0, 0)] == []

@@ -15,9 +15,9 @@ from typing import Any
 
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, ControlConfig
-from skygcs.core.control.guard import Facts, GuardConfig, Way
-from skygcs.core.vehicle.geodetic_position import Place
-from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState
+from skygcs.core.control.guard import ControlMode, Facts, GuardConfig
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.tlog.format import iter_records
 
@@ -31,7 +31,7 @@ TOLERANT = GuardConfig(attitude_delay_s=1.0, velocity_delay_s=5.0, stale_s=1.5, 
 """Captures tell positions at 1 to 4 Hz. Gaps longer than this fall back, which is to be replayed as well."""
 
 
-class Obeyed(Pilot):
+class Obeyed(OffboardController):
     """Flies what flew otherwise: the guard is told that it obeys, and asked for everything else."""
 
     def _facts(self, *args: Any) -> Facts:
@@ -50,7 +50,7 @@ class Replay:
         self._dialect = load_dialect("ardupilotmega")
         self._vehicle = Vehicle(sysid, 1, self._dialect)
         law = ControlConfig(xy=UTIAS_XY, z=UTIAS_Z, hover_thrust=0.45)
-        self._pilot = Obeyed(self._vehicle, PilotConfig(law, TOLERANT))
+        self._offboard = Obeyed(self._vehicle, OffboardConfig(law, TOLERANT))
         self._next_step_at = 0.0
         self._run(capture, sysid, seconds)
 
@@ -71,12 +71,12 @@ class Replay:
                 self._vehicle.on_frame(frame, record.elapsed_s)
 
     def _tick(self, now: float) -> None:
-        pilot = self._pilot
+        pilot = self._offboard
         position = self._vehicle.section("position")
         if not self._vehicle.connected or position is None or position["lat_deg"] is None:
             return
-        if pilot.state in (PilotState.OFF, PilotState.HELD):
-            pilot.engage(Way.ATTITUDE, None)
+        if pilot.state in (OffboardState.OFF, OffboardState.HELD):
+            pilot.engage(ControlMode.ATTITUDE, None)
             pilot.entered()
             self._next_step_at = now
         if pilot.delay.due_ping(now):
@@ -84,7 +84,9 @@ class Replay:
         if now >= self._next_step_at:
             self._next_step_at += STEP_EVERY_S
             north = STEP_DEG if int(now / STEP_EVERY_S) % 2 else -STEP_DEG
-            pilot.fly_to(Place(position["lat_deg"] + north, position["lon_deg"], position["alt_amsl_m"]), now % 3.0)
+            pilot.fly_to(
+                GeodeticPosition(position["lat_deg"] + north, position["lon_deg"], position["alt_amsl_m"]), now % 3.0
+            )
         message = pilot.tick(now).message
         if message is not None:
             name, values = message

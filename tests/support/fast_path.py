@@ -121,10 +121,10 @@ class Station:
             os.environ.pop(fast_path.PURE, None)
             if before is not None:
                 os.environ[fast_path.PURE] = before
-        assert (self.hub.express is None) == pure, "there is no compiled fast path"
+        assert (self.hub.fast_path is None) == pure, "there is no compiled fast path"
         self.hub.router.known = self.fleet.known
         self.hub.router.on_replaced = self.fleet.replaced
-        self.fleet.on_roster = self.hub.forget_lanes
+        self.fleet.on_roster = self.hub.forget_flows
         if scenario.tap:
             self._tap()
         self.links: list[_Server | _Client] = []
@@ -143,7 +143,7 @@ class Station:
             on_note=self._on_note,
             on_fault=lambda text: self.events.append(("fault", text)),
             record_many=self._record_many,
-            only_noted=self.fleet.only_noted,
+            state_update_only=self.fleet.state_update_only,
         )
 
     def _on_note(self, note: RouteNote, channel: Channel | None) -> None:
@@ -153,7 +153,7 @@ class Station:
         self.events.append((note.kind, f"{note.sysid}/{note.compid} {note.count} {note.why}"))
 
     def _tap(self) -> None:
-        self.stop_tap = self.hub.add_tap({30}, None, lambda f, channel, now: self.tapped.append(f.raw))
+        self.stop_tap = self.hub.add_observer({30}, None, lambda f, channel, now: self.tapped.append(f.raw))
 
     def on_event(self, event: Event) -> None:
         self.events.append((event.kind, event.text))
@@ -181,7 +181,7 @@ class Station:
             self._send(step)
             for link in self.links:
                 for _ in range(3):
-                    link._lane.ready() if link._lane is not None else link._on_readable()
+                    link._fast_path.ready() if link._fast_path is not None else link._on_readable()
             for _ in range(3):
                 self.loop.run_until_complete(asyncio.sleep(0))
             _wait_delivered([link._socket for link in self.links])
@@ -190,7 +190,7 @@ class Station:
             self.fleet.tick(self.loop.now)
             if number % 3 == 0:
                 self.hub.tick(self.loop.now)
-        self.hub.after_lane()
+        self.hub.after_fast_path()
         return self._result(got)
 
     def _send(self, step: list[tuple[int, bytes]]) -> None:
@@ -426,8 +426,8 @@ def _datagram(sender: Sender, mood: str, room: int) -> tuple[bytes, int]:
 def _links(rng: random.Random) -> dict[str, dict[str, Any]]:
     """What may be different about links."""
 
-    def some(of: dict[str, Any], chance: float = 0.3) -> dict[str, Any]:
-        return {key: rng.choice(values) for key, values in of.items() if rng.random() < chance}
+    def some(of: dict[str, Any], rng: float = 0.3) -> dict[str, Any]:
+        return {key: rng.choice(values) for key, values in of.items() if rng.random() < rng}
 
     whole = {"whole_datagrams": (True, False)}
     bound: list[dict[str, Any]] = [{}, {}, {"vehicles": [1]}, {"vehicles": [2], "present_as": 1}]

@@ -14,7 +14,7 @@ from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.ground_radio import GroundRadio
 from skygcs.sim.radio_fleet import UART_BYTES
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import GROUND, TdmConfig, TdmNetwork
 
 READ_BYTES = 4096
@@ -27,7 +27,7 @@ class EmulatedAir:
         dialect = load_dialect("ardupilotmega")
         self._began = time.monotonic()
         config = TdmConfig(len(sysids) + 1, air_kbps, baud, loss, 0.0, 1.0, rtscts=False, distances_m=())
-        self.network = TdmNetwork(config, dialect, Chance(seed), 0.0)
+        self.network = TdmNetwork(config, dialect, Rng(seed), 0.0)
         self.cut_off: frozenset[int] = frozenset()
         self._ground = GroundRadio(self)  # type: ignore[arg-type]  # it looks at these two attributes only
         self._nodes = {sysid: node for node, sysid in enumerate(sysids, 1)}

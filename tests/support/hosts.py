@@ -53,7 +53,7 @@ class RecordingHost:
 
     def __init__(self) -> None:
         self.dialect = common_dialect()
-        self.express = None
+        self.fast_path = None
         self.channels: list[Channel] = []
         self.detached: list[tuple[Channel, str]] = []
         self.heard: list[tuple[Channel, Frame]] = []
@@ -62,7 +62,7 @@ class RecordingHost:
         self.on_frame: Callable[[Channel, Frame], None] | None = None
         self._next_id = 1
 
-    def after_lane(self) -> None: ...
+    def after_fast_path(self) -> None: ...
 
     def new_parser(self, config: LinkConfig) -> FrameParser:
         return FrameParser(self.dialect)

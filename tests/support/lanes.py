@@ -57,9 +57,9 @@ class Bench:
         self.channel, self.counts, self.target = Channel(), ParserCounts(), Channel()
         self.stats = SourceStats(1, 1)
         self.heard: dict[int, float] = {}
-        self.lane = self.new_lane(self.server)
+        self.fast_path = self.new_fast_path(self.server)
         self.out = self.new_out(self.target)
-        self.lane.add_peer(self.vehicle.getsockname(), self.channel, self.counts, 1)
+        self.fast_path.add_peer(self.vehicle.getsockname(), self.channel, self.counts, 1)
 
     def socket(self) -> socket.socket:
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -69,8 +69,8 @@ class Bench:
         self.sockets.append(sock)
         return sock
 
-    def new_lane(self, server: socket.socket) -> Any:
-        return fast_path.new_lane(
+    def new_fast_path(self, server: socket.socket) -> Any:
+        return fast_path.new_fast_path(
             self.table,
             server.fileno(),
             clock=lambda: self.now,
@@ -93,7 +93,7 @@ class Bench:
     def open_flow(self, msgid: int = ATTITUDE, *, source: int = 0x0101, **more: Any) -> None:
         """Further frames of this source and message go to the ground station."""
         values = {"outs": (self.out,), "slot": None, "watches": None, "steady": None, "again": None} | more
-        self.lane.let_through(self.vehicle.getsockname(), source, msgid, self.stats, self.heard, *values.values())
+        self.fast_path.add_flow(self.vehicle.getsockname(), source, msgid, self.stats, self.heard, *values.values())
 
     def learn(self) -> None:
         """The first turn of the memory of frames is Python's."""
@@ -113,6 +113,6 @@ class Bench:
                 return got
 
     def close(self) -> None:
-        self.lane.close()
+        self.fast_path.close()
         for sock in self.sockets:
             sock.close()

@@ -44,7 +44,7 @@ class MadeLog:
         self._versions: Counter[str] = Counter()
         self._sources: Counter[str] = Counter()
         self._types: Counter[str] = Counter()
-        self._beats: Counter[tuple[int, int, int, int]] = Counter()
+        self._heartbeats: Counter[tuple[int, int, int, int]] = Counter()
         self._signed = 0
         self._times_us: list[int] = []
         self.now_us = T0_US
@@ -79,7 +79,7 @@ class MadeLog:
             self._sources[f"{sysid}/{compid}"] += 1
             self._signed += sign
             if name == "HEARTBEAT":
-                self._beats[sysid, compid, message.autopilot, message.type] += 1
+                self._heartbeats[sysid, compid, message.autopilot, message.type] += 1
         self._put_down(raw)
         return raw
 
@@ -118,7 +118,7 @@ class MadeLog:
             "types": dict(self._types),
             "heartbeats": [
                 [sysid, compid, AUTOPILOTS[autopilot], TYPES[kind], 3, count]
-                for (sysid, compid, autopilot, kind), count in self._beats.items()
+                for (sysid, compid, autopilot, kind), count in self._heartbeats.items()
             ],
         }
 

@@ -16,7 +16,7 @@ from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mission.item import MissionItem
 from skygcs.core.protocols.base import Effect, Report, Send
-from skygcs.core.protocols.mission import ANSWERS, MissionExchange
+from skygcs.core.protocols.mission import ANSWERS, MissionProtocol
 from support.frames import dialect
 
 Reply = tuple[str, dict[str, Any], int]
@@ -228,7 +228,7 @@ class MissionRig:
     """One exchange, one vehicle, the network between them. `run` returns when the exchange is done."""
 
     def __init__(
-        self, exchange: MissionExchange, vehicle: MissionVehicle, net: BadNetwork = GOOD, seed: int = 1
+        self, exchange: MissionProtocol, vehicle: MissionVehicle, net: BadNetwork = GOOD, seed: int = 1
     ) -> None:
         self.exchange, self.vehicle, self.net = exchange, vehicle, net
         self.now = 100.0

@@ -17,7 +17,7 @@ from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.px4_setup import Px4Mode
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet
 
@@ -33,11 +33,11 @@ def sim_dialect() -> Dialect:
 
 
 def px4(sysid: int = 1, seed: int = 1) -> Px4Vehicle:
-    return Px4Vehicle(sim_dialect(), sysid, FIELD, chance=Chance(seed), unix_us=UNIX_US)
+    return Px4Vehicle(sim_dialect(), sysid, FIELD, rng=Rng(seed), unix_us=UNIX_US)
 
 
 def copter(sysid: int = 1, seed: int = 1) -> CopterVehicle:
-    return CopterVehicle(sim_dialect(), sysid, FIELD, chance=Chance(seed), unix_us=UNIX_US)
+    return CopterVehicle(sim_dialect(), sysid, FIELD, rng=Rng(seed), unix_us=UNIX_US)
 
 
 class Pilot:

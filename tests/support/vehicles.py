@@ -143,7 +143,7 @@ class ScriptedVehicle(Voice):
         self.silent = False
         self.got: list[Sent] = []
         self.script: Script = accept_everything
-        self._task = asyncio.get_running_loop().create_task(self._beat())
+        self._task = asyncio.get_running_loop().create_task(self._heartbeat_task())
         ground.scripted.append(self)
 
     def tell(self, frame: Frame, after_s: float = 0.0) -> None:
@@ -188,13 +188,13 @@ class ScriptedVehicle(Voice):
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
 
-    async def _beat(self) -> None:
+    async def _heartbeat_task(self) -> None:
         while True:
             self.pulse()
             await asyncio.sleep(1.0)
 
     def _hear(self, sent: Sent) -> None:
-        identify = sent.name == "COMMAND_LONG" and sent.command == 512 and sent.priority is Priority.EXCHANGE
+        identify = sent.name == "COMMAND_LONG" and sent.command == 512 and sent.priority is Priority.PROTOCOL
         if not self.silent and not identify:
             self.got.append(sent)
             self.script(self, sent)

@@ -62,7 +62,7 @@ async def _record(folder: Path) -> dict[int, int]:
         at, number = at + size, number + 1
         if number % 10 == 0:
             for actor in daemon.fleet.vehicles.values():
-                actor.commander.transmit("COMMAND_LONG", {"command": 512, "param1": 148.0})
+                actor.commands.transmit("COMMAND_LONG", {"command": 512, "param1": 148.0})
             await asyncio.sleep(0.002)
     await asyncio.sleep(0.2)
     lost = {key >> 8: daemon.link_quality(key)["air"]["lost"] for key in daemon.fleet.vehicles}

@@ -79,7 +79,7 @@ async def test_a_radio_pulled_out_and_plugged_in_again_is_back_and_nobody_else_n
 @on_every_loop
 async def test_a_noisy_radio_that_splits_repeats_and_loses_gives_exactly_what_came_whole(radio: PtyRadio) -> None:
     hub = RecordingHost()
-    chance = random.Random(3)
+    rng = random.Random(3)
     radio.plug_in()
     async with supervised(serial_link(hub, radio), []) as supervisor:
         await until(lambda: supervisor.state == "up")
@@ -87,18 +87,18 @@ async def test_a_noisy_radio_that_splits_repeats_and_loses_gives_exactly_what_ca
         stream = b""
         for n in range(800):
             frame = text(n % 5 + 1, n % 256, f"number {n}")
-            if chance.random() < 0.3:
-                stream += chance.randbytes(chance.randint(1, 40))
-            if chance.random() < 0.1:
-                stream += frame[: chance.randint(1, len(frame) - 1)]  # the rest was lost on the air
+            if rng.random() < 0.3:
+                stream += rng.randbytes(rng.randint(1, 40))
+            if rng.random() < 0.1:
+                stream += frame[: rng.randint(1, len(frame) - 1)]  # the rest was lost on the air
                 continue
-            copies = 2 if chance.random() < 0.1 else 1
+            copies = 2 if rng.random() < 0.1 else 1
             stream += copies * frame
             whole += [frame] * copies
         while stream:
-            size = chance.choice((1, 1, 2, 7, 300))
+            size = rng.choice((1, 1, 2, 7, 300))
             stream = stream[radio.write(stream[:size]) :]
-            if chance.random() < 0.1:
+            if rng.random() < 0.1:
                 await asyncio.sleep(0)
         await until(lambda: len(hub.heard) >= len(whole))
         assert hub.raws == whole

@@ -25,13 +25,13 @@ WORDS = {
 }
 
 
-def foreign_lines(up: dict[str, Any]) -> list[str]:
+def third_party_lines(up: dict[str, Any]) -> list[str]:
     """Nothing where nobody else has sent anything."""
-    foreign, corrections = up.get("foreign"), up.get("corrections")
+    third_party, corrections = up.get("third_party"), up.get("corrections")
     lines = []
-    if foreign is not None and foreign["sources"]:
-        lines.append(f"  others may have {foreign['bytes_per_s']:,.0f} B/s{_lists(foreign['param_lists'])}")
-        sources = sorted(foreign["sources"], key=lambda s: -(s["sent"] + sum(s["counts"].values())))
+    if third_party is not None and third_party["sources"]:
+        lines.append(f"  others may have {third_party['bytes_per_s']:,.0f} B/s{_lists(third_party['param_lists'])}")
+        sources = sorted(third_party["sources"], key=lambda s: -(s["sent"] + sum(s["counts"].values())))
         lines += [_source(source) for source in sources[:SHOWN_SOURCES]]
         if len(sources) > SHOWN_SOURCES:
             lines.append(f"    and {len(sources) - SHOWN_SOURCES} more")

@@ -167,7 +167,7 @@ def replay(
             def counted() -> Iterator[Entry]:
                 nonlocal steps
                 for entry in trace:
-                    steps += entry.row.way in (ATTITUDE, VELOCITY)
+                    steps += entry.row.control_mode in (ATTITUDE, VELOCITY)
                     yield entry
 
             for mismatch in rerun(counted()):

@@ -89,10 +89,10 @@ def _show(answer: LinkPlan) -> None:
     if answer.round_s is not None:
         typer.echo(f"a round of {demand.nodes} nodes: {answer.round_s * 1000:,.0f} ms (open SiK's timeslots)")
     typer.echo(f"\n{'':<24}{'needed':>10}{'carries':>10}{'planned':>10}{'share':>8}")
-    for way in answer.ways:
-        mark = "" if way.fits else "  too much"
+    for direction in answer.directions:
+        mark = "" if direction.fits else "  too much"
         typer.echo(
-            f"{way.name:<24}{way.needed:>10,.0f}{way.capacity:>10,.0f}{way.usable:>10,.0f}{way.share:>8.0%}{mark}"
+            f"{direction.name:<24}{direction.needed:>10,.0f}{direction.capacity:>10,.0f}{direction.usable:>10,.0f}{direction.share:>8.0%}{mark}"
         )
     typer.echo("")
     for problem in answer.problems:
@@ -117,7 +117,9 @@ def _as_json(answer: LinkPlan) -> dict[str, object]:
         "down_per_vehicle_bytes_per_s": answer.demand.down_per_vehicle_bytes_per_s,
         "up_per_vehicle_bytes_per_s": answer.demand.up_per_vehicle_bytes_per_s,
         "round_s": answer.round_s,
-        "ways": [{**asdict(way), "share": way.share, "fits": way.fits} for way in answer.ways],
+        "ways": [
+            {**asdict(direction), "share": direction.share, "fits": direction.fits} for direction in answer.directions
+        ],
         "most_vehicles": answer.most_vehicles,
         "rates_hz": dict(answer.rates_hz),
         "setpoint_hz": answer.setpoint_hz,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skygcs.cli import render
-from skygcs.cli.admission_lines import foreign_lines
+from skygcs.cli.admission_lines import third_party_lines
 from skygcs.cli.connection import run
 from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite
@@ -100,7 +100,7 @@ def drawn(radios: list[dict[str, Any]]) -> RenderableType:
     parts: list[RenderableType] = []
     for radio in radios:
         parts += [Text(line) for line in head_lines(radio)]
-        parts += [_classes(radio["up"]["classes"]), *(Text(line) for line in foreign_lines(radio["up"]))]
+        parts += [_classes(radio["up"]["classes"]), *(Text(line) for line in third_party_lines(radio["up"]))]
         parts.append(_vehicles(radio["vehicles"]))
     return Group(*parts)
 

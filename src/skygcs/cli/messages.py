@@ -156,14 +156,14 @@ def request_message(targets: ComponentTargets, name: MessageName, json_output: J
         async with waiting(f"message request {targets}"):
             answer = await gcs.call("vehicles.request", targets=targets, message=asked)
         outcomes = answer["outcomes"]
-        readings = {
+        message_cache = {
             who: await gcs.call("messages.latest", target=who, name=asked) for who, o in outcomes.items() if o["ok"]
         }
         if json_output:
-            typer.echo(json.dumps({"outcomes": outcomes, "messages": readings}, indent=2))
+            typer.echo(json.dumps({"outcomes": outcomes, "messages": message_cache}, indent=2))
             return Exit.DONE if all(o["ok"] for o in outcomes.values()) else Exit.FAILED
         code = tell_outcomes(outcomes, False)
-        for who, reading in readings.items():
+        for who, reading in message_cache.items():
             if reading is not None:
                 typer.echo(render.message_line({**reading, "source": who}))
         return code

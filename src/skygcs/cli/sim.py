@@ -23,7 +23,7 @@ from skygcs.sim.conditions import CALM, Conditions, conditions_of
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.radio_fleet import RadioFleet
 from skygcs.sim.radio_status import SimRadio
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import TICK_S, SimVehicle
 from skygcs.sim.vehicle_group import make_vehicles
 
@@ -130,7 +130,7 @@ def _behind(radio: EmulatedRadio, vehicles: list[SimVehicle], dialect: Dialect, 
 
 
 def _radio(dialect: Dialect, seed: int) -> SimRadio:
-    return SimRadio(dialect, Chance(seed))
+    return SimRadio(dialect, Rng(seed))
 
 
 def parse_conditions(

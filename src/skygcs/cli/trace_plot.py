@@ -12,18 +12,18 @@ from typing import TYPE_CHECKING
 from skygcs.cli.figure import COLOURS, new_figure, require_matplotlib, save
 from skygcs.cli.trace_file import read_trace
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.trace import WAYS, TraceRow
+from skygcs.core.control.trace import CONTROL_MODES, TraceRow
 from skygcs.errors import SkygcsError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 AXES = "xyz"
-WAY_COLOURS = {"attitude": "#E3F1FA", "velocity": "#FFF1DA", "position": "#ECECEC", None: "#FBE3EC"}
+MODE_COLOURS = {"attitude": "#E3F1FA", "velocity": "#FFF1DA", "position": "#ECECEC", None: "#FBE3EC"}
 """Backgrounds, light enough for the curves and their grid."""
 
-WAY_WORDS = {"attitude": "attitude: all loops here", "velocity": "velocity: position loop here"}
-WAY_WORDS |= {"position": "position: no loop here"}
+MODE_WORDS = {"attitude": "attitude: all loops here", "velocity": "velocity: position loop here"}
+MODE_WORDS |= {"position": "position: no loop here"}
 NOTHING_SENT = "nothing sent"
 
 REFERENCE, ESTIMATE, THIRD = "#555555", COLOURS[0], COLOURS[1]
@@ -42,7 +42,7 @@ class Columns:
     vehicle: str
     rows: int = 0
     t: array[float] = field(default_factory=lambda: array("d"))
-    way: list[str | None] = field(default_factory=list)
+    control_mode: list[str | None] = field(default_factory=list)
     reference: tuple[array[float], ...] = field(default_factory=lambda: _doubles(3))
     estimate: tuple[array[float], ...] = field(default_factory=lambda: _doubles(3))
     followed: array[float] = field(default_factory=lambda: array("d"))
@@ -69,7 +69,7 @@ class Columns:
 
     def _add(self, t_s: float, row: TraceRow) -> None:
         self.t.append(t_s)
-        self.way.append(row.way)
+        self.control_mode.append(row.control_mode)
         wanted, found = _wanted(row), _found(row)
         for axis in range(3):
             self.reference[axis].append(wanted[axis])
@@ -118,15 +118,17 @@ def draw(file: Path, path: Path, begin_s: float, end_s: float) -> Figures:
     _draw_effort(panels[4], columns)
     _draw_ages(panels[5], columns, told)
     for panel in panels:
-        _draw_ways(panel, columns)
+        _draw_modes(panel, columns)
         panel.grid(color="0.85", linewidth=0.6)
         panel.set_axisbelow(True)
         panel.margins(x=0)
     panels[-1].set_xlabel("time, s")
     figure.suptitle(f"{columns.vehicle}: {figures(told)}", fontsize=11)
-    ways = _way_handles(columns)
-    if ways:
-        figure.legend(handles=ways, loc="outside lower center", ncols=len(ways), fontsize=8, frameon=False)
+    control_modes = _mode_handles(columns)
+    if control_modes:
+        figure.legend(
+            handles=control_modes, loc="outside lower center", ncols=len(control_modes), fontsize=8, frameon=False
+        )
     figure.align_ylabels(list(panels))
     save(figure, path)
     return told
@@ -197,12 +199,12 @@ def _draw_ages(panel: Axes, columns: Columns, told: Figures) -> None:
     _legend_above(panel)
 
 
-def _draw_ways(panel: Axes, columns: Columns) -> None:
+def _draw_modes(panel: Axes, columns: Columns) -> None:
     begin = 0
-    for way, run in groupby(columns.way):
+    for control_mode, run in groupby(columns.control_mode):
         end = begin + len(list(run))
         right = columns.t[end] if end < len(columns.t) else columns.t[-1]
-        panel.axvspan(columns.t[begin], right, color=WAY_COLOURS[way], linewidth=0, zorder=0)
+        panel.axvspan(columns.t[begin], right, color=MODE_COLOURS[control_mode], linewidth=0, zorder=0)
         if begin:
             panel.axvline(columns.t[begin], color="0.6", linewidth=0.7, zorder=0.5)
         begin = end
@@ -210,14 +212,19 @@ def _draw_ways(panel: Axes, columns: Columns) -> None:
         panel.axvline(t, color="0.3", linewidth=0.8, linestyle="-.", zorder=0.5)
 
 
-def _way_handles(columns: Columns) -> list[object]:
+def _mode_handles(columns: Columns) -> list[object]:
     from matplotlib.patches import Patch
 
-    there = set(columns.way)
-    known = [way for way in (*WAYS, None) if way in there]
+    there = set(columns.control_mode)
+    known = [control_mode for control_mode in (*CONTROL_MODES, None) if control_mode in there]
     return [
-        Patch(facecolor=WAY_COLOURS[way], edgecolor="0.6", linewidth=0.5, label=WAY_WORDS.get(str(way), NOTHING_SENT))
-        for way in known
+        Patch(
+            facecolor=MODE_COLOURS[control_mode],
+            edgecolor="0.6",
+            linewidth=0.5,
+            label=MODE_WORDS.get(str(control_mode), NOTHING_SENT),
+        )
+        for control_mode in known
     ]
 
 

@@ -42,7 +42,7 @@ def track_cells(state: State) -> tuple[str, ...]:
     return (
         str(state["name"]),
         str(control.get("mode") or "?"),
-        _way(control),
+        _control_mode(control),
         _fixed(control.get("error_m"), 2, " m"),
         _vector(control.get("error_enu_m"), 2),
         _milliseconds(control.get("state_age_s")),
@@ -94,7 +94,7 @@ def track_table(states: Sequence[State], width: int = PIPE_WIDTH) -> RenderableT
     return Group(table, *(Text(f"{name}: {reasons}", style="yellow") for name, reasons in why if reasons))
 
 
-def _way(control: Mapping[str, Any]) -> str:
+def _control_mode(control: Mapping[str, Any]) -> str:
     """How it is flown now; what is going on, where it is not."""
     return str(control.get("way") or "") if control.get("state") == "flying" else str(control.get("state"))
 

@@ -129,9 +129,9 @@ def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[
                 if message != "*" and (text := _message_problem(message, dialect)):
                     problems.append(Problem(("links", name, key, "messages", message), text))
         if isinstance(link, RadioKeys):
-            for message in link.foreign.rates:
+            for message in link.third_party.rates:
                 if text := _message_problem(message, dialect):
-                    problems.append(Problem(("links", name, "foreign", "rates", message), text))
+                    problems.append(Problem(("links", name, "third_party", "rates", message), text))
         if link.signing is not None and "accept_unsigned" in link.signing.model_fields_set:
             for index, message in enumerate(link.signing.accept_unsigned):
                 if message != "*" and (text := _message_problem(message, dialect)):

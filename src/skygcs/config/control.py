@@ -23,7 +23,7 @@ Span = Annotated[tuple[float, float], Field(description="[least, most] in metres
 
 ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, 20.0
 VELOCITY_HZ, POSITION_HZ = 10.0, 5.0
-"""Of `core.vehicle.pilot.PilotConfig`; a test compares them."""
+"""Of `core.vehicle.pilot.OffboardConfig`; a test compares them."""
 
 
 class Model(BaseModel):

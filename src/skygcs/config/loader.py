@@ -61,6 +61,9 @@ _EXPECTED = {
 }
 """pydantic's error type -> what was wanted, after "must be"."""
 
+RENAMED_KEYS = {"foreign": "third_party"}
+"""Keys of fleet files written for an earlier version: old -> new, wherever the new one is known."""
+
 _BOUNDS = {
     "greater_than_equal": ("at least", "ge"),
     "greater_than": ("more than", "gt"),
@@ -293,6 +296,8 @@ def _key_path(error: ErrorDetails, table: dict[str, Any]) -> KeyPath:
 def _unknown_key(path: KeyPath, table: dict[str, Any]) -> str:
     model = _model_at(path[:-1], table)
     known = [k for k in model.model_fields if not (issubclass(model, LinkCommon) and k == "name")] if model else []
+    if (new := RENAMED_KEYS.get(str(path[-1]))) in known:
+        return f"is called {new} now: rename the key"
     hint = _did_you_mean(str(path[-1]), known)
     return "unknown key" + (hint or (f"; known here: {', '.join(known)}" if known else ""))
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
-from skygcs.core.preflight.expectations import Expectations, Way
+from skygcs.core.preflight.expectations import ControlMode, Expectations
 from skygcs.core.preflight.health import version_problem
 from skygcs.core.preflight.rules import Rule
 
@@ -113,7 +113,7 @@ class PreflightSettings(Model):
     rtl_height_m: Span | None = None
     geofence_required: bool | None = None
     transmitter: bool | None = None
-    control_way: Way | Literal["none"] | None = None
+    control_mode: ControlMode | Literal["none"] | None = None
     """How skygcs is to fly it; unless said "attitude" where there is a control table, else "none"."""
 
     def over(self, lower: PreflightSettings) -> PreflightSettings:
@@ -130,8 +130,8 @@ class PreflightSettings(Model):
         told["params"] = {name: _rule(value) for name, value in (self.params or {}).items()}
         if isinstance(self.firmware, str):
             told["firmware"] = (self.firmware,)
-        way = self.control_way or ("attitude" if control else "none")
-        return Expectations(**told, control=None if way == "none" else way, setpoint_hz=setpoint_hz)
+        control_mode = self.control_mode or ("attitude" if control else "none")
+        return Expectations(**told, control=None if control_mode == "none" else control_mode, setpoint_hz=setpoint_hz)
 
 
 def _rule(value: ParamValue | RuleSettings) -> Rule:

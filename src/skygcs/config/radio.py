@@ -25,8 +25,8 @@ RateHz = Annotated[float, Field(ge=0), AfterValidator(_rate)]
 """Of a message; 0: none at all."""
 
 
-class ForeignKeys(BaseModel):
-    """What ground stations and programs behind other links may send into a radio (`core.foreign`)."""
+class ThirdPartyKeys(BaseModel):
+    """What ground stations and programs behind other links may send into a radio (`core.third_party`)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -40,7 +40,7 @@ class ForeignKeys(BaseModel):
     rates: dict[str, RateHz] = Field(default_factory=dict)
     """Hz per message name or id, of each source, laid over the built-in ones; 0: none at all."""
     bytes_per_s: Annotated[float, Field(ge=1, le=1e9)] | None = None
-    """Most of everything foreign; None: half of what goes up into the radio."""
+    """Most of all third-party traffic; None: half of what goes up into the radio."""
     corrections_bytes_per_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
     """Most of RTCM corrections; None: 0.4 of what goes up."""
 
@@ -60,7 +60,7 @@ class RadioKeys(BaseModel):
     """Of the serial rate and of a vehicle's timeslot that the planned streams may fill."""
     stream_profile: Profile = "custom"
     """What every vehicle behind it streams if there is room; custom: what its own ``streams`` say."""
-    foreign: ForeignKeys = ForeignKeys()
+    third_party: ThirdPartyKeys = ThirdPartyKeys()
     """What others may send into it."""
 
 

@@ -2,7 +2,7 @@
  *
  * It knows no routing rule. Every frame goes the Python way first: links.udp, core.mavlink.parser, runtime.hub,
  * core.routing. Where that finds that all further frames of this source and message will go the same way, it says so
- * here (`Lane.let_through`: a *flow*). A datagram takes the lane only if each of its frames is complete, has a right
+ * here (`Lane.add_flow`: a *flow*). A datagram takes the lane only if each of its frames is complete, has a right
  * CRC, is addressed to nobody, belongs to a flow and is no copy of what came over another channel; else it is handed to
  * Python whole, with nothing done to it, after what came before it was sent and counted. Any change of the routing
  * table ends all flows (`Table.invalidate`). So the lane can be left out at any time, and nothing but the speed changes.
@@ -414,9 +414,9 @@ static Flow *new_flow(Source *source, uint32_t msgid, const Message *message, Py
     return made;
 }
 
-/* let_through(address, source, msgid, stats, heard, outs, slot, watches, steady, again): further frames of this source
+/* add_flow(address, source, msgid, stats, heard, outs, slot, watches, steady, again): further frames of this source
    and message from this peer go to `outs` (empty: to nobody but us), until the table changes. */
-static PyObject *lane_let_through(Lane *lane, PyObject *args) {
+static PyObject *lane_add_flow(Lane *lane, PyObject *args) {
     PyObject *address, *stats, *heard, *outs, *slot, *watches, *steady, *again;
     struct sockaddr_in from;
     unsigned source;
@@ -807,7 +807,7 @@ static PyMemberDef table_members[] = {
 static PyMethodDef lane_methods[] = {
     {"add_peer", (PyCFunction)lane_add_peer, METH_VARARGS, "add_peer(address, channel, parser_stats, channel_id)"},
     {"remove_peer", (PyCFunction)lane_remove_peer, METH_O, "remove_peer(address)"},
-    {"let_through", (PyCFunction)lane_let_through, METH_VARARGS, "let_through(address, source, msgid, stats, heard, outs, slot, watches)"},
+    {"add_flow", (PyCFunction)lane_add_flow, METH_VARARGS, "add_flow(address, source, msgid, stats, heard, outs, slot, watches)"},
     {"ready", (PyCFunction)lane_ready, METH_NOARGS, "To be called when the socket can be read."},
     {"close", (PyCFunction)lane_close, METH_NOARGS, "Let go of everything."},
     {0},
@@ -817,7 +817,7 @@ static PyMethodDef lane_methods[] = {
      .tp_new = PyType_GenericNew, .tp_methods = METHODS, .tp_members = MEMBERS, .tp_init = (initproc)INIT, .tp_dealloc = (destructor)DEALLOC}
 static PyTypeObject TableType = TYPE("Table", sizeof(Table), table_methods, table_members, table_init, table_dealloc);
 static PyTypeObject OutType = TYPE("Out", sizeof(Out), NULL, NULL, out_init, out_dealloc);
-static PyTypeObject LaneType = TYPE("Lane", sizeof(Lane), lane_methods, NULL, lane_init, lane_dealloc);
+static PyTypeObject LaneType = TYPE("FastPath", sizeof(Lane), lane_methods, NULL, lane_init, lane_dealloc);
 /* Changes with every change of what Python and this file expect of each other; the same number is in links/fast_path.py. */
 #define INTERFACE 2
 

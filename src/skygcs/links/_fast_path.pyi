@@ -17,7 +17,7 @@ class Table:
 class Out:
     def __init__(self, fd: int, address: Address, channel: Any, whole: bool) -> None: ...
 
-class Lane:
+class FastPath:
     def __init__(
         self,
         table: Table,
@@ -30,7 +30,7 @@ class Lane:
     ) -> None: ...
     def add_peer(self, address: Address, channel: Any, parser_stats: Any, channel_id: int, /) -> None: ...
     def remove_peer(self, address: Address, /) -> None: ...
-    def let_through(
+    def add_flow(
         self,
         address: Address,
         source: int,

@@ -23,29 +23,29 @@ from skygcs.core.routing.sysid_translation import Endpoint
 from skygcs.events import Event
 
 if TYPE_CHECKING:
-    from skygcs.links._fast_path import Lane, Out, Table
+    from skygcs.links._fast_path import FastPath, Out, Table
     from skygcs.links.paced import AirBudget
 
 
-class Noted(NamedTuple):
+class StateUpdate(NamedTuple):
     """How frames of one source and message are noted where not each of them has to be looked at."""
 
     slot: Any = None
-    """Where the newest is put, with its time, and counted (`core.vehicle.readings.Slot`); None: nowhere."""
+    """Where the newest is put, with its time, and counted (`core.vehicle.message_cache.Slot`); None: nowhere."""
     watches: list[Any] | None = None
     """While it is not empty somebody waits for what such frames may change, and each of them is to be shown."""
     again: Callable[[float], None] | None = None
     """To be called at the end of a burst with its time; for frames whose payload is that of the one before."""
 
 
-class Way(NamedTuple):
+class ForwardingPath(NamedTuple):
     """What is known of all further frames of one source and message: no rule has to be asked."""
 
     outs: tuple[Out, ...]
     stats: SourceStats
     heard: dict[int, float]
     """Where the time is noted, under the source (`core.routing`)."""
-    noted: Noted
+    noted: StateUpdate
     steady: bytes | None = None
     """The payload they must have; None: any."""
 
@@ -104,11 +104,11 @@ class LinkHost(Protocol):
         ...
 
     @property
-    def express(self) -> Table | None:
+    def fast_path(self) -> Table | None:
         """What compiled lanes of links share; None: frames go through `on_frames`, all of them."""
         ...
 
-    def after_lane(self) -> None:
+    def after_fast_path(self) -> None:
         """Count and record what has passed lanes: to be called before anybody looks at channels or sources."""
         ...
 
@@ -155,7 +155,7 @@ class Channel(ABC):
     whole_datagrams = False
     """Whether frames that came in one datagram and all go the same way may be sent on in one (`send_whole`)."""
 
-    lane: Lane | None = None
+    fast_path: FastPath | None = None
     """The compiled lane that datagrams from this peer may take, and ..."""
     out: Out | None = None
     """... this peer as the end of such lanes."""
@@ -191,8 +191,8 @@ class Channel(ABC):
         """Send so many frames as one datagram; only where ``whole_datagrams``."""
         raise NotImplementedError
 
-    def let_through(self, frame: Frame, way: Way) -> None:
-        """Open the lane to further frames of this source and message; only where there is a ``lane``."""
+    def add_flow(self, frame: Frame, path: ForwardingPath) -> None:
+        """Open the lane to further frames of this source and message; only where there is a ``fast_path``."""
         raise NotImplementedError
 
     def encode(self, outgoing: Outgoing) -> bytes:

@@ -16,7 +16,7 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 
 if TYPE_CHECKING:
-    from skygcs.links._fast_path import Lane, Out, Table
+    from skygcs.links._fast_path import FastPath, Out, Table
     from skygcs.links.address import Address
 
 PURE = "SKYGCS_PURE"
@@ -51,7 +51,7 @@ def new_table(dialect: Dialect, *, recording: bool) -> Table | None:
     return _fast_path.Table(messages, Frame, recording)
 
 
-def new_lane(
+def new_fast_path(
     table: Table,
     fd: int,
     *,
@@ -59,15 +59,15 @@ def new_lane(
     slow: Callable[[bytes, Address, float], None],
     after: Callable[[], None],
     broken: Callable[[OSError], None],
-) -> Lane:
-    """The lane of one UDP socket. Nothing passes until `Lane.let_through` says so.
+) -> FastPath:
+    """The lane of one UDP socket. Nothing passes until `FastPath.add_flow` says so.
 
     ``slow(data, address, now)`` gets what does not pass, ``broken(error)`` the socket's errors; ``after()`` is to call
     `Table.take`, for there is much to be taken.
     """
-    from skygcs.links._fast_path import Lane
+    from skygcs.links._fast_path import FastPath
 
-    return Lane(table, fd, clock, slow, after, broken)
+    return FastPath(table, fd, clock, slow, after, broken)
 
 
 def new_out(fd: int, address: tuple[object, ...], channel: object, *, whole: bool) -> Out | None:

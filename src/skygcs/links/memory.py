@@ -42,13 +42,13 @@ class BadNetwork:
 
     def transmit(self, data: bytes, deliver: Deliver) -> None:
         """Put one packet on its way."""
-        config, chance = self._config, self._random.random
+        config, rng = self._config, self._random.random
         self.sent += 1
-        for _ in range(2 if chance() < config.duplicate else 1):
-            if chance() < config.loss or len(self._flight) >= MAX_IN_FLIGHT:
+        for _ in range(2 if rng() < config.duplicate else 1):
+            if rng() < config.loss or len(self._flight) >= MAX_IN_FLIGHT:
                 self.lost += 1
                 continue
-            due = self._loop.time() + config.delay_s + config.jitter_s * chance()
+            due = self._loop.time() + config.delay_s + config.jitter_s * rng()
             heapq.heappush(self._flight, (due, next(self._order), data, deliver))
         self._plan()
 

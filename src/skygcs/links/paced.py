@@ -7,10 +7,10 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from skygcs.config.radio import ForeignKeys
+from skygcs.config.radio import ThirdPartyKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, ForeignRules, ForeignTraffic, Ruling
+from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, AdmissionDecision, ThirdPartyRules, ThirdPartyTraffic
 from skygcs.core.radio_link.admission_frames import FILE_TRANSFER_PROTOCOL, PARAM_VALUE, is_emergency, is_order, parse
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.core.radio_link.pacing import Pacer, RadioRates, report_of
@@ -42,22 +42,22 @@ class AirBudget:
         queue: TxQueue[Outgoing],
         rates: RadioRates,
         now: float,
-        rules: ForeignRules | None = None,
+        rules: ThirdPartyRules | None = None,
         dialect: Dialect | None = None,
     ) -> None:
         """``dialect``: without it nothing is known of what others send, and all of it is alike."""
         self.queue = queue
         self.pacer = Pacer(rates)
-        self.rules = rules or ForeignRules()
+        self.rules = rules or ThirdPartyRules()
         rate = self.pacer.rate(now)
         self._messages: Mapping[int, MessageInfo] = {} if dialect is None else dialect.messages
-        self.foreign = ForeignTraffic(self.rules, self._messages, rate, now)
+        self.third_party = ThirdPartyTraffic(self.rules, self._messages, rate, now)
         self.corrections: Corrections[Outgoing] = Corrections(self._corrections_rate(rate), now)
         self.on_due: Callable[[], object] = lambda: None
         """Called when what came down has made something due that `next_send_time` promised for later."""
         self._lost = 0
         queue.budget = ByteBudget(rate, self.pacer.burst_bytes(), now)
-        queue.forwarded = self.foreign.budget
+        queue.forwarded = self.third_party.budget
 
     # -- up
 
@@ -66,10 +66,10 @@ class AirBudget:
     ) -> bool:
         """Queue it, or have it wait until its turn; False if it was dropped or refused."""
         if type(outgoing) is bytes and priority is Priority.FORWARDED:
-            ruling = self.foreign.judge(outgoing, now, self.queue.holds)
-            match ruling.outcome:
+            admission = self.third_party.judge(outgoing, now, self.queue.holds)
+            match admission.outcome:
                 case "send":
-                    return self._put_foreign(outgoing, ruling, now)
+                    return self._put_third_party(outgoing, admission, now)
                 case "correction":
                     return self._correct(outgoing, now)
                 case "wait":
@@ -86,8 +86,8 @@ class AirBudget:
 
     def pop(self, now: float) -> tuple[Outgoing, Priority] | None:
         """What is to be written now; see `TxQueue.pop`."""
-        for released in self.foreign.poll(now):
-            self._put_foreign(released.raw, released.ruling, now)
+        for released in self.third_party.poll(now):
+            self._put_third_party(released.raw, released.admission, now)
         if not self.queue.waiting(Priority.CORRECTION):  # one at a time: which is next is decided as late as can be
             correction = self.corrections.pop(now)
             if correction is not None:
@@ -96,14 +96,14 @@ class AirBudget:
 
     def next_send_time(self, now: float) -> float | None:
         """When `pop` is to be asked again, if nothing more is offered; None: not before something is."""
-        times = [self.queue.next_send_time(now), self.foreign.next_poll(now)]
+        times = [self.queue.next_send_time(now), self.third_party.next_poll(now)]
         if not self.queue.waiting(Priority.CORRECTION):
             times.append(self.corrections.next_send_time(now))
         return min((at for at in times if at is not None), default=None)
 
     def clear(self) -> int:
         """Forget everything that waits (the link went down); how many that were."""
-        return self.queue.clear() + self.foreign.clear() + self.corrections.clear()
+        return self.queue.clear() + self.third_party.clear() + self.corrections.clear()
 
     def take_lost(self) -> int:
         """Entries that were dropped or refused because too many wait, since the last call."""
@@ -112,7 +112,7 @@ class AirBudget:
 
     def __len__(self) -> int:
         """What waits, here or in the queue."""
-        return len(self.queue) + self.foreign.waiting + len(self.corrections)
+        return len(self.queue) + self.third_party.waiting + len(self.corrections)
 
     # -- what the radio says
 
@@ -140,11 +140,11 @@ class AirBudget:
                 payload = frame.payload.ljust(_PARAM_INDEX_AT + 2, b"\0")
                 count = int.from_bytes(payload[_PARAM_COUNT_AT:_PARAM_INDEX_AT], "little")
                 index = int.from_bytes(payload[_PARAM_INDEX_AT : _PARAM_INDEX_AT + 2], "little")
-                self.foreign.on_param_value(frame.sysid, frame.compid, index, count, now)
-                if (at := self.foreign.next_poll(now)) is not None and at <= now:
+                self.third_party.on_param_value(frame.sysid, frame.compid, index, count, now)
+                if (at := self.third_party.next_poll(now)) is not None and at <= now:
                     self.on_due()
             elif frame.msgid == FILE_TRANSFER_PROTOCOL:
-                self.foreign.on_file_part(frame.sysid, now)
+                self.third_party.on_file_part(frame.sysid, now)
 
     def refresh(self, now: float) -> None:
         budget = self.queue.budget
@@ -152,7 +152,7 @@ class AirBudget:
         rate = self.pacer.rate(now)
         budget.set_rate(rate, now)
         budget.set_burst(self.pacer.burst_bytes(), now)
-        self.foreign.set_rate(rate, now)
+        self.third_party.set_rate(rate, now)
         self.corrections.set_rate(self._corrections_rate(rate), now)
 
     def status(self, now: float) -> dict[str, Any]:
@@ -160,7 +160,7 @@ class AirBudget:
         return {
             **self.pacer.status(now),
             "classes": self.queue.status(),
-            "foreign": self.foreign.status(now),
+            "third_party": self.third_party.status(now),
             "corrections": self.corrections.status(),
         }
 
@@ -174,15 +174,15 @@ class AirBudget:
         frame = parse(raw, self._messages)
         return frame is not None and self.corrections.offer(frame.source, frame.payload, raw, len(raw), now)
 
-    def _put_foreign(self, raw: bytes, ruling: Ruling, now: float) -> bool:
+    def _put_third_party(self, raw: bytes, admission: AdmissionDecision, now: float) -> bool:
         size = len(raw)
-        if ruling.priority is Priority.EMERGENCY:
+        if admission.priority is Priority.EMERGENCY:
             self._drop_orders_before(raw)
-        if ruling.priority is not Priority.FORWARDED:
-            if self.queue.offer(raw, ruling.priority, now, ruling.key, size=size, flow=ruling.flow):
+        if admission.priority is not Priority.FORWARDED:
+            if self.queue.offer(raw, admission.priority, now, admission.key, size=size, flow=admission.flow):
                 return True
-            ruling = ruling._replace(priority=Priority.FORWARDED)  # its class is full, and nobody here repeats it
-        return self._put(raw, Priority.FORWARDED, now, ruling.key, size, ruling.flow)
+            admission = admission._replace(priority=Priority.FORWARDED)  # its class is full, and nobody here repeats it
+        return self._put(raw, Priority.FORWARDED, now, admission.key, size, admission.flow)
 
     def _drop_orders_before(self, stop: bytes) -> None:
         """What others ordered of a vehicle before it was stopped must not reach it afterwards."""
@@ -208,13 +208,13 @@ class AirBudget:
         return taken
 
 
-def foreign_rules(keys: ForeignKeys, dialect: Dialect) -> ForeignRules:
-    """What a link's [foreign] table says. Raises KeyError for a message name the dialect does not have."""
+def third_party_rules(keys: ThirdPartyKeys, dialect: Dialect) -> ThirdPartyRules:
+    """What a link's [third_party] table says. Raises KeyError for a message name the dialect does not have."""
 
     def msgid(name: str) -> int:
         return int(name) if name.isdecimal() else dialect.find(name).msgid
 
-    return ForeignRules(
+    return ThirdPartyRules(
         keys.param_lists,
         keys.files,
         keys.streams,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from skygcs.core.radio_link.admission import ForeignRules
+from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.links.base import Channel, Link, Outgoing
@@ -15,12 +15,12 @@ from skygcs.links.paced import AirBudget
 class QueuedChannel(Channel):
     """What waits is in ``_line``; subclasses `_offer` and `_pop`, which count what was dropped or refused."""
 
-    def __init__(self, link: Link, peer: str, radio: RadioRates | None, foreign: ForeignRules | None) -> None:
-        """``radio``: there is one at the other end; ``foreign``: what others may send into it."""
+    def __init__(self, link: Link, peer: str, radio: RadioRates | None, third_party: ThirdPartyRules | None) -> None:
+        """``radio``: there is one at the other end; ``third_party``: what others may send into it."""
         super().__init__(link, peer)
         self.queue: TxQueue[Outgoing] = TxQueue()
         if radio is not None:
-            self.air = AirBudget(self.queue, radio, link.loop.time(), foreign, link.host.dialect)
+            self.air = AirBudget(self.queue, radio, link.loop.time(), third_party, link.host.dialect)
         self._line: TxQueue[Outgoing] | AirBudget = self.queue if self.air is None else self.air
 
     def counters(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from skygcs.config import models
 from skygcs.config.radio import radio_rates
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
-from skygcs.links.paced import foreign_rules
+from skygcs.links.paced import third_party_rules
 from skygcs.links.stream import StreamChannel
 
 TRY_BAUD_S = 5.0
@@ -61,7 +61,7 @@ class SerialLink(Link):
                 outstanding=partial(_bytes_outstanding, fd),
                 bytes_per_s=self.baud / BITS_PER_BYTE,
                 radio=radio_rates(self.config, self.baud) if self.config.role == "radio" else None,
-                foreign=foreign_rules(self.config.foreign, self.host.dialect),
+                third_party=third_party_rules(self.config.third_party, self.host.dialect),
             )
             self.host.attach(self._channel)
         except BaseException:

@@ -12,10 +12,10 @@ from skygcs.core.radio_link.capacity import BITS_PER_BYTE
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.links.base import Link, Outgoing
-from skygcs.links.paced import foreign_rules
+from skygcs.links.paced import third_party_rules
 from skygcs.links.queued import QueuedChannel
 from skygcs.sim.radio_fleet import RadioFleet
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import GROUND, TdmConfig, TdmNetwork
 from skygcs.sim.vehicle import SimVehicle
 
@@ -46,7 +46,7 @@ def emulated(
         rtscts=config.rtscts,
         distances_m=config.distances_m,
     )
-    return RadioFleet(vehicles, TdmNetwork(tdm, dialect, Chance(seed), now), dialect)
+    return RadioFleet(vehicles, TdmNetwork(tdm, dialect, Rng(seed), now), dialect)
 
 
 def rates_of(link: models.SimulatedLink) -> RadioRates:
@@ -61,8 +61,8 @@ class SimulatedRadioChannel(QueuedChannel):
 
     def __init__(self, link: Link, peer: str, air: RadioFleet, baud: int, rates: RadioRates | None) -> None:
         keys = link.config if rates is not None and isinstance(link.config, RadioKeys) else None
-        foreign = None if keys is None else foreign_rules(keys.foreign, link.host.dialect)
-        super().__init__(link, peer, rates, foreign)
+        third_party = None if keys is None else third_party_rules(keys.third_party, link.host.dialect)
+        super().__init__(link, peer, rates, third_party)
         self._radio: RadioFleet | None = air
         self._byte_s = BITS_PER_BYTE / baud
         self._limit = SHALLOW_BYTES if rates is not None else KERNEL_BYTES

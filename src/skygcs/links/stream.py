@@ -10,7 +10,7 @@ import asyncio
 import os
 from collections.abc import Callable, Hashable
 
-from skygcs.core.radio_link.admission import ForeignRules
+from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.links.base import Channel, Link, Outgoing
@@ -91,7 +91,7 @@ class StreamChannel(QueuedChannel):
     with ``stuck_after_s``, after the other end took nothing for that long. ``outstanding`` tells how many written bytes
     the kernel still holds and ``bytes_per_s`` how fast they go: with them the kernel's buffer is kept shallow, so that
     priorities mean something; without, it is filled until it takes no more. ``radio``: there is one at the other end,
-    and no more is sent than it bears, and of what others send no more than ``foreign`` allows.
+    and no more is sent than it bears, and of what others send no more than ``third_party`` allows.
     """
 
     def __init__(
@@ -105,9 +105,9 @@ class StreamChannel(QueuedChannel):
         bytes_per_s: float = 5760.0,
         stuck_after_s: float | None = None,
         radio: RadioRates | None = None,
-        foreign: ForeignRules | None = None,
+        third_party: ThirdPartyRules | None = None,
     ) -> None:
-        super().__init__(link, peer, radio, foreign)
+        super().__init__(link, peer, radio, third_party)
         self.bytes_per_s = bytes_per_s
         self.intake = StreamIntake(self)
         self._fd = fd

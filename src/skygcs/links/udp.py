@@ -25,11 +25,11 @@ from skygcs.core.routing.peer_places import Peer
 from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
-from skygcs.links.base import Channel, Link, LinkHost, Outgoing, Way
-from skygcs.links.fast_path import new_lane, new_out
+from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost, Outgoing
+from skygcs.links.fast_path import new_fast_path, new_out
 
 if TYPE_CHECKING:
-    from skygcs.links._fast_path import Lane
+    from skygcs.links._fast_path import FastPath
 
 DATAGRAMS_PER_WAKEUP = 64
 """Enough that the wake-up costs little per datagram; few enough that other links have their turn within 1 ms."""
@@ -90,27 +90,27 @@ class UdpChannel(Channel):
         self.tx_frames += frames
         self.tx_bytes += len(data)
 
-    def use_lane(self, lane: Lane, fd: int) -> None:
+    def use_fast_path(self, fast_path: FastPath, fd: int) -> None:
         """To be called once it is attached. A peer of IPv6 takes no lane."""
         self.out = new_out(fd, self.address, self, whole=self.whole_datagrams)
         if self.out is not None:
-            lane.add_peer(self.address, self, self.parser.stats, self.id)
-            self.lane = lane
+            fast_path.add_peer(self.address, self, self.parser.stats, self.id)
+            self.fast_path = fast_path
 
-    def let_through(self, frame: Frame, way: Way) -> None:
-        if self.lane is not None:
+    def add_flow(self, frame: Frame, path: ForwardingPath) -> None:
+        if self.fast_path is not None:
             source = frame.sysid << 8 | frame.compid
-            slot, watches, again = way.noted
-            self.lane.let_through(
+            slot, watches, again = path.noted
+            self.fast_path.add_flow(
                 self.address,
                 source,
                 frame.msgid,
-                way.stats,
-                way.heard,
-                way.outs,
+                path.stats,
+                path.heard,
+                path.outs,
                 slot,
                 watches,
-                way.steady,
+                path.steady,
                 again,
             )
 
@@ -130,7 +130,7 @@ class UdpLink(Link):
         self._peers: dict[Address, UdpChannel] = {}
         self._socket: socket.socket | None = None
         self._watched = -1
-        self._lane: Lane | None = None
+        self._fast_path: FastPath | None = None
         self._session = 0
         self._ignored = 0
 
@@ -158,16 +158,16 @@ class UdpLink(Link):
             with contextlib.suppress(OSError):
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
             self._set_up(sock, family, address)
-            if self.host.express is not None and family == socket.AF_INET:
-                self._lane = new_lane(
-                    self.host.express,
+            if self.host.fast_path is not None and family == socket.AF_INET:
+                self._fast_path = new_fast_path(
+                    self.host.fast_path,
                     sock.fileno(),
                     clock=self.loop.time,
                     slow=self._on_datagram,
-                    after=self.host.after_lane,
+                    after=self.host.after_fast_path,
                     broken=partial(self._on_receive_error, sock),
                 )
-            on_readable = self._on_readable if self._lane is None else self._lane.ready
+            on_readable = self._on_readable if self._fast_path is None else self._fast_path.ready
             # Not by `Readiness`: a socket that is not connected shows no errors, and an epoll less saves 6 % of all at
             # 1,000 frames a second.
             self.loop.add_reader(sock.fileno(), on_readable)
@@ -190,9 +190,9 @@ class UdpLink(Link):
         self._peers.clear()
         for channel in channels:
             self.host.detach(channel, self.why_closed)
-        if self._lane is not None:
-            self._lane.close()
-            self._lane = None
+        if self._fast_path is not None:
+            self._fast_path.close()
+            self._fast_path = None
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -257,8 +257,8 @@ class UdpLink(Link):
     def _attach(self, address: Address, sock: socket.socket) -> UdpChannel:
         channel = self._peers[address] = UdpChannel(self, sock, address)
         self.host.attach(channel)
-        if self._lane is not None:
-            channel.use_lane(self._lane, sock.fileno())
+        if self._fast_path is not None:
+            channel.use_fast_path(self._fast_path, sock.fileno())
         return channel
 
 
@@ -328,20 +328,20 @@ class UdpServerLink(UdpLink):
         return admitted
 
     def _places(self) -> Iterator[Peer]:
-        self.host.after_lane()  # which counts when each was last heard
+        self.host.after_fast_path()  # which counts when each was last heard
         for address, channel in self._peers.items():
             yield Peer(address, format_host(address), self.host.carries_autopilot(channel), channel.last_rx_at)
 
     def _let_go(self, channel: UdpChannel, reason: str) -> None:
         del self._peers[channel.address]
-        if channel.lane is not None:
-            channel.lane.remove_peer(channel.address)
+        if channel.fast_path is not None:
+            channel.fast_path.remove_peer(channel.address)
         self.host.detach(channel, reason)
         self._admission.left(len(self._peers))
 
     def _expire(self, now: float) -> None:
         """Let go of every peer that was silent for too long."""
-        self.host.after_lane()  # when each was last heard
+        self.host.after_fast_path()  # when each was last heard
         timeout_s = self.config.peer_timeout_s
         for channel in list(self._peers.values()):
             if now - channel.last_rx_at >= timeout_s:

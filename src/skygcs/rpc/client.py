@@ -70,7 +70,7 @@ EVENT_KINDS = (
     "signing",
     "recorder",
     "params",
-    "foreign",
+    "third_party",
     "undo",
     "uplink_lost",
     "uplink_back",

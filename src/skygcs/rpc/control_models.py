@@ -105,7 +105,7 @@ class ControlState(Result):
 
     vehicle: str
     mode: str | None = Field(description="The way that was wanted; null: off.")
-    way: str | None = Field(description="The way it is flown now: attitude, velocity or position.")
+    control_mode: str | None = Field(description="The way it is flown now: attitude, velocity or position.")
     state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
     reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
     reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")

@@ -28,7 +28,7 @@ WARNING, INFO = 4, 6
 OnEvent = Callable[[Event], None]
 
 
-class ForeignWatch:
+class AdmissionReports:
     """`tick` once a second."""
 
     def __init__(self, hub: Hub, own: DaemonConfig, dialect: Dialect, on_event: OnEvent) -> None:
@@ -43,9 +43,9 @@ class ForeignWatch:
             air = channel.air
             if air is None:
                 continue
-            air.foreign.own_sysid = self._own.sysid if self._own.heartbeat else None
-            while air.foreign.notes:
-                self._tell(air.foreign.notes.popleft(), channel, air, now)
+            air.third_party.own_sysid = self._own.sysid if self._own.heartbeat else None
+            while air.third_party.notes:
+                self._tell(air.third_party.notes.popleft(), channel, air, now)
 
     def _tell(self, note: Note, channel: Channel, air: AirBudget, now: float) -> None:
         link = channel.link.name
@@ -61,11 +61,11 @@ class ForeignWatch:
             "target": note.target,
             "message": name,
         }
-        self._on_event(Event("foreign", None, note.target or None, text, data))
+        self._on_event(Event("third_party", None, note.target or None, text, data))
         self._answer(clients, note, name)
 
     def _sentence(self, note: Note, link: str, air: AirBudget, now: float) -> str:
-        name, key = self._name(note.msgid), f"links.{link}.foreign"
+        name, key = self._name(note.msgid), f"links.{link}.third_party"
         whom = f"vehicle {note.target}" if note.target else "all vehicles"
         match note.kind:
             case "streams":
@@ -86,7 +86,7 @@ class ForeignWatch:
             case "files":
                 return f'asks {whom} for files: not sent, since {key}.files is "deny"'
             case "turn":
-                other = air.foreign.files.running(now)
+                other = air.third_party.files.running(now)
                 return (
                     f"asks {whom} for files while those of {other or 'another'} come: not sent until it is asked again "
                     f'then, as one vehicle at a time sends files; {key}.files = "allow" sends for all at once'
@@ -100,7 +100,7 @@ class ForeignWatch:
                     f"raise {key}.rates.{name}"
                 )
             case _:
-                running = air.foreign.lists.running
+                running = air.third_party.lists.running
                 first = "" if running is None else f" ({_progress(running)})"
                 return (
                     f"asks for the parameters of vehicle {note.target} while another's list is under way{first}: it "
@@ -129,7 +129,7 @@ class ForeignWatch:
         message = OwnMessage(info, payload, note.target or self._own.sysid, self._own.compid)
         for channel in clients:
             if channel.endpoint is None:
-                channel.send(message, Priority.EXCHANGE)
+                channel.send(message, Priority.PROTOCOL)
 
     def _clients(self, source: int) -> list[Channel]:
         """The channels on which a source is heard, if vehicles are none of theirs."""

@@ -16,7 +16,7 @@ from skygcs.core.radio_link.stream_rates import (
     POSITION,
     SELECTED,
     Downlink,
-    Wish,
+    RateDemand,
     fit,
     plan_bytes_per_s,
     profile_rates,
@@ -56,7 +56,7 @@ class _Radio:
         self.channel = channel
         self.air = air
         self.downlink = Downlink()
-        self.wishes: dict[int, Wish] = {}
+        self.demands: dict[int, RateDemand] = {}
         self.budget: tuple[float, float] = (0.0, 0.0)
         """Bytes/s down: of all vehicles, and of one (its timeslot)."""
         self.planned: dict[int, dict[str, float]] = {}
@@ -93,19 +93,19 @@ class AirPlanner:
             radio = self._radios[number]
             members = self._members(number, now)
             self._plan(radio, members, now)
-            planned |= radio.wishes.keys()
+            planned |= radio.demands.keys()
             self._judge(radio, members, now)
         for key, actor in self._fleet.vehicles.items():
             if key not in planned and actor.planned.active and not self._is_silent(actor, now):
                 actor.planned.plan(None, self._bytes)  # it is reached another way now
-                actor.commander.patience_s = 0.0
+                actor.commands.min_retry_s = 0.0
 
     def step(self, now: float) -> None:
         """Have vehicles asked for what they do not send yet, as long as few requests wait."""
         for number, radio in self._radios.items():
             keys = list(radio.planned)
             for offset in range(len(keys)):
-                if radio.air.queue.waiting(Priority.EXCHANGE) >= WAITING_AT_ONCE:
+                if radio.air.queue.waiting(Priority.PROTOCOL) >= WAITING_AT_ONCE:
                     break
                 actor = self._fleet.vehicles.get(keys[(radio.turn + offset) % len(keys)])
                 if actor is not None and actor.planned.ask(now, self._sender(number)):
@@ -123,7 +123,7 @@ class AirPlanner:
     # -- the inside
 
     def _sender(self, channel_id: int) -> Callable[[MessageInfo, Mapping[str, Any]], bool]:
-        return lambda info, values: self._hub.send_on((channel_id,), info, values, Priority.EXCHANGE)
+        return lambda info, values: self._hub.send_on((channel_id,), info, values, Priority.PROTOCOL)
 
     def _is_silent(self, actor: VehicleActor, now: float) -> bool:
         silence_s = actor.vehicle.silence_s(now)
@@ -143,20 +143,20 @@ class AirPlanner:
         radio.air.set_vehicles(len(members), now)
         round_s = radio.air.pacer.rates.round_s(len(members))
         for actor in members.values():
-            actor.commander.patience_s = 0.0 if round_s is None else PATIENCE_ROUNDS * round_s + ANSWER_S
+            actor.commands.min_retry_s = 0.0 if round_s is None else PATIENCE_ROUNDS * round_s + ANSWER_S
         report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
         if not all(actor.planned.settled for actor in members.values()):
             radio.unsettled_at = now
         settled = now - radio.unsettled_at > LOSS_WINDOW_S
         free = None if report is None else report.txbuf_free
         radio.downlink.look(self._loss_of_all(radio, members, now) if settled else None, free, now)
-        wishes = {k: wish for k, actor in members.items() if (wish := self._wish(radio, k, actor)) is not None}
-        radio.air.foreign.unplanned = frozenset(actor.sysid for k, actor in members.items() if k not in wishes)
+        demands = {k: demand for k, actor in members.items() if (demand := self._demand(radio, k, actor)) is not None}
+        radio.air.third_party.unplanned = frozenset(actor.sysid for k, actor in members.items() if k not in demands)
         budget = self._budget(radio)
-        if (wishes, budget) == (radio.wishes, radio.budget):
+        if (demands, budget) == (radio.demands, radio.budget):
             return
-        radio.wishes, radio.budget = wishes, budget
-        radio.planned = fit(wishes, *budget, self._bytes)
+        radio.demands, radio.budget = demands, budget
+        radio.planned = fit(demands, *budget, self._bytes)
         for key, rates in radio.planned.items():
             members[key].planned.plan(rates, self._bytes)
 
@@ -168,7 +168,7 @@ class AirPlanner:
         slot = serial if round_s is None else SLOT_BYTES / round_s * share * pacer.rates.duty_cycle
         return serial * (pacer.rates.duty_cycle if round_s is None else 1.0), slot * radio.downlink.factor
 
-    def _wish(self, radio: _Radio, key: int, actor: VehicleActor) -> Wish | None:
+    def _demand(self, radio: _Radio, key: int, actor: VehicleActor) -> RateDemand | None:
         """None: it is to be asked for nothing (``streams = {}``), and nothing of it is turned off either."""
         config = radio.channel.config
         assert isinstance(config, SerialLink | SimulatedLink)
@@ -179,8 +179,8 @@ class AirPlanner:
         if actor.planned.position_hz is not None:
             rates[POSITION] = max(rates.get(POSITION, 0.0), actor.planned.position_hz)
         if actor.flight.pilot.active or actor.planned.position_hz is not None:
-            return Wish(rates, CONTROLLED)
-        return Wish(rates, SELECTED if key in self.selected else NORMAL)
+            return RateDemand(rates, CONTROLLED)
+        return RateDemand(rates, SELECTED if key in self.selected else NORMAL)
 
     def _has(self, actor: VehicleActor, message: str) -> bool:
         return message != "EKF_STATUS_REPORT" or actor.vehicle.family == "ardupilot"
@@ -225,12 +225,12 @@ class AirPlanner:
 
     def _hint(self, radio: _Radio, key: int, actor: VehicleActor) -> None:
         """What a vehicle will not stop by request, a person has to stop in its parameters."""
-        stubborn = actor.planned.keeper.stubborn() if key not in radio.hinted else []
-        if not stubborn:
+        unresponsive = actor.planned.keeper.unresponsive() if key not in radio.hinted else []
+        if not unresponsive:
             return
         radio.hinted.add(key)
-        wasted = sum(hz * self._bytes.get(name, 0) for name, hz in stubborn)
-        names = ", ".join(f"{name} {hz:.2g} Hz" for name, hz in stubborn[:4])
+        wasted = sum(hz * self._bytes.get(name, 0) for name, hz in unresponsive)
+        names = ", ".join(f"{name} {hz:.2g} Hz" for name, hz in unresponsive[:4])
         how = (
             "lower its port's SRx_ parameters"
             if actor.vehicle.family == "ardupilot"
@@ -254,13 +254,13 @@ class AirPlanner:
                 {
                     "name": actor.name,
                     "sysid": actor.sysid,
-                    "weight": radio.wishes[key].weight,
+                    "weight": radio.demands[key].weight,
                     "planned_bytes_per_s": round(planned[key], 1),
                     "measured_bytes_per_s": None if stats is None else round(stats.bytes_per_s, 1),
                     "loss": self._loss_of(radio, key, now),
                     "round_trip_s": None if trip is None else round(trip, 3),
                     "settled": actor.planned.settled,
-                    "scaled": any(hz > rates.get(n, 0.0) for n, hz in radio.wishes[key].rates_hz.items()),
+                    "scaled": any(hz > rates.get(n, 0.0) for n, hz in radio.demands[key].rates_hz.items()),
                     "streams": actor.planned.status(),
                 }
             )

@@ -1,4 +1,4 @@
-"""Commands in flight to one vehicle: the asyncio side of `CommandExchange`, with one timer for all of them.
+"""Commands in flight to one vehicle: the asyncio side of `CommandProtocol`, with one timer for all of them.
 
 At most one command of an id is in flight per vehicle, because a COMMAND_ACK names nothing but the id; the next one of
 the same id waits for its turn. If the one before has left acks outstanding (repeats, or a timeout), the next is held
@@ -21,12 +21,12 @@ from skygcs.core.protocols.command import (
     EMERGENCY_TIMERS_S,
     RETRY_TIMERS_S,
     Ack,
-    CommandExchange,
+    CommandProtocol,
     CommandSpec,
     Outcome,
 )
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.runtime.deadline_timer import Alarm
+from skygcs.runtime.deadline_timer import DeadlineTimer
 
 
 class SendFn(Protocol):
@@ -63,7 +63,7 @@ MAX_WAITING = 8
 Check = Callable[[], bool]
 
 
-class Carrier:
+class BroadcastCommand:
     """A broadcast frame that carries one command to many vehicles at once: their exchanges begin without sending."""
 
     def __init__(self, spec: CommandSpec) -> None:
@@ -86,11 +86,11 @@ class _Line:
 
 
 class _Running:
-    __slots__ = ("done", "everywhere", "exchange", "moving", "not_taken", "on_report", "priority", "satisfied")
+    __slots__ = ("done", "everywhere", "moving", "not_taken", "on_report", "priority", "protocol", "satisfied")
 
     def __init__(
         self,
-        exchange: CommandExchange,
+        protocol: CommandProtocol,
         done: asyncio.Future[Outcome],
         priority: Priority,
         satisfied: Check | None,
@@ -99,7 +99,7 @@ class _Running:
         everywhere: bool,
         moving: bool,
     ) -> None:
-        self.exchange = exchange
+        self.protocol = protocol
         self.done = done
         self.priority = priority
         self.satisfied = satisfied
@@ -109,7 +109,7 @@ class _Running:
         self.not_taken = 0
 
 
-class Commander:
+class CommandClient:
     """Runs commands for one (sysid, compid). `on_ack`, `on_text` and `wake` are called by the actor as frames come."""
 
     def __init__(
@@ -122,8 +122,8 @@ class Commander:
     ) -> None:
         self.target = target
         self.own = own
-        self.carrier: Carrier | None = None
-        self.patience_s = 0.0
+        self.broadcast: BroadcastCommand | None = None
+        self.min_retry_s = 0.0
         """Nothing but an emergency is repeated sooner: what a radio whose rounds are long takes to bring an answer."""
         self.why_silent: Callable[[], str] = lambda: ""
         """Why the vehicle may not answer, beside the link: the end of a sentence, or nothing."""
@@ -134,7 +134,7 @@ class Commander:
         self._running: dict[int, _Running] = {}
         self._watches: list[tuple[Check, asyncio.Future[bool], float]] = []
         self._addresses: dict[int, dict[str, int]] = {}
-        self._alarm = Alarm(loop, self._on_timer)
+        self._timer = DeadlineTimer(loop, self._on_timer)
 
     @property
     def busy(self) -> bool:
@@ -179,7 +179,7 @@ class Commander:
         line = self._lines.setdefault(spec.command, _Line())
         if emergency:
             self.stop(spec.command, "cancelled", "an emergency order took its place")
-            return await self._exchange(
+            return await self._protocol(
                 line,
                 spec,
                 Priority.EMERGENCY,
@@ -207,11 +207,11 @@ class Commander:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
             if wanted is not None and not wanted():
                 return Outcome(False, "cancelled", SUPERSEDED)
-            return await self._exchange(
+            return await self._protocol(
                 line,
                 spec,
                 Priority.COMMAND,
-                tuple(max(wait_s, self.patience_s) for wait_s in RETRY_TIMERS_S),
+                tuple(max(wait_s, self.min_retry_s) for wait_s in RETRY_TIMERS_S),
                 satisfied,
                 on_report,
                 everywhere=everywhere,
@@ -227,7 +227,7 @@ class Commander:
         future: asyncio.Future[bool] = self._loop.create_future()
         watch = (met, future, self._loop.time() + timeout_s)
         self._watches.append(watch)
-        self._set_alarm()
+        self._set_timer()
         try:
             return await future
         finally:
@@ -270,8 +270,8 @@ class Commander:
             return
         running = self._running.get(ack.command)
         if running is not None:
-            self._apply(running, running.exchange.on_ack(ack, now))
-            self._set_alarm()
+            self._apply(running, running.protocol.on_ack(ack, now))
+            self._set_timer()
             return
         line = self._lines.get(ack.command)
         if line is not None and line.late:
@@ -281,7 +281,7 @@ class Commander:
 
     def on_text(self, text: str) -> None:
         for running in self._running.values():
-            running.exchange.on_text(text)
+            running.protocol.on_text(text)
 
     def wake(self) -> None:
         """The vehicle's state may have changed."""
@@ -298,7 +298,7 @@ class Commander:
         """A newer order moves the vehicle: older ones are not repeated any more. One of the very same commands goes on,
         and so does one that was run without ``wanted``."""
         for command, running in list(self._running.items()):
-            if running.moving and running.exchange.spec not in specs:
+            if running.moving and running.protocol.spec not in specs:
                 self.stop(command, "cancelled", SUPERSEDED)
 
     def close(self) -> None:
@@ -308,7 +308,7 @@ class Commander:
         for _, future, _ in self._watches:
             if not future.done():
                 future.set_result(False)  # the timer that would end it is none of ours any more
-        self._alarm.set(None)
+        self._timer.set(None)
 
     async def _quiet(self, line: _Line) -> None:
         wait_s = line.quiet_until - self._loop.time()
@@ -321,7 +321,7 @@ class Commander:
         if (echo_s := line.ended_at + ECHO_ACK_S - self._loop.time()) > 0:
             await asyncio.sleep(echo_s)
 
-    async def _exchange(
+    async def _protocol(
         self,
         line: _Line,
         spec: CommandSpec,
@@ -333,25 +333,25 @@ class Commander:
         everywhere: bool,
         moving: bool,
     ) -> Outcome:
-        exchange = CommandExchange(spec, timers)
+        protocol = CommandProtocol(spec, timers)
         if satisfied is not None and satisfied():
             satisfied = None  # it tells nothing about this command
         done: asyncio.Future[Outcome] = self._loop.create_future()
-        running = _Running(exchange, done, priority, satisfied, on_report, everywhere=everywhere, moving=moving)
+        running = _Running(protocol, done, priority, satisfied, on_report, everywhere=everywhere, moving=moving)
         self._running[spec.command] = running
         now = self._loop.time()
-        carried = self.carrier is not None and not self.carrier.sent and self.carrier.spec == spec
-        self._apply(running, exchange.start(now, transmitted=carried))
-        self._set_alarm()
+        carried = self.broadcast is not None and not self.broadcast.sent and self.broadcast.spec == spec
+        self._apply(running, protocol.start(now, transmitted=carried))
+        self._set_timer()
         try:
             outcome = await running.done
         finally:
             if self._running.get(spec.command) is running:
                 del self._running[spec.command]
-            line.late = exchange.outstanding
+            line.late = protocol.outstanding
             line.ended_at = self._loop.time()
-            line.quiet_until = exchange.last_sent + LATE_ACK_S
-        if outcome.result == "timeout" and running.not_taken >= exchange.attempts:
+            line.quiet_until = protocol.last_sent + LATE_ACK_S
+        if outcome.result == "timeout" and running.not_taken >= protocol.attempts:
             return Outcome(False, "lost", "could not be sent: no link leads to it", 0, outcome.elapsed_s)
         if outcome.result == "timeout":
             return replace(outcome, message=outcome.message + self.why_silent())
@@ -360,7 +360,7 @@ class Commander:
     def _apply(self, running: _Running, effects: tuple[Effect, ...]) -> None:
         for effect in effects:
             if isinstance(effect, Transmit):
-                spec = running.exchange.spec
+                spec = running.protocol.spec
                 values = spec.values(*self.target, effect.attempt)
                 info = self._dialect.by_name[spec.message]
                 everywhere = {"everywhere": True} if running.everywhere or effect.attempt else {}
@@ -370,19 +370,19 @@ class Commander:
                 if running.on_report is not None:
                     running.on_report(effect.percent)
             elif not running.done.done():
-                assert running.exchange.outcome is not None
-                running.done.set_result(running.exchange.outcome)
+                assert running.protocol.outcome is not None
+                running.done.set_result(running.protocol.outcome)
 
     def stop(self, command: int, result: str, message: str) -> None:
         """End a command in flight with this outcome, if there is one of that id."""
         running = self._running.get(command)
         if running is not None:
-            self._apply(running, running.exchange.stop(self._loop.time(), result, message))
+            self._apply(running, running.protocol.stop(self._loop.time(), result, message))
 
-    def _set_alarm(self) -> None:
-        deadlines = [r.exchange.deadline for r in self._running.values() if r.exchange.deadline is not None]
+    def _set_timer(self) -> None:
+        deadlines = [r.protocol.deadline for r in self._running.values() if r.protocol.deadline is not None]
         deadlines += [deadline for _, future, deadline in self._watches if not future.done()]
-        self._alarm.set(min(deadlines, default=None))
+        self._timer.set(min(deadlines, default=None))
 
     def _on_timer(self) -> None:
         now = self._loop.time()
@@ -390,12 +390,12 @@ class Commander:
             if now >= deadline and not future.done():
                 future.set_result(False)
         for running in list(self._running.values()):
-            exchange = running.exchange
-            if exchange.deadline is None or now < exchange.deadline:
+            protocol = running.protocol
+            if protocol.deadline is None or now < protocol.deadline:
                 continue
             if running.satisfied is not None and running.satisfied():
                 # its ack was lost, or a repeat was refused because the first transmission had worked already
-                self._apply(running, exchange.stop(now, "accepted", "done, though no acknowledgement came"))
+                self._apply(running, protocol.stop(now, "accepted", "done, though no acknowledgement came"))
             else:
-                self._apply(running, exchange.on_timer(now))
-        self._set_alarm()
+                self._apply(running, protocol.on_timer(now))
+        self._set_timer()

@@ -25,8 +25,8 @@ from skygcs.core.vehicle.unguarded import require_guarded
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.links.base import Noted
-from skygcs.runtime.command_client import Commander, SendFn
+from skygcs.links.base import StateUpdate
+from skygcs.runtime.command_client import CommandClient, SendFn
 
 MAX_OF_SYSTEM = 32
 """Components kept of one system; a vehicle with gimbal, cameras, companion, ADS-B and winch has some ten."""
@@ -94,13 +94,13 @@ class Components:
             self._publish(actor, texts)
         actor.after(frame, now)
 
-    def state_update(self, key: int, frame: Frame) -> Noted | None:
-        """How frames like this one are noted (see `Fleet.only_noted`)."""
+    def state_update(self, key: int, frame: Frame) -> StateUpdate | None:
+        """How frames like this one are noted (see `Fleet.state_update_only`)."""
         actor = self._by_key.get(key)
         if actor is None:
             return None  # each is counted, or finds a place that has become free
         slot = actor.component.state_update(frame.msgid)
-        return None if slot is None else Noted(slot, actor.watches)
+        return None if slot is None else StateUpdate(slot, actor.watches)
 
     def tick(self, now: float) -> None:
         """Once to ten times a second."""
@@ -186,10 +186,10 @@ class Components:
             vehicle = self._vehicle_of(actor.sysid)
             self._on_event(Event("statustext", vehicle, actor.sysid, f"{actor.name}: {text.text}", data))
 
-    def new_commander(self, sysid: int, compid: int) -> Commander:
+    def new_commander(self, sysid: int, compid: int) -> CommandClient:
         """For the first order to a component; from now on acknowledgements are waited for."""
         self.on_change()
-        return Commander((sysid, compid), self._own, self._dialect, self._send, self._loop)
+        return CommandClient((sysid, compid), self._own, self._dialect, self._send, self._loop)
 
     def report(self, actor: ComponentActor, order: str, outcome: Outcome) -> Outcome:
         """An order to a component has ended."""
@@ -216,7 +216,7 @@ class ComponentActor:
         self._decoder = decoder
         self._loop = loop
         self._ack_id = decoder.msgid_of("COMMAND_ACK") if "COMMAND_ACK" in decoder.read else -1
-        self._commander: Commander | None = None
+        self._commands: CommandClient | None = None
 
     @property
     def name(self) -> str:
@@ -237,26 +237,26 @@ class ComponentActor:
         return ()
 
     @property
-    def commander(self) -> Commander:
+    def commands(self) -> CommandClient:
         """Made for the first order."""
-        if self._commander is None:
-            self._commander = self._table.new_commander(self.sysid, self.compid)
-        return self._commander
+        if self._commands is None:
+            self._commands = self._table.new_commander(self.sysid, self.compid)
+        return self._commands
 
     @property
     def watches(self) -> list[Any] | None:
-        """See `Noted.watches`."""
-        return None if self._commander is None else self._commander.watches
+        """See `StateUpdate.watches`."""
+        return None if self._commands is None else self._commands.watches
 
     def after(self, frame: Frame, now: float) -> None:
         """Whoever waits for something of it is given a frame that was noted just now."""
-        commander = self._commander
-        if commander is None:
+        commands = self._commands
+        if commands is None:
             return
         if frame.msgid == self._ack_id:
-            commander.on_ack(Ack(*self._decoder.read["COMMAND_ACK"](frame.payload)), now)
-        if commander.busy:
-            commander.wake()
+            commands.on_ack(Ack(*self._decoder.read["COMMAND_ACK"](frame.payload)), now)
+        if commands.busy:
+            commands.wake()
 
     def latest(self, message: str | int) -> dict[str, Any] | None:
         """As `LiveVehicle.latest`, of this component alone."""
@@ -265,8 +265,8 @@ class ComponentActor:
         return None if slot is None else reading_of(slot, self._loop.time(), self.sysid, self.compid)
 
     def close(self) -> None:
-        if self._commander is not None:
-            self._commander.close()
+        if self._commands is not None:
+            self._commands.close()
 
     # -- orders
 
@@ -300,7 +300,7 @@ class ComponentActor:
         before = self.component.count(name)
         step = Step("request", CommandSpec(REQUEST_MESSAGE, (float(msgid),)))
         outcome = await self._given(Plan("request", (step,), f"{name} came"))
-        if outcome.ok and not await self.commander.until(lambda: self.component.count(name) != before, ANSWER_S):
+        if outcome.ok and not await self.commands.until(lambda: self.component.count(name) != before, ANSWER_S):
             outcome = Outcome(False, "timeout", f"timeout: accepted, but no {name} came", outcome.attempts)
         return self._table.report(self, "request", outcome)
 
@@ -318,9 +318,9 @@ class ComponentActor:
             return Outcome.refused(f"nothing was heard of it for {silent_s:.0f} s")
         (step,) = plan.steps
         if step.message is not None:
-            if not self.commander.transmit(*step.message):
+            if not self.commands.transmit(*step.message):
                 return Outcome(False, "lost", "could not be sent: no link leads to it")
             return Outcome(True, "accepted", plan.done, 1)
         assert step.command is not None
-        outcome = await self.commander.run(step.command)
+        outcome = await self.commands.run(step.command)
         return Outcome(True, "accepted", plan.done, outcome.attempts, outcome.elapsed_s) if outcome.ok else outcome

@@ -9,7 +9,7 @@ EARLY_S = 0.001
 """uvloop's clock has whole milliseconds and rounds a delay to them: a timer may fire half of one before its time."""
 
 
-class Alarm:
+class DeadlineTimer:
     """Calls ``ring()`` once at the time it is `set` for, or later, never before. Whoever has several deadlines sets it
     for the earliest, whenever one of them may have changed, and anew after each ring.
 

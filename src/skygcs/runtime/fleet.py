@@ -24,14 +24,14 @@ from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError, TargetError
 from skygcs.events import Event
-from skygcs.links.base import Noted
-from skygcs.runtime.command_client import Carrier, SendFn
+from skygcs.links.base import StateUpdate
+from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ORDERS as COMPONENT_ORDERS
 from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_all import examine_all, meant
-from skygcs.runtime.task_set import Errands, fault
+from skygcs.runtime.task_set import TaskSet, fault
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -148,7 +148,7 @@ class Fleet:
         self._stream_refusal = stream_refusal
         self._param_cache = param_cache
         self._heard = heard
-        self._kept = Errands(loop, on_event)
+        self._kept = TaskSet(loop, on_event)
         self._of_system: dict[int, set[int]] = {}
         """The keys of ``vehicles`` by system id."""
         self._ending = False
@@ -180,12 +180,12 @@ class Fleet:
         else:
             self.components.on_frame(key, frame, now)
 
-    def only_noted(self, key: int, frame: Frame, channel_label: str) -> Noted | None:
+    def state_update_only(self, key: int, frame: Frame, channel_label: str) -> StateUpdate | None:
         """How frames like this one (heartbeats: of the same payload) are noted, until `on_roster` is called. None: each
         is to be given to `on_frame`."""
         actor = self.vehicles.get(key)
         if actor is not None:
-            return actor.only_noted(frame, channel_label)
+            return actor.state_update_only(frame, channel_label)
         return None if discovers(frame) else self.components.state_update(key, frame)
 
     def tick(self, now: float) -> None:
@@ -445,7 +445,7 @@ class Fleet:
     ) -> dict[str, Outcome]:
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
         own_arguments, staying = self._formation(vehicles, arguments) if order == "goto" else ({}, {})
-        carrier = self._carrier(vehicles, order)
+        broadcast = self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
         try:
@@ -456,13 +456,13 @@ class Fleet:
                     own = own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
                     call = self._guarded(actor, order, args, {**arguments, **own})
                     tasks[actor] = group.create_task(call, name=f"{order} {actor.name}")
-                if carrier is not None:
+                if broadcast is not None:
                     await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
-                    self._broadcast(carrier)
+                    self._broadcast(broadcast)
         finally:
             for vehicle in vehicles:
-                if vehicle.commander.carrier is carrier:
-                    vehicle.commander.carrier = None
+                if vehicle.commands.broadcast is broadcast:
+                    vehicle.commands.broadcast = None
         refused = {actor.name: actor.refuse(order, reason) for actor, reason in staying.items()}
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
@@ -517,7 +517,7 @@ class Fleet:
                 places[actor] = {"lat_deg": lat, "lon_deg": lon}
         return places, staying
 
-    def _carrier(self, actors: list[VehicleActor], order: str) -> Carrier | None:
+    def _broadcast_command(self, actors: list[VehicleActor], order: str) -> BroadcastCommand | None:
         """A broadcast, if all vehicles are meant, none refuses, all would be sent the very same, and nobody else hears.
 
         ArduPilot acts on it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
@@ -536,15 +536,15 @@ class Fleet:
             specs.add(plan.steps[0].command)
         if len(specs) != 1:
             return None
-        carrier = Carrier(specs.pop())
+        broadcast = BroadcastCommand(specs.pop())
         for actor in hearers:
-            actor.commander.carrier = carrier
-        return carrier
+            actor.commands.broadcast = broadcast
+        return broadcast
 
-    def _broadcast(self, carrier: Carrier) -> None:
-        carrier.sent = True
-        info = self._dialect.by_name[carrier.spec.message]
-        self._send(info, carrier.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
+    def _broadcast(self, broadcast: BroadcastCommand) -> None:
+        broadcast.sent = True
+        info = self._dialect.by_name[broadcast.spec.message]
+        self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
     def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
         if not self._has_place(frame.sysid, channel_label):
@@ -592,7 +592,7 @@ class Fleet:
             journal=self.journal,
             probes=self._probes,
         )
-        actor.commander.why_silent = actor.params.why_silent = lambda: self.why_silent(frame.sysid, frame.compid)
+        actor.commands.why_silent = actor.params.why_silent = lambda: self.why_silent(frame.sysid, frame.compid)
         self.components.forget(key)
         self.vehicles[key] = actor
         self._of_system.setdefault(frame.sysid, set()).add(key)

@@ -17,23 +17,23 @@ from typing import Any
 from skygcs.config.control import ControlSettings
 from skygcs.core.control.analysis import why_not_delay
 from skygcs.core.control.control_fence import Fence
-from skygcs.core.control.guard import Way
+from skygcs.core.control.guard import ControlMode
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import offboard_entry, orders
-from skygcs.core.vehicle.geodetic_position import Place, Setpoint
-from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState, Tick
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState, Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
 from skygcs.events import Event
-from skygcs.runtime.command_client import Commander
+from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.control_clock import ControlClock
-from skygcs.runtime.offboard_engagement import Takeover
+from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.plan_runner import Attempt, Execute
-from skygcs.runtime.task_set import Errands
+from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.trace_file import Recording
 
 VALID_S = (0.1, 5.0)
@@ -63,7 +63,7 @@ class FlightControl:
         self,
         vehicle: Vehicle,
         settings: ControlSettings,
-        commander: Commander,
+        commands: CommandClient,
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         *,
@@ -78,29 +78,29 @@ class FlightControl:
     ) -> None:
         self._vehicle = vehicle
         self._settings = settings
-        self._commander = commander
+        self._commands = commands
         self._dialect = dialect
         self._loop = loop
         self._attempt = attempt
         self._on_event = on_event
         self._uplink_bytes_per_s = uplink_bytes_per_s
-        self.pilot = Pilot(vehicle, _pilot_config(settings, None))
+        self.pilot = OffboardController(vehicle, _offboard_config(settings, None))
         phase = vehicle.sysid * GOLDEN_RATIO % 1.0
         self.clock = ControlClock(loop, self._tick, lambda: self.pilot.period_s, phase=phase)
         self._fence: Fence | None = None
         self._queue_key = ("setpoint", vehicle.sysid, vehicle.compid)
         """Of the link's queue: a newer setpoint replaces one that still waits."""
         self._trace = Recording(self.pilot, log_dir, on_event)
-        self._errands = Errands(loop, on_event, vehicle.name, vehicle.sysid)
-        self._takeover = Takeover(
+        self._tasks = TaskSet(loop, on_event, vehicle.name, vehicle.sysid)
+        self._engagement = OffboardEngagement(
             vehicle,
             settings,
-            commander,
+            commands,
             dialect,
             loop,
             self.pilot,
             self.clock,
-            self._errands,
+            self._tasks,
             execute=execute,
             attempt=attempt,
             begin=self._begin,
@@ -118,7 +118,7 @@ class FlightControl:
     @property
     def flying(self) -> bool:
         """Whether it is led by our setpoints now."""
-        return self.pilot.state is PilotState.FLYING
+        return self.pilot.state is OffboardState.FLYING
 
     @property
     def recording(self) -> Path | None:
@@ -127,26 +127,26 @@ class FlightControl:
 
     # -- orders
 
-    async def engage(self, way: Way, *, force: bool = False) -> Outcome:
+    async def engage(self, control_mode: ControlMode, *, force: bool = False) -> Outcome:
         """The whole sequence: checks, faster position, a stream of setpoints, the mode, its verification; undone on
         failure. While it flies already, only the way changes. ``force``: in spite of what it would do on its own if the
         setpoints ceased."""
-        return await self._takeover.engage(way, force=force)
+        return await self._engagement.engage(control_mode, force=force)
 
     def release(self, reason: str) -> None:
         """Send nothing from now on. Idempotent."""
-        self._takeover.next_turn()
+        self._engagement.next_turn()
         self._apply(self.pilot.release(reason))
 
-    def fly_to(self, place: Place, yaw_enu_rad: float | None) -> Outcome:
+    def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> Outcome:
         """Move the reference. Refused outside the fence, and unless it flies."""
         if not self.flying:
             return self._not_flying()
         if (why := self._outside(place)) is not None:
             return Outcome.refused(why)
         self.pilot.fly_to(place, yaw_enu_rad)
-        way = self.pilot.way or self.pilot.wanted
-        return Outcome(True, "accepted", f"flying there by {way.value} setpoints")
+        control_mode = self.pilot.control_mode or self.pilot.wanted
+        return Outcome(True, "accepted", f"flying there by {control_mode.value} setpoints")
 
     def follow(self, setpoint: Setpoint, valid_s: float) -> Outcome:
         """One setpoint of a client's stream."""
@@ -244,18 +244,18 @@ class FlightControl:
 
     async def settled(self) -> None:
         """Until a vehicle that is given back, held or asked for its own rates again has been."""
-        await self._errands.settled()
+        await self._tasks.settled()
 
     def close(self) -> None:
         self.release("skygcs is shutting down")
-        self._errands.close()
+        self._tasks.close()
 
     # -- the inside
 
-    def _begin(self, way: Way) -> None:
+    def _begin(self, control_mode: ControlMode) -> None:
         hover_thrust = offboard_entry.told_hover_thrust(self._vehicle)
         try:
-            config = _pilot_config(self._settings, hover_thrust)
+            config = _offboard_config(self._settings, hover_thrust)
             if self._law_changed:
                 law = self.pilot.config.law
                 if not self._hover_thrust_set:  # other gains were: that the vehicle knows its own better still holds
@@ -271,7 +271,7 @@ class FlightControl:
         origin = self._vehicle.origin
         assert origin is not None
         self._fence = _shared(self._settings.fence_at(origin))
-        self.pilot.engage(way, self._fence)
+        self.pilot.engage(control_mode, self._fence)
         self.clock.start()
         self._trace.begin()
 
@@ -280,7 +280,7 @@ class FlightControl:
         try:
             tick = pilot.tick(now)
             if tick.message is not None:
-                self._commander.transmit(*tick.message, Priority.SETPOINT, key=self._queue_key)
+                self._commands.transmit(*tick.message, Priority.SETPOINT, key=self._queue_key)
         except Exception as error:  # a fault of ours must not leave a vehicle under setpoints that nobody checks
             fault = f"flight control failed inside skygcs and ends: {error!r}"
             self._on_event(Event("fault", self._vehicle.name, self._vehicle.sysid, fault, {}))
@@ -296,56 +296,56 @@ class FlightControl:
             self.clock.stop()
             self._displace()
             self._trace.end()
-            self._takeover.restore_position()
+            self._engagement.restore_position()
         for event in tick.events:
             self._on_event(event)
         if tick.hold:
-            self._errands.start(self._hold(self._takeover.turn), "hold")
+            self._tasks.start(self._hold(self._engagement.turn), "hold")
         elif tick.left:
-            self._errands.start(self._hold_if_it_follows(self._takeover.turn), "hold if it follows")
+            self._tasks.start(self._hold_if_it_follows(self._engagement.turn), "hold if it follows")
 
     async def _hold_if_it_follows(self, turn: int) -> None:
         """It showed another mode, and control ended. If it is in the mode of setpoints after all, it flies by those it
         got last and drifts when they are over: it is ordered to hold."""
-        follows = await self._commander.until(lambda: offboard_entry.is_following(self._vehicle), LEFT_S)
+        follows = await self._commands.until(lambda: offboard_entry.is_following(self._vehicle), LEFT_S)
         if follows and self._vehicle.armed and not self.pilot.active:
             await self._hold(turn)
 
     async def _hold(self, turn: int) -> None:
-        if self._takeover.turn != turn:
+        if self._engagement.turn != turn:
             return  # an order came before this had its turn: it must not take that one's place
         outcome = await self._attempt(lambda now: orders.hold(self._vehicle, now))
         if not outcome.ok:
             text = f"it was told to hold, but: {outcome.message}; its own failsafe has to act"
             self._on_event(Event("control", self._vehicle.name, self._vehicle.sysid, text, {"state": "held"}))
 
-    def _ping(self, now: float, priority: Priority = Priority.EXCHANGE, key: Hashable | None = None) -> None:
+    def _ping(self, now: float, priority: Priority = Priority.PROTOCOL, key: Hashable | None = None) -> None:
         if TIMESYNC in self._dialect.by_name:
             token = self.pilot.delay.ping(now)
-            self._commander.transmit(TIMESYNC, {"tc1": 0, "ts1": token}, priority, key=key)
+            self._commands.transmit(TIMESYNC, {"tc1": 0, "ts1": token}, priority, key=key)
 
     def _displace(self) -> None:
         """A setpoint may still wait for a busy link, and would leave after whatever ended control: a ping takes its
         place (latest wins), for want of a way to take it back."""
         self._ping(self._loop.time(), Priority.SETPOINT, self._queue_key)
 
-    def _outside(self, place: Place | None, free_xy: bool = False, free_z: bool = False) -> str | None:
+    def _outside(self, place: GeodeticPosition | None, free_xy: bool = False, free_z: bool = False) -> str | None:
         if self._fence is None or place is None:
             return None
         here = (place.lat_deg, place.lon_deg, place.alt_amsl_m)
         return self._fence.why_not(*here, reference=True, free_xy=free_xy, free_z=free_z)
 
     def _not_flying(self) -> Outcome:
-        held = self.pilot.state is PilotState.HELD
+        held = self.pilot.state is OffboardState.HELD
         why = f"it is held: {'; '.join(self.pilot.reasons)}" if held else "control is off"
         return Outcome.refused(f"{why}; `skygcs-cli control set {self._vehicle.name} position` first")
 
 
-def _pilot_config(settings: ControlSettings, hover_thrust: float | None) -> PilotConfig:
-    config = PilotConfig(settings.law(hover_thrust), settings.guard())
+def _offboard_config(settings: ControlSettings, hover_thrust: float | None) -> OffboardConfig:
+    config = OffboardConfig(settings.law(hover_thrust), settings.guard())
     rates = {"attitude_hz": settings.rate_hz, "velocity_hz": settings.velocity_hz, "position_hz": settings.position_hz}
     told: dict[str, Any] = {k: v for k, v in {**rates, "rate_min_hz": settings.rate_min_hz}.items() if v is not None}
-    shared: PilotConfig = _shared(replace(config, **told))
+    shared: OffboardConfig = _shared(replace(config, **told))
     return shared
 
 

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from skygcs.core.mavlink.frame import Frame
 from skygcs.links.base import Channel
 
-FrameTap = Callable[[Frame, Channel, float], None]
+FrameObserver = Callable[[Frame, Channel, float], None]
 
-_Entry = tuple[set[int] | None, set[int] | None, FrameTap]
+_Entry = tuple[set[int] | None, set[int] | None, FrameObserver]
 
 
-class Taps:
+class FrameObservers:
     """``on_change()`` is called whenever what is watched changes."""
 
     def __init__(self, on_change: Callable[[], None]) -> None:
@@ -21,7 +21,7 @@ class Taps:
         self._entries: list[_Entry] = []
         self._on_change = on_change
 
-    def add(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameTap) -> Callable[[], None]:
+    def add(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameObserver) -> Callable[[], None]:
         """Hand frames of these ids and sources (sysid<<8|compid, component 0: the whole system; None: all) to ``tap``;
         returns how to stop it."""
         entry = (msgids, keys, tap)

@@ -24,10 +24,10 @@ from skygcs.core.routing.router import Router
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import Endpoint
 from skygcs.events import Event
-from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Noted, OwnMessage, Way
+from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, OwnMessage, StateUpdate
 from skygcs.links.fast_path import new_table
 from skygcs.runtime.channel_policy import channel_policy
-from skygcs.runtime.frame_observers import FrameTap, Taps
+from skygcs.runtime.frame_observers import FrameObserver, FrameObservers
 from skygcs.runtime.signing_keys import Signing
 
 if TYPE_CHECKING:
@@ -36,16 +36,16 @@ if TYPE_CHECKING:
 OTHER_SOURCES = -1
 """Key under which one channel's further sources are counted together once its table is full."""
 
-MAX_PARTED = 256
+MAX_CLOSED_CHANNELS = 256
 """Closed channels whose counters per source are kept, in case the radio is plugged in again or the peer comes back."""
 
-MAX_PARTED_SOURCES = 2048
+MAX_CLOSED_SOURCES = 2048
 """Sources of them all together, 300 bytes each: programs that come and go beside a large fleet do not add up."""
 
 MAX_REPLAYED = 4096
 """As many sources of recordings are told from live ones as there may be routes."""
 
-MAX_HOPELESS = 16384
+MAX_NEGATIVE_CACHE = 16384
 """Sources and messages known not to pass a lane; then all are asked about anew."""
 
 MAX_CHANNEL_ID = (1 << 24) - 1
@@ -67,9 +67,9 @@ class Hub:
     is told, before its first frame is shown, that a source is heard in a recording only, or on the air after all;
     ``on_key(sysid, channel)`` that somebody sent a signing key, which goes nowhere.
 
-    With ``record_many(tlog records, their number)`` and ``only_noted(key, frame, channel label)`` (how frames like
-    this one are noted if not each has to be shown, else None; `forget_lanes` when that changes) links may use compiled
-    lanes.
+    With ``record_many(tlog records, their number)`` and ``state_update_only(key, frame, channel label)`` (how frames
+    like this one are noted if not each has to be shown, else None; `forget_flows` when that changes) links may use the
+    compiled fast path.
     Without ``on_vehicle_frame`` it is a router and nothing else.
     """
 
@@ -87,24 +87,24 @@ class Hub:
         signing: Signing | None = None,
         on_key: Callable[[int, Channel], None] = lambda sysid, channel: None,
         record_many: Callable[[bytes, int], None] | None = None,
-        only_noted: Callable[[int, Frame, str], Noted | None] | None = None,
+        state_update_only: Callable[[int, Frame, str], StateUpdate | None] | None = None,
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
         own = config.daemon
-        self.express: Table | None = None
-        if (record is None or record_many is not None) and (on_vehicle_frame is None or only_noted is not None):
-            self.express = new_table(dialect, recording=record is not None)
+        self.fast_path: Table | None = None
+        if (record is None or record_many is not None) and (on_vehicle_frame is None or state_update_only is not None):
+            self.fast_path = new_table(dialect, recording=record is not None)
         self.router = Router(
             own.sysid,
             own.compid,
             route_timeout_s=own.route_timeout_s,
             vehicle_timeout_s=own.vehicle_timeout_s,
-            duplicates=self.express,
+            duplicates=self.fast_path,
         )
-        self.router.on_change = self.forget_lanes
+        self.router.on_change = self.forget_flows
         self._record_many = record_many
-        self._only_noted = only_noted
-        self._hopeless: set[int] = set()
+        self._state_update_only = state_update_only
+        self._negative_cache: set[int] = set()
         self._renumbering: dict[int, Endpoint] = {}
         """By channel id: what is sent there is changed on the way."""
         self.channels: dict[int, Channel] = {}
@@ -126,8 +126,8 @@ class Hub:
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
         self._next_id = 1
-        self._parted: dict[tuple[str, str], dict[int, SourceStats]] = {}
-        self._taps = Taps(self.forget_lanes)
+        self._closed_channels: dict[tuple[str, str], dict[int, SourceStats]] = {}
+        self._observers = FrameObservers(self.forget_flows)
 
     # -- what links call
 
@@ -139,7 +139,7 @@ class Hub:
         """The channel may be routed to from now on; gives it its id."""
         channel.id = self._free_id()
         self.channels[channel.id] = channel
-        parted = self._parted.pop((channel.link.name, channel.peer), None)
+        parted = self._closed_channels.pop((channel.link.name, channel.peer), None)
         if parted is not None:
             for stats in parted.values():
                 stats.resume()  # what was sent while nobody listened is not a loss of the link
@@ -172,10 +172,10 @@ class Hub:
         if self.channels.pop(channel.id, None) is not None:
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
-            parted = self._parted
+            parted = self._closed_channels
             parted[channel.link.name, channel.peer] = channel.sources
             kept = sum(map(len, parted.values()))
-            while len(parted) > MAX_PARTED or (kept > MAX_PARTED_SOURCES and len(parted) > 1):
+            while len(parted) > MAX_CLOSED_CHANNELS or (kept > MAX_CLOSED_SOURCES and len(parted) > 1):
                 kept -= len(parted.pop(next(iter(parted))))
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
@@ -198,10 +198,10 @@ class Hub:
         unix_us = time.time_ns() // 1000
         label = channel.link.name
         channel.last_rx_at = now
-        if self.express is not None and self.express.records_waiting:
-            self.after_lane()  # what came before is recorded before
+        if self.fast_path is not None and self.fast_path.records_waiting:
+            self.after_fast_path()  # what came before is recorded before
         renumbering = self._renumbering
-        taps = self._taps
+        observers = self._observers
         together: list[tuple[Frame, tuple[int, ...]]] | None = None
         if channel.in_datagrams and len(frames) > 1:
             together = []
@@ -237,10 +237,10 @@ class Hub:
                     self._record(raw, unix_us)
                 if counts and frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
                     on_vehicle_frame(key, frame, label, now)
-                if taps.msgids is None or frame.msgid in taps.msgids:
-                    taps.show(frame, channel, key, now)
-                if channel.lane is not None:
-                    self._let_through(channel, frame, key, stats)
+                if observers.msgids is None or frame.msgid in observers.msgids:
+                    observers.show(frame, channel, key, now)
+                if channel.fast_path is not None:
+                    self._add_flow(channel, frame, key, stats)
             except Exception as error:
                 self.fault(error)
         if together:
@@ -293,11 +293,11 @@ class Hub:
 
     # -- compiled lanes
 
-    def after_lane(self) -> None:
+    def after_fast_path(self) -> None:
         """Count and record what has passed lanes since the last call; for whoever looks at channels or sources."""
-        if self.express is None:
+        if self.fast_path is None:
             return
-        forwarded, local, records, count = self.express.take()
+        forwarded, local, records, count = self.fast_path.take()
         if forwarded:
             self.router.counters[Verdict.FORWARDED] += forwarded
         if local:
@@ -305,44 +305,44 @@ class Hub:
         if count and self._record_many is not None:
             self._record_many(records, count)
 
-    def forget_lanes(self) -> None:
+    def forget_flows(self) -> None:
         """Whatever may pass lanes has to be learned anew."""
-        if self.express is not None:
-            self.express.invalidate()
-            self._hopeless.clear()
+        if self.fast_path is not None:
+            self.fast_path.invalidate()
+            self._negative_cache.clear()
 
-    def _let_through(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> None:
+    def _add_flow(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> None:
         """Open the channel's lane to further frames like this one, if nothing has to be decided about them."""
         mark = channel.id << 40 | key << 24 | frame.msgid
-        if mark in self._hopeless or frame.target()[0] or channel.signing is not None:
+        if mark in self._negative_cache or frame.target()[0] or channel.signing is not None:
             return  # with a signing key each frame's stamp has to be looked at
-        way = self._way_of(channel, frame, key, stats)
-        if way is not None:
-            channel.let_through(frame, way)
-        elif len(self._hopeless) < MAX_HOPELESS:
-            self._hopeless.add(mark)
+        path = self._path_of(channel, frame, key, stats)
+        if path is not None:
+            channel.add_flow(frame, path)
+        elif len(self._negative_cache) < MAX_NEGATIVE_CACHE:
+            self._negative_cache.add(mark)
 
-    def _way_of(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> Way | None:
+    def _path_of(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> ForwardingPath | None:
         standing = self.router.standing(channel.id, frame)
         if standing is None or channel.sources.get(key) is not stats or self._shown_of(channel) is not None:
             return None
-        if self._taps.watch(frame.msgid, key):
+        if self._observers.watch(frame.msgid, key):
             return None
         if any(d in self._renumbering for d in standing.destinations):
             return None  # each frame has to be changed on its way there
         outs = tuple(out for d in standing.destinations if (out := self.channels[d].out) is not None)
         if len(outs) != len(standing.destinations):
             return None
-        noted: Noted | None = Noted()
-        if self._only_noted is not None and self._on_vehicle_frame is not None:
-            noted = self._only_noted(key, frame, channel.link.name)
+        noted: StateUpdate | None = StateUpdate()
+        if self._state_update_only is not None and self._on_vehicle_frame is not None:
+            noted = self._state_update_only(key, frame, channel.link.name)
         if noted is None:
             return None
         if frame.msgid != HEARTBEAT:
-            return Way(outs, stats, standing.heard, noted)
+            return ForwardingPath(outs, stats, standing.heard, noted)
         if noted.again is not None:
             noted = noted._replace(again=partial(self._on_heartbeats, noted.again))
-        return Way(outs, stats, standing.heard, noted, steady=frame.payload)
+        return ForwardingPath(outs, stats, standing.heard, noted, steady=frame.payload)
 
     def _on_heartbeats(self, again: Callable[[float], None], now: float) -> None:
         """Heartbeats like the last one have passed a lane."""
@@ -362,7 +362,7 @@ class Hub:
     def _shown_replayed(self, key: int) -> bool:
         if key not in self.replayed and len(self.replayed) < MAX_REPLAYED:
             self.replayed.add(key)
-            self.forget_lanes()
+            self.forget_flows()
             self._on_replayed(key, True)
         return key in self.replayed
 
@@ -380,8 +380,8 @@ class Hub:
         """A message of ours was written; recorded once however many channels it goes to."""
         if self._record is not None and not message.recorded:
             message.recorded = True
-            if self.express is not None and self.express.records_waiting:
-                self.after_lane()
+            if self.fast_path is not None and self.fast_path.records_waiting:
+                self.after_fast_path()
             self._record(raw, time.time_ns() // 1000)
 
     # -- what servers ask about whoever comes to them
@@ -450,15 +450,15 @@ class Hub:
 
     # -- watchers
 
-    def add_tap(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameTap) -> Callable[[], None]:
+    def add_observer(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameObserver) -> Callable[[], None]:
         """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
-        return self._taps.add(msgids, keys, tap)
+        return self._observers.add(msgids, keys, tap)
 
     # -- once a second
 
     def tick(self, now: float) -> None:
         """Expire routes and sample rates."""
-        self.after_lane()
+        self.after_fast_path()
         self.router.expire(now)
         if self.router.notes:
             self._drain_notes()
@@ -468,7 +468,7 @@ class Hub:
 
     def restart_source(self, key: int) -> None:
         """A system rebooted: its sequence numbers start anew on every channel."""
-        self.after_lane()  # which would overwrite them with what it has gathered
+        self.after_fast_path()  # which would overwrite them with what it has gathered
         for channel in self.channels.values():
             stats = channel.sources.get(key)
             if stats is not None:
@@ -494,7 +494,7 @@ class Hub:
         if not others:
             return False
         del channel.sources[min(others, key=lambda key: channel.sources[key].last_at)]
-        self.forget_lanes()  # one may count for it
+        self.forget_flows()  # one may count for it
         return True
 
     def _drain_notes(self) -> None:

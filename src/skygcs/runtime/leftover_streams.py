@@ -10,7 +10,7 @@ from functools import partial
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.radio_link.admission_frames import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL
-from skygcs.core.radio_link.stream_requests import Leftover, Program, Request, Stream, StreamRequests, restoring
+from skygcs.core.radio_link.program_streams import Leftover, Program, ProgramStreams, Request, Stream, restoring
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.events import Event
 from skygcs.links.base import Channel
@@ -61,7 +61,7 @@ class LeftoverStreams:
         self._dialect = dialect
         self._gone_after_s = gone_after_s
         self._on_event = on_event
-        self._requests = StreamRequests()
+        self._requests = ProgramStreams()
         self._tasks: dict[int, dict[Stream, _Task]] = {}
         self._now = 0.0
         self._room = NOTED_PER_S
@@ -160,15 +160,15 @@ class LeftoverStreams:
             if "REQUEST_DATA_STREAM" in self._dialect.by_name:
                 rate_hz = int(request.rate_hz or 0)
                 values = {"req_stream_id": group, "req_message_rate": rate_hz, "start_stop": int(rate_hz > 0)}
-                actor.commander.transmit("REQUEST_DATA_STREAM", values, Priority.EXCHANGE)
+                actor.commands.transmit("REQUEST_DATA_STREAM", values, Priority.PROTOCOL)
             return
         info = self._dialect.by_name.get(message or "")
         if info is None or "COMMAND_LONG" not in self._dialect.by_name:
             return
         interval_us = 0.0 if not request.rate_hz else round(1e6 / request.rate_hz)
         command = {"command": SET_MESSAGE_INTERVAL, "param1": float(info.msgid), "param2": float(interval_us)}
-        actor.commander.expect_stray_ack(SET_MESSAGE_INTERVAL, now)
-        actor.commander.transmit("COMMAND_LONG", command, Priority.EXCHANGE)
+        actor.commands.expect_stray_ack(SET_MESSAGE_INTERVAL, now)
+        actor.commands.transmit("COMMAND_LONG", command, Priority.PROTOCOL)
 
     def _report(self, actor: VehicleActor, stream: Stream) -> None:
         what = stream.message or f"its stream group {stream.group}"

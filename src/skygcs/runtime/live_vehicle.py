@@ -22,13 +22,13 @@ from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.frames import shown
-from skygcs.core.vehicle.offboard_controller import PilotState
+from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.snapshot import latest_message
 from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.links.base import Noted
-from skygcs.runtime.command_client import Commander, SendFn
+from skygcs.links.base import StateUpdate
+from skygcs.runtime.command_client import CommandClient, SendFn
 from skygcs.runtime.fence_orders import VehicleFence
 from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
@@ -38,7 +38,7 @@ from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.rate_controller import PlannedStreams
-from skygcs.runtime.stream_requester import Upkeep
+from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.undo_journal import UndoJournal
 
 HEARTBEAT = 0
@@ -83,20 +83,20 @@ class LiveVehicle:
         """
         self.vehicle = vehicle
         self.config = config
-        self.commander = Commander((vehicle.sysid, vehicle.compid), own, dialect, send, loop)
+        self.commands = CommandClient((vehicle.sysid, vehicle.compid), own, dialect, send, loop)
         self.channel = ""
         """Label of the channel its last heartbeat came over."""
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
-        self.planned = PlannedStreams(vehicle, self.commander, dialect, own)
+        self.planned = PlannedStreams(vehicle, self.commands, dialect, own)
         self._orders = OrderRunner(
-            vehicle, self.commander, dialect, loop, on_event, release=lambda reason: self.flight.release(reason)
+            vehicle, self.commands, dialect, loop, on_event, release=lambda reason: self.flight.release(reason)
         )
         self.flight = FlightControl(
             vehicle,
             config.control,
-            self.commander,
+            self.commands,
             dialect,
             loop,
             execute=self._orders.plans.execute,
@@ -118,7 +118,7 @@ class LiveVehicle:
             own=own,
             link_bytes_per_s=uplink_bytes_per_s,
         )
-        self.missions = Missions(vehicle, self.commander, dialect, loop, self._orders.report, on_event)
+        self.missions = Missions(vehicle, self.commands, dialect, loop, self._orders.report, on_event)
 
         async def ask(message: str) -> Outcome:
             return await self._orders.attempt(lambda now: orders.request_message(vehicle, now, dialect, message))
@@ -137,8 +137,8 @@ class LiveVehicle:
             valid_s=preflight_valid_s,
             links=heard,
         )
-        self._upkeep = Upkeep(
-            vehicle, self.commander, dialect, config.streams, self._orders.attempt, self._on_fault, loop
+        self._stream_requester = StreamRequester(
+            vehicle, self.commands, dialect, config.streams, self._orders.attempt, self._on_fault, loop
         )
         self.uplink = UplinkWatch(time.time_ns() >> 10)
         self._probes = probes and "TIMESYNC" in dialect.by_name
@@ -170,7 +170,7 @@ class LiveVehicle:
     def state(self, now: float) -> dict[str, Any]:
         """Snapshot for people and programs (`core.vehicle.state`)."""
         state = dict(self.vehicle.snapshot(now, time.time()))
-        if self.flight.pilot.state is not PilotState.OFF:
+        if self.flight.pilot.state is not OffboardState.OFF:
             state["control"] = self.control_state(now)
         if self.planned.active:
             self.planned.add_to(state)
@@ -229,24 +229,24 @@ class LiveVehicle:
     def on_frame(self, frame: Frame, channel: str, now: float) -> None:
         """One frame of this vehicle. Hot; never raises."""
         events = self.vehicle.on_frame(frame, now)
-        commander = self.commander
+        commands = self.commands
         if events:
             self._publish(events, now)
         if frame.msgid == HEARTBEAT:
             self.channel = channel
         elif (read := self._read.get(frame.msgid)) is not None:
             read(frame, now)
-        if commander.busy:
-            commander.wake()
+        if commands.busy:
+            commands.wake()
 
     def _on_ack(self, frame: Frame, now: float) -> None:
         if self.vehicle.last_ack is not None:
-            if self.vehicle.last_ack.is_for(*self.commander.own) and self.uplink.answered_at is not None:
+            if self.vehicle.last_ack.is_for(*self.commands.own) and self.uplink.answered_at is not None:
                 self._on_uplink(self.uplink.heard(now))
-            self.commander.on_ack(self.vehicle.last_ack, now)
+            self.commands.on_ack(self.vehicle.last_ack, now)
             self.planned.on_ack(self.vehicle.last_ack, now)
 
-    def only_noted(self, frame: Frame, channel: str) -> Noted | None:
+    def state_update_only(self, frame: Frame, channel: str) -> StateUpdate | None:
         """How frames like this one are noted, if not each has to be given to `on_frame`."""
         if frame.msgid in self._read:
             return None
@@ -256,22 +256,22 @@ class LiveVehicle:
                 return None  # of another sender: each is to be looked at
 
             def again(now: float) -> None:
-                events = self.vehicle.on_beat(payload, now)
+                events = self.vehicle.on_heartbeat(payload, now)
                 if events:
                     self._publish(events, now)
                 self.channel = channel
 
-            return Noted(self.vehicle.slots.get(HEARTBEAT), self.commander.watches, again)
-        slot = self.vehicle.only_noted(frame.msgid)
-        return None if slot is None else Noted(slot, self.commander.watches)
+            return StateUpdate(self.vehicle.slots.get(HEARTBEAT), self.commands.watches, again)
+        slot = self.vehicle.state_update_only(frame.msgid)
+        return None if slot is None else StateUpdate(slot, self.commands.watches)
 
     def tick(self, now: float) -> None:
         """Once to ten times a second."""
         events = self.vehicle.tick(now)
         if events:
             self._publish(events, now)
-        self._upkeep.planned, self._upkeep.busy = self.planned.active, not self.planned.settled
-        self._upkeep.tick(now)
+        self._stream_requester.planned, self._stream_requester.busy = self.planned.active, not self.planned.settled
+        self._stream_requester.tick(now)
         if self.flight.pilot.active:
             self.flight.refresh_budget()
         if self._probes and self.vehicle.connected and not self.vehicle.replayed:
@@ -286,7 +286,7 @@ class LiveVehicle:
                 self._on_uplink("lost")
         if uplink.due(now, armed=self.vehicle.armed, thin=self._thin()):
             token = uplink.token()
-            if self.commander.transmit("TIMESYNC", {"tc1": 0, "ts1": token}):
+            if self.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}):
                 uplink.sent(token, now)
 
     def _on_timesync(self, frame: Frame, now: float) -> None:
@@ -324,8 +324,8 @@ class LiveVehicle:
         self.flight.close()
         self.missions.close()
         self.params.close()
-        self._upkeep.close()
-        self.commander.close()
+        self._stream_requester.close()
+        self.commands.close()
 
     def control_state(self, now: float) -> dict[str, Any]:
         """How it is flown, in the fleet's world frame."""
@@ -334,25 +334,25 @@ class LiveVehicle:
     def _publish(self, events: tuple[Event, ...], now: float) -> None:
         for event in events:
             if event.kind == "statustext":
-                self.commander.on_text(event.text)
+                self.commands.on_text(event.text)
                 self.missions.on_text(event.text)
                 self.fence.on_text(event.text)
                 self.params.on_text(event.text)
                 self.flight.on_text(event.text)
             elif event.kind == "vehicle_lost":
                 self.uplink.forget()
-                self.commander.stop_all("lost", f"the vehicle was lost: {event.text}")
+                self.commands.stop_all("lost", f"the vehicle was lost: {event.text}")
                 self.missions.stop("lost", f"the vehicle was lost: {event.text}")
                 self.params.stop_all("lost", f"the vehicle was lost: {event.text}")
             elif event.kind == "reboot":
-                self.commander.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
-                self.commander.stop_all("lost", "the vehicle rebooted")
+                self.commands.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
+                self.commands.stop_all("lost", "the vehicle rebooted")
                 self.missions.stop("lost", "the vehicle rebooted")
                 self.params.stop_all("lost", "the vehicle rebooted")
                 self.uplink.forget()
                 self.flight.release("the vehicle rebooted")
                 self.preflight.forget()
-                self._upkeep.restart(now)
+                self._stream_requester.restart(now)
                 self.planned.restart()
             self._on_event(event)
 

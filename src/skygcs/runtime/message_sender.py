@@ -28,7 +28,7 @@ def target_fields(info: MessageInfo) -> tuple[str | None, str | None]:
     return (None if system == ABSENT else at[system]), (None if component == ABSENT else at[component])
 
 
-class Postman:
+class MessageSender:
     """`send` for the RPC's messages.send."""
 
     def __init__(self, hub: Hub, fleet: Fleet, links: LinkTable, now: Callable[[], float]) -> None:
@@ -94,10 +94,10 @@ class Postman:
         self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
     ) -> None:
         """Raises RefusedError for what would fly a vehicle, or stop its motors, past the checks of an order."""
-        way = message_way(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
-        if way is None:
+        route = message_way(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
+        if route is None:
             return
-        refusal = way.refusal(self._reached(info, fields, target, link), self._now())
+        refusal = route.refusal(self._reached(info, fields, target, link), self._now())
         if refusal is not None:
             raise RefusedError(refusal)
 
@@ -113,7 +113,7 @@ class Postman:
             if system is not None:  # an autopilot may take what is for a component that it does not know
                 sysids = sorted({actor.sysid for actor in meant})
                 return [vehicle for sysid in sysids for vehicle in self._fleet.vehicles_of(sysid)]
-            channels = {way for actor in meant for way in self._hub.ways(actor.sysid, actor.compid)}
+            channels = {route for actor in meant for route in self._hub.ways(actor.sysid, actor.compid)}
         sysid = 0 if system is None else int(fields.get(system, 0) or 0)
         if sysid:
             return [actor.vehicle for actor in live.values() if actor.sysid == sysid]
@@ -137,8 +137,8 @@ class Postman:
         system, component = target_fields(info)
         sent = 0
         if system is None:
-            ways = dict.fromkeys(way for sysid, compid in meant for way in self._hub.ways(sysid, compid))
-            sent = sum(self._on((way,), info, fields) for way in ways)
+            ways = dict.fromkeys(route for sysid, compid in meant for route in self._hub.ways(sysid, compid))
+            sent = sum(self._on((route,), info, fields) for route in ways)
             note = self._overheard(info, meant, set(ways))
         else:
             note = None
@@ -155,7 +155,7 @@ class Postman:
         return self._answer(info, sent, note)
 
     def _on(self, ways: tuple[int, ...], info: MessageInfo, fields: Mapping[str, Any]) -> bool:
-        return self._hub.send_on(ways, info, fields, Priority.EXCHANGE)
+        return self._hub.send_on(ways, info, fields, Priority.PROTOCOL)
 
     def _overheard(self, info: MessageInfo, meant: list[tuple[int, int]], ways: set[int]) -> str | None:
         """Who else is behind the same channels as those who are meant."""

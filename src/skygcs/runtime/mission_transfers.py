@@ -19,7 +19,7 @@ from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.px4_events import EVENT, rejection
 from skygcs.core.protocols.base import Effect, Report, Send
 from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S, Outcome
-from skygcs.core.protocols.mission import ANSWERS, MissionClear, MissionExchange, MissionOutcome
+from skygcs.core.protocols.mission import ANSWERS, MissionClear, MissionOutcome, MissionProtocol
 from skygcs.core.protocols.mission_download import MissionDownload
 from skygcs.core.protocols.mission_upload import LINGER_S, MissionUpload
 from skygcs.core.radio_link.transmit_queue import Priority
@@ -37,8 +37,8 @@ from skygcs.core.vehicle.orders import require_connected
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.command_client import Commander
-from skygcs.runtime.deadline_timer import Alarm
+from skygcs.runtime.command_client import CommandClient
+from skygcs.runtime.deadline_timer import DeadlineTimer
 from skygcs.runtime.plan_runner import two_of_one_id
 
 NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_REQUEST_LIST", "MISSION_CLEAR_ALL",
@@ -68,7 +68,7 @@ class Missions:
     def __init__(
         self,
         vehicle: Vehicle,
-        commander: Commander,
+        commands: CommandClient,
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         on_progress: Callable[[str, int | None], None],
@@ -81,20 +81,20 @@ class Missions:
         self.last: dict[MissionType, MissionOutcome] = {}
         """How the last transfer of each list ended."""
         self._vehicle = vehicle
-        self._commander = commander
+        self._commands = commands
         self._dialect = dialect
         self._loop = loop
         self._on_progress = on_progress
         self._on_event = on_event
         self._lock = asyncio.Lock()
         self._waiting = 0
-        self._running: tuple[MissionExchange, asyncio.Future[None], str] | None = None
+        self._running: tuple[MissionProtocol, asyncio.Future[None], str] | None = None
         self._told_percent = 0
         self._percent: int | None = None
         self._done_upload: tuple[MissionUpload, float] | None = None
         self._rejections: deque[str] = deque(maxlen=MAX_TEXTS)
         """Why a PX4 rejects its mission, since the last upload began."""
-        self._alarm = Alarm(loop, self._on_timer)
+        self._timer = DeadlineTimer(loop, self._on_timer)
         self._current = b""
         self._seq: int | None = None
         self._state = 0
@@ -105,7 +105,7 @@ class Missions:
         if not items:
             return await self.clear(kind)
         home_first = kind is MissionType.MISSION and keeps_home(self._vehicle)
-        exchange = MissionUpload(
+        protocol = MissionUpload(
             kind,
             items,
             keeps_old=keeps_old(self._vehicle, kind),
@@ -113,9 +113,9 @@ class Missions:
             home_first=home_first,
         )
         self._rejections.clear()
-        outcome = await self._run(exchange, f"{kind.word} upload")
+        outcome = await self._run(protocol, f"{kind.word} upload")
         if outcome.ok:
-            self._done_upload = (exchange, self._loop.time())
+            self._done_upload = (protocol, self._loop.time())
             self._keep(outcome, len(items) - home_first)
             if kind is MissionType.MISSION and self._vehicle.family == "px4":
                 outcome = await self._feasible(outcome)
@@ -205,7 +205,7 @@ class Missions:
             told.append(outcome.message if kind.word in outcome.message else f"{kind.word}: {outcome.message}")
             elapsed_s = self._loop.time() - began
             if outcome.result == "timeout":
-                told[-1] += self._commander.why_silent()
+                told[-1] += self._commands.why_silent()
             if not outcome.ok:
                 if rest := kinds[done + 1 :]:
                     told.append(f"{' and '.join(k.word for k in rest)} not begun")
@@ -216,8 +216,8 @@ class Missions:
         """What the vehicle tells of its mission, and the transfer that is under way."""
         transfer = None
         if self._running is not None:
-            exchange, _, what = self._running
-            transfer = {"what": what, "percent": self._percent, "sent": exchange.sent}
+            protocol, _, what = self._running
+            transfer = {"what": what, "percent": self._percent, "sent": protocol.sent}
         return {
             "item": None if self._seq is None else number_of(self._vehicle, self._seq),
             "reached": None if self._reached is None else number_of(self._vehicle, self._reached),
@@ -256,59 +256,59 @@ class Missions:
     def close(self) -> None:
         """The daemon ends."""
         self.stop("cancelled", "skygcs is shutting down")
-        self._alarm.set(None)
+        self._timer.set(None)
 
-    async def _run(self, exchange: MissionExchange, what: str) -> MissionOutcome:
+    async def _run(self, protocol: MissionProtocol, what: str) -> MissionOutcome:
         missing = [name for name in NEEDED if name not in self._dialect.by_name]
         if missing:
             text = f"dialect {self._dialect.name} has no {missing[0]}"
-            return MissionOutcome(False, "refused", text, exchange.kind, "unchanged")
+            return MissionOutcome(False, "refused", text, protocol.kind, "unchanged")
         if self._waiting >= MAX_WAITING:
             text = f"{self._waiting} transfers are waiting already"
-            return MissionOutcome(False, "refused", text, exchange.kind, "unchanged")
+            return MissionOutcome(False, "refused", text, protocol.kind, "unchanged")
         self._waiting += 1
         try:
             await self._lock.acquire()
         finally:
             self._waiting -= 1
         try:
-            return await self._exchange(exchange, what)
+            return await self._protocol(protocol, what)
         finally:
             self._lock.release()
 
-    async def _exchange(self, exchange: MissionExchange, what: str) -> MissionOutcome:
+    async def _protocol(self, protocol: MissionProtocol, what: str) -> MissionOutcome:
         over: asyncio.Future[None] = self._loop.create_future()
-        self._running = (exchange, over, what)
+        self._running = (protocol, over, what)
         self._done_upload = None
         self._told_percent, self._percent = 0, None
         try:
-            self._apply(exchange.start(self._loop.time()))
+            self._apply(protocol.start(self._loop.time()))
             await over
         except asyncio.CancelledError:
-            self._apply(exchange.stop(self._loop.time(), "cancelled", "cancelled"))
-            if exchange.outcome is not None:
-                self._tell("warning", f"{what}: {exchange.outcome.message}", exchange.outcome.as_dict())
+            self._apply(protocol.stop(self._loop.time(), "cancelled", "cancelled"))
+            if protocol.outcome is not None:
+                self._tell("warning", f"{what}: {protocol.outcome.message}", protocol.outcome.as_dict())
             raise
         finally:
             self._running = None
-            self._alarm.set(None)
-            if exchange.outcome is not None:
-                self.last[exchange.kind] = replace(exchange.outcome, items=None)
-        assert exchange.outcome is not None
-        return exchange.outcome
+            self._timer.set(None)
+            if protocol.outcome is not None:
+                self.last[protocol.kind] = replace(protocol.outcome, items=None)
+        assert protocol.outcome is not None
+        return protocol.outcome
 
     def _apply(self, effects: tuple[Effect, ...]) -> None:
         for effect in effects:
             if isinstance(effect, Send):
-                self._commander.transmit(effect.message, effect.values, Priority.EXCHANGE)
+                self._commands.transmit(effect.message, effect.values, Priority.PROTOCOL)
             elif isinstance(effect, Report):
                 self._report(effect.percent)
         if self._running is None:
             return
-        exchange, over, _ = self._running
-        if exchange.done and not over.done():
+        protocol, over, _ = self._running
+        if protocol.done and not over.done():
             over.set_result(None)
-        self._alarm.set(exchange.deadline)
+        self._timer.set(protocol.deadline)
 
     def _report(self, percent: int | None) -> None:
         self._percent = percent
@@ -323,17 +323,17 @@ class Missions:
 
     def _on_answer(self, frame: Frame, now: float) -> None:
         fields = frame.fields()
-        exchange = None if self._running is None else self._running[0]
-        if exchange is None and self._done_upload is not None:
-            exchange, done_at = self._done_upload
+        protocol = None if self._running is None else self._running[0]
+        if protocol is None and self._done_upload is not None:
+            protocol, done_at = self._done_upload
             if now - done_at > LINGER_S:
-                self._done_upload = exchange = None
-        if exchange is None or fields.get("mission_type", 0) != exchange.kind or not self._for_us(fields):
+                self._done_upload = protocol = None
+        if protocol is None or fields.get("mission_type", 0) != protocol.kind or not self._for_us(fields):
             return
-        self._apply(exchange.on_message(frame.name, fields, frame.payload, now))
+        self._apply(protocol.on_message(frame.name, fields, frame.payload, now))
 
     def _for_us(self, fields: dict[str, Any]) -> bool:
-        sysid, compid = self._commander.own
+        sysid, compid = self._commands.own
         return fields["target_system"] in (0, sysid) and fields["target_component"] in (0, compid)
 
     def _on_current(self, frame: Frame) -> None:

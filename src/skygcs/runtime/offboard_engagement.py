@@ -11,19 +11,19 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from skygcs.config.control import ControlSettings
-from skygcs.core.control.guard import WAYS, Way
+from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.stream_rates import intended_rate
 from skygcs.core.vehicle import offboard_entry, orders
-from skygcs.core.vehicle.offboard_controller import Pilot, PilotState
+from skygcs.core.vehicle.offboard_controller import OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.command_client import Commander
+from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.control_clock import ControlClock
 from skygcs.runtime.plan_runner import Attempt, Execute
-from skygcs.runtime.task_set import Errands
+from skygcs.runtime.task_set import TaskSet
 
 STREAM_BEFORE_S = 1.3
 """Setpoints flow this long before the mode is changed: PX4 wants more than 1 s of them (field-notes 10.5)."""
@@ -41,7 +41,7 @@ MEASURED_PINGS = 4
 RATE_SETTLES_S = 20.0
 """After the position's rate was put back, its smoothed measure tells of the time before for so long."""
 
-POSITION_HZ = {Way.ATTITUDE: 50.0, Way.VELOCITY: 10.0}
+POSITION_HZ = {ControlMode.ATTITUDE: 50.0, ControlMode.VELOCITY: 10.0}
 """GLOBAL_POSITION_INT asked for: the age of the state is half a period of it on average. Position setpoints need none:
 the autopilot closes the loop, the nav profile's 2 Hz stay."""
 
@@ -53,7 +53,7 @@ FIRST_WORD_S = 1.0
 """Some periods of the slowest way."""
 
 
-class Takeover:
+class OffboardEngagement:
     """Of one vehicle. ``execute`` carries out a plan, ``attempt`` plans and carries out; ``position_hz``: of its
     position while nobody flies it by setpoints, None: its own. ``plan_position(rate)`` is told how often it is wanted
     (None: not any more); if it is True, a radio's plan sees to it, as far as there is room.
@@ -67,16 +67,16 @@ class Takeover:
         self,
         vehicle: Vehicle,
         settings: ControlSettings,
-        commander: Commander,
+        commands: CommandClient,
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
-        pilot: Pilot,
+        pilot: OffboardController,
         clock: ControlClock,
-        errands: Errands,
+        tasks: TaskSet,
         *,
         execute: Execute,
         attempt: Attempt,
-        begin: Callable[[Way], None],
+        begin: Callable[[ControlMode], None],
         release: Callable[[str], None],
         position_hz: float | None,
         plan_position: Callable[[float | None], bool] = lambda rate_hz: False,
@@ -87,12 +87,12 @@ class Takeover:
         """Who began under another number goes no further."""
         self._vehicle = vehicle
         self._settings = settings
-        self._commander = commander
+        self._commands = commands
         self._dialect = dialect
         self._loop = loop
-        self._pilot = pilot
+        self._offboard = pilot
         self._clock = clock
-        self._errands = errands
+        self._tasks = tasks
         self._execute = execute
         self._attempt = attempt
         self._begin = begin
@@ -111,35 +111,35 @@ class Takeover:
         self.turn += 1
         return self.turn
 
-    async def engage(self, way: Way, *, force: bool) -> Outcome:
+    async def engage(self, control_mode: ControlMode, *, force: bool) -> Outcome:
         """See `FlightControl.engage`."""
         started, turn = self._loop.time(), self.turn
         try:
             self._check_entry(started)
-            if not force and not self._pilot.active:
+            if not force and not self._offboard.active:
                 self._check_stream()
-            if way is Way.ATTITUDE:
+            if control_mode is ControlMode.ATTITUDE:
                 await self._check_attitude(force=force)
             if self.turn != turn:
                 return _superseded(self._loop.time() - started)
-            if self._pilot.state is PilotState.ENGAGING:
+            if self._offboard.state is OffboardState.ENGAGING:
                 self._release("a newer order took its place")
             turn = self.next_turn()
-            if self._pilot.state is PilotState.FLYING:
-                return await self._change(way, turn)
+            if self._offboard.state is OffboardState.FLYING:
+                return await self._change(control_mode, turn)
             back_to = self._vehicle.custom_mode
-            await self._ask_position(POSITION_HZ.get(way))
+            await self._ask_position(POSITION_HZ.get(control_mode))
             if self.turn != turn:
                 return _superseded(self._loop.time() - started)
             self._check_entry(self._loop.time())  # what was true before all this waiting may not be any more
-            self._begin(way)
+            self._begin(control_mode)
         except RefusedError as error:
-            if not self._pilot.active:
+            if not self._offboard.active:
                 self._plan_position(None)
             return Outcome.refused(str(error))
         outcome: Outcome | None = None
         try:
-            outcome = await self._enter(way, turn, back_to)
+            outcome = await self._enter(control_mode, turn, back_to)
         finally:
             if (outcome is None or not outcome.ok) and self.turn == turn:
                 self._undo("it could not be begun" if outcome is None else outcome.message, back_to)
@@ -149,7 +149,7 @@ class Takeover:
         """Back to the rate of before; nobody waits for it."""
         if not self._plan_position(None) and self._vehicle.connected and self._raised:
             self._raised, self._restored_at = False, self._loop.time()
-            self._errands.start(self._ask_interval(self._before_hz or None), "position rate")
+            self._tasks.start(self._ask_interval(self._before_hz or None), "position rate")
 
     # -- may it be taken over
 
@@ -157,7 +157,7 @@ class Takeover:
         refusal = offboard_entry.entry_refusal(self._vehicle, now)
         if refusal is None and self._vehicle.origin is None:
             refusal = "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
-        if refusal is None and not self._pilot.active and self._led_by_another():
+        if refusal is None and not self._offboard.active and self._led_by_another():
             refusal = f"it is in {self._vehicle.mode} already: another program sends it setpoints; end that first"
         if refusal is None:
             refusal = self._outside_now()
@@ -195,9 +195,9 @@ class Takeover:
 
     # -- over, and to another way
 
-    async def _enter(self, way: Way, turn: int, back_to: int) -> Outcome:
+    async def _enter(self, control_mode: ControlMode, turn: int, back_to: int) -> Outcome:
         """Stream, measure, switch the mode over and see that it has."""
-        if (ended := await self._settle(way, turn, STREAM_BEFORE_S)) is not None:
+        if (ended := await self._settle(control_mode, turn, STREAM_BEFORE_S)) is not None:
             return ended
         try:
             self._check_entry(self._loop.time())  # seconds have passed: it may have landed, or be in its failsafe
@@ -210,22 +210,22 @@ class Takeover:
             return _superseded(0.0)
         if not outcome.ok:
             return replace(outcome, message=f"it was not switched over: {outcome.message}")
-        self._pilot.entered()
-        return await self._flown(way)
+        self._offboard.entered()
+        return await self._flown(control_mode)
 
-    async def _change(self, way: Way, turn: int) -> Outcome:
+    async def _change(self, control_mode: ControlMode, turn: int) -> Outcome:
         """Another way while it flies. Its present one goes on until the state comes as fast as the new one needs it."""
-        slower = WAYS.index(way) > WAYS.index(self._pilot.wanted)
+        slower = CONTROL_MODES.index(control_mode) > CONTROL_MODES.index(self._offboard.wanted)
         if slower:
-            self._pilot.want(way)
-        await self._ask_position(POSITION_HZ.get(way))
+            self._offboard.want(control_mode)
+        await self._ask_position(POSITION_HZ.get(control_mode))
         if not slower:
-            if (ended := await self._settle(way, turn, PAUSE_S)) is not None:
+            if (ended := await self._settle(control_mode, turn, PAUSE_S)) is not None:
                 return ended
-            self._pilot.want(way)
-        return await self._flown(way)
+            self._offboard.want(control_mode)
+        return await self._flown(control_mode)
 
-    async def _settle(self, way: Way, turn: int, least_s: float) -> Outcome | None:
+    async def _settle(self, control_mode: ControlMode, turn: int, least_s: float) -> Outcome | None:
         """Wait ``least_s``, and longer while something stands against the way that a few seconds may cure: a round trip
         not measured yet, a position stream that was slower until now. An Outcome if control ended meanwhile."""
         started = self._loop.time()
@@ -233,39 +233,39 @@ class Takeover:
             waited = self._loop.time() - started
             if self.turn != turn:
                 return _superseded(waited)
-            if not self._pilot.active:
-                return Outcome.refused("; ".join(self._pilot.reasons) or "control ended")
-            ready = self._measured() and not self._pilot.why_not(way, self._loop.time())
+            if not self._offboard.active:
+                return Outcome.refused("; ".join(self._offboard.reasons) or "control ended")
+            ready = self._measured() and not self._offboard.why_not(control_mode, self._loop.time())
             if waited >= SETTLE_S or (waited >= least_s and ready):
                 return None
             await asyncio.sleep(0.1)
 
-    async def _flown(self, way: Way) -> Outcome:
+    async def _flown(self, control_mode: ControlMode) -> Outcome:
         """The guard's first word belongs to the answer."""
-        pilot = self._pilot
+        pilot = self._offboard
         judged = self._clock.ticks + 1
-        await self._commander.until(lambda: self._clock.ticks >= judged, FIRST_WORD_S)
-        if pilot.state is not PilotState.FLYING:
+        await self._commands.until(lambda: self._clock.ticks >= judged, FIRST_WORD_S)
+        if pilot.state is not OffboardState.FLYING:
             return Outcome(False, "failed", f"control ended at once: {'; '.join(pilot.reasons)}")
-        flown = pilot.way or way
-        why = "" if flown is way else f" and not by {way.value}: {'; '.join(pilot.reasons)}"
+        flown = pilot.control_mode or control_mode
+        why = "" if flown is control_mode else f" and not by {control_mode.value}: {'; '.join(pilot.reasons)}"
         return Outcome(True, "accepted", f"flown by {flown.value} setpoints{why}")
 
     def _measured(self) -> bool:
-        return self._pilot.delay.pings > MEASURED_PINGS and self._pilot.delay.rtt_p95_s is not None
+        return self._offboard.delay.pings > MEASURED_PINGS and self._offboard.delay.rtt_p95_s is not None
 
     # -- and back
 
     def _undo(self, reason: str, back_to: int) -> None:
         """What the guard has ended after the entry, it has ended rightly: by a hold, or because somebody else flies."""
-        if self._pilot.active or not self._pilot.was_entered:
+        if self._offboard.active or not self._offboard.was_entered:
             self._release(reason)
-            self._errands.start(self._give_back(back_to, self.turn), "control given back")
+            self._tasks.start(self._give_back(back_to, self.turn), "control given back")
 
     async def _give_back(self, back_to: int, turn: int) -> None:
         """A vehicle that obeys setpoints, or is about to because its mode was commanded already, gets none any more: it
         is not left to its timeouts. An ArduCopter whose attitude ends would drift with the wind."""
-        following = await self._commander.until(lambda: offboard_entry.is_following(self._vehicle), LATE_ENTRY_S)
+        following = await self._commands.until(lambda: offboard_entry.is_following(self._vehicle), LATE_ENTRY_S)
         if following and self._vehicle.armed and self.turn == turn:
             await self._attempt(lambda now: offboard_entry.leave(self._vehicle, back_to))
 

@@ -10,13 +10,13 @@ from skygcs.core.control.deadman import DeadMan, Fired
 from skygcs.core.mavlink.frame import Frame
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.task_set import Errands
+from skygcs.runtime.task_set import TaskSet
 
 GCS_TYPE = 6
 """MAV_TYPE_GCS in a HEARTBEAT."""
 
 
-class Watchman:
+class OperatorWatchdog:
     """`on_client` with every request of an RPC client, `on_heartbeat` with every heartbeat, `tick` now and then."""
 
     def __init__(
@@ -27,7 +27,7 @@ class Watchman:
         self._loop = loop
         self._on_event = on_event
         self._flown: frozenset[str] = frozenset()
-        self._errands = Errands(loop, on_event)
+        self._tasks = TaskSet(loop, on_event)
 
     @property
     def watching(self) -> bool:
@@ -53,12 +53,12 @@ class Watchman:
             self._act(fired, sorted(flown))
 
     def close(self) -> None:
-        self._errands.close()
+        self._tasks.close()
 
     def _act(self, fired: Fired, names: list[str]) -> None:
         data = {"action": fired.action, "vehicles": names}
         self._on_event(Event("warning", None, None, f"{fired.reason}: {fired.action} for {', '.join(names)}", data))
-        self._errands.start(self._order(fired, names), f"dead-man {fired.action}")
+        self._tasks.start(self._order(fired, names), f"dead-man {fired.action}")
 
     async def _order(self, fired: Fired, names: list[str]) -> None:
         await self._fleet.command_all(names, fired.action)  # what became of it is told per vehicle, as of any order

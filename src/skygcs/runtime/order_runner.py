@@ -16,7 +16,7 @@ from skygcs.core.vehicle.arming_refusals import todo_for
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
 from skygcs.events import Event
-from skygcs.runtime.command_client import SUPERSEDED, Commander
+from skygcs.runtime.command_client import SUPERSEDED, CommandClient
 from skygcs.runtime.plan_runner import MOVING, Planner, PlanRunner, two_of_one_id
 
 RETRY_S = 1.0
@@ -32,13 +32,13 @@ class OrderRunner:
     def __init__(
         self,
         vehicle: Vehicle,
-        commander: Commander,
+        commands: CommandClient,
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
         release: Callable[[str], None],
     ) -> None:
-        self.plans = PlanRunner(vehicle, commander, dialect, loop, self.report)
+        self.plans = PlanRunner(vehicle, commands, dialect, loop, self.report)
         self._vehicle = vehicle
         self._loop = loop
         self._on_event = on_event

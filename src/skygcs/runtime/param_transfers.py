@@ -1,4 +1,4 @@
-"""Parameters of one vehicle: the asyncio side of `ParamExchange`, `ParamList` and `FileDownload`, with one timer.
+"""Parameters of one vehicle: the asyncio side of `ParameterProtocol`, `ParamList` and `FileDownload`, with one timer.
 
 The actor owns one and hands it what the vehicle says (`on_frame`, `on_text`, `stop_all`). Nothing here asks by itself:
 a parameter goes over the link when somebody wants it, and a list only if it is not known already.
@@ -23,17 +23,17 @@ from skygcs.core.mavlink.ftp_payload import MSGID as FILE_TRANSFER
 from skygcs.core.mavlink.ftp_payload import decode
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
 from skygcs.core.params.names import other_name
-from skygcs.core.protocols.base import Effect, Exchange, Report, Send
+from skygcs.core.protocols.base import Effect, ProtocolMachine, Report, Send
 from skygcs.core.protocols.command import MAX_TEXTS
 from skygcs.core.protocols.file_download import FileDownload, FileOutcome
-from skygcs.core.protocols.parameter import ABSENT_PROBES, ParamExchange, ParamOutcome
+from skygcs.core.protocols.parameter import ABSENT_PROBES, ParameterProtocol, ParamOutcome
 from skygcs.core.protocols.parameter_list import BYTES_PER_S, MAX_COUNT, ListProgress, ParamList
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime import param_file
 from skygcs.runtime.command_client import SendFn
-from skygcs.runtime.deadline_timer import Alarm
+from skygcs.runtime.deadline_timer import DeadlineTimer
 from skygcs.runtime.param_book import ParamBook
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.task_set import fault
@@ -106,8 +106,8 @@ class VehicleParams:
         self._set_info = bits_message(dialect.by_name["PARAM_SET"]) if self._able else None
         error = dialect.by_name.get("PARAM_ERROR")
         self._error_id = -1 if error is None else error.msgid
-        self._running: dict[Exchange, asyncio.Future[None]] = {}
-        self._taken: dict[Exchange, int] = {}
+        self._running: dict[ProtocolMachine, asyncio.Future[None]] = {}
+        self._taken: dict[ProtocolMachine, int] = {}
         """Messages of each that a link took."""
         self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._quiet_until: dict[str, float] = {}
@@ -126,12 +126,12 @@ class VehicleParams:
         self._closed = False
         self._cancelled = 0
         self._told_at = -math.inf
-        self._alarm = Alarm(loop, self._on_timer)
+        self._timer = DeadlineTimer(loop, self._on_timer)
         self._probe = 0
         self._texts: list[str] = []
         """What a PX4 has said of its limits since the last `set` began: "Cruise speed has been constrained by …"."""
         self.why_silent: Callable[[], str] = lambda: ""
-        """Why it may not answer, beside the link: see `Commander`."""
+        """Why it may not answer, beside the link: see `CommandClient`."""
 
     # -- what the vehicle says
 
@@ -145,26 +145,26 @@ class VehicleParams:
             self._book.heard(value.param)
             if self._file_running and len(self._changed) < MAX_COUNT:
                 self._changed[value.param.name] = value.param
-            for exchange in list(self._running):
-                if isinstance(exchange, ParamExchange | ParamList):
-                    self._apply(exchange, exchange.on_value(value, now))
+            for protocol in list(self._running):
+                if isinstance(protocol, ParameterProtocol | ParamList):
+                    self._apply(protocol, protocol.on_value(value, now))
         elif frame.msgid == self._error_id and self._running:
             fields = frame.fields()
             name, code = str(fields.get("param_id", "")), int(fields.get("error", 0))
-            for exchange in list(self._running):
-                if isinstance(exchange, ParamExchange):
-                    self._apply(exchange, exchange.on_error(name, code, now))
+            for protocol in list(self._running):
+                if isinstance(protocol, ParameterProtocol):
+                    self._apply(protocol, protocol.on_error(name, code, now))
         elif frame.msgid == FILE_TRANSFER and self._running:
             self._on_file_reply(frame, now)
         else:
             return
-        self._set_alarm()
+        self._set_timer()
 
     def _on_file_reply(self, frame: Frame, now: float) -> None:
         reply = decode(frame.payload) if self._own is None or frame.target() == self._own else None
-        for exchange in list(self._running):
-            if isinstance(exchange, FileDownload) and reply is not None:
-                self._apply(exchange, exchange.on_reply(reply, now))
+        for protocol in list(self._running):
+            if isinstance(protocol, FileDownload) and reply is not None:
+                self._apply(protocol, protocol.on_reply(reply, now))
 
     @property
     def messages(self) -> frozenset[int]:
@@ -174,10 +174,10 @@ class VehicleParams:
     def on_text(self, text: str) -> None:
         if "constrained" in text and text not in self._texts and len(self._texts) < MAX_TEXTS:
             self._texts.append(text)
-        for exchange in list(self._running):
-            if isinstance(exchange, ParamExchange):
-                self._apply(exchange, exchange.on_text(text, self._loop.time()))
-        self._set_alarm()
+        for protocol in list(self._running):
+            if isinstance(protocol, ParameterProtocol):
+                self._apply(protocol, protocol.on_text(text, self._loop.time()))
+        self._set_timer()
 
     def stop_all(self, result: str, message: str) -> int:
         """End all that is under way; how many that were. After a reboot nothing that was known is vouched for."""
@@ -186,10 +186,10 @@ class VehicleParams:
             self._hashless = False
         self._cancelled += 1
         running = list(self._running)
-        for exchange in running:
-            if isinstance(exchange, ParamExchange | ParamList | FileDownload):
-                self._apply(exchange, exchange.stop(self._loop.time(), result, message))
-        self._set_alarm()
+        for protocol in running:
+            if isinstance(protocol, ParameterProtocol | ParamList | FileDownload):
+                self._apply(protocol, protocol.stop(self._loop.time(), result, message))
+        self._set_timer()
         return len(running)
 
     def cancel(self) -> int:
@@ -208,7 +208,7 @@ class VehicleParams:
         self.stop_all("cancelled", "skygcs is shutting down")
         if self._loading is not None:
             self._loading.cancel()
-        self._alarm.set(None)
+        self._timer.set(None)
 
     # -- what people want
 
@@ -331,20 +331,20 @@ class VehicleParams:
             await asyncio.sleep(max(0.0, self._quiet_until.pop(name, 0.0) - self._loop.time()))
             if self._cancelled != cancelled:
                 return ParamOutcome(False, "cancelled", "cancelled: not sent", name)
-            exchange = ParamExchange(
+            protocol = ParameterProtocol(
                 name, self._book.encoding, value, absent_of=self._absent_of(name), probe_index=self._probe
             )
             self._probe += ABSENT_PROBES + 1
             try:
-                unsent = await self._run(exchange)
+                unsent = await self._run(protocol)
             finally:
-                self._keep_quiet(name, exchange.quiet_until)
-        assert exchange.outcome is not None
-        if exchange.outcome.result != "timeout":
-            return exchange.outcome
+                self._keep_quiet(name, protocol.quiet_until)
+        assert protocol.outcome is not None
+        if protocol.outcome.result != "timeout":
+            return protocol.outcome
         if unsent:
             return ParamOutcome(False, "lost", "could not be sent: no link leads to it", name)
-        return replace(exchange.outcome, message=exchange.outcome.message + self.why_silent())
+        return replace(protocol.outcome, message=protocol.outcome.message + self.why_silent())
 
     def _absent_of(self, name: str) -> int:
         """How many parameters its complete list has, if none of them has this name; else 0."""
@@ -370,12 +370,12 @@ class VehicleParams:
             if by_file.ok or by_file.result in ("cancelled", "lost", "refused"):
                 return by_file
             why_not = f" (not by file: {by_file.message})"
-        exchange = ParamList(burst=burst, bytes_per_s=bytes_per_s, stops_burst=px4)
+        protocol = ParamList(burst=burst, bytes_per_s=bytes_per_s, stops_burst=px4)
         try:
-            await self._run(exchange)
+            await self._run(protocol)
         finally:
             self.progress = None
-        outcome = exchange.outcome
+        outcome = protocol.outcome
         assert outcome is not None
         if outcome.ok:
             # what changed while it was read is good for now, but nobody will vouch for it
@@ -398,15 +398,15 @@ class VehicleParams:
     async def _load_file(self, *, burst: bool, bytes_per_s: float | None) -> Loaded:
         self._file_session = (self._file_session + 16) & 0xFF  # a download may need some
         started, link = self._loop.time(), self._link_bytes_per_s()
-        exchange = param_file.download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
+        protocol = param_file.download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
         self._changed.clear()
         self._file_running = True
         try:
-            await self._run(exchange)
+            await self._run(protocol)
         finally:
             self.progress = None
             self._file_running = False
-        outcome = exchange.outcome
+        outcome = protocol.outcome
         assert outcome is not None
         return self._loaded_file(outcome, self._loop.time() - started)
 
@@ -451,53 +451,53 @@ class VehicleParams:
         if until > now:
             self._quiet_until[name] = until
 
-    async def _run(self, exchange: ParamExchange | ParamList | FileDownload) -> bool:
+    async def _run(self, protocol: ParameterProtocol | ParamList | FileDownload) -> bool:
         """Until it is done; whether no link took any of its messages."""
         done: asyncio.Future[None] = self._loop.create_future()
-        self._running[exchange] = done
-        self._taken[exchange] = 0
-        self._apply(exchange, exchange.start(self._loop.time()))
-        self._set_alarm()
+        self._running[protocol] = done
+        self._taken[protocol] = 0
+        self._apply(protocol, protocol.start(self._loop.time()))
+        self._set_timer()
         try:
             await done
-            return self._taken[exchange] == 0
+            return self._taken[protocol] == 0
         except asyncio.CancelledError:
-            self._apply(exchange, exchange.stop(self._loop.time(), "cancelled", "nobody waits for it any more"))
+            self._apply(protocol, protocol.stop(self._loop.time(), "cancelled", "nobody waits for it any more"))
             raise
         finally:
-            self._running.pop(exchange, None)
-            del self._taken[exchange]
-            self._set_alarm()
+            self._running.pop(protocol, None)
+            del self._taken[protocol]
+            self._set_timer()
 
-    def _apply(self, exchange: Exchange, effects: Sequence[Effect]) -> None:
+    def _apply(self, protocol: ProtocolMachine, effects: Sequence[Effect]) -> None:
         for effect in effects:
             if isinstance(effect, Send):
-                self._transmit(exchange, effect)
-            elif isinstance(effect, Report) and isinstance(exchange, ParamList):
-                self.progress = exchange.progress(self._loop.time())
+                self._transmit(protocol, effect)
+            elif isinstance(effect, Report) and isinstance(protocol, ParamList):
+                self.progress = protocol.progress(self._loop.time())
                 self._progress("list", self.progress, "reading parameters")
-            elif isinstance(effect, Report) and isinstance(exchange, FileDownload):
-                self.progress = param_file.progress_of(exchange, self._loop.time())
+            elif isinstance(effect, Report) and isinstance(protocol, FileDownload):
+                self.progress = param_file.progress_of(protocol, self._loop.time())
                 self._progress("list", self.progress, "reading parameters by file, some")
-        done = self._running.get(exchange)
-        if exchange.done and done is not None and not done.done():
+        done = self._running.get(protocol)
+        if protocol.done and done is not None and not done.done():
             done.set_result(None)
 
-    def _transmit(self, exchange: Exchange, effect: Send) -> None:
+    def _transmit(self, protocol: ProtocolMachine, effect: Send) -> None:
         sysid, compid = self._vehicle.sysid, self._vehicle.compid
         info = self._set_info if effect.message == "PARAM_SET" else self._dialect.by_name[effect.message]
         assert info is not None
         values = {**effect.values, "target_system": sysid, "target_component": compid}
-        self._taken[exchange] += self._send(info, values, sysid, compid, Priority.EXCHANGE)
+        self._taken[protocol] += self._send(info, values, sysid, compid, Priority.PROTOCOL)
 
-    def _set_alarm(self) -> None:
-        self._alarm.set(min((e.deadline for e in self._running if e.deadline is not None), default=None))
+    def _set_timer(self) -> None:
+        self._timer.set(min((e.deadline for e in self._running if e.deadline is not None), default=None))
 
     def _on_timer(self) -> None:
         now = self._loop.time()
-        for exchange in list(self._running):
-            self._apply(exchange, exchange.on_timer(now))
-        self._set_alarm()
+        for protocol in list(self._running):
+            self._apply(protocol, protocol.on_timer(now))
+        self._set_timer()
 
     def _loaded(self, task: asyncio.Task[Loaded]) -> None:
         if self._loading is task:

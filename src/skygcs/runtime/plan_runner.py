@@ -11,7 +11,7 @@ from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.autopilot import firmware_name
 from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.command_client import SUPERSEDED, Commander
+from skygcs.runtime.command_client import SUPERSEDED, CommandClient
 
 MOVING = frozenset(
     {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
@@ -62,14 +62,14 @@ class PlanRunner:
     def __init__(
         self,
         vehicle: Vehicle,
-        commander: Commander,
+        commands: CommandClient,
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         on_report: Callable[[str, int | None], None],
     ) -> None:
         self.order = 0
         self._vehicle = vehicle
-        self._commander = commander
+        self._commands = commands
         self._dialect = dialect
         self._loop = loop
         self._report = on_report
@@ -88,7 +88,7 @@ class PlanRunner:
         if plan.order in MOVING:
             self.order += 1
             self._newest = plan
-            self._commander.supersede(_commands(plan))
+            self._commands.supersede(_commands(plan))
         run = _Run(plan, self.order)
         if all(step.undo is None for step in plan.steps[:-1]):
             return await self._steps(run)
@@ -121,8 +121,8 @@ class PlanRunner:
             return False
         run.end_asked = True
         if run.step is not None and run.step.command is not None:
-            self._commander.stop(run.step.command.command, "cancelled", "cancelled")
-        self._commander.wake()
+            self._commands.stop(run.step.command.command, "cancelled", "cancelled")
+        self._commands.wake()
         return True
 
     async def _steps(self, run: _Run) -> Outcome:
@@ -203,7 +203,7 @@ class PlanRunner:
         def wanted() -> bool:
             return self.order == order or (self._newest is not None and spec in _commands(self._newest))
 
-        outcome = await self._commander.run(
+        outcome = await self._commands.run(
             spec,
             emergency=plan.emergency,
             satisfied=met,
@@ -213,7 +213,7 @@ class PlanRunner:
         )
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
             return outcome
-        if await self._commander.until(lambda: met() or self.order != order or run.ended(), step.expect_s):
+        if await self._commands.until(lambda: met() or self.order != order or run.ended(), step.expect_s):
             return outcome
         unmet = expect.unmet(self._vehicle, self._loop.time())
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
@@ -230,13 +230,13 @@ class PlanRunner:
             return step.expect is not None and step.expect.met(self._vehicle, self._loop.time())
 
         while True:
-            if not self._commander.transmit(name, values):
+            if not self._commands.transmit(name, values):
                 return Outcome(False, "lost", "could not be sent: no link leads to it", attempts)
             attempts += 1
             if step.expect is None or step.expect_s == 0:
                 return Outcome(True, "accepted", "sent", attempts)
             left_s = started + step.expect_s - self._loop.time()
-            await self._commander.until(lambda: self.order != order or answered(), min(RESEND_S, left_s))
+            await self._commands.until(lambda: self.order != order or answered(), min(RESEND_S, left_s))
             elapsed_s = self._loop.time() - started
             if answered():
                 return Outcome(True, "accepted", "answered", attempts, elapsed_s)

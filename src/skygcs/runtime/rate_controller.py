@@ -8,9 +8,9 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.protocols.command import RESULT_NAMES, Ack
-from skygcs.core.radio_link.stream_rates import POSITION, Ask, PlanKeeper
+from skygcs.core.radio_link.stream_rates import POSITION, RateController, RateRequest
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.command_client import Commander
+from skygcs.runtime.command_client import CommandClient
 
 SET_MESSAGE_INTERVAL = 511
 
@@ -26,13 +26,13 @@ Send = Callable[[MessageInfo, Mapping[str, Any]], bool]
 class PlannedStreams:
     """`plan` whenever the plan changes, `ask` some times a second. ``active`` while a radio's plan is about it."""
 
-    def __init__(self, vehicle: Vehicle, commander: Commander, dialect: Dialect, own: tuple[int, int]) -> None:
+    def __init__(self, vehicle: Vehicle, commands: CommandClient, dialect: Dialect, own: tuple[int, int]) -> None:
         self.active = False
         self.position_hz: float | None = None
         """What flight control wants; None: nobody flies it by setpoints, or its autopilot closes the loops."""
-        self.keeper = PlanKeeper()
+        self.keeper = RateController()
         self._vehicle = vehicle
-        self._commander = commander
+        self._commands = commands
         self._dialect = dialect
         self._own = own
         self._bytes: dict[str, int] = {}
@@ -65,7 +65,7 @@ class PlannedStreams:
 
     def ask(self, now: float, send: Send) -> bool:
         """Ask for the next thing, if there is one; whether something was sent."""
-        if not self.active or not self._vehicle.connected or self._commander.in_flight(SET_MESSAGE_INTERVAL):
+        if not self.active or not self._vehicle.connected or self._commands.in_flight(SET_MESSAGE_INTERVAL):
             return False
         counts = {slot.name: slot.count for slot in self._vehicle.slots.values()}
         ardupilot = self._vehicle.family == "ardupilot"
@@ -76,7 +76,7 @@ class PlannedStreams:
         if message is None:
             return False
         if ask.message is not None:
-            self._commander.expect_stray_ack(SET_MESSAGE_INTERVAL, now)
+            self._commands.expect_stray_ack(SET_MESSAGE_INTERVAL, now)
             self._asked_at = now
         return send(*message)
 
@@ -111,7 +111,7 @@ class PlannedStreams:
         for name, message in state["messages"].items():
             message["planned_hz"] = self.keeper.rates_hz.get(name, 0.0)
 
-    def _message(self, ask: Ask) -> tuple[MessageInfo, dict[str, Any]] | None:
+    def _message(self, ask: RateRequest) -> tuple[MessageInfo, dict[str, Any]] | None:
         """None for a message the dialect lacks."""
         target = {"target_system": self._vehicle.sysid, "target_component": self._vehicle.compid}
         if ask.stream is not None:

@@ -9,12 +9,12 @@ import asyncio
 from collections.abc import Callable, Mapping
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.radio_link.requested_streams import STREAM_GROUPS, StreamKeeper
+from skygcs.core.radio_link.requested_streams import STREAM_GROUPS, StreamRequests
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.command_client import Commander
+from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.plan_runner import Attempt
 from skygcs.runtime.task_set import fault
 
@@ -27,13 +27,13 @@ SLOWER = 1.5
 IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
 
 
-class Upkeep:
+class StreamRequester:
     """`tick` once to ten times a second; ``attempt`` carries out a plan, ``on_fault`` is told of a fault of ours."""
 
     def __init__(
         self,
         vehicle: Vehicle,
-        commander: Commander,
+        commands: CommandClient,
         dialect: Dialect,
         rates_hz: Mapping[str, float],
         attempt: Attempt,
@@ -41,12 +41,12 @@ class Upkeep:
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._vehicle = vehicle
-        self._commander = commander
+        self._commands = commands
         self._dialect = dialect
         self._attempt = attempt
         self._on_fault = on_fault
         self._loop = loop
-        self._keeper = StreamKeeper({n: r for n, r in rates_hz.items() if n in dialect.by_name})
+        self._keeper = StreamRequests({n: r for n, r in rates_hz.items() if n in dialect.by_name})
         self._asking: asyncio.Task[None] | None = None
         self._identified = 0
         self._identify_from: float | None = None
@@ -88,13 +88,13 @@ class Upkeep:
         if now - self._identify_from < IDENTIFY_AT_S[self._identified]:
             return
         self._identified += 1
-        if self._commander.in_flight(REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
+        if self._commands.in_flight(REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
             return
         for message in IDENTIFY_WITH:
             info = self._dialect.by_name.get(message)
             if info is not None and self._vehicle.slot(message) is None:
                 values = {"command": REQUEST_MESSAGE, "param1": float(info.msgid)}
-                self._commander.transmit("COMMAND_LONG", values, Priority.EXCHANGE)
+                self._commands.transmit("COMMAND_LONG", values, Priority.PROTOCOL)
 
     def _keep_streams(self, now: float) -> None:
         """Ask for the next wanted message that does not come, in a task of its own: the answer takes a while."""

@@ -11,7 +11,7 @@ from skygcs.events import Event
 T = TypeVar("T")
 
 
-class Errands:
+class TaskSet:
     """Of one owner: each is kept until it is done, and a fault of ours in it is told as an event, about ``name`` and
     ``sysid`` if it concerns one vehicle. Bounding their number is the owner's."""
 

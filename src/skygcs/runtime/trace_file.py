@@ -11,7 +11,7 @@ from typing import TextIO
 from skygcs.core.control.cascade import Memory
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.trace import TraceHead, TraceRow, TraceWriter
-from skygcs.core.vehicle.offboard_controller import Pilot, Tick
+from skygcs.core.vehicle.offboard_controller import OffboardController, Tick
 from skygcs.events import Event
 
 FLUSH_S = 1.0
@@ -55,8 +55,8 @@ class Recording:
     A disk that is full or gone ends the trace, is told once, and never touches control.
     """
 
-    def __init__(self, pilot: Pilot, directory: Path, on_event: Callable[[Event], None]) -> None:
-        self._pilot = pilot
+    def __init__(self, pilot: OffboardController, directory: Path, on_event: Callable[[Event], None]) -> None:
+        self._offboard = pilot
         self._directory = directory
         self._on_event = on_event
         self._wanted = False
@@ -71,7 +71,7 @@ class Recording:
         """From now on, also of what is flown later. The path of the file that is written, or was until now; None if
         there is none yet."""
         self._wanted = on
-        if on and self._pilot.active:
+        if on and self._offboard.active:
             self.begin()
         path = self.path
         if not on:
@@ -80,29 +80,29 @@ class Recording:
 
     def begin(self) -> None:
         """The pilot has begun. Without effect while nobody wants a trace, or one is written."""
-        if not self._wanted or self._file is not None or self._pilot.frame is None:
+        if not self._wanted or self._file is not None or self._offboard.frame is None:
             return
-        anchor = self._pilot.frame.origin
-        head = TraceHead(self._pilot.vehicle.name, anchor.lat_deg, anchor.lon_deg, anchor.alt_amsl_m)
+        anchor = self._offboard.frame.origin
+        head = TraceHead(self._offboard.vehicle.name, anchor.lat_deg, anchor.lon_deg, anchor.alt_amsl_m)
         try:
             self._file = TraceFile(self._directory, head)
         except OSError as error:
             self._give_up(error)
             return
-        self._pilot.tracing = True
+        self._offboard.tracing = True
 
     def write(self, tick: Tick) -> None:
         """What a tick carries for the trace, if it does."""
         if tick.row is None or self._file is None or tick.before is None or tick.after is None:
             return
         try:
-            self._file.write(tick.row, self._pilot.config.law, tick.before, tick.after)
+            self._file.write(tick.row, self._offboard.config.law, tick.before, tick.after)
         except OSError as error:
             self._give_up(error)
 
     def end(self) -> None:
         """The pilot has ended, or nobody wants the trace any more. Idempotent."""
-        file, self._file, self._pilot.tracing = self._file, None, False
+        file, self._file, self._offboard.tracing = self._file, None, False
         if file is not None:
             try:
                 file.close()
@@ -110,11 +110,11 @@ class Recording:
                 self._give_up(error)
 
     def _give_up(self, error: OSError) -> None:
-        file, self._file, self._pilot.tracing = self._file, None, False
+        file, self._file, self._offboard.tracing = self._file, None, False
         if file is not None:
             with contextlib.suppress(OSError):  # of what could not be written, which is told below
                 file.close()
-        vehicle = self._pilot.vehicle
+        vehicle = self._offboard.vehicle
         text = f"its control is traced no more: {error.strerror or error}"
         self._on_event(Event("warning", vehicle.name, vehicle.sysid, text, {}))
 

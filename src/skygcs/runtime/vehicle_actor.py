@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Unpack
 
-from skygcs.core.control.guard import Way
+from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
@@ -21,7 +21,7 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
 from skygcs.core.vehicle.frames import setpoint_from_world
-from skygcs.core.vehicle.geodetic_position import Place
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.stop import Action
 from skygcs.errors import RefusedError
@@ -95,7 +95,9 @@ class VehicleActor(LiveVehicle):
         except RefusedError as error:
             return self._orders.told("goto", Outcome.refused(str(error)))
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
-        return self._orders.told("goto", self.flight.fly_to(Place(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw))
+        return self._orders.told(
+            "goto", self.flight.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
+        )
 
     async def reboot(self, *, force: bool = False) -> Outcome:
         return await self._orders.run("reboot", lambda now: orders.reboot(self.vehicle, now, force=force))
@@ -137,7 +139,7 @@ class VehicleActor(LiveVehicle):
         """0 turns it off, None goes back to the vehicle's own rate. From then on the rate is the caller's to keep."""
         with contextlib.suppress(RefusedError):
             name = orders.find_message(self._dialect, message)[1]
-            self._upkeep.leave(name)
+            self._stream_requester.leave(name)
             self.planned.leave(name)
         return await self._orders.run(
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
@@ -145,7 +147,7 @@ class VehicleActor(LiveVehicle):
 
     def is_left(self, message: str) -> bool:
         """Whether skygcs does not see to the rate of this message (any more)."""
-        return self._upkeep.is_left(message)
+        return self._stream_requester.is_left(message)
 
     async def request_message(self, message: str | int) -> Outcome:
         """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
@@ -238,7 +240,7 @@ class VehicleActor(LiveVehicle):
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Fly it by setpoints: "position", "velocity" or "attitude"; "off": no more, and hold."""
         if mode != "off":
-            work = self.flight.engage(Way(mode), force=force)
+            work = self.flight.engage(ControlMode(mode), force=force)
             return await self._orders.carry("control", work)
         if not self.flight.pilot.active:
             self.flight.release("switched off")

@@ -34,7 +34,7 @@ from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_targets import is_altitude, is_position, up_of
 from skygcs.sim.requests import common_command
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import Home, SimVehicle
 
 FORCE = 21196
@@ -72,7 +72,7 @@ class CopterVehicle(SimVehicle):
         sysid: int,
         where: LocalFrame,
         *,
-        chance: Chance,
+        rng: Rng,
         now: float = 0.0,
         unix_us: int = 0,
         heading_deg: float = 0.0,
@@ -83,7 +83,7 @@ class CopterVehicle(SimVehicle):
             dialect,
             where,
             params=params,
-            chance=chance,
+            rng=rng,
             now=now,
             unix_us=unix_us,
             heading_deg=heading_deg,
@@ -253,7 +253,7 @@ class CopterVehicle(SimVehicle):
         self.taking_off = False
         self.velocity_target = False
         self.send_soon("HEARTBEAT")  # a mode change is told at once
-        motion = self.believed
+        motion = self.estimated
         if mode == CopterMode.LAND:
             speed = self.params["LAND_SPEED"] / 100
             self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
@@ -266,7 +266,7 @@ class CopterVehicle(SimVehicle):
 
     def fly_home(self) -> None:
         """Climb, go there, wait, and down as far as RTL_ALT_FINAL says."""
-        motion, home, p = self.believed, self.home or Home(*self.believed.pos_enu_m), self.params
+        motion, home, p = self.estimated, self.home or Home(*self.estimated.pos_enu_m), self.params
         up = max(motion.up_m, home.up_m + p["RTL_ALT"] / 100)
         legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up), GoTo(home.east_m, home.north_m, up)]
         legs.append(Wait(p["RTL_LOIT_TIME"] / 1000))
@@ -376,7 +376,7 @@ class CopterVehicle(SimVehicle):
         if not ready or not is_altitude(c.p7) or c.p7 <= self.height_m():
             return m.MAV_RESULT_FAILED
         home_up = self.home.up_m if self.home else 0.0
-        self.plan.fly(GoTo(self.believed.east_m, self.believed.north_m, home_up + c.p7))
+        self.plan.fly(GoTo(self.estimated.east_m, self.estimated.north_m, home_up + c.p7))
         self.taking_off = True
         return m.MAV_RESULT_ACCEPTED
 
@@ -418,7 +418,7 @@ class CopterVehicle(SimVehicle):
         if self.mode == CopterMode.GUIDED and isinstance(leg, GoTo):
             yaw = radians(c.p1)
             if c.p4 == 1.0:
-                yaw = self.believed.yaw_rad + (yaw if c.p3 >= 0 else -yaw)
+                yaw = self.estimated.yaw_rad + (yaw if c.p3 >= 0 else -yaw)
             self.plan.fly(GoTo(leg.east_m, leg.north_m, leg.up_m, yaw_rad=yaw))
         return m.MAV_RESULT_ACCEPTED
 

@@ -114,7 +114,7 @@ def _breach(v: CopterVehicle, east_m: float, north_m: float, up_m: float) -> str
 def _watch_fence(v: CopterVehicle, now: float) -> None:
     """It knows of a breach on the ground, too; it acts on it only with the motors on, and there by switching them
     off."""
-    here = v.believed
+    here = v.estimated
     breach = _breach(v, *here.pos_enu_m)
     tell_breach(v, breach)
     if not v.failsafes.fence.check(breach != "" and v.armed, now):

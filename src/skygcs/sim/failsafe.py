@@ -17,7 +17,7 @@ GPS_FAILSAFE_S = 5.0
 """In the air without GPS for longer than this: the estimate has drifted too far to go on."""
 
 
-class Alarm:
+class ConditionTimer:
     """One condition and since when it holds."""
 
     __slots__ = ("_since", "raised", "raised_at")
@@ -49,12 +49,12 @@ class Failsafes:
     __slots__ = ("battery_critical", "battery_emergency", "battery_low", "fence", "gcs", "gcs_heard_at", "position")
 
     def __init__(self) -> None:
-        self.position = Alarm()
-        self.battery_low = Alarm()
-        self.battery_critical = Alarm()
-        self.battery_emergency = Alarm()
-        self.gcs = Alarm()
-        self.fence = Alarm()
+        self.position = ConditionTimer()
+        self.battery_low = ConditionTimer()
+        self.battery_critical = ConditionTimer()
+        self.battery_emergency = ConditionTimer()
+        self.gcs = ConditionTimer()
+        self.fence = ConditionTimer()
         self.gcs_heard_at: float | None = None
         """None: never; who has never had a ground station does not miss it."""
 

@@ -23,7 +23,7 @@ def step(v: SimVehicle, now: float, dt_s: float) -> None:
         v.battery.step(dt_s, flying=False)
         v.sensors.step()
         return
-    setpoint, limits = v.plan.step(v.believed, v.limits(), now)
+    setpoint, limits = v.plan.step(v.estimated, v.limits(), now)
     lifts = v.armed and setpoint is not None and now - v.armed_at >= v.spool_up_s
     if v.landed and v.plan.landing:
         lifts = False
@@ -55,7 +55,7 @@ def _watch_ground(v: SimVehicle, now: float) -> None:
 
 def _as_flown(v: SimVehicle, setpoint: Setpoint | AttitudeSetpoint | None) -> Setpoint | AttitudeSetpoint | None:
     """The setpoint towards where the vehicle, wrong about where it is, takes the target to be."""
-    if v.believed is v.motion or not isinstance(setpoint, Setpoint):
+    if v.estimated is v.motion or not isinstance(setpoint, Setpoint):
         return setpoint
     east, north, up = setpoint.pos_enu_m
     off_e, off_n, off_u = v.sensors.error_enu_m

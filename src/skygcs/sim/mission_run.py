@@ -173,7 +173,7 @@ class MissionRun(ABC):
         return seq + 1
 
     def _fly(self, v: SimVehicle, item: MissionItem, now: float) -> None:
-        here = v.believed
+        here = v.estimated
         place = item.position
         east, north = (here.east_m, here.north_m) if place is None else v.where.to_local(*place)
         up = None if item.z is None else up_of(v, item.frame, item.z)

@@ -69,7 +69,7 @@ def setpoint_of(v: SimVehicle, name: str, fields: dict[str, Any], *, any_bit: bo
         return None
     yaw = None if mask & m.POSITION_TARGET_TYPEMASK_YAW_IGNORE else float(fields["yaw"])
     if yaw is not None and frame in BODY_FRAMES:
-        yaw += v.believed.yaw_rad
+        yaw += v.estimated.yaw_rad
     turn = 0.0 if mask & m.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE else float(fields["yaw_rate"])
     return Setpoint(
         (None if ignored_xy else east, None if ignored_xy else north, None if ignored_z else up),
@@ -95,7 +95,7 @@ def _local_position(v: SimVehicle, fields: dict[str, Any], frame: int) -> tuple[
     if frame == m.MAV_FRAME_LOCAL_NED:
         zero = v.local_origin
         return zero.east_m + y, zero.north_m + x, zero.up_m - z
-    motion = v.believed
+    motion = v.estimated
     if frame in BODY_FRAMES:
         x, y = _to_north_east(v, x, y)
     elif frame != m.MAV_FRAME_LOCAL_OFFSET_NED:
@@ -120,5 +120,5 @@ def _velocity(
 
 
 def _to_north_east(v: SimVehicle, forward: float, right: float) -> tuple[float, float]:
-    yaw = v.believed.yaw_rad
+    yaw = v.estimated.yaw_rad
     return forward * cos(yaw) - right * sin(yaw), forward * sin(yaw) + right * cos(yaw)

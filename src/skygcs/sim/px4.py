@@ -27,7 +27,7 @@ from skygcs.sim.px4_lists import Px4Lists
 from skygcs.sim.px4_mission import Px4Run
 from skygcs.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_params, wanted_mode
 from skygcs.sim.requests import common_command
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import Home, SimVehicle
 
 FORCE = 21196
@@ -57,7 +57,7 @@ class Px4Vehicle(SimVehicle):
         sysid: int,
         where: LocalFrame,
         *,
-        chance: Chance,
+        rng: Rng,
         now: float = 0.0,
         unix_us: int = 0,
         heading_deg: float = 0.0,
@@ -68,7 +68,7 @@ class Px4Vehicle(SimVehicle):
             dialect,
             where,
             params=params,
-            chance=chance,
+            rng=rng,
             now=now,
             unix_us=unix_us,
             heading_deg=heading_deg,
@@ -242,7 +242,7 @@ class Px4Vehicle(SimVehicle):
         if self.mode == Px4Mode.MISSION:
             self.run.leave()
         self._set_mode(mode)
-        motion = self.believed
+        motion = self.estimated
         if mode == Px4Mode.TAKEOFF:
             home_up = self.home.up_m if self.home else motion.up_m
             self._take_off_to(home_up + self.params["MIS_TAKEOFF_ALT"], None)
@@ -263,7 +263,7 @@ class Px4Vehicle(SimVehicle):
         self.taking_off = False
 
     def _take_off_to(self, up_m: float, goal: tuple[float, float] | None) -> None:
-        motion = self.believed
+        motion = self.estimated
         if up_m <= motion.up_m + 0.1:
             self.say_event(m.MAV_SEVERITY_CRITICAL, "Already higher than takeoff altitude")
             up_m = motion.up_m
@@ -276,7 +276,7 @@ class Px4Vehicle(SimVehicle):
     def _return(self) -> None:
         if self.landed or self.home is None:
             return
-        motion, home, p = self.believed, self.home, self.params
+        motion, home, p = self.estimated, self.home, self.params
         near = motion.distance_m(home.east_m, home.north_m, motion.up_m) < RTL_NEAR_M
         return_up = home.up_m + (p["RTL_DESCEND_ALT"] if near else p["RTL_RETURN_ALT"])
         up = max(motion.up_m, return_up)
@@ -400,7 +400,7 @@ class Px4Vehicle(SimVehicle):
         if self.mode == Px4Mode.LOITER and not any(map(isfinite, (c.p4, c.lat_deg, c.lon_deg, c.p7))):
             self.hold_here()  # "pause vehicle"
         elif self.mode == Px4Mode.LOITER and not self.landed:
-            motion = self.believed
+            motion = self.estimated
             east, north = motion.east_m, motion.north_m
             if is_position(c.lat_deg, c.lon_deg):
                 east, north = self.where.to_local(c.lat_deg, c.lon_deg)

@@ -75,7 +75,7 @@ def watch(v: Px4Vehicle, now: float) -> None:
     _watch_battery(v, now)
     if alarms.gcs_lost(now, p["COM_DL_LOSS_T"]):
         _act_if(v, DATA_LINK_LOSS.get(int(p["NAV_DLL_ACT"])), "GCS lost", now)
-    here = v.believed
+    here = v.estimated
     breach = outside(v, *here.pos_enu_m, radius_m=p["GF_MAX_HOR_DIST"], height_m=p["GF_MAX_VER_DIST"])
     if not breach and not within(v.lists.fence, v.where, here.east_m, here.north_m, every=False):
         breach = "polygon"

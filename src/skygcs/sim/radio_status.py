@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 
 RADIO_SYSID = 51
 RADIO_COMPID = 68
@@ -18,9 +18,9 @@ HEARTBEAT_TIMEOUT_S = 5.0
 class SimRadio:
     """Reports at 1 Hz while heartbeats of a ground station go through."""
 
-    def __init__(self, dialect: Dialect, chance: Chance) -> None:
+    def __init__(self, dialect: Dialect, rng: Rng) -> None:
         self._info = dialect.by_name["RADIO_STATUS"]
-        self._chance = chance
+        self._rng = rng
         self._heard_at = -1e9
         self._next_at = 0.0
         self._seq = 0
@@ -37,11 +37,11 @@ class SimRadio:
             return []
         self._next_at = max(self._next_at + REPORT_EVERY_S, now)
         fields = {
-            "rssi": 190 + round(self._chance.spread(6)),
-            "remrssi": 186 + round(self._chance.spread(6)),
+            "rssi": 190 + round(self._rng.spread(6)),
+            "remrssi": 186 + round(self._rng.spread(6)),
             "txbuf": 100,
-            "noise": 60 + round(self._chance.spread(4)),
-            "remnoise": 58 + round(self._chance.spread(4)),
+            "noise": 60 + round(self._rng.spread(4)),
+            "remnoise": 58 + round(self._rng.spread(4)),
         }
         raw = encode(self._info, fields, sysid=RADIO_SYSID, compid=RADIO_COMPID, seq=self._seq)
         self._seq = (self._seq + 1) & 0xFF

@@ -7,7 +7,7 @@ from math import cos, log, sqrt, tau
 _MASK = 0xFFFFFFFFFFFFFFFF
 
 
-class Chance:
+class Rng:
     """xorshift64* (Vigna 2014, "An experimental exploration of Marsaglia's xorshift generators")."""
 
     __slots__ = ("_state",)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 
 NEVER = float("inf")
 
@@ -12,17 +12,17 @@ NEVER = float("inf")
 class Streams:
     """Intervals per message name. A message never asked for and without a default is not sent.
 
-    ``chance`` gives each message its own phase, so that neither the messages of one vehicle nor those of a fleet
+    ``rng`` gives each message its own phase, so that neither the messages of one vehicle nor those of a fleet
     powered at once come in one burst.
     """
 
-    def __init__(self, known: Iterable[str], defaults: Mapping[str, float], chance: Chance, now: float) -> None:
+    def __init__(self, known: Iterable[str], defaults: Mapping[str, float], rng: Rng, now: float) -> None:
         self._known = frozenset(known)
         self._defaults: dict[str, float] = {}
         self._interval: dict[str, float] = {}
         self._next: dict[str, float] = {}
         self._soonest = NEVER
-        self._chance = chance
+        self._rng = rng
         self.slowdown_s = 0.0
         """Added to every interval but the heartbeat's: what a full radio does to ArduPilot's streams."""
         self.rate_factor = 1.0
@@ -48,7 +48,7 @@ class Streams:
         if interval == NEVER:
             self._next.pop(name, None)
         else:
-            self._next[name] = now + interval * self._chance.fraction()
+            self._next[name] = now + interval * self._rng.fraction()
         self._soonest = min(self._next.values(), default=NEVER)
         return True
 

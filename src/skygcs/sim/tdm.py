@@ -29,7 +29,7 @@ from skygcs.core.radio_link.capacity import (
     slot_s,
 )
 from skygcs.sim.radio_status import HEARTBEAT_TIMEOUT_S, RADIO_COMPID, RADIO_SYSID, REPORT_EVERY_S
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 
 TX_BUFFER_BYTES = 1850
 RX_BUFFER_BYTES = 645
@@ -146,10 +146,10 @@ class TdmNetwork:
     Frames of the ground reach every node, those of a vehicle the ground only: its node's destination is the master.
     """
 
-    def __init__(self, config: TdmConfig, dialect: Dialect, chance: Chance, now: float = 0.0) -> None:
+    def __init__(self, config: TdmConfig, dialect: Dialect, rng: Rng, now: float = 0.0) -> None:
         self.config = config
         self._report = dialect.by_name["RADIO_STATUS"]
-        self._chance = chance
+        self._rng = rng
         self._nodes = [_Node(_Serial(config.baud), _Serial(config.baud)) for _ in range(config.nodes)]
         ids = config.node_ids or tuple(range(config.nodes))
         self._slots: list[list[int]] = [[n for n, i in enumerate(ids) if i == slot] for slot in range(config.nodes)]
@@ -265,12 +265,12 @@ class TdmNetwork:
             if now < node.faded_until:
                 return True
             good_s = config.burst_s * (1 - config.burst_loss) / config.burst_loss
-            if self._chance.happens(min(1.0, config.round_s / good_s)):
-                node.faded_until = now + config.burst_s * 2 * self._chance.fraction()
+            if self._rng.happens(min(1.0, config.round_s / good_s)):
+                node.faded_until = now + config.burst_s * 2 * self._rng.fraction()
                 return True
         margin = self.rssi(vehicle_node) - NOISE
         weak = 0.0 if margin >= LOST_BELOW else 1 - max(0.0, margin) / LOST_BELOW
-        return self._chance.happens(min(1.0, config.loss + weak))
+        return self._rng.happens(min(1.0, config.loss + weak))
 
     def rssi(self, vehicle_node: int) -> float:
         """Between the ground and this node, before chance."""
@@ -284,13 +284,13 @@ class TdmNetwork:
             return
         node.next_report = max(node.next_report + REPORT_EVERY_S, now)
         peer = number or 1 + node.seq % (self.config.nodes - 1)  # of whom nothing tells: the one heard last
-        signal = round(self.rssi(peer) + self._chance.spread(4))
+        signal = round(self.rssi(peer) + self._rng.spread(4))
         fields = {
             "rssi": min(254, max(0, signal)),
-            "remrssi": min(254, max(0, signal + round(self._chance.spread(4)))),
+            "remrssi": min(254, max(0, signal + round(self._rng.spread(4)))),
             "txbuf": self.txbuf_percent(number),
-            "noise": NOISE + round(self._chance.spread(4)),
-            "remnoise": NOISE + round(self._chance.spread(4)),
+            "noise": NOISE + round(self._rng.spread(4)),
+            "remnoise": NOISE + round(self._rng.spread(4)),
             "rxerrors": node.stats.output_overflow_bytes & 0xFFFF,
             "fixed": 0,
         }

@@ -99,8 +99,8 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
     fix_type = v.rtk.fix_type(now)
     fixed = fix_type == m.GPS_FIX_TYPE_RTK_FIXED
     error_m = 0.02 if fixed else 0.4
-    lat, lon = v.where.to_geodetic(motion.east_m + v.chance.spread(error_m), motion.north_m + v.chance.spread(error_m))
-    alt_mm = round((v.where.alt_amsl_m + motion.up_m + v.chance.spread(1.25 * error_m)) * 1000)
+    lat, lon = v.where.to_geodetic(motion.east_m + v.rng.spread(error_m), motion.north_m + v.rng.spread(error_m))
+    alt_mm = round((v.where.alt_amsl_m + motion.up_m + v.rng.spread(1.25 * error_m)) * 1000)
     return {
         "time_usec": v.boot_ms * 1000,
         "fix_type": fix_type,

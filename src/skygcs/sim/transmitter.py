@@ -10,7 +10,7 @@ from skygcs.core.mavlink.frame import encode_payload
 from skygcs.sim import protocol as m
 from skygcs.sim.faults import Faults
 from skygcs.sim.onboard_signing import BoardSigning
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 
 TEXT_BYTES = 50
 """STATUSTEXT.text; longer ones are sent in chunks."""
@@ -19,10 +19,10 @@ TEXT_BYTES = 50
 class Transmitter:
     """Collects the frames of one vehicle until `take`."""
 
-    def __init__(self, dialect: Dialect, chance: Chance, faults: Faults, signing: BoardSigning) -> None:
+    def __init__(self, dialect: Dialect, rng: Rng, faults: Faults, signing: BoardSigning) -> None:
         self.sysid = 0
         self._dialect = dialect
-        self._chance = chance
+        self._rng = rng
         self._faults = faults
         self._signing = signing
         self._out: list[bytes] = []
@@ -49,7 +49,7 @@ class Transmitter:
             self._out.append(self._signing.signed(raw, info))
 
     def acknowledge(self, command: int, result: int, target: tuple[int, int], progress: int = 0) -> None:
-        if self._chance.happens(self._faults.ack_loss):
+        if self._rng.happens(self._faults.ack_loss):
             return
         fields = {"command": command, "result": result, "progress": progress}
         self.send("COMMAND_ACK", {**fields, "target_system": target[0], "target_component": target[1]})

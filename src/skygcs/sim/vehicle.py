@@ -29,7 +29,7 @@ from skygcs.sim.mission_lists import MissionLists
 from skygcs.sim.mission_run import MissionRun
 from skygcs.sim.onboard_signing import BoardSigning
 from skygcs.sim.param_table import Param, Params
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.rtk import RtkReceiver
 from skygcs.sim.sensors import Sensors
 from skygcs.sim.stream_schedule import Streams
@@ -101,7 +101,7 @@ class SimVehicle(ABC):
         where: LocalFrame,
         *,
         params: Params,
-        chance: Chance,
+        rng: Rng,
         now: float = 0.0,
         unix_us: int = 0,
         heading_deg: float = 0.0,
@@ -111,12 +111,12 @@ class SimVehicle(ABC):
         self.compid: Final = m.MAV_COMP_ID_AUTOPILOT1
         self.where = where
         self.params = params
-        self.chance = chance
+        self.rng = rng
         self.faults = Faults()
         self.signing = BoardSigning()
-        self.tx = Transmitter(dialect, chance, self.faults, self.signing)
-        self.motion = body_of(conditions, radians(heading_deg), chance.seed())
-        self.sensors = Sensors(self.motion, conditions, TICK_S, chance.seed())
+        self.tx = Transmitter(dialect, rng, self.faults, self.signing)
+        self.motion = body_of(conditions, radians(heading_deg), rng.seed())
+        self.sensors = Sensors(self.motion, conditions, TICK_S, rng.seed())
         self.battery = Battery()
         self.plan = Plan()
         self.lists, self.run = self.make_lists()
@@ -284,9 +284,9 @@ class SimVehicle(ABC):
     # -- state others read
 
     @property
-    def believed(self) -> Body:
+    def estimated(self) -> Body:
         """Where the autopilot takes itself to be; ``motion`` is where it is."""
-        return self.sensors.believed
+        return self.sensors.estimated
 
     @property
     def told(self) -> Body:
@@ -356,13 +356,13 @@ class SimVehicle(ABC):
         if self.landed:
             self.plan.fly()
             return
-        body = self.believed
+        body = self.estimated
         slide_s = 0.5 * body.groundspeed_mps / self.limits().accel_mps2
         self.plan.fly(GoTo(body.east_m + body.vel_e_mps * slide_s, body.north_m + body.vel_n_mps * slide_s, body.up_m))
 
     def set_home_here(self) -> None:
         if self.position_ok:
-            self.set_home(Home(*self.believed.pos_enu_m))
+            self.set_home(Home(*self.estimated.pos_enu_m))
 
     def set_home(self, home: Home) -> None:
         self.home = home
@@ -390,7 +390,7 @@ class SimVehicle(ABC):
         self.tx.restart(self.sysid)
         self._requested: list[str] = []
         self._later: list[tuple[float, Callable[[], None]]] = []
-        self._ready_s = self.ready_after_s * (1 + self.chance.spread(0.2))
+        self._ready_s = self.ready_after_s * (1 + self.rng.spread(0.2))
         self._was_ready = False
         self.failsafes = Failsafes()
         self.fence_breach = m.FENCE_BREACH_NONE
@@ -410,7 +410,7 @@ class SimVehicle(ABC):
         self.param_queue: list[int] = []
         self.builders = telemetry.builders_of(self.autopilot)
         self.streams = Streams(
-            (n for n in self.builders if n in self.dialect.by_name), self.default_rates_hz, self.chance, now
+            (n for n in self.builders if n in self.dialect.by_name), self.default_rates_hz, self.rng, now
         )
         self.rtk = RtkReceiver(whole_messages=self.autopilot != m.MAV_AUTOPILOT_PX4)
         self.plan.fly()

@@ -12,7 +12,7 @@ from skygcs.sim.conditions import CALM, Conditions
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.param_set import ParamSet
 from skygcs.sim.px4 import Px4Vehicle
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import SimVehicle
 
 SPACING_M = 5.0
@@ -70,7 +70,7 @@ def make_vehicles(
             dialect,
             first_sysid + i,
             LocalFrame(lat, lon, home.alt_amsl_m),
-            chance=Chance(seed * 1000 + i),
+            rng=Rng(seed * 1000 + i),
             now=now,
             unix_us=unix_us,
             heading_deg=heading_deg,

@@ -13,7 +13,7 @@ from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import Folded, fold_battery, fold_gps, fold_local, fold_position
+from skygcs.core.vehicle.decoding import TelemetryGroup, fold_battery, fold_gps, fold_local, fold_position
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.tlog.curves import MOST_SPANS, Curve, LossCurve, Track
 from skygcs.tlog.flight_table import VehicleKey
@@ -30,7 +30,7 @@ MOST_VEHICLES = 255
 """As many as there are system ids; a log with more is an attack."""
 
 GLOBAL = ("GLOBAL_POSITION_INT", "GPS_RAW_INT")
-FOLDED = ("GLOBAL_POSITION_INT", "GPS_RAW_INT", "LOCAL_POSITION_NED", "SYS_STATUS", "BATTERY_STATUS", "STATUSTEXT")
+DECODED = ("GLOBAL_POSITION_INT", "GPS_RAW_INT", "LOCAL_POSITION_NED", "SYS_STATUS", "BATTERY_STATUS", "STATUSTEXT")
 
 
 @dataclass(slots=True)
@@ -109,7 +109,7 @@ class Flight:
         self._stamped = False
         """Whether frames have times of their own. The clocks of their senders stand still between what tells them."""
         self._decoder = Decoder(dialect)
-        self._names = {self._decoder.msgid_of(name): name for name in FOLDED}
+        self._names = {self._decoder.msgid_of(name): name for name in DECODED}
         self._names.pop(-1, None)
         self._types = dialect.enums.get("MAV_TYPE", {})
         self._frame = EnuFrame(origin) if origin is not None else None
@@ -251,7 +251,7 @@ class Flight:
                 if not folding.height_told:
                     vehicle.altitude.add(now, up)
 
-    def _on_place(self, vehicle: VehicleFlight, name: str, place: Folded | None, now: float) -> None:
+    def _on_place(self, vehicle: VehicleFlight, name: str, place: TelemetryGroup | None, now: float) -> None:
         if place is None or place["lat_deg"] is None or not math.isfinite(place["alt_amsl_m"]):
             return
         if self._frame is None:
@@ -290,7 +290,7 @@ class _Folding:
         """By GLOBAL_POSITION_INT, above home."""
 
 
-def _add(curve: Curve, now: float, folded: Folded | None, name: str) -> None:
-    value = None if folded is None else folded[name]
+def _add(curve: Curve, now: float, group_values: TelemetryGroup | None, name: str) -> None:
+    value = None if group_values is None else group_values[name]
     if value is not None:
         curve.add(now, value)

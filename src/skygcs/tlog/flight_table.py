@@ -9,7 +9,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatChecks
 from skygcs.core.mavlink.modes import mode_name
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import Folded, fold_attitude, fold_position
+from skygcs.core.vehicle.decoding import TelemetryGroup, fold_attitude, fold_position
 from skygcs.tlog.columns import NUMBER, TEXT, TIME, Kind
 from skygcs.tlog.reading import Entry
 
@@ -81,9 +81,9 @@ class _Newest:
 
     def __init__(self) -> None:
         self.mode = ""
-        self.position: Folded | None = None
+        self.position: TelemetryGroup | None = None
         self.position_s = 0.0
-        self.attitude: Folded | None = None
+        self.attitude: TelemetryGroup | None = None
         self.attitude_s = 0.0
 
     def cells(self, now: float) -> list[Any]:

@@ -14,7 +14,7 @@ from bench.control.wire import BEAR_ALL, Flown, WiredPilot
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control import ControlConfig
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z
-from skygcs.core.control.guard import GuardConfig, Way
+from skygcs.core.control.guard import ControlMode, GuardConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.quad import F450, IDEAL
@@ -228,7 +228,9 @@ def over_the_wire(dialect: Dialect) -> Section:
     section.data = []
     for name, frame, delays_s in (("at once", IDEAL, (0.0, 0.1, 0.2, 0.3)), ("F450", F450, (0.0, 0.1))):
         for delay_s in delays_s:
-            flown = WiredPilot(dialect, Conditions(airframe=frame), delay_s, BEAR_ALL).fly_step(Way.ATTITUDE, 3.0, 30.0)
+            flown = WiredPilot(dialect, Conditions(airframe=frame), delay_s, BEAR_ALL).fly_step(
+                ControlMode.ATTITUDE, 3.0, 30.0
+            )
             wire = _figures(flown.track_m, 3.0, ControlConfig().period_s)
             alone = _step(Flight(frame, delay_s=delay_s, supply_v=flown.supply_v), EAST, 3.0)
             cells = (name, f"{delay_s:g}", _seconds(flown.delay_s, 3), _cell(wire), _cell(alone))
@@ -236,7 +238,10 @@ def over_the_wire(dialect: Dialect) -> Section:
             section.data.append(
                 {"airframe": name, "delay_s": delay_s, "measured_p95_s": flown.delay_s, "wire": wire, "alone": alone}
             )
-            if abs(wire["overshoot_percent"] - alone["overshoot_percent"]) > ROUNDING or flown.way is not Way.ATTITUDE:
+            if (
+                abs(wire["overshoot_percent"] - alone["overshoot_percent"]) > ROUNDING
+                or flown.way is not ControlMode.ATTITUDE
+            ):
                 section.missed.append(
                     f"over the wire, {name} at {delay_s} s: {wire} by {flown.way}, the law alone: {alone}"
                 )
@@ -250,14 +255,14 @@ def over_the_wire(dialect: Dialect) -> Section:
 def guarded(dialect: Dialect) -> Section:
     """At 0.3 s the guard takes attitude away, and velocity settles."""
     section = Section("guard", "3 m east ordered as attitude with 0.3 s of round trip, the guard as it is by default")
-    flown: Flown = WiredPilot(dialect, Conditions(), 0.3, GuardConfig()).fly_step(Way.ATTITUDE, 3.0, 30.0)
+    flown: Flown = WiredPilot(dialect, Conditions(), 0.3, GuardConfig()).fly_step(ControlMode.ATTITUDE, 3.0, 30.0)
     figures = _figures(flown.track_m, 3.0, ControlConfig().period_s)
     section.data = {"way": flown.way, "events": flown.events, **figures}
     section.remarks = [
         *flown.events,
         f"{figures['overshoot_percent']:.1f} % over, within 5 % after {_seconds(figures['settling_s'])} s",
     ]
-    if flown.way is not Way.VELOCITY or figures["settling_s"] is None:
+    if flown.way is not ControlMode.VELOCITY or figures["settling_s"] is None:
         section.missed.append(f"at 0.3 s: flown by {flown.way}, settled after {figures['settling_s']} s")
     return section
 

@@ -59,7 +59,7 @@ class StandIn:
         self._say("GLOBAL_POSITION_INT", {**position, "relative_alt": height_mm, "vx": self._states % 3})
         self._say("ATTITUDE", {"time_boot_ms": boot_ms, "roll": 0.01 * (self._states % 5), "yaw": 0.5})
         if self._states % SLOW_EVERY == 0:
-            self._beat()
+            self._heartbeat_task()
             self._say("EXTENDED_SYS_STATE", {"landed_state": IN_AIR})
             fix = {"fix_type": FIX_3D, "lat": self._lat, "lon": self._lon, "alt": alt_mm, "satellites_visible": 12}
             self._say("GPS_RAW_INT", fix)
@@ -87,9 +87,9 @@ class StandIn:
         if told["command"] == SET_MODE:
             self._mode = int(told["param2"]) << 16 | int(told["param3"]) << 24
         self._say("COMMAND_ACK", {"command": told["command"], "result": 0})
-        self._beat()
+        self._heartbeat_task()
 
-    def _beat(self) -> None:
+    def _heartbeat_task(self) -> None:
         mode = {"base_mode": ARMED_CUSTOM, "custom_mode": self._mode, "system_status": ACTIVE, "mavlink_version": 3}
         self._say("HEARTBEAT", {"type": MULTIROTOR, "autopilot": PX4, **mode})
 

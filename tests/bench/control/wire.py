@@ -13,19 +13,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from skygcs.core.control import ControlConfig
-from skygcs.core.control.guard import GuardConfig, Way
+from skygcs.core.control.guard import ControlMode, GuardConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.vehicle.geodetic_position import Place
-from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_entry import guided_mode
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.quad import Quad
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 
 FIELD = LocalFrame(43.7806, -79.4653, 180.0)
 OWN = (255, 190)
@@ -49,7 +49,7 @@ class Flown:
 
     track_m: list[float]
     """East, from the start, at every tick, as it truly was."""
-    way: Way | None
+    way: ControlMode | None
     delay_s: float | None
     supply_v: float
     """Of its battery when the step began."""
@@ -61,9 +61,9 @@ class WiredPilot:
 
     def __init__(self, dialect: Dialect, conditions: Conditions, delay_s: float, guard: GuardConfig) -> None:
         self.now = 0.0
-        self.sim = Px4Vehicle(dialect, 1, FIELD, chance=Chance(1), conditions=conditions)
+        self.sim = Px4Vehicle(dialect, 1, FIELD, rng=Rng(1), conditions=conditions)
         self.vehicle = Vehicle(1, 1, dialect)
-        self.pilot = Pilot(self.vehicle, PilotConfig(ControlConfig(), guard))
+        self.pilot = OffboardController(self.vehicle, OffboardConfig(ControlConfig(), guard))
         self.events: list[str] = []
         self._dialect = dialect
         self._one_way_s = delay_s / 2
@@ -73,7 +73,7 @@ class WiredPilot:
         self._seq = 0
         self._steps = 0
 
-    def fly_step(self, way: Way, east_m: float, seconds: float) -> Flown:
+    def fly_step(self, way: ControlMode, east_m: float, seconds: float) -> Flown:
         """Take off, take over, come to rest, then a step to the east."""
         self._until(lambda: self.sim.position_ok)
         self.command(TAKEOFF, p7=FIELD.alt_amsl_m + 10.0, p5=math.nan, p6=math.nan)
@@ -87,10 +87,10 @@ class WiredPilot:
         self._until(lambda: self.vehicle.custom_mode == guided_mode(self.vehicle))
         self.pilot.entered()
         self.run(10.0)
-        assert self.pilot.state is PilotState.FLYING and self.pilot.frame is not None, self.events
+        assert self.pilot.state is OffboardState.FLYING and self.pilot.frame is not None, self.events
         x, y, z = self.pilot.reference.pos_enu_m if self.pilot.reference else (0.0, 0.0, 0.0)
         start_m, supply_v = self.sim.motion.east_m, _supply_v(self.sim)
-        self.pilot.fly_to(Place(*self.pilot.frame.to_geodetic(x + east_m, y, z)), None)
+        self.pilot.fly_to(GeodeticPosition(*self.pilot.frame.to_geodetic(x + east_m, y, z)), None)
         track = self.run(seconds)
         return Flown([e - start_m for e in track], self.pilot.way, self.pilot.delay_p95_s, supply_v, self.events)
 

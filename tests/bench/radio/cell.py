@@ -148,7 +148,7 @@ class _Cell:
             "radio": {"air_kbps": air_kbps, "loss": PACKET_LOSS},
         }
         if skygcs:  # nobody is slowed down: what others send fills whatever is left
-            link["foreign"] = {"bytes_per_s": 100_000, "rates": {"PARAM_REQUEST_READ": 1000}}
+            link["third_party"] = {"bytes_per_s": 100_000, "rates": {"PARAM_REQUEST_READ": 1000}}
         table = {
             "daemon": {"socket": folder / "s", "log_dir": folder / "logs", "record": False},
             "links": {"air": link},
@@ -201,7 +201,7 @@ class _Cell:
         if event["kind"] == "vehicle_discovered":
             info = self.daemon.dialect.by_name["PARAM_REQUEST_LIST"]
             values = {"target_system": event["sysid"], "target_component": 1}
-            self.daemon.hub.send(info, values, event["sysid"], 1, Priority.EXCHANGE)
+            self.daemon.hub.send(info, values, event["sysid"], 1, Priority.PROTOCOL)
 
     def _ages(self) -> list[float]:
         """Of what is known of where each vehicle is: since the vehicle measured it."""

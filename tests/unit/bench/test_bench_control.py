@@ -15,7 +15,7 @@ from bench.control.wire import BEAR_ALL, WiredPilot
 from skygcs.config.dialects import load_dialect
 from skygcs.core.control.analysis import Loop, margins
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z
-from skygcs.core.control.guard import GuardConfig, Way
+from skygcs.core.control.guard import ControlMode, GuardConfig
 from skygcs.sim.conditions import Conditions
 from skygcs.sim.quad import F450, IDEAL
 
@@ -141,9 +141,9 @@ def test_a_fuller_battery_begins_in_balance() -> None:
 
 def test_over_the_wire_it_is_the_same_step() -> None:
     dialect = load_dialect(["ardupilotmega", "px4-extras"])
-    flown = WiredPilot(dialect, Conditions(airframe=IDEAL), 0.1, BEAR_ALL).fly_step(Way.ATTITUDE, 3.0, 8.0)
+    flown = WiredPilot(dialect, Conditions(airframe=IDEAL), 0.1, BEAR_ALL).fly_step(ControlMode.ATTITUDE, 3.0, 8.0)
     alone = axis(fly(Flight(IDEAL, delay_s=0.1, seconds=8.0)), EAST)
-    assert flown.way is Way.ATTITUDE
+    assert flown.way is ControlMode.ATTITUDE
     # there the new reference is in the loop's middle, half of the delay before it works: 0.05 s, two ticks and a half
     assert max(abs(a - b) for a, b in zip(flown.track_m, alone[2:], strict=False)) < 0.08
     assert overshoot_percent(flown.track_m, 3.0) == pytest.approx(overshoot_percent(alone, 3.0), abs=0.5)
@@ -151,8 +151,8 @@ def test_over_the_wire_it_is_the_same_step() -> None:
 
 def test_at_three_tenths_the_guard_takes_attitude_away_and_velocity_settles() -> None:
     dialect = load_dialect(["ardupilotmega", "px4-extras"])
-    flown = WiredPilot(dialect, Conditions(), 0.3, GuardConfig()).fly_step(Way.ATTITUDE, 3.0, 10.0)
-    assert flown.way is Way.VELOCITY
+    flown = WiredPilot(dialect, Conditions(), 0.3, GuardConfig()).fly_step(ControlMode.ATTITUDE, 3.0, 10.0)
+    assert flown.way is ControlMode.VELOCITY
     assert any("limit for attitude" in text for text in flown.events)
     assert settling_s(flown.track_m, 3.0, 0.02) is not None
 

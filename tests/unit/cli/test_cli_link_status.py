@@ -99,7 +99,7 @@ def test_it_shows_who_else_sends_what_became_of_it_and_what_waits() -> None:
         {"source": "255/190", "age_s": 61.0, "waiting": 3, "sent": 264, "sent_bytes": 7497, "counts": counts}
     )
     lists = {"rule": "one", "running": {"sysid": 2, "seen": 34, "count": 900, "age_s": 5.0}, "waiting": [3, 4]}
-    busy["up"]["foreign"] = {"bytes_per_s": 248.7, "param_lists": lists, "sources": sources}
+    busy["up"]["third_party"] = {"bytes_per_s": 248.7, "param_lists": lists, "sources": sources}
     busy["up"]["corrections"] = {"source": 255 << 8 | 190, "bytes_per_s": 199.0, "messages": 15, "bytes": 11460}
     busy["up"]["corrections"] |= {"replaced": 45, "expired": 0, "dropped": 1, "wait_p95_s": 0.9}
     text = shown([busy])

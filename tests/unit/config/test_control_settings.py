@@ -25,7 +25,7 @@ from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import UTIAS_XY, UTIAS_Z, ControlConfig
 from skygcs.core.control.guard import GuardConfig
 from skygcs.core.geo import Origin
-from skygcs.core.vehicle.offboard_controller import PilotConfig
+from skygcs.core.vehicle.offboard_controller import OffboardConfig
 from skygcs.errors import ConfigError
 
 HERE = Origin(47.4, 8.5, 488.0)
@@ -42,7 +42,7 @@ def test_what_nobody_says_has_the_defaults_of_the_law_the_guard_and_the_fence() 
     settings = ControlSettings()
     assert settings.law() == ControlConfig() and settings.guard() == GuardConfig()
     assert settings.fence_at(HERE) == Fence(HERE) and settings.problems() == []
-    pilot = PilotConfig(settings.law(), settings.guard())
+    pilot = OffboardConfig(settings.law(), settings.guard())
     assert (pilot.attitude_hz, pilot.rate_min_hz) == (ATTITUDE_HZ, ATTITUDE_MIN_HZ)
     assert (pilot.velocity_hz, pilot.position_hz) == (VELOCITY_HZ, POSITION_HZ)
 

@@ -34,7 +34,7 @@ def test_the_keys_of_a_serial_link_are_the_rates_of_its_radio() -> None:
         SERIAL,
         SIMULATED + "radio = { nodes = 5, distances_m = [10, 20, 30, 40] }",
         SIMULATED + 'stream_profile = "monitor"\ndownlink_share = 0.3\nradio = {}',
-        SIMULATED + '[links.r.foreign]\nlogs = "allow"\nrates = { TIMESYNC = 0.5, 110 = 0 }\nbytes_per_s = 100',
+        SIMULATED + '[links.r.third_party]\nlogs = "allow"\nrates = { TIMESYNC = 0.5, 110 = 0 }\nbytes_per_s = 100',
     ],
 )
 def test_what_goes_together_is_accepted(tmp_path: Path, text: str) -> None:
@@ -55,11 +55,15 @@ def test_what_goes_together_is_accepted(tmp_path: Path, text: str) -> None:
         (SIMULATED + "radio = { nodes = 3 }", "3 nodes are too few for 4 vehicles and the ground"),
         (SIMULATED + "radio = { distances_m = [1, 2, 3, 4, 5] }", "5 distances are too many for 4 vehicles"),
         (SIMULATED + "radio = { loss = 1.0 }", "loss"),
-        (SERIAL + '[links.r.foreign]\nlogs = "deny"', 'foreign (line 4): counts only with role = "radio"'),
-        (SIMULATED + '[links.r.foreign]\nparam_lists = "two"', "param_lists"),
-        (SIMULATED + "[links.r.foreign]\nrates = { TIMESYNK = 1 }", "did you mean TIMESYNC?"),
-        (SIMULATED + "[links.r.foreign]\nrates = { TIMESYNC = -1 }", "TIMESYNC"),
-        (SIMULATED + "[links.r.foreign]\nbytes_per_s = 0", "bytes_per_s"),
+        (SERIAL + '[links.r.third_party]\nlogs = "deny"', 'third_party (line 4): counts only with role = "radio"'),
+        (SIMULATED + '[links.r.third_party]\nparam_lists = "two"', "param_lists"),
+        (
+            SERIAL + 'role = "radio"\n[links.r.foreign]\nlogs = "deny"',
+            "foreign (line 5): is called third_party now: rename the key",
+        ),
+        (SIMULATED + "[links.r.third_party]\nrates = { TIMESYNK = 1 }", "did you mean TIMESYNC?"),
+        (SIMULATED + "[links.r.third_party]\nrates = { TIMESYNC = -1 }", "TIMESYNC"),
+        (SIMULATED + "[links.r.third_party]\nbytes_per_s = 0", "bytes_per_s"),
         (SIMULATED + "radio = { speed = 64 }", "speed"),
     ],
 )

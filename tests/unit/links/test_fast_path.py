@@ -56,7 +56,7 @@ def test_all_frames_of_a_datagram_arrive_in_order(bench: Bench, frames: int, who
     bench.open_flow()
     sent = [attitude(n, number=n) for n in range(frames)]
     bench.send(b"".join(sent))
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert b"".join(bench.received()) == b"".join(sent)
     assert not bench.left
     assert bench.table.take()[0] == frames
@@ -68,7 +68,7 @@ def test_a_datagram_of_more_frames_than_it_takes_is_left_to_python(bench: Bench)
     bench.learn()
     bench.open_flow()
     bench.send(b"".join(attitude(n, number=n) for n in range(257)))
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert len(bench.left) == 1
     assert not bench.received()
 
@@ -84,7 +84,7 @@ def test_bursts_of_full_wake_ups_arrive_in_order(bench: Bench) -> None:
         sent.append(attitude(n, number=n) + attitude(n, compid=0xBF, number=n))
     for at in range(0, len(sent), DATAGRAMS_PER_WAKEUP):
         bench.send(*sent[at : at + DATAGRAMS_PER_WAKEUP])
-        bench.lane.ready()
+        bench.fast_path.ready()
         bench.table.take()
         got = bench.received()
         assert len(got) == DATAGRAMS_PER_WAKEUP * 5
@@ -109,7 +109,7 @@ def test_a_fault_behind_one_datagram_does_not_drop_the_rest_of_the_burst(
     bench.on_left = fail
     bench.send(b"?", attitude(1), b"??", attitude(2), b"???")
     with pytest.raises(ValueError, match="1 bytes"):
-        bench.lane.ready()
+        bench.fast_path.ready()
     assert others == ["2 bytes", "3 bytes"]
     assert bench.left == [b"?", b"??", b"???"]
     assert bench.received() == [attitude(1), attitude(2)]
@@ -128,7 +128,7 @@ def test_a_fault_behind_the_newest_frames_does_not_drop_the_datagram_after_them(
     bench.open_flow(again=fail)
     bench.send(attitude(1), b"?", attitude(2))
     with pytest.raises(ValueError, match="behind a heartbeat"):
-        bench.lane.ready()
+        bench.fast_path.ready()
     assert bench.left == [b"?"]
     assert bench.received() == [attitude(1), attitude(2)]
 
@@ -141,29 +141,29 @@ def test_an_error_of_python_code_is_not_taken_for_the_sockets(bench: Bench, erro
     bench.on_left = fail
     bench.send(b"?")
     with pytest.raises(type(error)):
-        bench.lane.ready()
+        bench.fast_path.ready()
     assert not bench.errors
 
 
 def test_an_error_of_the_socket_is_reported(bench: Bench) -> None:
     bench.server.close()
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert [error.errno for error in bench.errors] == [9]
 
 
 def test_a_link_closed_behind_a_datagram_ends_the_burst(bench: Bench) -> None:
     """Also with so many records that `after` is due, which was let go of."""
-    bench.on_left = lambda *_: bench.lane.close()
+    bench.on_left = lambda *_: bench.fast_path.close()
     bench.send(*full_datagrams(bench, 10), b"?", attitude(1), b"?")
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert bench.left == [b"?"]
     assert bench.taken == 1
     assert bench.channel.rx_frames == 2500
-    bench.lane.ready()
+    bench.fast_path.ready()
     bench.open_flow()
-    bench.lane.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
-    bench.lane.remove_peer(bench.vehicle.getsockname())
-    bench.lane.close()
+    bench.fast_path.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
+    bench.fast_path.remove_peer(bench.vehicle.getsockname())
+    bench.fast_path.close()
 
 
 def test_a_link_closed_amid_the_newest_frames_is_let_go_of_after_the_last(bench: Bench) -> None:
@@ -174,7 +174,7 @@ def test_a_link_closed_amid_the_newest_frames_is_let_go_of_after_the_last(bench:
     def close(number: int) -> Any:
         def again(now: float) -> None:
             called.append(number)
-            bench.lane.close()
+            bench.fast_path.close()
             bench.table.invalidate()
             gc.collect()
 
@@ -184,7 +184,7 @@ def test_a_link_closed_amid_the_newest_frames_is_let_go_of_after_the_last(bench:
     for n, slot in enumerate(slots):
         bench.open_flow(source=0x0101 + n, slot=slot, again=close(n))
     bench.send(*[attitude(1, compid=1 + n) for n in range(8)], b"?")
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert called == list(range(8))  # in the order in which they came
     assert [slot.count for slot in slots] == [1] * 8
     assert len(bench.received()) == 8
@@ -193,23 +193,23 @@ def test_a_link_closed_amid_the_newest_frames_is_let_go_of_after_the_last(bench:
 
 def test_flows_added_and_ended_by_callbacks(bench: Bench) -> None:
     bench.learn()
-    beats: list[float] = []
+    heartbeats: list[float] = []
 
     def again(now: float) -> None:
-        beats.append(now)
+        heartbeats.append(now)
         bench.table.invalidate()
         bench.open_flow(source=0x0102)
-        bench.lane.remove_peer(bench.vehicle.getsockname())
-        bench.lane.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
+        bench.fast_path.remove_peer(bench.vehicle.getsockname())
+        bench.fast_path.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
         bench.table.take()
 
     bench.open_flow(again=again)
     bench.send(attitude(1), attitude(2))
-    bench.lane.ready()
-    assert beats == [1000.0]
+    bench.fast_path.ready()
+    assert heartbeats == [1000.0]
     assert bench.channel.rx_frames == 2
     bench.send(attitude(3))
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert bench.left == [attitude(3)]
 
 
@@ -218,24 +218,24 @@ def test_a_lane_is_not_received_from_within_itself(bench: Bench) -> None:
 
     def again(*_: object) -> None:
         try:
-            bench.lane.ready()
+            bench.fast_path.ready()
         except RuntimeError as error:
             caught.append(str(error))
 
     bench.on_left = again
     bench.send(b"?")
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert len(caught) == 1
 
 
 def test_the_last_reference_may_go_in_a_callback() -> None:
     bench = Bench()
-    ready = bench.lane.ready
+    ready = bench.fast_path.ready
 
     def drop(*_: object) -> None:
         nonlocal ready
-        bench.lane.close()
-        del bench.lane
+        bench.fast_path.close()
+        del bench.fast_path
         ready = None
 
     bench.on_left = drop
@@ -254,7 +254,7 @@ def test_a_channel_that_is_gone_is_not_told(bench: Bench) -> None:
     bench.open_flow()
     gone = weakref.ref(bench.target)
     bench.send(attitude(1))
-    bench.lane.ready()
+    bench.fast_path.ready()
     bench.target = Channel()
     gc.collect()
     assert gone() is None
@@ -268,7 +268,7 @@ def test_what_is_closed_is_let_go_of() -> None:
         for n in range(50):
             bench.open_flow(source=0x0101 + n, slot=Slot())
         bench.send(*[attitude(1, compid=1 + n) for n in range(50)], b"?")
-        bench.lane.ready()
+        bench.fast_path.ready()
         bench.close()
 
     for _ in range(3):
@@ -295,8 +295,8 @@ def test_peers_that_come_and_go_do_not_add_up(bench: Bench) -> None:
     try:
         before = tracemalloc.get_traced_memory()[0]
         for address in addresses:
-            bench.lane.add_peer(address, bench.channel, bench.counts, 2)
-            bench.lane.remove_peer(address)
+            bench.fast_path.add_peer(address, bench.channel, bench.counts, 2)
+            bench.fast_path.remove_peer(address)
         grown = tracemalloc.get_traced_memory()[0] - before
     finally:
         tracemalloc.stop()
@@ -304,7 +304,7 @@ def test_peers_that_come_and_go_do_not_add_up(bench: Bench) -> None:
     bench.learn()
     bench.open_flow()
     bench.send(attitude(1))
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert bench.received() == [attitude(1)]
 
 
@@ -314,7 +314,7 @@ def test_room_for_records_is_given_back(bench: Bench) -> None:
     try:
         before = tracemalloc.get_traced_memory()[0]
         bench.send(*sent)
-        bench.lane.ready()
+        bench.fast_path.ready()
         bench.table.take()
         grown = tracemalloc.get_traced_memory()[0] - before
     finally:
@@ -338,13 +338,13 @@ def test_nothing_is_left_half_done_when_memory_runs_out(bench: Bench) -> None:
     def calls(bench: Bench) -> list[Any]:
         address = bench.vehicle.getsockname()
         return [
-            lambda: bench.lane.add_peer(address, bench.channel, bench.counts, 1),
-            lambda: bench.lane.add_peer(rng.choice(peers), bench.channel, bench.counts, 2),
-            lambda: bench.lane.remove_peer(rng.choice(peers)),
+            lambda: bench.fast_path.add_peer(address, bench.channel, bench.counts, 1),
+            lambda: bench.fast_path.add_peer(rng.choice(peers), bench.channel, bench.counts, 2),
+            lambda: bench.fast_path.remove_peer(rng.choice(peers)),
             lambda: bench.open_flow(source=0x0100 + rng.randrange(200), slot=Slot()),
             lambda: bench.open_flow(),
-            bench.lane.ready,
-            bench.lane.ready,
+            bench.fast_path.ready,
+            bench.fast_path.ready,
             bench.table.invalidate,
             bench.table.take,
         ]
@@ -361,16 +361,16 @@ def test_nothing_is_left_half_done_when_memory_runs_out(bench: Bench) -> None:
                 failed += 1
             finally:
                 _testcapi.remove_mem_hooks()
-    bench.lane.ready()
+    bench.fast_path.ready()
     bench.left.clear()
     bench.table.invalidate()
-    bench.lane.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
+    bench.fast_path.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
     bench.now += 10.0
     bench.learn()
     bench.open_flow()
     bench.received()
     bench.send(attitude(7))
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert bench.received() == [attitude(7)]
     assert failed > 100
 
@@ -380,26 +380,26 @@ def test_a_peer_that_cannot_be_replaced_stays(bench: Bench) -> None:
     """The map of peers is made anew when the 128th is put into it, also if that one is known already."""
     bench.learn()
     for port in range(1, 127):
-        bench.lane.add_peer(("10.0.0.1", port), bench.channel, bench.counts, 2)
+        bench.fast_path.add_peer(("10.0.0.1", port), bench.channel, bench.counts, 2)
     bench.open_flow()
     failed = 0
     for start in range(12):
         bench.table.take()
         _testcapi.set_nomemory(start, start + 1)
         try:
-            bench.lane.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
+            bench.fast_path.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
         except MemoryError:
             failed += 1
         finally:
             _testcapi.remove_mem_hooks()
         if start == failed - 1:  # the peer of before, with its flow
             bench.send(attitude(start))
-            bench.lane.ready()
+            bench.fast_path.ready()
             assert bench.received() == [attitude(start)]
     assert 0 < failed < 12
-    bench.lane.remove_peer(bench.vehicle.getsockname())
+    bench.fast_path.remove_peer(bench.vehicle.getsockname())
     bench.send(b"?")
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert bench.left == [b"?"]
 
 
@@ -410,7 +410,7 @@ def test_ids_that_have_no_room_are_refused(bench: Bench) -> None:
     address = bench.vehicle.getsockname()
     for channel_id in (0, 1 << 24):
         with pytest.raises(ValueError):
-            bench.lane.add_peer(address, bench.channel, bench.counts, channel_id)
+            bench.fast_path.add_peer(address, bench.channel, bench.counts, channel_id)
         with pytest.raises(ValueError):
             bench.table.first_heard_on(1, channel_id, 0.0)
     with pytest.raises(ValueError):
@@ -422,20 +422,20 @@ def test_ids_that_have_no_room_are_refused(bench: Bench) -> None:
 
 
 def test_objects_that_were_not_initialised_do_nothing() -> None:
-    from skygcs.links._fast_path import Lane, Out, Table
+    from skygcs.links._fast_path import FastPath, Out, Table
 
-    table, lane = Table.__new__(Table), Lane.__new__(Lane)
+    table, fast_path = Table.__new__(Table), FastPath.__new__(FastPath)
     with pytest.raises(RuntimeError):
         table.first_heard_on(1, 1, 0.0)
     table.invalidate()
     assert table.take() == (0, 0, b"", 0)
     with pytest.raises(RuntimeError):
-        Lane(table, 1, None, None, None, None)  # type: ignore[arg-type]
-    lane.ready()
-    lane.close()
+        FastPath(table, 1, None, None, None, None)  # type: ignore[arg-type]
+    fast_path.ready()
+    fast_path.close()
     Out.__new__(Out)
     with pytest.raises(ValueError):
-        Lane(Bench().table, -1, None, None, None, None)  # type: ignore[arg-type]
+        FastPath(Bench().table, -1, None, None, None, None)  # type: ignore[arg-type]
 
 
 def test_both_are_made_once(bench: Bench) -> None:
@@ -448,17 +448,17 @@ def test_both_are_made_once(bench: Bench) -> None:
 def test_a_lane_that_nobody_closed_tells_what_it_knows_when_it_goes(bench: Bench) -> None:
     bench.learn()
     server = bench.socket()
-    lane = bench.new_lane(server)
-    lane.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
-    lane.let_through(
+    fast_path = bench.new_fast_path(server)
+    fast_path.add_peer(bench.vehicle.getsockname(), bench.channel, bench.counts, 1)
+    fast_path.add_flow(
         bench.vehicle.getsockname(), 0x0101, 30, bench.stats, bench.heard, (bench.out,), None, None, None, None
     )
     bench.vehicle.sendto(attitude(1), server.getsockname())
-    lane.ready()
-    del lane
+    fast_path.ready()
+    del fast_path
     gc.collect()
     assert (bench.channel.rx_frames, bench.target.tx_frames, bench.stats.frames) == (1, 1, 1)
     bench.send(b"?")
-    bench.lane.ready()
+    bench.fast_path.ready()
     assert bench.left == [b"?"]
     assert bench.table.take()[0] == 1

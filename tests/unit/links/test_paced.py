@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from skygcs.config import models
-from skygcs.config.radio import ForeignKeys
+from skygcs.config.radio import ThirdPartyKeys
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.radio_link.admission import ForeignRules
+from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.rtcm import fragments_of
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.links.base import Outgoing, OwnMessage
-from skygcs.links.paced import AirBudget, flow_of, foreign_rules, wire_bytes
+from skygcs.links.paced import AirBudget, flow_of, third_party_rules, wire_bytes
 from skygcs.links.serial import SerialLink
 from support.frames import frame
 from support.hosts import RecordingHost, own, until
@@ -108,7 +108,7 @@ async def test_a_serial_radio_gets_no_more_than_its_budget_and_a_cable_all(tmp_p
 class Line:
     """A channel's `AirBudget` and its time."""
 
-    def __init__(self, rules: ForeignRules | None = None) -> None:
+    def __init__(self, rules: ThirdPartyRules | None = None) -> None:
         self.queue: TxQueue[Outgoing] = TxQueue()
         self.air = AirBudget(self.queue, RadioRates(57600, 64.0, 11), 0.0, rules, DIALECT)
         self.now = 0.0
@@ -133,14 +133,14 @@ def test_what_is_forwarded_has_its_share_and_ours_the_rest() -> None:
     for second in range(60):
         for number in range(20):
             line.offer("NAMED_VALUE_FLOAT", value=20.0 * second + number + 1, name=b"x")
-            line.air.offer(own_message("PARAM_REQUEST_READ", param_index=number + 1), Priority.EXCHANGE, line.now)
+            line.air.offer(own_message("PARAM_REQUEST_READ", param_index=number + 1), Priority.PROTOCOL, line.now)
         line.run(1.0)
     told = line.air.status(line.now)["classes"]
-    share = line.air.foreign.budget
+    share = line.air.third_party.budget
     assert 0.9 * share.bytes_per_s * 60 <= told["forwarded"]["sent_bytes"] <= share.bytes_per_s * 60 + share.burst_bytes
     assert told["forwarded"]["dropped"] > 0
-    assert told["exchange"]["sent"] >= 60 * 20 - 20, "half of the radio is ours, and what others send waits for us"
-    assert line.air.take_lost() == told["forwarded"]["dropped"] + told["exchange"]["refused"]
+    assert told["protocol"]["sent"] >= 60 * 20 - 20, "half of the radio is ours, and what others send waits for us"
+    assert line.air.take_lost() == told["forwarded"]["dropped"] + told["protocol"]["refused"]
     assert line.air.take_lost() == 0
 
 
@@ -239,18 +239,18 @@ def test_corrections_go_whole_within_their_share_and_after_commands(ours: bool) 
 
 
 def test_a_fleet_file_may_give_corrections_nothing() -> None:
-    line = Line(ForeignRules(corrections_bytes_per_s=0.0))
+    line = Line(ThirdPartyRules(corrections_bytes_per_s=0.0))
     for values in fragments_of(rtcm_frame(1077, body_bytes=100), 1):
         assert not line.offer("GPS_RTCM_DATA", **values)
     assert line.run(10.0) == []
 
 
 def test_the_rules_are_those_of_the_fleet_file() -> None:
-    keys = ForeignKeys(param_lists="deny", rates={"TIMESYNC": 0.5, "110": 0.0}, bytes_per_s=77)
-    rules = foreign_rules(keys, DIALECT)
-    assert rules == ForeignRules("deny", "one", "deny", "deny", {111: 0.5, 110: 0.0}, 77, None)
+    keys = ThirdPartyKeys(param_lists="deny", rates={"TIMESYNC": 0.5, "110": 0.0}, bytes_per_s=77)
+    rules = third_party_rules(keys, DIALECT)
+    assert rules == ThirdPartyRules("deny", "one", "deny", "deny", {111: 0.5, 110: 0.0}, 77, None)
     with pytest.raises(KeyError):
-        foreign_rules(ForeignKeys(rates={"TIMESYNK": 1}), DIALECT)
+        third_party_rules(ThirdPartyKeys(rates={"TIMESYNK": 1}), DIALECT)
 
 
 async def test_over_a_real_port_what_waits_goes_when_the_vehicle_before_has_answered(tmp_path: Path) -> None:

@@ -75,8 +75,8 @@ async def test_all_vehicles_are_behind_one_channel_px4s_first() -> None:
     await link.open()
     assert host.channels == link.channels and len(link.channels) == 1
     await asyncio.sleep(3)
-    beats = {f.sysid: f.fields()["autopilot"] for _, f in host.heard if f.name == "HEARTBEAT"}
-    assert beats == {21: 12, 22: 12, 23: 3}
+    heartbeats = {f.sysid: f.fields()["autopilot"] for _, f in host.heard if f.name == "HEARTBEAT"}
+    assert heartbeats == {21: 12, 22: 12, 23: 3}
     assert {channel for channel, _ in host.heard} == set(link.channels)
     await link.close()
 
@@ -233,7 +233,7 @@ async def test_the_conditions_of_the_file_are_those_the_vehicles_fly_in() -> Non
         assert isinstance(vehicle.motion, Quad)
         assert vehicle.motion.airframe.attitude_lag_s == 0.1 and vehicle.motion.airframe.thrust_lag_s == 0.0
         assert vehicle.motion.wind.mean_enu_mps == pytest.approx((0.0, -4.0, 0.0))
-        assert vehicle.believed is not vehicle.motion
+        assert vehicle.estimated is not vehicle.motion
     await link.close()
     exact = make(host, px4=1, dynamics="kinematic")
     await exact.open()

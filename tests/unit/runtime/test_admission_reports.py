@@ -9,13 +9,13 @@ import pytest
 
 from skygcs.config.models import DaemonConfig
 from skygcs.core.mavlink.frame import encode
-from skygcs.core.radio_link.admission import ForeignRules
+from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.events import Event
 from skygcs.links.base import OwnMessage
 from skygcs.links.paced import AirBudget
-from skygcs.runtime.admission_reports import TEXT_BYTES, ForeignWatch
+from skygcs.runtime.admission_reports import TEXT_BYTES, AdmissionReports
 from skygcs.runtime.hub import Hub
 from support.routed import DIALECT
 
@@ -26,7 +26,7 @@ class Watched:
     """A radio, a station and a program that is bound to a vehicle, which have the same source id."""
 
     def __init__(self, *, air_kbps: float | None = 64.0, heartbeat: bool = True, **rules: Any) -> None:
-        self.air = AirBudget(TxQueue(), RadioRates(57600, air_kbps, 11), 0.0, ForeignRules(**rules), DIALECT)
+        self.air = AirBudget(TxQueue(), RadioRates(57600, air_kbps, 11), 0.0, ThirdPartyRules(**rules), DIALECT)
         self.events: list[Event] = []
         self.sent: dict[str, list[OwnMessage]] = {"station": [], "bound": [], "radio": []}
         channels = {
@@ -36,7 +36,7 @@ class Watched:
         }
         router = SimpleNamespace(channels_of=lambda source: (1, 2, 3, 99) if source == QGC else ())
         hub = cast(Hub, SimpleNamespace(channels=channels, router=router))
-        self.watch = ForeignWatch(hub, DaemonConfig(heartbeat=heartbeat), DIALECT, self.events.append)
+        self.watch = AdmissionReports(hub, DaemonConfig(heartbeat=heartbeat), DIALECT, self.events.append)
         self.watch.tick(0.0)
 
     def _channel(self, name: str, role: str, air: AirBudget | None = None, endpoint: object = None) -> Any:
@@ -63,7 +63,7 @@ class Watched:
         ({}, "LOG_REQUEST_LIST", {"target_system": 3}, "10 MB take 5.0 h", "no log downloads"),
         ({}, "PARAM_REQUEST_LIST", {}, "asks all vehicles for all parameters", "parameter list refused"),
         ({"files": "deny"}, "FILE_TRANSFER_PROTOCOL", {"target_system": 3}, 'files is "deny"', "no file transfers"),
-        ({"rates_hz": {4: 0.0}}, "PING", {}, "foreign.rates.PING is 0", "refused on this radio: PING"),
+        ({"rates_hz": {4: 0.0}}, "PING", {}, "third_party.rates.PING is 0", "refused on this radio: PING"),
     ],
 )
 def test_a_refusal_is_told_once_with_its_key_and_to_the_station_in_the_vehicles_name(
@@ -72,9 +72,9 @@ def test_a_refusal_is_told_once_with_its_key_and_to_the_station_in_the_vehicles_
     watched = Watched(**rules)
     watched.offer(name, 3, **values)
     (event,) = watched.events
-    assert event.kind == "foreign"
+    assert event.kind == "third_party"
     assert event.text.startswith("radio radio: 255/190 (station, bound) ")
-    assert sentence in event.text and "links.radio.foreign." in event.text
+    assert sentence in event.text and "links.radio.third_party." in event.text
     assert (event.data["source"], event.data["message"]) == ("255/190", name)
     (message,) = watched.sent["station"]
     shown = message.info.unpack(message.payload)["text"]
@@ -86,7 +86,7 @@ def test_a_refusal_is_told_once_with_its_key_and_to_the_station_in_the_vehicles_
 def test_what_waits_for_another_vehicle_is_told_with_how_far_that_is() -> None:
     watched = Watched()
     watched.offer("PARAM_REQUEST_LIST", target_system=1)
-    watched.air.foreign.on_param_value(1, 1, 4, 900, 0.1)
+    watched.air.third_party.on_param_value(1, 1, 4, 900, 0.1)
     watched.offer("PARAM_REQUEST_LIST", target_system=2)
     watched.offer("FILE_TRANSFER_PROTOCOL", target_system=1)
     watched.offer("FILE_TRANSFER_PROTOCOL", target_system=2)
@@ -102,5 +102,5 @@ def test_without_timeslots_the_arithmetic_is_that_of_the_serial_port() -> None:
 
 
 def test_whose_heartbeats_are_needless_depends_on_whether_ours_go() -> None:
-    assert Watched().air.foreign.own_sysid == 255
-    assert Watched(heartbeat=False).air.foreign.own_sysid is None
+    assert Watched().air.third_party.own_sysid == 255
+    assert Watched(heartbeat=False).air.third_party.own_sysid is None

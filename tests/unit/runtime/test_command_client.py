@@ -12,7 +12,7 @@ import pytest
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.protocols.command import RETRY_TIMERS_S, SETTLE_S, Ack, CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.runtime.command_client import LATE_ACK_S, Commander
+from skygcs.runtime.command_client import LATE_ACK_S, CommandClient
 from support.vehicles import flight_dialect
 
 pytestmark = pytest.mark.looptime
@@ -25,7 +25,7 @@ class BadRadio:
         self.random = random.Random(seed)
         self.loss, self.delay_s, self.duplicate = loss, delay_s, duplicate
         self.loop = asyncio.get_running_loop()
-        self.commander = Commander((1, 1), (255, 25), flight_dialect(), self._send, self.loop)
+        self.commands = CommandClient((1, 1), (255, 25), flight_dialect(), self._send, self.loop)
         self.accepted: set[float] = set()
         self.sent = 0
 
@@ -55,16 +55,16 @@ class BadRadio:
         self._through(self._ack, Ack(values["command"], 0 if even else 2, 0, 255, 25))
 
     def _ack(self, ack: Ack) -> None:
-        self.commander.on_ack(ack, self.loop.time())
+        self.commands.on_ack(ack, self.loop.time())
 
 
 @pytest.mark.parametrize("seed", range(6))
 async def test_over_a_lossy_slow_link_every_command_ends_once_with_its_own_answer(seed: int) -> None:
     radio = BadRadio(seed, loss=0.3, delay_s=0.6, duplicate=0.0)
-    commander = radio.commander
+    commands = radio.commands
     outcomes: dict[float, Outcome] = {}
     for n in range(40):
-        outcomes[n] = await commander.run(CommandSpec(511, (float(n),)))
+        outcomes[n] = await commands.run(CommandSpec(511, (float(n),)))
     for n, outcome in outcomes.items():
         assert outcome.result in ("accepted", "denied", "timeout")
         if outcome.result == "accepted":
@@ -73,70 +73,70 @@ async def test_over_a_lossy_slow_link_every_command_ends_once_with_its_own_answe
             assert n % 2 == 1
         assert outcome.elapsed_s <= sum(RETRY_TIMERS_S) + SETTLE_S
     assert sum(o.result != "timeout" for o in outcomes.values()) >= 30
-    assert not commander.commanding
-    commander.close()
+    assert not commands.commanding
+    commands.close()
 
 
 @pytest.mark.parametrize("seed", range(3))
 async def test_commands_of_many_ids_go_on_side_by_side_and_leave_nothing_behind(seed: int) -> None:
     radio = BadRadio(seed, loss=0.4, delay_s=0.5, duplicate=0.3)
-    chance = random.Random(seed)
+    rng = random.Random(seed)
     tasks = []
     for n in range(120):
-        tasks.append(asyncio.create_task(radio.commander.run(CommandSpec(500 + n % 30, (float(n),)))))
-        if chance.random() < 0.2:
-            tasks[chance.randrange(len(tasks))].cancel()
-        await asyncio.sleep(chance.uniform(0, 0.2))
+        tasks.append(asyncio.create_task(radio.commands.run(CommandSpec(500 + n % 30, (float(n),)))))
+        if rng.random() < 0.2:
+            tasks[rng.randrange(len(tasks))].cancel()
+        await asyncio.sleep(rng.uniform(0, 0.2))
     results = await asyncio.gather(*tasks, return_exceptions=True)
     assert all(isinstance(r, Outcome | asyncio.CancelledError) for r in results)
     assert sum(isinstance(r, Outcome) and r.ok for r in results) > 20
     await asyncio.sleep(LATE_ACK_S)
-    assert not radio.commander.commanding
-    assert not radio.commander.busy
-    assert radio.commander._alarm.due is None
+    assert not radio.commands.commanding
+    assert not radio.commands.busy
+    assert radio.commands._timer.due is None
 
 
 async def test_a_quiet_time_ends_as_soon_as_the_late_acks_have_come() -> None:
     radio = BadRadio(1, loss=0.0, delay_s=0.0, duplicate=0.0)
-    loop, commander = radio.loop, radio.commander
+    loop, commands = radio.loop, radio.commands
     radio.loss = 1.0
-    first = asyncio.create_task(commander.run(CommandSpec(511, (2.0,))))
+    first = asyncio.create_task(commands.run(CommandSpec(511, (2.0,))))
     await asyncio.sleep(1.2)  # sent twice by now
-    commander.on_ack(Ack(511, 0, 0, 255, 25), loop.time())
+    commands.on_ack(Ack(511, 0, 0, 255, 25), loop.time())
     assert (await first).ok
     radio.loss = 0.0
     before = loop.time()
-    second = asyncio.create_task(commander.run(CommandSpec(511, (4.0,))))
+    second = asyncio.create_task(commands.run(CommandSpec(511, (4.0,))))
     await asyncio.sleep(0.3)
     assert 4.0 not in radio.accepted
-    commander.on_ack(Ack(511, 2, 0, 255, 25), loop.time())  # late, of the first: a denial that must not count
+    commands.on_ack(Ack(511, 2, 0, 255, 25), loop.time())  # late, of the first: a denial that must not count
     assert (await second).ok
     assert loop.time() - before < 0.5
 
 
 async def test_the_second_ack_of_px4s_set_mode_does_not_pass_for_the_next_ones() -> None:
     radio = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0)
-    loop, commander = radio.loop, radio.commander
-    first = asyncio.create_task(commander.run(CommandSpec(176, (2.0,))))
+    loop, commands = radio.loop, radio.commands
+    first = asyncio.create_task(commands.run(CommandSpec(176, (2.0,))))
     await asyncio.sleep(0.1)
     for echo_s in (0.0, 0.015):
-        loop.call_later(echo_s, commander.on_ack, Ack(176, 0, 0, 255, 25), loop.time())
+        loop.call_later(echo_s, commands.on_ack, Ack(176, 0, 0, 255, 25), loop.time())
     assert (await first).ok
-    second = asyncio.create_task(commander.run(CommandSpec(176, (3.0,))))
+    second = asyncio.create_task(commands.run(CommandSpec(176, (3.0,))))
     await asyncio.sleep(0.2)
     assert not second.done()
-    commander.on_ack(Ack(176, 2, 0, 255, 25), loop.time())
+    commands.on_ack(Ack(176, 2, 0, 255, 25), loop.time())
     assert (await second).result == "denied"
 
 
 async def test_an_emergency_does_not_wait_for_late_acks_or_its_turn() -> None:
     radio = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0)
-    commander = radio.commander
-    arming = asyncio.create_task(commander.run(CommandSpec(400, (1.0,))))
-    waiting = asyncio.create_task(commander.run(CommandSpec(400, (1.0,))))
+    commands = radio.commands
+    arming = asyncio.create_task(commands.run(CommandSpec(400, (1.0,))))
+    waiting = asyncio.create_task(commands.run(CommandSpec(400, (1.0,))))
     await asyncio.sleep(0.1)
     sent = radio.sent
-    stop = asyncio.create_task(commander.run(CommandSpec(400, (0.0, 21196.0)), emergency=True))
+    stop = asyncio.create_task(commands.run(CommandSpec(400, (0.0, 21196.0)), emergency=True))
     await asyncio.sleep(0)
     assert radio.sent == sent + 1
     assert (await arming).result == "cancelled"
@@ -146,9 +146,9 @@ async def test_an_emergency_does_not_wait_for_late_acks_or_its_turn() -> None:
 
 async def test_closing_ends_everything_as_cancelled() -> None:
     radio = BadRadio(1, loss=1.0, delay_s=0.0, duplicate=0.0)
-    task = asyncio.create_task(radio.commander.run(CommandSpec(400, (1.0,))))
+    task = asyncio.create_task(radio.commands.run(CommandSpec(400, (1.0,))))
     await asyncio.sleep(0.1)
-    radio.commander.close()
+    radio.commands.close()
     assert (await task).result == "cancelled"
 
 
@@ -156,6 +156,6 @@ async def test_a_dialect_without_commands_refuses_them() -> None:
     from skygcs.core.mavlink.dialect import Dialect
 
     tiny = Dialect("tiny", [flight_dialect().by_name["HEARTBEAT"]], {})
-    commander = Commander((1, 1), (255, 25), tiny, lambda *_: True, asyncio.get_running_loop())
-    outcome = await commander.run(CommandSpec(400, (1.0,)))
+    commands = CommandClient((1, 1), (255, 25), tiny, lambda *_: True, asyncio.get_running_loop())
+    outcome = await commands.run(CommandSpec(400, (1.0,)))
     assert (outcome.result, "no COMMAND_LONG" in outcome.message) == ("refused", True)

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from skygcs.runtime.deadline_timer import Alarm
+from skygcs.runtime.deadline_timer import DeadlineTimer
 
 pytestmark = pytest.mark.looptime
 
@@ -17,7 +17,7 @@ class Rings:
         self.began = self.loop.time()
         self.at: list[float] = []
         self.next: list[float] = []
-        self.alarm = Alarm(self.loop, self.ring)
+        self.alarm = DeadlineTimer(self.loop, self.ring)
 
     def ring(self) -> None:
         self.at.append(round(self.loop.time() - self.began, 3))
@@ -72,7 +72,7 @@ async def test_it_never_rings_before_its_time(ahead_s: float) -> None:
     rings = Rings()
     due = rings.began + ahead_s
     early: list[float] = []
-    rings.alarm = Alarm(rings.loop, lambda: early.append(due - rings.loop.time()))
+    rings.alarm = DeadlineTimer(rings.loop, lambda: early.append(due - rings.loop.time()))
     rings.alarm.set(due)
     await asyncio.sleep(2.0)
     assert len(early) == 1 and -0.01 < early[0] <= 1e-9

@@ -308,7 +308,7 @@ class TestOrdersForMany:
         return vehicles
 
     def commands(self, ground: Ground) -> list[Sent]:
-        return [s for s in ground.sent if s.priority is not Priority.EXCHANGE]
+        return [s for s in ground.sent if s.priority is not Priority.PROTOCOL]
 
     async def test_one_broadcast_lands_the_ardupilots_of_a_mixed_fleet_and_each_outcome_is_known(self) -> None:
         """PX4 takes commands for its own system id only, so each PX4 is sent its own, at once."""

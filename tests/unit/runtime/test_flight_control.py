@@ -13,14 +13,14 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.control import ControlSettings
-from skygcs.core.control.guard import Way
+from skygcs.core.control.guard import ControlMode
 from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin, geodetic_from_enu
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.geodetic_position import Place, Setpoint
-from skygcs.core.vehicle.offboard_controller import PilotState
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -33,14 +33,14 @@ pytestmark = pytest.mark.looptime
 OFFBOARD = 6 << 16
 ORIGIN = Origin(*HOME)
 SETPOINTS = {
-    "SET_ATTITUDE_TARGET": Way.ATTITUDE,
-    "SET_POSITION_TARGET_LOCAL_NED": Way.VELOCITY,
-    "SET_POSITION_TARGET_GLOBAL_INT": Way.POSITION,
+    "SET_ATTITUDE_TARGET": ControlMode.ATTITUDE,
+    "SET_POSITION_TARGET_LOCAL_NED": ControlMode.VELOCITY,
+    "SET_POSITION_TARGET_GLOBAL_INT": ControlMode.POSITION,
 }
 
 
-def place(x_m: float, y_m: float, up_m: float) -> Place:
-    return Place(*geodetic_from_enu(x_m, y_m, up_m, ORIGIN))
+def place(x_m: float, y_m: float, up_m: float) -> GeodeticPosition:
+    return GeodeticPosition(*geodetic_from_enu(x_m, y_m, up_m, ORIGIN))
 
 
 class FakeCommander:
@@ -85,8 +85,8 @@ class Field:
         self.voice = Voice(1)
         self.vehicle = Vehicle(1, 1, flight_dialect(), name="alpha", decoder=Decoder(flight_dialect()))
         self.vehicle.origin = ORIGIN
-        self.commander = FakeCommander()
-        self.commander.on_timesync = self.pong
+        self.commands = FakeCommander()
+        self.commands.on_timesync = self.pong
         self.orders: list[Plan] = []
         self.events: list[Event] = []
         self.enters = True
@@ -98,7 +98,7 @@ class Field:
         self.flight = FlightControl(
             self.vehicle,
             ControlSettings(**settings),
-            self.commander,  # type: ignore[arg-type]  # all that is used of one
+            self.commands,  # type: ignore[arg-type]  # all that is used of one
             flight_dialect(),
             self.loop,
             execute=self.execute,
@@ -153,8 +153,8 @@ class Field:
             self.vehicle.on_frame(self.voice.say(told), self.loop.time())
         return Outcome(True, "accepted", plan.done)
 
-    def ways(self, since: float = 0.0) -> list[Way]:
-        return [SETPOINTS[name] for at, name, *_ in self.commander.sent if name in SETPOINTS and at >= since]
+    def ways(self, since: float = 0.0) -> list[ControlMode]:
+        return [SETPOINTS[name] for at, name, *_ in self.commands.sent if name in SETPOINTS and at >= since]
 
     def texts(self) -> str:
         return " | ".join(event.text for event in self.events)
@@ -170,27 +170,27 @@ async def field(log_dir: Path, **settings: Any) -> AsyncIterator[Field]:
         await made.close()
 
 
-@pytest.mark.parametrize("way", Way)
-async def test_it_streams_before_the_mode_and_flies_after_it(tmp_path: Path, way: Way) -> None:
+@pytest.mark.parametrize("way", ControlMode)
+async def test_it_streams_before_the_mode_and_flies_after_it(tmp_path: Path, way: ControlMode) -> None:
     async with field(tmp_path) as f:
         began = f.loop.time()
         outcome = await f.flight.engage(way)
         assert outcome.ok and outcome.message == f"flown by {way.value} setpoints", outcome
         assert [plan.order for plan in f.orders][-1] == "control"
-        streamed = f.commander.sent[0][0] - began
+        streamed = f.commands.sent[0][0] - began
         assert f.flight.flying and outcome.elapsed_s > 1.0 + streamed
         since = f.loop.time()
         await asyncio.sleep(2.0)
         sent = f.ways(since)
         assert set(sent) == {way}
         assert len(sent) == pytest.approx({"attitude": 100, "velocity": 20, "position": 10}[way], abs=2)
-        setpoints = [s for s in f.commander.sent if s[1] in SETPOINTS]
+        setpoints = [s for s in f.commands.sent if s[1] in SETPOINTS]
         assert {(s[3], s[4]) for s in setpoints} == {(Priority.SETPOINT, ("setpoint", 1, 1))}
 
 
 async def test_position_is_asked_for_faster_and_given_back(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(Way.VELOCITY)
+        await f.flight.engage(ControlMode.VELOCITY)
         f.flight.release("land was ordered")
         await asyncio.sleep(0.2)
         rates = [1e6 / plan.steps[0].command.params[1] for plan in f.orders if plan.order == "interval"]  # type: ignore[union-attr,operator]  # both are given
@@ -201,9 +201,9 @@ async def test_position_is_asked_for_faster_and_given_back(tmp_path: Path) -> No
 async def test_a_vehicle_that_does_not_take_the_mode_is_sent_nothing_more(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.enters = False
-        outcome = await f.flight.engage(Way.POSITION)
+        outcome = await f.flight.engage(ControlMode.POSITION)
         assert not outcome.ok and "not switched over: denied: no" in outcome.message
-        assert f.flight.pilot.state is PilotState.OFF and not f.flight.clock.running
+        assert f.flight.pilot.state is OffboardState.OFF and not f.flight.clock.running
         since = f.loop.time()
         await asyncio.sleep(5)
         assert f.ways(since) == []
@@ -213,56 +213,56 @@ async def test_without_an_origin_or_outside_the_fence_nothing_begins(tmp_path: P
     async with field(tmp_path) as f:
         f.position_enu_m = (60.0, 0.0, 10.0)
         await asyncio.sleep(0.1)
-        assert "at x 60.0 m" in (await f.flight.engage(Way.POSITION)).message
+        assert "at x 60.0 m" in (await f.flight.engage(ControlMode.POSITION)).message
         f.vehicle.origin = None
-        assert "no origin" in (await f.flight.engage(Way.POSITION)).message
-        assert f.commander.sent == [] and f.orders == []
+        assert "no origin" in (await f.flight.engage(ControlMode.POSITION)).message
+        assert f.commands.sent == [] and f.orders == []
 
 
 async def test_without_pongs_attitude_is_not_flown(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        f.commander.rtt_s = None
-        outcome = await f.flight.engage(Way.ATTITUDE)
+        f.commands.rtt_s = None
+        outcome = await f.flight.engage(ControlMode.ATTITUDE)
         assert outcome.ok and "flown by velocity setpoints and not by attitude: round trip" in outcome.message
-        assert Way.ATTITUDE not in f.ways()
+        assert ControlMode.ATTITUDE not in f.ways()
 
 
 async def test_the_links_budget_sets_the_pace(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.uplink_bytes_per_s = 1440.0
-        assert (await f.flight.engage(Way.ATTITUDE)).ok
+        assert (await f.flight.engage(ControlMode.ATTITUDE)).ok
         since = f.loop.time()
         await asyncio.sleep(5)
-        assert len(f.ways(since)) == pytest.approx(5 * 28, abs=2) and set(f.ways(since)) == {Way.ATTITUDE}
+        assert len(f.ways(since)) == pytest.approx(5 * 28, abs=2) and set(f.ways(since)) == {ControlMode.ATTITUDE}
         f.uplink_bytes_per_s = 720.0
         f.flight.refresh_budget()
         await asyncio.sleep(0.2)
         since = f.loop.time()
         await asyncio.sleep(1)
-        assert set(f.ways(since)) == {Way.VELOCITY} and "14.1" in f.texts()
+        assert set(f.ways(since)) == {ControlMode.VELOCITY} and "14.1" in f.texts()
 
 
 async def test_the_hover_thrust_is_the_files_else_the_vehicles_else_the_seeds(tmp_path: Path) -> None:
     for told, settings, wanted in ((0.38, {}, 0.38), (None, {}, 0.45), (0.38, {"hover_thrust": 0.5}, 0.5)):
         async with field(tmp_path, **settings) as f:
             f.hover_thrust = told
-            assert (await f.flight.engage(Way.ATTITUDE)).ok
+            assert (await f.flight.engage(ControlMode.ATTITUDE)).ok
             assert f.flight.gains()["hover_thrust"] == pytest.approx(wanted)
 
 
 async def test_a_hover_thrust_that_cannot_be_flown_is_refused(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.hover_thrust = 0.95
-        outcome = await f.flight.engage(Way.ATTITUDE)
+        outcome = await f.flight.engage(ControlMode.ATTITUDE)
         assert outcome.result == "refused" and "hover thrust is 0.95" in outcome.message
-        assert f.flight.pilot.state is PilotState.OFF
+        assert f.flight.pilot.state is OffboardState.OFF
 
 
 async def test_a_newer_order_during_the_entry_takes_its_place(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        entering = asyncio.create_task(f.flight.engage(Way.VELOCITY))
+        entering = asyncio.create_task(f.flight.engage(ControlMode.VELOCITY))
         await asyncio.sleep(0.8)
-        assert f.flight.pilot.state is PilotState.ENGAGING
+        assert f.flight.pilot.state is OffboardState.ENGAGING
         f.flight.release("land was ordered")
         outcome = await entering
         assert not outcome.ok and "control" not in [plan.order for plan in f.orders]
@@ -273,21 +273,21 @@ async def test_a_newer_order_during_the_entry_takes_its_place(tmp_path: Path) ->
 
 async def test_a_vehicle_somebody_takes_away_is_given_no_order(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(Way.VELOCITY)
+        await f.flight.engage(ControlMode.VELOCITY)
         f.mode = PX4_RTL
         orders = len(f.orders)
         await asyncio.sleep(1)
-        assert f.flight.pilot.state is PilotState.OFF and not f.flight.clock.running
+        assert f.flight.pilot.state is OffboardState.OFF and not f.flight.clock.running
         assert [plan.order for plan in f.orders[orders:]] == ["interval"]  # the picture's rate again, and nothing else
         assert "took over" in f.texts()
 
 
 async def test_a_vehicle_that_goes_silent_is_held_once(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(Way.VELOCITY)
+        await f.flight.engage(ControlMode.VELOCITY)
         f.telling = False
         await asyncio.sleep(4)
-        assert f.flight.pilot.state is PilotState.HELD
+        assert f.flight.pilot.state is OffboardState.HELD
         assert [plan.order for plan in f.orders].count("hold") == 1
         refused = f.flight.fly_to(place(1, 1, 10), None)
         assert refused.result == "refused" and "it is held: state is" in refused.message
@@ -295,10 +295,10 @@ async def test_a_vehicle_that_goes_silent_is_held_once(tmp_path: Path) -> None:
 
 async def test_a_fault_of_ours_ends_control_and_holds(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(Way.VELOCITY)
-        f.commander.fails = ValueError("a bug")
+        await f.flight.engage(ControlMode.VELOCITY)
+        f.commands.fails = ValueError("a bug")
         await asyncio.sleep(0.5)
-        assert f.flight.pilot.state is PilotState.OFF and not f.flight.clock.running
+        assert f.flight.pilot.state is OffboardState.OFF and not f.flight.clock.running
         assert [plan.order for plan in f.orders].count("hold") == 1
         assert [e.kind for e in f.events].count("fault") == 1 and "ValueError('a bug')" in f.texts()
 
@@ -308,7 +308,7 @@ async def test_places_and_setpoints_are_taken_only_while_it_flies_and_within_the
         stream = Setpoint(place(1, 2, 10))
         for refused in (f.flight.fly_to(place(1, 1, 10), None), f.flight.follow(stream, 0.5)):
             assert not refused.ok and "control set alpha position" in refused.message
-        await f.flight.engage(Way.VELOCITY)
+        await f.flight.engage(ControlMode.VELOCITY)
         assert f.flight.fly_to(place(10, -10, 12), 0.0).ok
         assert "the fence less 2 m" in f.flight.fly_to(place(49, 0, 12), None).message
         assert f.flight.follow(stream, 0.5).ok
@@ -321,7 +321,7 @@ async def test_places_and_setpoints_are_taken_only_while_it_flies_and_within_the
 
 async def test_a_stream_in_the_old_frame_ends_with_it(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(Way.VELOCITY)
+        await f.flight.engage(ControlMode.VELOCITY)
         f.flight.follow(Setpoint(place(10, 0, 10)), 0.5)
         f.flight.origin_changed()
         assert not f.flight.pilot.streaming and "the origin changed" in f.texts()
@@ -336,7 +336,7 @@ async def test_a_stream_in_the_old_frame_ends_with_it(tmp_path: Path) -> None:
 
 async def test_gains_change_in_flight_and_stay_but_not_to_what_cannot_fly(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(Way.ATTITUDE)
+        await f.flight.engage(ControlMode.ATTITUDE)
         assert f.flight.change_gains({"xy": {"vel_p": 0.07}, "hover_thrust": 0.5}).ok
         assert f.flight.gains()["xy"] == {"pos_p_per_s": 0.95, "vel_p": 0.07, "vel_i": 0.02, "vel_d": 0.0}
         refused = f.flight.change_gains({"hover_thrust": 0.95})
@@ -348,14 +348,14 @@ async def test_gains_change_in_flight_and_stay_but_not_to_what_cannot_fly(tmp_pa
         await asyncio.sleep(3)
         f.mode = PX4_LOITER
         await asyncio.sleep(0.1)
-        await f.flight.engage(Way.ATTITUDE)
+        await f.flight.engage(ControlMode.ATTITUDE)
         assert f.flight.gains()["z"]["vel_p"] == 2.0  # what was changed by hand outlives an engagement
 
 
 async def test_a_trace_is_a_file_per_flight_with_a_row_per_tick(tmp_path: Path) -> None:
     async with field(tmp_path / "logs") as f:
         assert f.flight.record(True) is None  # nothing to trace yet
-        await f.flight.engage(Way.ATTITUDE)
+        await f.flight.engage(ControlMode.ATTITUDE)
         path = f.flight.recording
         assert path is not None and f.flight.status(f.loop.time())["recording"] == str(path)
         await asyncio.sleep(1.0)
@@ -372,7 +372,7 @@ async def test_a_full_disk_ends_the_trace_and_not_the_flight(tmp_path: Path) -> 
     (tmp_path / "logs").write_text("no folder")
     async with field(tmp_path / "logs") as f:
         f.flight.record(True)
-        assert (await f.flight.engage(Way.VELOCITY)).ok
+        assert (await f.flight.engage(ControlMode.VELOCITY)).ok
         await asyncio.sleep(1)
         assert f.flight.flying and f.flight.recording is None and "traced no more" in f.texts()
         assert f.texts().count("traced no more") == 1

@@ -15,7 +15,7 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RouteNote
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
 from skygcs.runtime.channel_policy import channel_policy
-from skygcs.runtime.hub import MAX_CHANNEL_ID, MAX_PARTED, MAX_PARTED_SOURCES, OTHER_SOURCES, Hub
+from skygcs.runtime.hub import MAX_CHANNEL_ID, MAX_CLOSED_CHANNELS, MAX_CLOSED_SOURCES, OTHER_SOURCES, Hub
 from support.routed import DIALECT, heartbeat, message
 
 
@@ -231,22 +231,22 @@ async def test_counters_survive_a_replug_and_the_pause_is_no_loss() -> None:
 
 async def test_a_thousand_passing_peers_leave_a_bounded_memory() -> None:
     bench = Bench()
-    for n in range(MAX_PARTED + 100):
+    for n in range(MAX_CLOSED_CHANNELS + 100):
         channel = bench.channel("udp", f"peer{n}")
         bench.feed(channel, heartbeat(7))
         bench.hub.detach(channel, "gone")
-    assert len(bench.hub._parted) == MAX_PARTED
+    assert len(bench.hub._closed_channels) == MAX_CLOSED_CHANNELS
     assert bench.hub.channels == {}
 
 
 async def test_passing_peers_that_carry_a_large_fleet_leave_a_bounded_memory_too() -> None:
     bench = Bench()
-    for n in range(2 * MAX_PARTED_SOURCES // 200 + 2):
+    for n in range(2 * MAX_CLOSED_SOURCES // 200 + 2):
         channel = bench.channel("udp", f"peer{n}")
         bench.feed(channel, *(heartbeat(sysid) for sysid in range(1, 201)))
         bench.hub.detach(channel, "gone")
-    kept = list(bench.hub._parted.values())
-    assert MAX_PARTED_SOURCES - 200 < sum(map(len, kept)) <= MAX_PARTED_SOURCES
+    kept = list(bench.hub._closed_channels.values())
+    assert MAX_CLOSED_SOURCES - 200 < sum(map(len, kept)) <= MAX_CLOSED_SOURCES
     assert kept[-1] is channel.sources, "who left last is who may come back"
 
 
@@ -278,7 +278,7 @@ async def test_a_tap_hears_what_it_asked_for_until_it_is_removed() -> None:
     bench = Bench()
     channel = bench.channel("a")
     heard: list[tuple[str, int]] = []
-    remove = bench.hub.add_tap({30}, {2 << 8 | 1}, lambda f, c, now: heard.append((f.name, f.sysid)))
+    remove = bench.hub.add_observer({30}, {2 << 8 | 1}, lambda f, c, now: heard.append((f.name, f.sysid)))
     bench.feed(channel, message("ATTITUDE", 1), message("ATTITUDE", 2), heartbeat(2))
     remove()
     remove()

@@ -142,7 +142,7 @@ async def test_a_plan_goes_up_and_comes_down_unchanged(autopilot: int) -> None:
             assert down.mission == tuple(map(all_set, PLAN.mission)), "an ArduPilot keeps no unset number"
         first = storing.lists[0].items[0]
         assert first.command == (22 if autopilot == PX4 else 16)
-        assert {s.priority for s in ground.sent if s.name.startswith("MISSION_")} == {Priority.EXCHANGE}
+        assert {s.priority for s in ground.sent if s.name.startswith("MISSION_")} == {Priority.PROTOCOL}
         assert actor.missions.status()["counts"] == {"mission": 4, "fence": 4, "rally": 1}
 
 

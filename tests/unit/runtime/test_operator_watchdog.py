@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.control.deadman import DeadMan, DeadManAction
 from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.operator_watchdog import Watchman
+from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from support.vehicles import Voice
 
 pytestmark = pytest.mark.looptime
@@ -48,7 +48,7 @@ class Watch:
         self.fleet = FakeFleet()
         self.events: list[Event] = []
         dead_man = DeadMan(timeout_s, action)
-        self.man = Watchman(dead_man, cast(Fleet, self.fleet), self.loop, self.events.append)
+        self.man = OperatorWatchdog(dead_man, cast(Fleet, self.fleet), self.loop, self.events.append)
 
     async def wait(self, seconds: int) -> None:
         """With a tick a second."""

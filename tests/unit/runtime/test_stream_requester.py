@@ -56,11 +56,11 @@ async def test_a_message_the_vehicle_refuses_is_not_asked_for_again_until_it_reb
         vehicle.script = lambda v, sent: v.reply(sent, 2)
         await asyncio.sleep(120)
         assert len(asked(ground)) == 1
-        identified = [s for s in ground.sent if s.priority is Priority.EXCHANGE]
+        identified = [s for s in ground.sent if s.priority is Priority.PROTOCOL]
         vehicle.restart(4.0)
         await asyncio.sleep(24)
         assert len(asked(ground)) == 2
-        assert len([s for s in ground.sent if s.priority is Priority.EXCHANGE]) > len(identified)
+        assert len([s for s in ground.sent if s.priority is Priority.PROTOCOL]) > len(identified)
 
 
 async def test_a_rate_a_person_has_set_is_left_alone() -> None:

@@ -8,35 +8,35 @@ import gc
 import pytest
 
 from skygcs.events import Event
-from skygcs.runtime.task_set import Errands, fault
+from skygcs.runtime.task_set import TaskSet, fault
 
 pytestmark = pytest.mark.looptime
 
 
 async def test_an_errand_nobody_holds_outlives_the_collector_and_is_forgotten_when_done() -> None:
-    errands, done = Errands(asyncio.get_running_loop(), lambda event: None), []
+    tasks, done = TaskSet(asyncio.get_running_loop(), lambda event: None), []
 
     async def work() -> None:
         await asyncio.sleep(1.0)
         done.append(True)
 
-    errands.start(work(), "look")
+    tasks.start(work(), "look")
     await asyncio.sleep(0)
     gc.collect()
-    assert len(errands) == 1
+    assert len(tasks) == 1
     await asyncio.sleep(2.0)
-    assert done == [True] and len(errands) == 0
+    assert done == [True] and len(tasks) == 0
 
 
 @pytest.mark.parametrize(("name", "sysid", "told"), [(None, None, "look"), ("alpha", 7, "alpha look")])
 async def test_a_fault_of_ours_is_told_with_whose_errand_it_was(name: str | None, sysid: int | None, told: str) -> None:
     events: list[Event] = []
-    errands = Errands(asyncio.get_running_loop(), events.append, name, sysid)
+    tasks = TaskSet(asyncio.get_running_loop(), events.append, name, sysid)
 
     async def work() -> None:
         raise RuntimeError("a bug")
 
-    errands.start(work(), "look")
+    tasks.start(work(), "look")
     await asyncio.sleep(0.1)
     (event,) = events
     assert (event.kind, event.vehicle, event.sysid) == ("fault", name, sysid)
@@ -45,11 +45,11 @@ async def test_a_fault_of_ours_is_told_with_whose_errand_it_was(name: str | None
 
 async def test_close_cancels_what_is_under_way_and_tells_nothing() -> None:
     events: list[Event] = []
-    errands = Errands(asyncio.get_running_loop(), events.append)
-    task = errands.start(asyncio.sleep(60.0), "wait")
+    tasks = TaskSet(asyncio.get_running_loop(), events.append)
+    task = tasks.start(asyncio.sleep(60.0), "wait")
     await asyncio.sleep(0)
-    errands.close()
+    tasks.close()
     await asyncio.gather(task, return_exceptions=True)
     await asyncio.sleep(0)
-    assert task.cancelled() and len(errands) == 0 and events == []
+    assert task.cancelled() and len(tasks) == 0 and events == []
     assert fault(task) is None

@@ -882,8 +882,8 @@ async def test_cancelling_an_order_leaves_nothing_behind() -> None:
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
-        assert not actor.commander.commanding
-        assert not actor.commander.busy
+        assert not actor.commands.commanding
+        assert not actor.commands.busy
         vehicle.script = accept_everything
         assert (await actor.takeoff(5)).ok
 
@@ -903,7 +903,7 @@ async def test_a_new_vehicle_is_asked_for_its_version_and_home_a_few_times_only(
     async with Ground() as ground:
         _, actor = await one(ground)
         await asyncio.sleep(300)
-        asked = [s for s in ground.sent if s.priority is Priority.EXCHANGE]
+        asked = [s for s in ground.sent if s.priority is Priority.PROTOCOL]
         assert {(s.command, s.param1) for s in asked} == {(512, 148.0), (512, 242.0)}
         assert len(asked) == 10
         assert actor.vehicle.connected

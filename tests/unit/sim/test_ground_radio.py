@@ -10,7 +10,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.ground_radio import GroundRadio
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.radio_fleet import RadioFleet
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import TdmConfig, TdmNetwork
 from skygcs.sim.vehicle_group import make_vehicles
 
@@ -23,7 +23,7 @@ class Bench:
 
     def __init__(self, vehicles: int = 2, baud: int = 57600) -> None:
         sims = make_vehicles(DIALECT, px4=vehicles, ardupilot=0, first_sysid=1, home=FIELD)
-        network = TdmNetwork(TdmConfig(vehicles + 1, baud=baud), DIALECT, Chance(1))
+        network = TdmNetwork(TdmConfig(vehicles + 1, baud=baud), DIALECT, Rng(1))
         self.air = RadioFleet(sims, network, DIALECT)
         self.ground = GroundRadio(self.air)
         self.baud = baud

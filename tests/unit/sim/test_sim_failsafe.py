@@ -9,10 +9,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.conditions import Conditions, Dynamics
 from skygcs.sim.copter_setup import CopterMode
-from skygcs.sim.failsafe import Alarm
+from skygcs.sim.failsafe import ConditionTimer
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.px4_setup import Px4Mode
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from support.sim_pilot import FIELD, Pilot, copter, px4, px4_mode, sim_dialect
 
 VELOCITY_ONLY = 0xDC7
@@ -46,7 +46,7 @@ def northward(pilot: Pilot, speed_mps: float, seconds: float) -> None:
 
 
 def test_an_alarm_goes_off_once_after_its_time_and_again_after_an_end() -> None:
-    alarm = Alarm()
+    alarm = ConditionTimer()
     assert [alarm.check(bad, now, 2.0) for now, bad in enumerate([1, 1, 1, 1, 0, 1, 1, 1])] == [
         False,
         False,
@@ -237,7 +237,7 @@ def test_disarming_by_failsafe_lets_it_fall() -> None:
 
 def windy_px4(dynamics: Dynamics = Dynamics.RIGID) -> Px4Vehicle:
     conditions = Conditions(dynamics=dynamics, wind_enu_mps=(4.0, 0.0, 0.0))
-    return Px4Vehicle(sim_dialect(), 1, FIELD, chance=Chance(1), conditions=conditions)
+    return Px4Vehicle(sim_dialect(), 1, FIELD, rng=Rng(1), conditions=conditions)
 
 
 @pytest.mark.parametrize("dynamics", list(Dynamics))

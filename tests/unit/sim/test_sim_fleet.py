@@ -12,7 +12,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.radio_status import SimRadio
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle_group import make_vehicles
 from support.sim_pilot import FIELD, Pilot, sim_dialect
 
@@ -65,24 +65,24 @@ def heartbeat(parser: FrameParser) -> list[Frame]:
 
 def test_the_radio_reports_only_while_heartbeats_go_through_it() -> None:
     dialect = sim_dialect()
-    radio, parser, client = SimRadio(dialect, Chance(1)), FrameParser(dialect), mav.MAVLink(None)
+    radio, parser, client = SimRadio(dialect, Rng(1)), FrameParser(dialect), mav.MAVLink(None)
     reports: list[tuple[float, mav.MAVLink_radio_status_message]] = []
 
-    def run(start: float, end: float, beats: bool) -> None:
+    def run(start: float, end: float, heartbeats: bool) -> None:
         for i in range(round((end - start) / 0.1)):
             now = start + (i + 1) * 0.1
-            if beats and i % 10 == 0:
+            if heartbeats and i % 10 == 0:
                 for frame in heartbeat(parser):
                     radio.on_frame(frame, now)
             for raw in radio.step(now):
                 reports.append((now, client.parse_buffer(raw)[0]))
 
-    run(0, 20, beats=False)
+    run(0, 20, heartbeats=False)
     assert reports == []
-    run(20, 40, beats=True)
+    run(20, 40, heartbeats=True)
     assert len(reports) == 20
     assert all(b - a == pytest.approx(1.0, abs=0.11) for (a, _), (b, _) in pairwise(reports))
     assert {(m.get_srcSystem(), m.get_srcComponent(), m.txbuf) for _, m in reports} == {(51, 68, 100)}
     assert [m.get_seq() for _, m in reports] == list(range(20))
-    run(40, 60, beats=False)
+    run(40, 60, heartbeats=False)
     assert 20 < len(reports) <= 26

@@ -8,7 +8,7 @@ import pytest
 
 from skygcs.sim.battery import Battery
 from skygcs.sim.param_table import Param, Params
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 
 INT32, INT8, FLOAT = 6, 2, 9
 
@@ -62,8 +62,8 @@ def test_indices_follow_the_alphabet() -> None:
 
 def test_the_same_seed_gives_the_same_chance_and_another_another() -> None:
     def draw(seed: int) -> list[float]:
-        chance = Chance(seed)
-        return [chance.fraction() for _ in range(5)]
+        rng = Rng(seed)
+        return [rng.fraction() for _ in range(5)]
 
     assert draw(7) == draw(7)
     assert draw(7) != draw(8)
@@ -71,13 +71,13 @@ def test_the_same_seed_gives_the_same_chance_and_another_another() -> None:
 
 
 def test_chance_is_evenly_spread() -> None:
-    chance = Chance(42)
-    values = [chance.fraction() for _ in range(20_000)]
+    rng = Rng(42)
+    values = [rng.fraction() for _ in range(20_000)]
     assert all(0 <= v < 1 for v in values)
     for decile in range(10):
         assert sum(decile / 10 <= v < (decile + 1) / 10 for v in values) == pytest.approx(2000, abs=200)
-    assert sum(chance.happens(0.3) for _ in range(10_000)) == pytest.approx(3000, abs=200)
-    assert not any(chance.happens(0.0) for _ in range(100))
+    assert sum(rng.happens(0.3) for _ in range(10_000)) == pytest.approx(3000, abs=200)
+    assert not any(rng.happens(0.0) for _ in range(100))
 
 
 def test_a_battery_lasts_about_twenty_minutes_of_hover_and_its_voltage_falls() -> None:

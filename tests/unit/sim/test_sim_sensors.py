@@ -10,7 +10,7 @@ from skygcs.sim.conditions import Conditions, conditions_of, wind_enu
 from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.px4 import Px4Vehicle
 from skygcs.sim.quad import IDEAL, Quad
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.sensors import Sensors
 from skygcs.sim.vehicle_group import make_vehicles
 from support.sim_pilot import FIELD, Pilot, px4, sim_dialect
@@ -21,12 +21,12 @@ LIMITS = Limits(speed_mps=5.0, accel_mps2=2.5, climb_mps=2.0, descent_mps=1.0)
 
 def vehicle(seed: int = 1, **words: float) -> Px4Vehicle:
     conditions = conditions_of(**words)  # type: ignore[arg-type]  # all numbers here
-    return Px4Vehicle(sim_dialect(), 1, FIELD, chance=Chance(seed), conditions=conditions)
+    return Px4Vehicle(sim_dialect(), 1, FIELD, rng=Rng(seed), conditions=conditions)
 
 
 def test_without_noise_and_latency_belief_and_telemetry_are_the_truth_itself() -> None:
     v = px4()
-    assert v.believed is v.motion and v.told is v.motion
+    assert v.estimated is v.motion and v.told is v.motion
 
 
 def test_position_noise_has_the_size_asked_for_and_wanders_slowly() -> None:
@@ -37,7 +37,7 @@ def test_position_noise_has_the_size_asked_for_and_wanders_slowly() -> None:
         before = sensors.error_enu_m[0]
         sensors.step()
         steps.append(abs(sensors.error_enu_m[0] - before))
-        east.append(sensors.believed.east_m)
+        east.append(sensors.estimated.east_m)
     assert (sum(e * e for e in east) / len(east)) ** 0.5 == pytest.approx(0.5, rel=0.3)
     assert max(steps) < 0.1, "an estimator's error does not jump"
     assert quad.pos_enu_m == (0.0, 0.0, 0.0)
@@ -51,7 +51,7 @@ def test_told_is_as_old_as_the_latency() -> None:
     for _ in range(100):
         quad.step(DT, Setpoint((None, None, 10.0), (2.0, 0.0, None)), LIMITS)
         sensors.step()
-    assert sensors.believed is quad
+    assert sensors.estimated is quad
     assert quad.east_m - sensors.told.east_m == pytest.approx(2.0 * 0.2, abs=1e-6)
 
 
@@ -62,14 +62,14 @@ def test_the_vehicle_flies_by_what_it_believes() -> None:
     pilot.command(400, 1)
     pilot.command(22, 0, 0, 0, float("nan"), float("nan"), float("nan"), 195.0)
     pilot.run(90)
-    goal = v.believed.pos_enu_m
+    goal = v.estimated.pos_enu_m
     pilot.run(60)
-    assert hypot(*(a - b for a, b in zip(v.believed.pos_enu_m, goal, strict=True))) < 0.5
-    off = hypot(*(a - b for a, b in zip(v.motion.pos_enu_m, v.believed.pos_enu_m, strict=True)))
+    assert hypot(*(a - b for a, b in zip(v.estimated.pos_enu_m, goal, strict=True))) < 0.5
+    off = hypot(*(a - b for a, b in zip(v.motion.pos_enu_m, v.estimated.pos_enu_m, strict=True)))
     assert off == pytest.approx(hypot(*v.sensors.error_enu_m))
     assert off > 0.3
     told = pilot.last("GLOBAL_POSITION_INT")
-    assert told.alt / 1000 == pytest.approx(180.0 + v.believed.up_m, abs=0.3)
+    assert told.alt / 1000 == pytest.approx(180.0 + v.estimated.up_m, abs=0.3)
 
 
 def test_attitude_noise_is_told_and_not_flown() -> None:

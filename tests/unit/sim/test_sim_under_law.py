@@ -11,7 +11,7 @@ from skygcs.core.control import ControlConfig, Estimate, Memory, Reference, step
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.conditions import Conditions, conditions_of
 from skygcs.sim.px4 import Px4Vehicle
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from support.sim_pilot import FIELD, Pilot, sim_dialect
 
 DT = 0.02
@@ -23,7 +23,7 @@ IDEAL_AIR = conditions_of(airframe="ideal")
 
 
 def hovering(kind: type[Px4Vehicle] | type[CopterVehicle], conditions: Conditions) -> Pilot:
-    pilot = Pilot(kind(sim_dialect(), 1, FIELD, chance=Chance(1), conditions=conditions))
+    pilot = Pilot(kind(sim_dialect(), 1, FIELD, rng=Rng(1), conditions=conditions))
     pilot.get_ready()
     if kind is CopterVehicle:
         pilot.vehicles[0].params.set("GUID_OPTIONS", 8)

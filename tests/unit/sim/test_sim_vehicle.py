@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.px4 import Px4Vehicle
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import SimVehicle
 from support.sim_pilot import FIELD, UNIX_US, Pilot, copter, px4, sim_dialect
 
@@ -439,7 +439,7 @@ def test_a_dialect_without_a_message_leaves_it_out() -> None:
 
     full = sim_dialect()
     small = Dialect("small", [x for x in full.messages.values() if x.name != "ESTIMATOR_STATUS"], full.enums)
-    vehicle = Px4Vehicle(small, 1, FIELD, chance=Chance(1))
+    vehicle = Px4Vehicle(small, 1, FIELD, rng=Rng(1))
     frames = FrameParser(full).feed(b"".join(vehicle.step(20.0)))
     names = {f.name for f in frames}
     assert "HEARTBEAT" in names and "ESTIMATOR_STATUS" not in names

@@ -11,7 +11,7 @@ from skygcs.core.radio_link.capacity import SLOT_BYTES, round_s
 from skygcs.sim.copter_setup import CopterMode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.radio_fleet import RadioFleet, slow_down
-from skygcs.sim.rng import Chance
+from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import GROUND, RX_BUFFER_BYTES, TX_BUFFER_BYTES, TdmConfig, TdmNetwork
 from skygcs.sim.vehicle_group import make_vehicles
 
@@ -20,7 +20,7 @@ FIELD = LocalFrame(43.78, -79.46, 180.0)
 
 
 def network(nodes: int = 3, seed: int = 1, **config: object) -> TdmNetwork:
-    return TdmNetwork(TdmConfig(nodes, **config), DIALECT, Chance(seed))  # type: ignore[arg-type]
+    return TdmNetwork(TdmConfig(nodes, **config), DIALECT, Rng(seed))  # type: ignore[arg-type]
 
 
 def frame(size: int = 40, mark: int = 1) -> bytes:

@@ -94,9 +94,9 @@ def test_the_jump_of_a_reboot_is_taken_back_where_it_was_drawn() -> None:
 
 
 def test_a_silence_is_told_also_at_the_end() -> None:
-    beats = [(float(n), heartbeat(1, seq=n)) for n in (*range(10), *range(20, 25))]
+    heartbeats = [(float(n), heartbeat(1, seq=n)) for n in (*range(10), *range(20, 25))]
     other = [(float(n), heartbeat(2, seq=n)) for n in range(40)]
-    flight = flown(log(*sorted(beats + other)))
+    flight = flown(log(*sorted(heartbeats + other)))
     assert flight.vehicles[1, 1].silences == [(9.0, 20.0), (24.0, 39.0)]
     assert flight.vehicles[2, 1].silences == []
 

@@ -48,7 +48,7 @@ FUTURE_SLACK_S = 0.1
 """A state may be so much younger than the tick (it came in meanwhile). What is dated later has another clock."""
 
 
-class Way(StrEnum):
+class ControlMode(StrEnum):
     """Who closes the loops: all here, the outer one here, none here."""
 
     ATTITUDE = "attitude"
@@ -56,9 +56,9 @@ class Way(StrEnum):
     POSITION = "position"
 
 
-WAYS = (Way.ATTITUDE, Way.VELOCITY, Way.POSITION)
+CONTROL_MODES = (ControlMode.ATTITUDE, ControlMode.VELOCITY, ControlMode.POSITION)
 """In the order of falling back."""
-_, _VELOCITY, _POSITION = WAYS
+_, _VELOCITY, _POSITION = CONTROL_MODES
 """Naming a member of an enumeration takes 75 ns (CPython 3.11), twice in every tick."""
 
 
@@ -156,11 +156,12 @@ class Facts:
 class Verdict:
     """What may be done in this tick.
 
-    send: setpoints for ``way``. hold: order a hold once (when ``changed``), send nothing. release: send nothing at all.
+    send: setpoints for ``control_mode``. hold: order a hold once (when ``changed``), send nothing. release: send
+    nothing at all.
     """
 
     action: Action
-    way: Way | None
+    control_mode: ControlMode | None
     """None unless sending."""
     reasons: tuple[str, ...]
     """Why it is not what was wanted, for the operator: the figure and its limit. Empty if it is."""
@@ -185,27 +186,27 @@ class Guard:
     """
 
     __slots__ = (
-        *("_as_before", "_as_wanted", "_cause", "_checked_at", "_clear_since", "_ended", "_told", "_way"),
+        *("_as_before", "_as_wanted", "_cause", "_checked_at", "_clear_since", "_ended", "_told", "_control_mode"),
         *("config", "wanted"),
     )
 
-    def __init__(self, config: GuardConfig, wanted: Way) -> None:
+    def __init__(self, config: GuardConfig, wanted: ControlMode) -> None:
         self.config = config
         self.reset(wanted)
 
     @property
-    def way(self) -> Way | None:
+    def control_mode(self) -> ControlMode | None:
         """The present one; None after a hold or a release."""
-        return None if self._ended else self._way
+        return None if self._ended else self._control_mode
 
-    def reset(self, wanted: Way) -> None:
+    def reset(self, wanted: ControlMode) -> None:
         """Begin anew, on the wanted way: somebody ordered control again."""
         self.wanted = wanted
-        self._way = wanted
+        self._control_mode = wanted
         self._ended: Verdict | None = None
         self._told: set[str] = set()
         self._cause: tuple[Refusal, ...] = ()
-        self._clear_since: dict[Way, float] = {}
+        self._clear_since: dict[ControlMode, float] = {}
         self._checked_at = -math.inf
         self._as_wanted = Verdict("send", wanted, (), changed=False)
         self._as_before = False
@@ -228,66 +229,72 @@ class Guard:
             return self._end("release", refusals[:1])  # the first is the cause, what follows its consequence
         if refusals := tuple(_unsafe(self.config, facts)):
             return self._end("release" if facts.engaging else "hold", refusals)
-        refused = {way: tuple(_unfit(self.config, facts, way)) for way in self._ways()}
+        refused = {
+            control_mode: tuple(_unfit(self.config, facts, control_mode)) for control_mode in self._control_modes()
+        }
         self._note_clear(refused, now)
-        before = self._way
-        self._way = self._chosen(refused, now, bound=not facts.engaging)
-        if self._way != before:
+        before = self._control_mode
+        self._control_mode = self._chosen(refused, now, bound=not facts.engaging)
+        if self._control_mode != before:
             self._told.clear()
-        return self._sending(refused, self._way != before, now)
+        return self._sending(refused, self._control_mode != before, now)
 
     def _end(self, action: Action, refusals: tuple[Refusal, ...]) -> Verdict:
         reasons, kinds = tuple(r.text for r in refusals), tuple(r.kind for r in refusals)
         self._ended = Verdict(action, None, reasons, changed=False, kinds=kinds)
         return Verdict(action, None, reasons, changed=True, kinds=kinds)
 
-    def _ways(self) -> tuple[Way, ...]:
+    def _control_modes(self) -> tuple[ControlMode, ...]:
         """The wanted way and what it may fall back to."""
-        return WAYS[WAYS.index(self.wanted) :]
+        return CONTROL_MODES[CONTROL_MODES.index(self.wanted) :]
 
-    def _note_clear(self, refused: dict[Way, tuple[Refusal, ...]], now: float) -> None:
-        for way, refusals in refused.items():
+    def _note_clear(self, refused: dict[ControlMode, tuple[Refusal, ...]], now: float) -> None:
+        for control_mode, refusals in refused.items():
             if refusals:
-                self._clear_since.pop(way, None)
-            elif self._clear_since.setdefault(way, now) > now:  # a clock that ran backwards proves nothing
-                self._clear_since[way] = now
+                self._clear_since.pop(control_mode, None)
+            elif self._clear_since.setdefault(control_mode, now) > now:  # a clock that ran backwards proves nothing
+                self._clear_since[control_mode] = now
 
-    def _chosen(self, refused: dict[Way, tuple[Refusal, ...]], now: float, *, bound: bool) -> Way:
+    def _chosen(self, refused: dict[ControlMode, tuple[Refusal, ...]], now: float, *, bound: bool) -> ControlMode:
         """The highest way that may be taken; the last, position, is never refused. ``bound``: to the present one."""
         after_s = self.config.return_after_s
-        for way in self._ways():
-            if refused[way]:
+        for control_mode in self._control_modes():
+            if refused[control_mode]:
                 continue
-            if not bound or WAYS.index(way) >= WAYS.index(self._way):
-                return way
-            if after_s is not None and now - self._clear_since[way] >= after_s:
-                return way
-        return WAYS[-1]
+            if not bound or CONTROL_MODES.index(control_mode) >= CONTROL_MODES.index(self._control_mode):
+                return control_mode
+            if after_s is not None and now - self._clear_since[control_mode] >= after_s:
+                return control_mode
+        return CONTROL_MODES[-1]
 
-    def _sending(self, refused: dict[Way, tuple[Refusal, ...]], moved: bool, now: float) -> Verdict:
-        if self._way is self.wanted:
+    def _sending(self, refused: dict[ControlMode, tuple[Refusal, ...]], moved: bool, now: float) -> Verdict:
+        if self._control_mode is self.wanted:
             self._cause = ()
             self._as_before = not any(refused.values())
-            return Verdict("send", self._way, (), changed=moved)
-        above = [way for way in self._ways() if WAYS.index(way) < WAYS.index(self._way)]
-        present = tuple({r.kind: r for way in above for r in refused[way]}.values())
+            return Verdict("send", self._control_mode, (), changed=moved)
+        above = [
+            control_mode
+            for control_mode in self._control_modes()
+            if CONTROL_MODES.index(control_mode) < CONTROL_MODES.index(self._control_mode)
+        ]
+        present = tuple({r.kind: r for control_mode in above for r in refused[control_mode]}.values())
         self._cause = present or self._cause
         reasons, kinds = [r.text for r in self._cause], tuple(r.kind for r in self._cause)
-        possible = next((way for way in above if not refused[way]), None)
+        possible = next((control_mode for control_mode in above if not refused[control_mode]), None)
         if possible:
             reasons.append(self._return_text(possible, now - self._clear_since[possible]))
         news = not self._told.issuperset(kinds)
         self._told.update(kinds)
-        return Verdict("send", self._way, tuple(reasons), changed=moved or news, kinds=kinds)
+        return Verdict("send", self._control_mode, tuple(reasons), changed=moved or news, kinds=kinds)
 
-    def _return_text(self, way: Way, clear_s: float) -> str:
-        since = f"{way} has been possible again for {clear_s:.1f} s"
+    def _return_text(self, control_mode: ControlMode, clear_s: float) -> str:
+        since = f"{control_mode} has been possible again for {clear_s:.1f} s"
         if self.config.return_after_s is None:
-            return f"{since}; it does not return by itself, order {way} again"
+            return f"{since}; it does not return by itself, order {control_mode} again"
         return f"{since}; it returns after {self.config.return_after_s:g} s"
 
 
-def all_well(config: GuardConfig, facts: Facts, wanted: Way) -> bool:
+def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
     """Whether nothing stands against the wanted way nor any it may fall back to: `_not_ours`, `_unsafe` and `_unfit` in
     one, for the many ticks in which they have nothing to say."""
     age_s, estimate, delay_s = facts.state_age_s, facts.estimate, facts.delay_p95_s
@@ -349,7 +356,7 @@ def _not_ours(facts: Facts) -> Iterator[Refusal]:
 def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
     """Row 2."""
     if not facts.armed and facts.flies_disarmed is not None:
-        # A forged or foreign heartbeat: without setpoints an ArduCopter in the air levels and drifts.
+        # A heartbeat from another sender: without setpoints an ArduCopter in the air levels and drifts.
         yield Refusal("disarmed_in_air", f"its heartbeat says disarmed, but {facts.flies_disarmed}")
     if facts.two_senders:
         yield Refusal("two_senders", "two vehicles send with its ids on one link, so its state cannot be trusted")
@@ -381,17 +388,17 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
         yield Refusal("refusing", f"the autopilot refuses: {facts.refusing or 'it does not say why'}")
 
 
-def _unfit(config: GuardConfig, facts: Facts, way: Way) -> Iterator[Refusal]:
+def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iterator[Refusal]:
     """Row 3. Nothing for position: what it cannot bear is row 2."""
-    if way is Way.POSITION:
+    if control_mode is ControlMode.POSITION:
         return
     if facts.state_age_s is None or _too_old(facts.state_age_s, config.stale_s):
         age_s = float("nan") if facts.state_age_s is None else facts.state_age_s
         yield Refusal("stale", _age_text(age_s, config.stale_s, "attitude and velocity"))
     delay_s = facts.delay_p95_s
-    if way is Way.VELOCITY:
+    if control_mode is ControlMode.VELOCITY:
         if delay_s is not None and not delay_s <= config.velocity_delay_s:
-            yield Refusal("velocity_delay", _delay_text(delay_s, config.velocity_delay_s, way))
+            yield Refusal("velocity_delay", _delay_text(delay_s, config.velocity_delay_s, control_mode))
         if not facts.rate_hz >= STREAM_MIN_HZ:
             yield Refusal(
                 "velocity_rate",
@@ -402,7 +409,7 @@ def _unfit(config: GuardConfig, facts: Facts, way: Way) -> Iterator[Refusal]:
     if facts.rtt_p95_s is None or delay_s is None:
         yield Refusal("unmeasured", "round trip not measured yet, so nobody knows the delay attitude would have")
     elif not (facts.rtt_p95_s >= 0 and delay_s <= config.attitude_delay_s):
-        yield Refusal("attitude_delay", _delay_text(delay_s, config.attitude_delay_s, way))
+        yield Refusal("attitude_delay", _delay_text(delay_s, config.attitude_delay_s, control_mode))
     if not facts.rate_hz >= facts.rate_min_hz:
         yield Refusal("attitude_rate", _rate_text(facts.rate_hz, facts.rate_min_hz))
     if facts.attitude_refused is not None:
@@ -418,8 +425,8 @@ def _age_text(age_s: float, limit_s: float, what: str) -> str:
     return f"state is {age_s:.2f} s old (limit for {what} {limit_s:g} s)"
 
 
-def _delay_text(delay_s: float, limit_s: float, way: Way) -> str:
-    return f"state age plus the way up is {delay_s:.3f} s in 95 of 100 ticks (limit for {way} {limit_s:g} s)"
+def _delay_text(delay_s: float, limit_s: float, control_mode: ControlMode) -> str:
+    return f"state age plus the way up is {delay_s:.3f} s in 95 of 100 ticks (limit for {control_mode} {limit_s:g} s)"
 
 
 def _rate_text(rate_hz: float, least_hz: float) -> str:

@@ -25,10 +25,10 @@ from skygcs.core.control.gains import AxisGains, ControlConfig
 from skygcs.core.control.trace_row import (
     ATTITUDE,
     COLUMNS,
+    CONTROL_MODES,
     FIRST_OUTPUT,
     POSITION,
     VELOCITY,
-    WAYS,
     TraceRow,
     cells,
     decode_row,
@@ -39,9 +39,9 @@ from skygcs.errors import ConfigError, TraceError
 __all__ = [
     "ATTITUDE",
     "COLUMNS",
+    "CONTROL_MODES",
     "POSITION",
     "VELOCITY",
-    "WAYS",
     "Entry",
     "Mismatch",
     "Trace",
@@ -190,9 +190,9 @@ def rerun(entries: Iterable[Entry]) -> Iterator[Mismatch]:
         if entry.memory is not None:
             memory = entry.memory
         row = entry.row
-        if row.estimate is None or row.reference is None or row.way not in (ATTITUDE, VELOCITY):
+        if row.estimate is None or row.reference is None or row.control_mode not in (ATTITUDE, VELOCITY):
             continue
-        if row.way == ATTITUDE:
+        if row.control_mode == ATTITUDE:
             output, memory = step(entry.config, memory, row.estimate, row.reference, row.dt_s, following=row.following)
             again = row.with_output(output, memory)
         else:

@@ -8,7 +8,7 @@ from skygcs.core.control.cascade import Estimate, Memory, Output, Quaternion, Re
 from skygcs.errors import TraceError
 
 ATTITUDE, VELOCITY, POSITION = "attitude", "velocity", "position"
-WAYS = (ATTITUDE, VELOCITY, POSITION)
+CONTROL_MODES = (ATTITUDE, VELOCITY, POSITION)
 """Who closes the loops: all of them here; the position loop here; none here."""
 
 COLUMNS = (
@@ -33,8 +33,8 @@ class TraceRow:
     """Of the loop's clock, which has no date: only differences mean anything."""
     dt_s: float
     """Measured since the last tick, as handed to `step`: not clamped."""
-    way: str | None
-    """Of `WAYS`; None: nothing was sent in this tick."""
+    control_mode: str | None
+    """Of `CONTROL_MODES`; None: nothing was sent in this tick."""
     following: bool
     reference: Reference | None
     estimate: Estimate | None
@@ -73,7 +73,7 @@ def cells(row: TraceRow) -> list[str]:
     return [
         _number(row.t_s),
         _number(row.dt_s),
-        "" if row.way is None else str(row.way),
+        "" if row.control_mode is None else str(row.control_mode),
         _flag(row.following),
         *_reference_cells(row.reference),
         *_numbers(None if row.estimate is None else (*row.estimate.pos_enu_m, *row.estimate.vel_enu_mps), 6),
@@ -126,7 +126,7 @@ class _RowReader:
         return TraceRow(
             t_s=self._float(),
             dt_s=self._float(),
-            way=self._word(WAYS),
+            control_mode=self._word(CONTROL_MODES),
             following=self._flag(),
             reference=self._reference(),
             estimate=self._estimate(),

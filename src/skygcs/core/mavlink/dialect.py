@@ -272,8 +272,8 @@ class Dialect:
         else:
             info = self.by_name.get(name_or_id) or self.by_name.get(name_or_id.upper())
             if info is None:  # XML may use another case than upper: the UTIAS lab's message is called "utias"
-                folded = name_or_id.upper()
-                info = next((m for n, m in self.by_name.items() if n.upper() == folded), None)
+                group_values = name_or_id.upper()
+                info = next((m for n, m in self.by_name.items() if n.upper() == group_values), None)
         if info is None:
             raise KeyError(f"dialect {self.name} has no message {name_or_id!r}")
         return info

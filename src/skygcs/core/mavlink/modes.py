@@ -226,13 +226,13 @@ def px4_mode_name(custom_mode: int) -> str:
 
 def px4_custom_mode(name: str) -> int:
     """The custom_mode of a PX4 mode. Raises KeyError with a text for a person."""
-    key = _folded(name)
-    key = _folded(_PX4_ALIASES.get(key, key))
+    key = _group_values(name)
+    key = _group_values(_PX4_ALIASES.get(key, key))
     for (main, sub), known in _PX4_SUB.items():
-        if key in (_folded(known), _folded(known.partition(".")[2])):  # AUTO.LAND, or LAND for short
+        if key in (_group_values(known), _group_values(known.partition(".")[2])):  # AUTO.LAND, or LAND for short
             return main << 16 | sub << 24
     for main, known in _PX4_MAIN.items():
-        if main != PX4_MAIN_AUTO and _folded(known) == key:
+        if main != PX4_MAIN_AUTO and _group_values(known) == key:
             return main << 16
     raise KeyError(_unknown(name, mode_names(AUTOPILOT_PX4, 0)))
 
@@ -267,14 +267,14 @@ def _ardupilot_table(vehicle_type: int) -> dict[int, str]:
 
 
 def _number_in(table: dict[int, str], name: str) -> int:
-    key = _folded(name)
+    key = _group_values(name)
     for number, known in table.items():
-        if _folded(known) == key:
+        if _group_values(known) == key:
             return number
     raise KeyError(_unknown(name, tuple(table.values())))
 
 
-def _folded(name: str) -> str:
+def _group_values(name: str) -> str:
     return "".join(c for c in name.upper() if c.isalnum())
 
 

@@ -26,7 +26,7 @@ MISSION_VERSION = 2
 OLD_MISSION_VERSIONS = (1, 2)
 """Version 1 says "1.0", as text, and has a whole item for its home."""
 
-SECTION_VERSIONS = (1, 2)
+GROUP_VERSIONS = (1, 2)
 """Of the fence and rally sections: version 1 had one polygon without a kind."""
 
 COMPLEX_VERSIONS = {"survey": (2, 3, 4, 5), "CorridorScan": (1, 2)}
@@ -302,7 +302,7 @@ def _structure(file: _File, table: dict[str, Any], where: str) -> list[MissionIt
 
 def _fence(file: _File, section: dict[str, Any]) -> FencePlan:
     if section:
-        _version(file, section, "geoFence", SECTION_VERSIONS)
+        _version(file, section, "geoFence", GROUP_VERSIONS)
     polygons = [
         _polygon(file, entry, f"fence polygon {n}")
         for n, entry in enumerate(file.array(section.get("polygons", []), "geoFence.polygons"), 1)
@@ -344,7 +344,7 @@ def _return_point(file: _File, value: Any) -> tuple[float, float, float]:
 
 def _rally(file: _File, section: dict[str, Any]) -> tuple[MissionItem, ...]:
     if section:
-        _version(file, section, "rallyPoints", SECTION_VERSIONS)
+        _version(file, section, "rallyPoints", GROUP_VERSIONS)
     items = []
     for n, point in enumerate(file.array(section.get("points", []), "rallyPoints.points"), 1):
         where = f"rally point {n}"

@@ -13,7 +13,7 @@ from skygcs.core.params.param_file import Entry, ParamFile, Rounding
 SLACK_ERROR = 1e-6
 """Relative: a value that lies just between two roundings counts for both, as a decimal has no exact binary form."""
 
-FOREIGN_RATIO = 0.2
+THIRD_PARTY_RATIO = 0.2
 """A file of which more than this a vehicle does not know is of another firmware or type of vehicle."""
 
 FRAME_NAMES = ("FRAME_CLASS", "SYS_AUTOSTART", "MAV_TYPE", "CA_AIRFRAME")
@@ -172,7 +172,7 @@ def _warnings(
     for family in ("px4", "ardupilot"):
         if says.startswith(family) and stack != family:
             told.append(f"the file is of {file.about['Stack']}; this vehicle runs {stack}")
-    if total and len(unknown) / total > FOREIGN_RATIO:
+    if total and len(unknown) / total > THIRD_PARTY_RATIO:
         told.append(
             f"the vehicle has none of {len(unknown)} of the file's {total} parameters: "
             "the file is of another firmware, version or type of vehicle"

@@ -8,7 +8,7 @@ from typing import Literal
 
 from skygcs.core.preflight.rules import Rule
 
-Way = Literal["attitude", "velocity", "position"]
+ControlMode = Literal["attitude", "velocity", "position"]
 """How skygcs is to fly it by setpoints."""
 
 FIXES = ("no_gps", "no_fix", "2d", "3d", "dgps", "rtk_float", "rtk_fixed")
@@ -54,7 +54,7 @@ class Expectations:
     geofence_required: bool = False
     transmitter: bool | None = None
     """Whether a pilot's transmitter belongs to it; None: not said."""
-    control: Way | None = None
+    control: ControlMode | None = None
     """None: it is not to be flown by setpoints."""
     setpoint_hz: float = 5.0
     """Of the slowest way of control in use, which falls back from attitude to position."""

@@ -43,7 +43,7 @@ class Finish:
 Effect = Transmit | Send | Report | Finish
 
 
-class Exchange(ABC):
+class ProtocolMachine(ABC):
     """One request and its reply."""
 
     deadline: float | None = None

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, Self
 
-from skygcs.core.protocols.base import Effect, Exchange, Finish, Report, Transmit
+from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Transmit
 
 RETRY_TIMERS_S = (1.0, 1.5, 2.0, 2.5)
 """Waits after each transmission: four transmissions, 7 s in all. The first is longer than a full round of a nine-node
@@ -177,7 +177,7 @@ class CommandState(Enum):
     DONE = auto()
 
 
-class CommandExchange(Exchange):
+class CommandProtocol(ProtocolMachine):
     """See the table at the top. Only acks that answer us (`Ack.is_for`) and are of this vehicle may be handed in.
 
     ``timers`` are the waits after each transmission; their number is the number of transmissions.

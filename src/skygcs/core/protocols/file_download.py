@@ -45,7 +45,7 @@ from skygcs.core.mavlink.ftp_payload import (
     encode,
     error_text,
 )
-from skygcs.core.protocols.base import Effect, Exchange, Finish, Report, Send
+from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Send
 from skygcs.core.protocols.reply_time import ReplyWait
 
 WINDOW = 4
@@ -116,7 +116,7 @@ class _Read:
     first: bool
 
 
-class FileDownload(Exchange):
+class FileDownload(ProtocolMachine):
     """See the table at the top. Only replies of this vehicle to us may be handed in.
 
     ``session`` (0 to 255): the number of its first session; the next download had better begin with another one.

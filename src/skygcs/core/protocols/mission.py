@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from skygcs.core.mission.item import MissionItem, MissionType
-from skygcs.core.protocols.base import Effect, Exchange, Finish, Send
+from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Send
 from skygcs.core.protocols.command import MAX_TEXTS, SETTLE_S
 
 FIRST_WAIT_S = 1.0
@@ -160,7 +160,7 @@ ANSWERS = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_
 """Messages of a vehicle that belong to an exchange."""
 
 
-class MissionExchange(Exchange):
+class MissionProtocol(ProtocolMachine):
     """What upload, download and clearing have in common."""
 
     def __init__(self, kind: MissionType) -> None:
@@ -241,7 +241,7 @@ class MissionExchange(Exchange):
         return (Finish(),)
 
 
-class MissionClear(MissionExchange):
+class MissionClear(MissionProtocol):
     """See the table at the top."""
 
     def __init__(self, kind: MissionType) -> None:

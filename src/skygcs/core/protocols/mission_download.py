@@ -39,7 +39,7 @@ from skygcs.core.protocols.mission import (
     INVALID_SEQUENCE,
     MAX_TRIES,
     OPERATION_CANCELLED,
-    MissionExchange,
+    MissionProtocol,
     RoundTrip,
     meaning_of,
 )
@@ -63,7 +63,7 @@ class DownloadState(Enum):
     DONE = auto()
 
 
-class MissionDownload(MissionExchange):
+class MissionDownload(MissionProtocol):
     """See the table at the top. At most MAX_ROUNDS * MAX_TRIES * (items + 1) + 1 messages are sent."""
 
     def __init__(self, kind: MissionType) -> None:

@@ -44,7 +44,7 @@ from skygcs.core.protocols.mission import (
     MAX_TRIES,
     OPERATION_CANCELLED,
     ListState,
-    MissionExchange,
+    MissionProtocol,
     RoundTrip,
     item_values,
     meaning_of,
@@ -79,7 +79,7 @@ class UploadState(Enum):
     DONE = auto()
 
 
-class MissionUpload(MissionExchange):
+class MissionUpload(MissionProtocol):
     """See the table at the top.
 
     ``keeps_old``: the vehicle holds its old list until the new one is whole (PX4; an ArduPilot's fence), instead of

@@ -38,7 +38,7 @@ from enum import Enum, auto
 from typing import Any
 
 from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamValue, Value, from_bits, to_bits, value_text
-from skygcs.core.protocols.base import Effect, Exchange, Finish, Send
+from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Send
 from skygcs.core.protocols.command import RETRY_TIMERS_S
 
 LATE_VALUE_S = 2.5
@@ -102,7 +102,7 @@ class ParamState(Enum):
     DONE = auto()
 
 
-class ParamExchange(Exchange):
+class ParameterProtocol(ProtocolMachine):
     """See the table at the top. Only what this vehicle sent may be handed in.
 
     ``value`` None: to be read. ``known``: what the vehicle holds, if it has just said so: one round trip less.

@@ -34,7 +34,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, ParamType, ParamValue
-from skygcs.core.protocols.base import Effect, Exchange, Finish, Report, Send
+from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Send
 from skygcs.core.protocols.parameter import LATE_VALUE_S
 from skygcs.core.protocols.reply_time import ReplyWait
 
@@ -106,7 +106,7 @@ class _Request:
     first: bool
 
 
-class ParamList(Exchange):
+class ParamList(ProtocolMachine):
     """See the table at the top. Only PARAM_VALUEs of this vehicle may be handed in.
 
     ``bytes_per_s``: what the answers may take of the link; None: as fast as the window lets them. ``stops_burst``: the

@@ -22,40 +22,41 @@ from skygcs.core.radio_link.admission_frames import (
     LOGS,
     NEWEST_ONLY,
     PARAM_REQUEST_LIST,
-    Allotment,
-    ForeignFrame,
-    allotment_of,
+    RateClass,
+    ThirdPartyFrame,
     asks_for_streams,
     command_of,
     is_emergency,
     is_order,
     parse,
+    rate_class_of,
 )
 from skygcs.core.radio_link.admission_sources import OTHERS, Bucket, Line, Source
 from skygcs.core.radio_link.file_turns import FileTurns
 from skygcs.core.radio_link.list_turns import Asked, ParamLists
 from skygcs.core.radio_link.transmit_queue import ByteBudget, Priority
 
-FOREIGN_SHARE = 0.5
-"""Of what goes up into the radio, for everything foreign; the other half is ours whatever others do."""
+THIRD_PARTY_SHARE = 0.5
+"""Of what goes up into the radio, for all third-party traffic; the other half is ours whatever others do."""
 
 CORRECTIONS_SHARE = 0.4
 """The same for RTCM corrections, which are counted apart: of 500 B/s 200, the observations of one constellation."""
 
 BURST_S = 1.0
 LEAST_BURST_BYTES = 280.0
-"""What foreign traffic may save up: a second's worth, and no less than the longest frame."""
+"""What third-party traffic may save up: a second's worth, and no less than the longest frame."""
 
 ORDER_HZ, ORDER_BURST = 2.0, 3.0
 """Orders of one source to one vehicle that go as orders; further ones go as anything else does."""
 
 ORDERS_SHARE = 0.5
 ORDERS_BURST_BYTES = 900.0
-"""Of the foreign share, what may go as orders; and at once twenty of 45 B, one for each vehicle of a large network."""
+"""The part of the third-party share that may go as orders. The burst is twenty orders of 45 B: one for each vehicle of
+a large network."""
 
 EMERGENCY_HZ, EMERGENCY_BURST = 2.0, 3.0
 EMERGENCIES_BURST_BYTES = 64 * 45.0
-"""The same of emergencies, with as many bytes a second as everything foreign. Those beyond it go all the same: as
+"""The same of emergencies, with as many bytes a second as all third-party traffic. Those beyond it go all the same: as
 orders or, beyond what those have, as anything forwarded does."""
 
 MAX_SOURCES = 64
@@ -77,8 +78,8 @@ Outcome = Literal["send", "wait", "refuse", "correction"]
 
 
 @dataclass(frozen=True, slots=True)
-class ForeignRules:
-    """What a fleet file says of foreign traffic. None: the shares above."""
+class ThirdPartyRules:
+    """What a fleet file says of third-party traffic. None: the shares above."""
 
     param_lists: Literal["one", "deny", "allow"] = "one"
     files: Literal["one", "deny", "allow"] = "one"
@@ -90,7 +91,7 @@ class ForeignRules:
     corrections_bytes_per_s: float | None = None
 
 
-class Ruling(NamedTuple):
+class AdmissionDecision(NamedTuple):
     """What becomes of a frame. "send": offer it to the queue so; "wait": `poll` gives it later."""
 
     outcome: Outcome
@@ -103,7 +104,7 @@ class Released(NamedTuple):
     """A frame that has waited long enough."""
 
     raw: bytes
-    ruling: Ruling
+    admission: AdmissionDecision
 
 
 class Note(NamedTuple):
@@ -122,11 +123,11 @@ StillWaits = Callable[[Priority, Hashable, Hashable], bool]
 """Whether an entry of this class, flow and key is in the radio's queue."""
 
 
-class ForeignTraffic:
-    """One radio's. ``budget`` is the share that everything foreign has; whoever sends keeps to it."""
+class ThirdPartyTraffic:
+    """One radio's. ``budget`` is the share that all third-party traffic has; whoever sends keeps to it."""
 
     def __init__(
-        self, rules: ForeignRules, messages: Mapping[int, MessageInfo], bytes_per_s: float, now: float
+        self, rules: ThirdPartyRules, messages: Mapping[int, MessageInfo], bytes_per_s: float, now: float
     ) -> None:
         """``bytes_per_s``: what goes up into the radio altogether; ``messages``: of the dialect, by id."""
         self.rules = rules
@@ -147,27 +148,27 @@ class ForeignTraffic:
 
     def set_rate(self, bytes_per_s: float, now: float) -> None:
         """What goes up into the radio altogether has changed."""
-        foreign = FOREIGN_SHARE * bytes_per_s if self.rules.bytes_per_s is None else self.rules.bytes_per_s
-        self.budget.set_rate(foreign, now)
-        self.budget.set_burst(max(LEAST_BURST_BYTES, BURST_S * foreign), now)
-        self._orders.set_rate(ORDERS_SHARE * foreign, now)
-        self._stops.set_rate(foreign, now)
+        third_party = THIRD_PARTY_SHARE * bytes_per_s if self.rules.bytes_per_s is None else self.rules.bytes_per_s
+        self.budget.set_rate(third_party, now)
+        self.budget.set_burst(max(LEAST_BURST_BYTES, BURST_S * third_party), now)
+        self._orders.set_rate(ORDERS_SHARE * third_party, now)
+        self._stops.set_rate(third_party, now)
 
     # -- up
 
-    def judge(self, raw: bytes, now: float, still_waits: StillWaits) -> Ruling:
+    def judge(self, raw: bytes, now: float, still_waits: StillWaits) -> AdmissionDecision:
         """What becomes of one frame. Never raises, whatever the bytes are. An order or emergency is charged at once;
         of the rest the queue charges `budget` when it sends."""
         frame = parse(raw, self._messages)
         if frame is None:
             self._source(OTHERS, now).count("malformed")
-            return Ruling("refuse")
+            return AdmissionDecision("refuse")
         source = self._source(frame.source, now)
-        ruling = self._ruled(frame, source, now, still_waits)
-        if ruling.outcome == "send":
+        admission = self._ruled(frame, source, now, still_waits)
+        if admission.outcome == "send":
             source.count("sent")
             source.count("sent_bytes", len(raw))
-        return ruling
+        return admission
 
     def poll(self, now: float) -> list[Released]:
         """Frames whose turn has come, to be offered to the queue."""
@@ -230,16 +231,16 @@ class ForeignTraffic:
 
     # -- the rules
 
-    def _ruled(self, frame: ForeignFrame, source: Source, now: float, still_waits: StillWaits) -> Ruling:
+    def _ruled(self, frame: ThirdPartyFrame, source: Source, now: float, still_waits: StillWaits) -> AdmissionDecision:
         msgid = frame.msgid
         if self.rules.rates_hz.get(msgid, 1.0) <= 0 and not is_emergency(frame):
             return self._refused("rate", frame, source)
         if msgid == GPS_RTCM_DATA:
             source.count("corrections")
-            return Ruling("correction")
+            return AdmissionDecision("correction")
         if msgid == HEARTBEAT and frame.source >> 8 == self.own_sysid:
             source.count("needless")  # ours goes anyway, and vehicles tell stations apart by system (airtime.md)
-            return Ruling("refuse")
+            return AdmissionDecision("refuse")
         if msgid in LOGS and self.rules.logs == "deny":
             return self._refused("logs", frame, source)
         if asks_for_streams(frame) and self.rules.streams == "deny" and frame.target not in self.unplanned:
@@ -255,62 +256,64 @@ class ForeignTraffic:
             return self._stopped(frame, source, now, still_waits)
         if is_order(frame) and msgid not in self.rules.rates_hz:
             return self._ordered(frame, source, now, still_waits)
-        allotment = allotment_of(frame, self.rules.rates_hz)
+        rate_class = rate_class_of(frame, self.rules.rates_hz)
         if msgid in NEWEST_ONLY or msgid == HEARTBEAT:
             newest = ("newest", frame.source, msgid, frame.target, frame.component)
-            ruling = Ruling("send", key=newest, flow=source.key)
+            admission = AdmissionDecision("send", key=newest, flow=source.key)
         else:
-            ruling = Ruling("send", key=source.key_of(frame), flow=source.key)
-            if still_waits(Priority.FORWARDED, ruling.flow, ruling.key):
+            admission = AdmissionDecision("send", key=source.key_of(frame), flow=source.key)
+            if still_waits(Priority.FORWARDED, admission.flow, admission.key):
                 source.count("repeated")
-                return ruling
-        return ruling if allotment is None else self._allotted(frame, allotment, ruling, source, now)
+                return admission
+        return admission if rate_class is None else self._allotted(frame, rate_class, admission, source, now)
 
     def _allotted(
-        self, frame: ForeignFrame, allotment: Allotment, ruling: Ruling, source: Source, now: float
-    ) -> Ruling:
-        line = source.lines.get(allotment.group)
+        self, frame: ThirdPartyFrame, rate_class: RateClass, admission: AdmissionDecision, source: Source, now: float
+    ) -> AdmissionDecision:
+        line = source.lines.get(rate_class.group)
         if line is None:
-            line = source.lines[allotment.group] = Line(Bucket(allotment.hz, allotment.burst, now))
+            line = source.lines[rate_class.group] = Line(Bucket(rate_class.hz, rate_class.burst, now))
         if not line.frames and line.bucket.take(now):
-            return ruling
-        if not allotment.waits:
+            return admission
+        if not rate_class.waits:
             source.count("thinned")
-            self._note_thinned(frame, source, allotment.hz, now)
-            return Ruling("refuse")
-        if ruling.key in line.frames:
+            self._note_thinned(frame, source, rate_class.hz, now)
+            return AdmissionDecision("refuse")
+        if admission.key in line.frames:
             source.count("repeated")
-            line.frames[ruling.key] = frame
-            return Ruling("wait")
+            line.frames[admission.key] = frame
+            return AdmissionDecision("wait")
         if self._waiting >= MAX_WAITING or source.waiting >= MAX_WAITING_OF_ONE:
             if not line.frames:
                 source.count("dropped")
-                return Ruling("refuse")
+                return AdmissionDecision("refuse")
             del line.frames[next(iter(line.frames))]
             self._waiting -= 1
             source.count("dropped")
-        line.frames[ruling.key] = frame
+        line.frames[admission.key] = frame
         self._waiting += 1
         source.count("slowed")
-        return Ruling("wait")
+        return AdmissionDecision("wait")
 
-    def _listed(self, frame: ForeignFrame, source: Source, now: float) -> Ruling:
+    def _listed(self, frame: ThirdPartyFrame, source: Source, now: float) -> AdmissionDecision:
         if self.rules.param_lists == "deny" or not frame.target:  # to all at once is as many lists as vehicles
             return self._refused("param_lists", frame, source)
         match self.lists.ask(frame, now):
             case Asked.SEND:
-                return Ruling("send", key=frame.identity, flow=source.key)
+                return AdmissionDecision("send", key=frame.identity, flow=source.key)
             case Asked.HOLD:
                 source.count("held")
                 self._note("held", frame, source, 0.0)
-                return Ruling("wait")
+                return AdmissionDecision("wait")
             case Asked.SWALLOW:
                 source.count("repeated")
-                return Ruling("wait")
+                return AdmissionDecision("wait")
 
-    def _stopped(self, frame: ForeignFrame, source: Source, now: float, still_waits: StillWaits) -> Ruling:
+    def _stopped(
+        self, frame: ThirdPartyFrame, source: Source, now: float, still_waits: StillWaits
+    ) -> AdmissionDecision:
         key = ("stop", frame.source, command_of(frame))
-        urgent = Ruling("send", Priority.EMERGENCY, key, frame.target)
+        urgent = AdmissionDecision("send", Priority.EMERGENCY, key, frame.target)
         if still_waits(Priority.EMERGENCY, frame.target, key):
             source.count("repeated")
             return urgent
@@ -319,14 +322,16 @@ class ForeignTraffic:
             return urgent
         source.count("slowed")
         if self._charged(self._orders, frame, now):
-            return Ruling("send", Priority.COMMAND, key, frame.target)  # before the orders that follow it
+            return AdmissionDecision("send", Priority.COMMAND, key, frame.target)  # before the orders that follow it
         source.late[frame.target] = late = (*key, frame.target)
-        return Ruling("send", key=late, flow=source.key)
+        return AdmissionDecision("send", key=late, flow=source.key)
 
-    def _ordered(self, frame: ForeignFrame, source: Source, now: float, still_waits: StillWaits) -> Ruling:
+    def _ordered(
+        self, frame: ThirdPartyFrame, source: Source, now: float, still_waits: StillWaits
+    ) -> AdmissionDecision:
         key = source.key_of(frame)
-        order = Ruling("send", Priority.COMMAND, key, frame.target)
-        later = Ruling("send", key=key, flow=source.key)
+        order = AdmissionDecision("send", Priority.COMMAND, key, frame.target)
+        later = AdmissionDecision("send", key=key, flow=source.key)
         for known in (order, later):
             if still_waits(known.priority, known.flow, key):
                 source.count("repeated")
@@ -339,8 +344,8 @@ class ForeignTraffic:
         source.count("slowed")
         return later
 
-    def _charged(self, part: ByteBudget, frame: ForeignFrame, now: float) -> bool:
-        """Whether the frame goes at the cost of this part, and so of everything foreign."""
+    def _charged(self, part: ByteBudget, frame: ThirdPartyFrame, now: float) -> bool:
+        """Whether the frame goes at the cost of this part, and so of all third-party traffic."""
         size = len(frame.raw)
         if part.saved(now) < size:
             return False
@@ -348,14 +353,14 @@ class ForeignTraffic:
         self.budget.spend(size, now)
         return True
 
-    def _refused(self, kind: str, frame: ForeignFrame, source: Source) -> Ruling:
+    def _refused(self, kind: str, frame: ThirdPartyFrame, source: Source) -> AdmissionDecision:
         source.count(f"refused_{kind}")
         self._note(kind, frame, source, 0.0)
-        return Ruling("refuse")
+        return AdmissionDecision("refuse")
 
     # -- telling
 
-    def _note_thinned(self, frame: ForeignFrame, source: Source, hz: float, now: float) -> None:
+    def _note_thinned(self, frame: ThirdPartyFrame, source: Source, hz: float, now: float) -> None:
         """``hz``: how many of them go; those are not among the ones left out, which are counted here."""
         if frame.msgid == HEARTBEAT:
             return  # every station sends one a second, and nobody is to change that
@@ -364,7 +369,7 @@ class ForeignTraffic:
         if number + 1 >= TELL_AFTER and now - since >= TELL_AFTER_S:
             self._note("thinned", frame, source, hz + number / (now - since))
 
-    def _note(self, kind: str, frame: ForeignFrame, source: Source, hz: float) -> None:
+    def _note(self, kind: str, frame: ThirdPartyFrame, source: Source, hz: float) -> None:
         mark = (kind, frame.msgid if kind in ("rate", "thinned") else 0)
         if mark not in source.told and len(source.told) < MAX_NOTES:
             source.told.add(mark)
@@ -396,7 +401,7 @@ class ForeignTraffic:
         return source is not None and now - source.heard_at <= SOURCE_GONE_S
 
     @staticmethod
-    def _released(source: Source, key: Hashable, frame: ForeignFrame) -> Released:
+    def _released(source: Source, key: Hashable, frame: ThirdPartyFrame) -> Released:
         source.count("sent")
         source.count("sent_bytes", len(frame.raw))
-        return Released(frame.raw, Ruling("send", key=key, flow=source.key))
+        return Released(frame.raw, AdmissionDecision("send", key=key, flow=source.key))

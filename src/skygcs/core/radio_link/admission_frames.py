@@ -70,7 +70,7 @@ NEWEST_ONLY = frozenset(
 """Streams, of which an older frame is worthless once a newer one is there."""
 
 
-class Allotment(NamedTuple):
+class RateClass(NamedTuple):
     """How often one source may send the messages of one group. ``waits``: what comes sooner waits for its turn, since
     it is part of a dialogue; else it is left out, since another will come."""
 
@@ -80,32 +80,32 @@ class Allotment(NamedTuple):
     waits: bool
 
 
-PARAMETERS = Allotment("parameters", 4.0, 8.0, True)
+PARAMETERS = RateClass("parameters", 4.0, 8.0, True)
 """Each brings a PARAM_VALUE of 37 B down."""
-MISSIONS = Allotment("missions", 4.0, 8.0, True)
+MISSIONS = RateClass("missions", 4.0, 8.0, True)
 """Each brings an item of 50 B down or takes one up. Transfers stop and wait: no more than one frame per vehicle and
 round trip. So they are slowed, never made to wait for each other as lists are: a station gives a transfer up after
 some five repeats of 1.5 s, and repeats of what still waits cost nothing."""
-FILES = Allotment("files", 1.0, 2.0, True)
+FILES = RateClass("files", 1.0, 2.0, True)
 """Each brings 251 B down: half of a vehicle's timeslot among eleven nodes at 64 kbit/s carries 276 B/s."""
-REQUEST = Allotment("requests", 4.0, 12.0, True)
+REQUEST = RateClass("requests", 4.0, 12.0, True)
 """A burst is what a station asks of one vehicle as it connects."""
 
-BUILT_IN: dict[int, Allotment] = {
-    HEARTBEAT: Allotment("HEARTBEAT", 0.5, 1.5, False),  # two in the 5 s after which ArduPilot misses them
-    2: Allotment("SYSTEM_TIME", 0.1, 1.0, False),  # MAVROS sends 1 Hz, and vehicles with GPS do not take it
-    4: Allotment("PING", 0.5, 2.0, False),
-    111: Allotment("TIMESYNC", 0.2, 1.0, False),  # MAVROS sends 10 Hz: of ten vehicles' nodes 2.8 kB/s
+BUILT_IN: dict[int, RateClass] = {
+    HEARTBEAT: RateClass("HEARTBEAT", 0.5, 1.5, False),  # two in the 5 s after which ArduPilot misses them
+    2: RateClass("SYSTEM_TIME", 0.1, 1.0, False),  # MAVROS sends 1 Hz, and vehicles with GPS do not take it
+    4: RateClass("PING", 0.5, 2.0, False),
+    111: RateClass("TIMESYNC", 0.2, 1.0, False),  # MAVROS sends 10 Hz: of ten vehicles' nodes 2.8 kB/s
     20: PARAMETERS,  # PARAM_REQUEST_READ
     PARAM_SET: PARAMETERS,
     320: PARAMETERS,  # PARAM_EXT_REQUEST_READ
     PARAM_EXT_SET: PARAMETERS,
-    321: Allotment("PARAM_EXT_REQUEST_LIST", 0.05, 1.0, False),
+    321: RateClass("PARAM_EXT_REQUEST_LIST", 0.05, 1.0, False),
     FILE_TRANSFER_PROTOCOL: FILES,
     **dict.fromkeys((37, 38, 39, 40, 43, 44, 45, 47, 51, 73), MISSIONS),
     **dict.fromkeys((160, 161, 175, 176), MISSIONS),  # fence and rally points of old
-    REQUEST_DATA_STREAM: Allotment("REQUEST_DATA_STREAM", 0.5, 4.0, False),  # where they are let through at all
-    **dict.fromkeys(LOGS, Allotment("logs", 1.0, 1.0, True)),  # the same
+    REQUEST_DATA_STREAM: RateClass("REQUEST_DATA_STREAM", 0.5, 4.0, False),  # where they are let through at all
+    **dict.fromkeys(LOGS, RateClass("logs", 1.0, 1.0, True)),  # the same
 }
 """By message id, for each source."""
 
@@ -114,7 +114,7 @@ _CONFIRMATION_AT = 32
 _PARAM12 = struct.Struct("<ff")
 
 
-class ForeignFrame(NamedTuple):
+class ThirdPartyFrame(NamedTuple):
     """A frame of somebody else, as far as it matters here. ``payload`` without trailing zeros."""
 
     raw: bytes
@@ -134,7 +134,7 @@ class ForeignFrame(NamedTuple):
         return self.source, self.msgid, payload
 
 
-def parse(raw: bytes, messages: Mapping[int, MessageInfo]) -> ForeignFrame | None:
+def parse(raw: bytes, messages: Mapping[int, MessageInfo]) -> ThirdPartyFrame | None:
     """None for what is no whole frame. An id that the dialect does not have is for everybody."""
     if len(raw) < HEADER_V1_BYTES + 2:
         return None
@@ -156,15 +156,15 @@ def parse(raw: bytes, messages: Mapping[int, MessageInfo]) -> ForeignFrame | Non
     if info is not None:
         target = _byte(payload, info.target_system_offset)
         component = _byte(payload, info.target_component_offset)
-    return ForeignFrame(raw, msgid, source, target, component, payload.rstrip(b"\0"))
+    return ThirdPartyFrame(raw, msgid, source, target, component, payload.rstrip(b"\0"))
 
 
-def command_of(frame: ForeignFrame) -> int:
+def command_of(frame: ThirdPartyFrame) -> int:
     """The MAV_CMD of a COMMAND_LONG or COMMAND_INT: both have it at the same place."""
     return _byte(frame.payload, 28) | _byte(frame.payload, 29) << 8
 
 
-def is_emergency(frame: ForeignFrame) -> bool:
+def is_emergency(frame: ThirdPartyFrame) -> bool:
     """Whether it stops motors in the air."""
     if frame.msgid not in COMMANDS:
         return False
@@ -175,14 +175,14 @@ def is_emergency(frame: ForeignFrame) -> bool:
     return command == ARM_DISARM and param1 == 0.0 and param2 == FORCED
 
 
-def asks_for_streams(frame: ForeignFrame) -> bool:
+def asks_for_streams(frame: ThirdPartyFrame) -> bool:
     """Whether it sets what a vehicle streams."""
     if frame.msgid in COMMANDS:
         return command_of(frame) == SET_MESSAGE_INTERVAL
     return frame.msgid == REQUEST_DATA_STREAM or frame.msgid == MESSAGE_INTERVAL
 
 
-def is_order(frame: ForeignFrame) -> bool:
+def is_order(frame: ThirdPartyFrame) -> bool:
     """Whether somebody waits for a vehicle to do something."""
     if frame.msgid in COMMANDS:
         command = command_of(frame)
@@ -190,12 +190,12 @@ def is_order(frame: ForeignFrame) -> bool:
     return frame.msgid in ORDERS
 
 
-def is_change(frame: ForeignFrame) -> bool:
+def is_change(frame: ThirdPartyFrame) -> bool:
     """Whether what it leaves behind depends on what came after it: an order, a parameter that is set."""
     return is_order(frame) or frame.msgid in (PARAM_SET, PARAM_EXT_SET)
 
 
-def allotment_of(frame: ForeignFrame, rates_hz: Mapping[int, float]) -> Allotment | None:
+def rate_class_of(frame: ThirdPartyFrame, rates_hz: Mapping[int, float]) -> RateClass | None:
     """How often its source may send such frames; None: as often as there is room. ``rates_hz``, by message id, are
     laid over the built-in ones."""
     built_in = BUILT_IN.get(frame.msgid)
@@ -205,8 +205,8 @@ def allotment_of(frame: ForeignFrame, rates_hz: Mapping[int, float]) -> Allotmen
     if hz is None or (built_in is REQUEST and frame.msgid not in BUILT_IN):
         return built_in
     if built_in is None:
-        return Allotment(str(frame.msgid), hz, 1.5, False)
-    return Allotment(str(frame.msgid), hz, max(1.0, built_in.burst * hz / built_in.hz), built_in.waits)
+        return RateClass(str(frame.msgid), hz, 1.5, False)
+    return RateClass(str(frame.msgid), hz, max(1.0, built_in.burst * hz / built_in.hz), built_in.waits)
 
 
 def _byte(payload: bytes, at: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from skygcs.core.radio_link.admission_frames import ForeignFrame, is_change
+from skygcs.core.radio_link.admission_frames import ThirdPartyFrame, is_change
 
 OTHERS = -1
 """Key of all those who are more than are told apart."""
@@ -40,7 +40,7 @@ class Line:
 
     def __init__(self, bucket: Bucket) -> None:
         self.bucket = bucket
-        self.frames: dict[Hashable, ForeignFrame] = {}
+        self.frames: dict[Hashable, ThirdPartyFrame] = {}
 
 
 class Source:
@@ -65,7 +65,7 @@ class Source:
         self.heard_at = now
         self.counts: dict[str, int] = {}
         self.lines: dict[str, Line] = {}
-        """By group of `Allotment`; there are as many as message ids with a rate, at most."""
+        """By group of `RateClass`; there are as many as message ids with a rate, at most."""
         self.orders: dict[int, Bucket] = {}
         self.stops: dict[int, Bucket] = {}
         """By vehicle."""
@@ -81,7 +81,7 @@ class Source:
     def count(self, what: str, number: int = 1) -> None:
         self.counts[what] = self.counts.get(what, 0) + number
 
-    def key_of(self, frame: ForeignFrame) -> Hashable:
+    def key_of(self, frame: ThirdPartyFrame) -> Hashable:
         """What a repeat of it has in common with it. Of what changes something a repeat follows at once: on, off, on
         are three."""
         if not is_change(frame):

@@ -112,7 +112,7 @@ class LinkDemand:
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class Direction:
     """One of the four narrow places, in bytes/s: what is needed, what it has, and how much of that the plan may use."""
 
     name: str
@@ -134,7 +134,7 @@ class LinkPlan:
     """The answer: fits or not and why, how many would, what each gets, and what else to do."""
 
     demand: LinkDemand
-    ways: tuple[Way, ...]
+    directions: tuple[Direction, ...]
     round_s: float | None
     most_vehicles: int
     """That this profile and these setpoints leave room for."""
@@ -151,16 +151,16 @@ class LinkPlan:
 
 def plan_link(demand: LinkDemand) -> LinkPlan:
     """Work it out. ``demand.vehicles`` is at least 1, rates are not negative."""
-    ways = _ways(demand)
-    problems = [_tight(way) for way in ways if not way.fits]
+    directions = _ways(demand)
+    problems = [_tight(direction) for direction in directions if not direction.fits]
     if demand.air_kbps is not None and demand.nodes > MAX_NODES:
         problems.append(f"{demand.nodes} nodes: RFD900x multipoint has {MAX_NODES} node ids, one of them the ground's")
     problems += _too_slow_for_setpoints(demand)
-    down = min((w.usable / w.needed for w in ways if w.name.startswith("down") and w.needed), default=1.0)
-    up = min((w.usable / w.needed for w in ways if w.name.startswith("up") and w.needed), default=1.0)
+    down = min((w.usable / w.needed for w in directions if w.name.startswith("down") and w.needed), default=1.0)
+    up = min((w.usable / w.needed for w in directions if w.name.startswith("up") and w.needed), default=1.0)
     return LinkPlan(
         demand,
-        ways,
+        directions,
         None if demand.air_kbps is None else round_s(demand.air_kbps, demand.nodes),
         _most_vehicles(demand),
         _scaled(demand, min(1.0, down)),
@@ -170,28 +170,28 @@ def plan_link(demand: LinkDemand) -> LinkPlan:
     )
 
 
-def _ways(demand: LinkDemand) -> tuple[Way, ...]:
+def _ways(demand: LinkDemand) -> tuple[Direction, ...]:
     serial = demand.baud / BITS_PER_BYTE
     down, up = demand.down_per_vehicle_bytes_per_s, demand.up_per_vehicle_bytes_per_s
     heartbeat = FRAME_BYTES["HEARTBEAT"]  # one a second from the ground, for all
     all_up = up * demand.vehicles + heartbeat
-    ways = [
-        Way("down, ground serial", down * demand.vehicles, serial, serial * demand.fill),
-        Way("up, ground serial", all_up, serial, serial * demand.fill),
+    directions = [
+        Direction("down, ground serial", down * demand.vehicles, serial, serial * demand.fill),
+        Direction("up, ground serial", all_up, serial, serial * demand.fill),
     ]
     if demand.air_kbps is not None:
         slot = SLOT_BYTES / round_s(demand.air_kbps, demand.nodes)
-        ways += [
-            Way("down, a vehicle's slot", down, slot, slot * demand.fill),
-            Way("up, the ground's slot", all_up, slot, slot * demand.fill),
+        directions += [
+            Direction("down, a vehicle's slot", down, slot, slot * demand.fill),
+            Direction("up, the ground's slot", all_up, slot, slot * demand.fill),
         ]
-    return tuple(ways)
+    return tuple(directions)
 
 
-def _tight(way: Way) -> str:
+def _tight(direction: Direction) -> str:
     return (
-        f"{way.name} carries {way.capacity:,.0f} B/s, of which {way.usable:,.0f} may be planned with; "
-        f"{way.needed:,.0f} are wanted"
+        f"{direction.name} carries {direction.capacity:,.0f} B/s, of which {direction.usable:,.0f} may be planned "
+        f"with; {direction.needed:,.0f} are wanted"
     )
 
 
@@ -213,7 +213,7 @@ def _most_vehicles(demand: LinkDemand) -> int:
     limit = MAX_NODES - 1 if demand.air_kbps is not None else 254
     for vehicles in range(1, limit + 1):
         trial = replace(demand, vehicles=vehicles)
-        if not all(way.fits for way in _ways(trial)) or _too_slow_for_setpoints(trial):
+        if not all(direction.fits for direction in _ways(trial)) or _too_slow_for_setpoints(trial):
             break
         most = vehicles
     return most

@@ -6,7 +6,7 @@ A BurstReadFile is one frame up and a whole file down, as fast as the vehicle se
 
 from __future__ import annotations
 
-from skygcs.core.radio_link.admission_frames import ForeignFrame
+from skygcs.core.radio_link.admission_frames import ThirdPartyFrame
 
 QUIET_S = 3.0
 """A transfer of which nothing went up or came down for so long is over: stations repeat a request after a second."""
@@ -32,7 +32,7 @@ class FileTurns:
         self._since = 0.0
         self._at = 0.0
 
-    def may(self, frame: ForeignFrame, now: float) -> bool:
+    def may(self, frame: ThirdPartyFrame, now: float) -> bool:
         """Whether it may go now. What ends a transfer always may."""
         opcode = frame.payload[_OPCODE_AT] if len(frame.payload) > _OPCODE_AT else 0
         if opcode in (TERMINATE_SESSION, RESET_SESSIONS):

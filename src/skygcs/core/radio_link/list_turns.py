@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from skygcs.core.radio_link.admission_frames import ForeignFrame
+from skygcs.core.radio_link.admission_frames import ThirdPartyFrame
 
 SILENCE_S = 5.0
 """A list whose values have ceased for so long is through, or as much of it as came: what is missing is asked for one by
@@ -49,7 +49,7 @@ class Asked(Enum):
 
 @dataclass(slots=True)
 class _Running:
-    frame: ForeignFrame
+    frame: ThirdPartyFrame
     began_at: float
     sent_at: float
     value_at: float | None = None
@@ -65,7 +65,7 @@ class ParamLists:
 
     def __init__(self) -> None:
         self._running: _Running | None = None
-        self._waiting: dict[Vehicle, ForeignFrame] = {}
+        self._waiting: dict[Vehicle, ThirdPartyFrame] = {}
         self.finished = 0
         """Of which every index was seen."""
         self.unfinished = 0
@@ -73,7 +73,7 @@ class ParamLists:
         self.abandoned = 0
         """That waited until nobody was there any more who wanted them."""
 
-    def ask(self, frame: ForeignFrame, now: float) -> Asked:
+    def ask(self, frame: ThirdPartyFrame, now: float) -> Asked:
         """A request of somebody for the list of its target, which is one system."""
         self._end(now)
         vehicle = frame.target, frame.component
@@ -108,7 +108,7 @@ class ParamLists:
             indices[octet] |= 1 << bit
             running.seen += 1
 
-    def due(self, now: float, wanted: Callable[[int], bool]) -> ForeignFrame | None:
+    def due(self, now: float, wanted: Callable[[int], bool]) -> ThirdPartyFrame | None:
         """The request that may be sent now. ``wanted``: whether somebody by that source is still there."""
         self._end(now)
         while self._running is None and self._waiting:
@@ -161,7 +161,7 @@ class ParamLists:
             "abandoned": self.abandoned,
         }
 
-    def _start(self, frame: ForeignFrame, now: float) -> None:
+    def _start(self, frame: ThirdPartyFrame, now: float) -> None:
         self._running = _Running(frame, now, now)
 
     def _ends_at(self, running: _Running) -> float:

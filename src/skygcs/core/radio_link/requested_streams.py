@@ -66,7 +66,7 @@ def rate_problem(rate_hz: float, most_hz: float = MAX_RATE_HZ) -> str | None:
     return f"must be 0 (off) or {LEAST_RATE_HZ:g} to {most_hz:g} Hz, not {rate_hz:g}"
 
 
-class StreamKeeper:
+class StreamRequests:
     """What to ask one vehicle for, and when. ``rates_hz`` by message name; an empty mapping asks for nothing."""
 
     __slots__ = ("_asked_at", "_met_at", "_pause_s", "_refused", "_stepped_at", "rates_hz")

@@ -1,7 +1,8 @@
 """Which message at which rate from each vehicle behind one radio, so that all of them together fit.
 
 Pure. `fit` divides what the radio carries down among the vehicles; `Downlink` says how much that is now, from losses
-and the radio's own state; `PlanKeeper` has one vehicle follow its part: what it is asked for is verified by what comes.
+and the radio's own state; `RateController` has one vehicle follow its part: what it is asked for is verified by what
+comes.
 """
 
 from __future__ import annotations
@@ -113,7 +114,7 @@ def profile_rates(name: str) -> dict[str, float]:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class RateDemand:
     """What one vehicle would send if there were room."""
 
     rates_hz: Mapping[str, float]
@@ -121,7 +122,7 @@ class Wish:
 
 
 def fit(
-    wishes: Mapping[int, Wish], total_bytes_per_s: float, each_bytes_per_s: float, frame_bytes: Mapping[str, int]
+    demands: Mapping[int, RateDemand], total_bytes_per_s: float, each_bytes_per_s: float, frame_bytes: Mapping[str, int]
 ) -> dict[int, dict[str, float]]:
     """Hz of each message from each vehicle, so that all heartbeats and streams are within ``total_bytes_per_s`` and no
     vehicle's above ``each_bytes_per_s`` (its own timeslot), as far as the floors allow.
@@ -129,20 +130,20 @@ def fit(
     Room is divided by the wishes' weights; who wants less leaves the rest to the others. ``frame_bytes`` by message.
     """
     beat = FRAME_BYTES["HEARTBEAT"]
-    wanted = {key: _bytes(wish.rates_hz, frame_bytes) for key, wish in wishes.items()}
-    left = max(0.0, total_bytes_per_s - beat * len(wishes))
-    given = dict.fromkeys(wishes, 0.0)
-    open_keys = {key for key in wishes if wanted[key] > 0}
+    wanted = {key: _bytes(demand.rates_hz, frame_bytes) for key, demand in demands.items()}
+    left = max(0.0, total_bytes_per_s - beat * len(demands))
+    given = dict.fromkeys(demands, 0.0)
+    open_keys = {key for key in demands if wanted[key] > 0}
     while open_keys and left > 1e-6:
-        per_weight = left / sum(wishes[key].weight for key in open_keys)
+        per_weight = left / sum(demands[key].weight for key in open_keys)
         limits = {key: min(wanted[key], max(0.0, each_bytes_per_s - beat)) for key in open_keys}
-        sated = {key for key in open_keys if limits[key] - given[key] <= per_weight * wishes[key].weight}
+        sated = {key for key in open_keys if limits[key] - given[key] <= per_weight * demands[key].weight}
         for key in sated or open_keys:
-            share = limits[key] - given[key] if sated else per_weight * wishes[key].weight
+            share = limits[key] - given[key] if sated else per_weight * demands[key].weight
             given[key] += share
             left -= share
         open_keys -= sated or open_keys
-    return {key: _within(wish.rates_hz, given[key], frame_bytes) for key, wish in wishes.items()}
+    return {key: _within(demand.rates_hz, given[key], frame_bytes) for key, demand in demands.items()}
 
 
 def on_grid(rate_hz: float) -> float:
@@ -216,7 +217,7 @@ class Downlink:
 
 
 @dataclass(frozen=True, slots=True)
-class Ask:
+class RateRequest:
     """One request to a vehicle. ``rate_hz`` 0 turns it off. Exactly one of ``message`` (SET_MESSAGE_INTERVAL) and
     ``stream`` (REQUEST_DATA_STREAM; 0 is all of them)."""
 
@@ -241,7 +242,7 @@ class _Watch:
 
 
 @dataclass(slots=True)
-class PlanKeeper:
+class RateController:
     """Has one vehicle follow its plan. `plan` whenever it changes, `due` some times a second: what to ask next.
 
     Requests are not waited for: an acknowledgement over a shared radio takes as long as several of them, and what
@@ -289,7 +290,7 @@ class PlanKeeper:
             for name in self.rates_hz
         )
 
-    def stubborn(self) -> list[tuple[str, float]]:
+    def unresponsive(self) -> list[tuple[str, float]]:
         """(message, Hz) of what still comes although it was asked to cease again and again."""
         return [
             (name, watch.hz)
@@ -299,7 +300,7 @@ class PlanKeeper:
 
     def due(
         self, counts: Mapping[str, int], now: float, *, ardupilot: bool, frame_bytes: Mapping[str, int]
-    ) -> Ask | None:
+    ) -> RateRequest | None:
         """What to ask for now. ``counts``: how often each message has come, whenever."""
         if self._met_at is None:
             self._met_at = now
@@ -315,7 +316,7 @@ class PlanKeeper:
             self._stepped_at = now
         return ask
 
-    def _silence(self, counts: Mapping[str, int], now: float) -> Ask | None:
+    def _silence(self, counts: Mapping[str, int], now: float) -> RateRequest | None:
         """One frame stops all streams of an ArduPilot; it goes out before anything is asked for, and again while
         more comes than could by chance."""
         if self._silenced >= SILENCES or now < self._silenced_at + SETTLE_S + COMING_S:
@@ -331,7 +332,7 @@ class PlanKeeper:
                 watch.right = None
                 watch.asked_at = None
             watch.since, watch.count = now + SETTLE_S, counts.get(name, 0)
-        return Ask(None, 0.0, 0)
+        return RateRequest(None, 0.0, 0)
 
     def _look(self, name: str, count: int, now: float) -> None:
         watch = self._watches.get(name)
@@ -356,7 +357,7 @@ class PlanKeeper:
         if right:
             watch.pause_s, watch.asked = FIRST_PAUSE_S, min(watch.asked, 1)
 
-    def _next(self, now: float, frame_bytes: Mapping[str, int]) -> Ask | None:
+    def _next(self, now: float, frame_bytes: Mapping[str, int]) -> RateRequest | None:
         """The flood with most bytes first, then what is wanted, the position before all."""
 
         def may(name: str) -> bool:
@@ -375,7 +376,7 @@ class PlanKeeper:
                 return self._asked(name, self.rates_hz[name], now)
         return None
 
-    def _asked(self, name: str, rate_hz: float, now: float) -> Ask:
+    def _asked(self, name: str, rate_hz: float, now: float) -> RateRequest:
         watch = self._watches[name]
         window_s = max(LEAST_WINDOW_S, PERIODS / rate_hz) if rate_hz > 0 else COMING_S
         if watch.asked_at is not None:
@@ -383,9 +384,9 @@ class PlanKeeper:
         watch.pause_s = max(watch.pause_s, window_s + SETTLE_S)
         watch.asked_at, watch.since, watch.right = now, now + SETTLE_S, None
         watch.asked += 1
-        return Ask(name, rate_hz)
+        return RateRequest(name, rate_hz)
 
-    def _next_group(self, now: float) -> Ask | None:
+    def _next_group(self, now: float) -> RateRequest | None:
         """Old firmware knows whole groups at whole rates only."""
         wanted: dict[int, float] = {}
         for name, hz in self.rates_hz.items():
@@ -395,10 +396,10 @@ class PlanKeeper:
         for group, hz in wanted.items():
             if self._groups.get(group) != hz:
                 self._groups[group] = hz
-                return Ask(None, hz, group)
+                return RateRequest(None, hz, group)
         for name, watch in self._watches.items():
             group = STREAM_GROUPS.get(name)
             if name in self.rates_hz and watch.right is False and watch.hz == 0 and group is not None:
                 watch.right = None
-                return Ask(None, wanted[group], group)
+                return RateRequest(None, wanted[group], group)
         return None

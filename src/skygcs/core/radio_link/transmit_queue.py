@@ -33,7 +33,7 @@ class Priority(IntEnum):
     EMERGENCY = 0
     COMMAND = 1
     SETPOINT = 2
-    EXCHANGE = 3
+    PROTOCOL = 3
     HEARTBEAT = 4
     CORRECTION = 5
     FORWARDED = 6
@@ -43,7 +43,7 @@ BOUND: dict[Priority, int] = {
     Priority.EMERGENCY: 256,  # never fewer than vehicles in a fleet: a stop for each of 250 fits
     Priority.COMMAND: 256,
     Priority.SETPOINT: 256,  # one per vehicle, the newest
-    Priority.EXCHANGE: 256,
+    Priority.PROTOCOL: 256,
     Priority.HEARTBEAT: 4,
     Priority.CORRECTION: 16,  # 16 fragments of 180 B are three seconds of RTCM; older ones are worthless
     Priority.FORWARDED: 128,  # at 57600 baud some 5 kB: almost a second of air

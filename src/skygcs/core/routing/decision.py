@@ -30,7 +30,7 @@ class Decision:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class ForwardingEntry:
     """Where all frames like one go, so that nobody need ask about each."""
 
     destinations: tuple[int, ...]

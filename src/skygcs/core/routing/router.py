@@ -44,7 +44,7 @@ from collections.abc import Callable, Collection
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
 from skygcs.core.routing.channel import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
-from skygcs.core.routing.decision import Decision, RouteNote, Standing, Verdict
+from skygcs.core.routing.decision import Decision, ForwardingEntry, RouteNote, Verdict
 from skygcs.core.routing.duplicates import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.routing.filters import ChannelPolicy
 from skygcs.core.routing.state_source import DEFAULT_LOST_S, Known, Report, StateSource
@@ -208,7 +208,7 @@ class Router:
         self.counters[decision.verdict] += 1
         return decision
 
-    def standing(self, channel_id: int, frame: Frame) -> Standing | None:
+    def standing(self, channel_id: int, frame: Frame) -> ForwardingEntry | None:
         """What `decide` would say of all further frames of this source and message that have no target and are no
         copies (and, of heartbeats, have the same payload), until `on_change`. None: it has to be asked about each.
         """
@@ -236,7 +236,7 @@ class Router:
                 return None
             if not other.filter_out.passes(frame.msgid, frame.sysid, frame.compid):
                 return None
-        return Standing(decision.destinations, port.heard)
+        return ForwardingEntry(decision.destinations, port.heard)
 
     def _counted(self, decision: Decision) -> Decision:
         self.counters[decision.verdict] += 1
@@ -508,8 +508,8 @@ class Router:
         boot_ms = struct.unpack_from("<I", frame.payload + bytes(12), 8)[0]
         before = port.boot_ms.get(source, 0)
         state = self.state_sources.get(source)
-        believed = state is None or state.present_id in (None, port.id)
-        if believed and boot_ms < before and (boot_ms < JUST_BOOTED_MS or boot_ms < before - BOOT_JITTER_MS):
+        estimated = state is None or state.present_id in (None, port.id)
+        if estimated and boot_ms < before and (boot_ms < JUST_BOOTED_MS or boot_ms < before - BOOT_JITTER_MS):
             system = source >> 8
             # of programs with one id behind bound channels each has a clock of its own
             for other in [port] if port.bound else [p for p in self._ports.values() if not p.bound]:

@@ -113,7 +113,7 @@ ReportKind = Literal["duplicate", "duplicate_over", "switched", "replaced", "ign
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ReportedPosition:
     """A position as reported, with the vehicle's time since boot and the time it came."""
 
     lat_deg: float
@@ -168,7 +168,7 @@ class _Heard:
         self.heard_at = now
         self.heartbeat_at = -math.inf
         self.booted_at: float | None = None
-        self.place: Place | None = None
+        self.place: ReportedPosition | None = None
         self.identity: tuple[int, int] | None = None
         self.shown: tuple[bool, int] | None = None
         self.high_latency = False
@@ -206,7 +206,7 @@ class _Heard:
             lat, lon, alt, _, vx, vy, vz = struct.unpack_from("<iiiihhh", payload, 4)
             if (lat or lon) and abs(lat) <= 900_000_000:
                 speed = math.sqrt(vx * vx + vy * vy + vz * vz) / 100
-                self.place = Place(lat / 1e7, lon / 1e7, alt / 1000, speed, boot_s, now)
+                self.place = ReportedPosition(lat / 1e7, lon / 1e7, alt / 1000, speed, boot_s, now)
 
 
 class StateSource:

@@ -2,7 +2,7 @@
 
 `arm --wait` repeats the command while the estimator converges. It must not repeat it for a minute while the mode or a
 switch forbids arming. The texts are those of the firmwares: ArduPilot `AP_Arming.cpp` and `ArduCopter/AP_Arming.cpp`
-(4.7-dev), PX4 `Commander.cpp` and `HealthAndArmingChecks` (1.16). A text that is not listed may be cured by time.
+(4.7-dev), PX4 `CommandClient.cpp` and `HealthAndArmingChecks` (1.16). A text that is not listed may be cured by time.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from skygcs.core.control.delay import DelayMeter
 from skygcs.core.geo import EnuFrame, Origin, ecef, yaw_enu_from_heading_deg
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoding import GlobalPosition, finite_angles, global_position
-from skygcs.core.vehicle.geodetic_position import Place
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
@@ -37,7 +37,7 @@ MAX_LAT_DEG = 90.0
 _MESSAGES = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
 
 
-class Outlook:
+class EstimateView:
     """On one vehicle. `anchor` it before anything is asked; `measure` once a tick; the loop's times."""
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -51,7 +51,7 @@ class Outlook:
         self._vehicle = vehicle
         self._fence: Fence | None = None
         self._judged_at = -math.inf
-        decoder = vehicle.readings.decoder
+        decoder = vehicle.message_cache.decoder
         self._position_id, self._attitude_id, self._quaternion_id = map(decoder.msgid_of, _MESSAGES)
         self._read_position, self._read_attitude = map(decoder.read.get, _MESSAGES[:2])
         self._told: tuple[Frame | None, EnuFrame | None] = (None, None)
@@ -61,9 +61,9 @@ class Outlook:
         self._point_m = ZERO
         self._at = 0.0
         self._attitude: tuple[Frame | None, bool] = (None, True)
-        self._place: tuple[Reference | None, Place | None] = (None, None)
+        self._place: tuple[Reference | None, GeodeticPosition | None] = (None, None)
         self._breach: tuple[GlobalPosition | None, str | None] = (None, None)
-        self._fenced: tuple[Place | None, str | None] = (None, None)
+        self._fenced: tuple[GeodeticPosition | None, str | None] = (None, None)
 
     def anchor(self, fence: Fence | None) -> None:
         """Where it is now is the anchor from now on, and what was measured before is no use. The fence stands on earth.
@@ -137,17 +137,17 @@ class Outlook:
             return True
         return self._vehicle.section("attitude") is not None
 
-    def in_anchor(self, place: Place) -> Vector:
+    def in_anchor(self, place: GeodeticPosition) -> Vector:
         """A point on earth, in the anchor's frame."""
         assert self.frame is not None  # there is one since `anchor`
         return self.frame.from_geodetic(place.lat_deg, place.lon_deg, place.alt_amsl_m)
 
-    def place_of(self, reference: Reference) -> Place:
+    def place_of(self, reference: Reference) -> GeodeticPosition:
         """The reference as a point on earth."""
         known, place = self._place
         if place is None or known is not reference:
             assert self.frame is not None
-            place = Place(*self.frame.to_geodetic(*reference.pos_enu_m))
+            place = GeodeticPosition(*self.frame.to_geodetic(*reference.pos_enu_m))
             self._place = (reference, place)
         return place
 
@@ -187,13 +187,13 @@ class Outlook:
         return self._fenced[1]
 
     def _told_fix_ok(self, now: float) -> bool:
-        gps, at = self._vehicle.readings.section("gps")
+        gps, at = self._vehicle.message_cache.section("gps")
         if gps is None or now - at > TOLD_FRESH_S:
             return True  # its position, which is watched, comes from an estimator that knows
         return bool(gps["fix_type"] >= GPS_FIX_3D)
 
     def _told_battery_percent(self, now: float) -> float | None:
-        battery, at = self._vehicle.readings.section("battery")
+        battery, at = self._vehicle.message_cache.section("battery")
         return None if battery is None or now - at > TOLD_FRESH_S else battery["percent"]
 
 

@@ -23,7 +23,7 @@ from skygcs.core.geo import (
     world_yaw_rad,
     yaw_enu_from_heading_deg,
 )
-from skygcs.core.vehicle.geodetic_position import Place, Setpoint
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.errors import RefusedError
 
 MAX_OFFSET_M = 100_000.0
@@ -50,7 +50,7 @@ def setpoint_from_world(
         raise RefusedError("pos_enu_m: give x and y together, or neither")
     place = None
     if x is not None or up is not None:
-        place = Place(*geodetic_from_enu(x or 0.0, y or 0.0, up or 0.0, origin))
+        place = GeodeticPosition(*geodetic_from_enu(x or 0.0, y or 0.0, up or 0.0, origin))
     return Setpoint(
         place,
         enu_from_world(_whole(vel), origin),
@@ -69,8 +69,8 @@ def yaw_enu_rad(world_yaw_deg: float, origin: Origin) -> float:
 
 
 def shown(status: dict[str, Any], frame: EnuFrame | None, origin: Origin | None) -> dict[str, Any]:
-    """A `Pilot.status` as programs and people get it: JSON-able, along the world's axes; without an origin there is no
-    place to tell, and directions are true ENU."""
+    """An `OffboardController.status` for programs and people: JSON, along the world frame's axes. Without an origin
+    it has no position, and directions are true ENU."""
     reference, error = status["reference"], status["error_enu_m"]
     where = None
     if reference is not None and frame is not None and origin is not None:

@@ -8,7 +8,7 @@ from skygcs.core.control.cascade import Vector
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class GeodeticPosition:
     """A point on earth."""
 
     lat_deg: float
@@ -21,7 +21,7 @@ class Setpoint:
     """One setpoint of a stream. The velocity is true ENU; an axis that is ``free`` follows the velocity alone, and
     what ``place`` says of it does not matter. None: zero, and for the yaw: as it was."""
 
-    place: Place | None = None
+    place: GeodeticPosition | None = None
     vel_enu_mps: Vector | None = None
     acc_enu_mps2: Vector | None = None
     yaw_enu_rad: float | None = None

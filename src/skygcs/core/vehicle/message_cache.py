@@ -10,7 +10,7 @@ from typing import Any
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import SECTIONS, Folded, Section
+from skygcs.core.vehicle.decoding import GROUPS, TelemetryGroup, TelemetryGroupSpec
 
 SMOOTHING = 0.4
 """Weight of the newest second in a rate: a 1 Hz message sampled once a second is counted 0, 1 or 2 times."""
@@ -25,7 +25,7 @@ _NOTHING: tuple[None, tuple[Any, ...]] = (None, ())
 class Slot:
     """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over some seconds.
 
-    ``unpacked`` is the frame that was unpacked last and what was read of it (see `Readings.values`).
+    ``unpacked`` is the frame that was unpacked last and what was read of it (see `MessageCache.values`).
     """
 
     __slots__ = ("_mark", "_sampled", "at", "count", "frame", "name", "rate_hz", "unpacked")
@@ -53,14 +53,14 @@ class Slot:
             self._sampled = True
 
 
-class Readings:
+class MessageCache:
     """Slots by message id: never more than the dialect has messages."""
 
     def __init__(self, decoder: Decoder) -> None:
         self.decoder = decoder
         self.slots: dict[int, Slot] = {}
-        self._cache: dict[str, tuple[list[Frame], Folded | None]] = {}
-        self._ids = {s.name: tuple(map(decoder.msgid_of, s.messages)) for s in SECTIONS}
+        self._cache: dict[str, tuple[list[Frame], TelemetryGroup | None]] = {}
+        self._ids = {s.name: tuple(map(decoder.msgid_of, s.messages)) for s in GROUPS}
 
     def slot(self, message: str) -> Slot | None:
         """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
@@ -76,16 +76,16 @@ class Readings:
             slot.unpacked = (frame, self.decoder.values(frame.name, frame.payload))
         return slot.unpacked[1]
 
-    def section(self, name: str) -> tuple[Folded | None, float]:
+    def section(self, name: str) -> tuple[TelemetryGroup | None, float]:
         """One section without its age, and when its newest message came. It is kept: do not change it."""
-        return self._folded(_BY_NAME[name])
+        return self._group_values(_BY_NAME[name])
 
     def sections(self, now: float) -> dict[str, dict[str, Any] | None]:
         """All sections, each with its age; the caller's own."""
         result: dict[str, dict[str, Any] | None] = {}
-        for section in SECTIONS:
-            folded, at = self._folded(section)
-            result[section.name] = None if folded is None else {**folded, "age_s": round(now - at, 3)}
+        for section in GROUPS:
+            group_values, at = self._group_values(section)
+            result[section.name] = None if group_values is None else {**group_values, "age_s": round(now - at, 3)}
         return result
 
     def rates(self, now: float) -> dict[str, dict[str, Any]]:
@@ -111,7 +111,7 @@ class Readings:
         slots = [s for s in map(self.slot, messages) if s is not None]
         return max(slots, key=lambda s: s.at) if slots else None
 
-    def _sources(self, section: Section) -> list[Slot]:
+    def _sources(self, section: TelemetryGroupSpec) -> list[Slot]:
         get = self.slots.get
         slots = [s for i in self._ids[section.name] if (s := get(i)) is not None and s.frame is not None]
         if section.combine or len(slots) < 2:
@@ -119,7 +119,7 @@ class Readings:
         newest = max(s.at for s in slots)
         return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
 
-    def _folded(self, section: Section) -> tuple[Folded | None, float]:
+    def _group_values(self, section: TelemetryGroupSpec) -> tuple[TelemetryGroup | None, float]:
         slots = self._sources(section)
         if not slots:
             return None, 0.0
@@ -129,9 +129,9 @@ class Readings:
         if known is not None and len(known[0]) == len(frames) and all(map(operator.is_, known[0], frames)):
             return known[1], at
         values = {slot.name: v for slot in slots if (v := self.values(slot))}
-        folded = section.fold(values, self.decoder) if values else None
-        self._cache[section.name] = (frames, folded)
-        return folded, at
+        group_values = section.fold(values, self.decoder) if values else None
+        self._cache[section.name] = (frames, group_values)
+        return group_values, at
 
 
-_BY_NAME = {section.name: section for section in SECTIONS}
+_BY_NAME = {section.name: section for section in GROUPS}

@@ -25,15 +25,15 @@ from skygcs.core.control.cascade import ZERO, Estimate, Memory, Output, Referenc
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.guard import WAYS, Facts, Guard, GuardConfig, Verdict, Way
+from skygcs.core.control.guard import CONTROL_MODES, ControlMode, Facts, Guard, GuardConfig, Verdict
 from skygcs.core.control.pi import clip
 from skygcs.core.control.record import record
 from skygcs.core.control.trace import TraceRow
 from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle import setpoint
-from skygcs.core.vehicle.estimate_view import Outlook
+from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
-from skygcs.core.vehicle.geodetic_position import Place, Setpoint
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_entry import attitude_refusal, boosts_thrust, guided_mode
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
@@ -47,20 +47,20 @@ LEAST_DEG = 1e-7
 Message = tuple[str, dict[str, Any]]
 
 
-class PilotState(StrEnum):
+class OffboardState(StrEnum):
     OFF = "off"
     ENGAGING = "engaging"
     FLYING = "flying"
     HELD = "held"
 
 
-ATTITUDE, VELOCITY, POSITION = WAYS
-OFF, ENGAGING, FLYING, HELD = PilotState
+ATTITUDE, VELOCITY, POSITION = CONTROL_MODES
+OFF, ENGAGING, FLYING, HELD = OffboardState
 """To name a member of an enumeration takes 75 ns each time (CPython 3.11): 1.5 us of every tick."""
 
 
 @dataclass(frozen=True, slots=True)
-class PilotConfig:
+class OffboardConfig:
     """How to fly. Rates in setpoints per second; ``rate_min_hz``: attitude is not flown with fewer."""
 
     law: ControlConfig
@@ -101,18 +101,18 @@ class _Last:
     output: Output | None = None
 
 
-class Pilot:
+class OffboardController:
     """Control of one vehicle. `tick` at ``period_s`` while ``active``; times are the loop's.
 
     ``attitude_hz_allowed``, what the link's budget leaves, may be set at any time.
     """
 
-    def __init__(self, vehicle: Vehicle, config: PilotConfig) -> None:
+    def __init__(self, vehicle: Vehicle, config: OffboardConfig) -> None:
         self.vehicle = vehicle
         self.config = config
         self.state = OFF
         self.wanted = POSITION
-        self.way: Way | None = None
+        self.control_mode: ControlMode | None = None
         self.reasons: tuple[str, ...] = ()
         self.attitude_hz_allowed = math.inf
         self.memory = Memory()
@@ -122,7 +122,7 @@ class Pilot:
         """Whether ticks carry a row for the trace."""
         self.refusing: str | None = None
         """What the autopilot said of our setpoints when it threw one away since the last `engage`."""
-        self._outlook = Outlook(vehicle)
+        self._estimate_view = EstimateView(vehicle)
         self._guard = Guard(config.guard, POSITION)
         self._reference = Reference()
         self._until: float | None = None
@@ -139,10 +139,10 @@ class Pilot:
     @property
     def period_s(self) -> float:
         """From one tick to the next, for the present way and the link's budget."""
-        way = self.wanted if self.way is None else self.way
-        if way is ATTITUDE:
+        control_mode = self.wanted if self.control_mode is None else self.control_mode
+        if control_mode is ATTITUDE:
             return 1.0 / self.attitude_hz
-        return 1.0 / (self.config.velocity_hz if way is VELOCITY else self.config.position_hz)
+        return 1.0 / (self.config.velocity_hz if control_mode is VELOCITY else self.config.position_hz)
 
     @property
     def attitude_hz(self) -> float:
@@ -157,63 +157,63 @@ class Pilot:
     @property
     def frame(self) -> EnuFrame | None:
         """The anchor's; None before the first `engage`."""
-        return self._outlook.frame
+        return self._estimate_view.frame
 
     @property
     def delay(self) -> DelayMeter:
         """Of the present control; another after each `engage`."""
-        return self._outlook.delay
+        return self._estimate_view.delay
 
     @property
     def delay_p95_s(self) -> float | None:
         """As of the last tick."""
-        return self._outlook.delay_p95_s
+        return self._estimate_view.delay_p95_s
 
     @property
     def reference(self) -> Reference | None:
         """Where it shall be, in the anchor's frame; None while it is not told."""
         return self._reference if self.state is FLYING else None
 
-    def engage(self, way: Way, fence: Fence | None) -> None:
+    def engage(self, control_mode: ControlMode, fence: Fence | None) -> None:
         """Begin to stream "stay where you are" so that the autopilot can be switched over.
 
         The fence stands on earth until control ends. Raises RefusedError without a position.
         """
-        self._outlook.anchor(fence)
-        self.state, self.wanted, self.way, self.reasons = ENGAGING, way, None, ()
+        self._estimate_view.anchor(fence)
+        self.state, self.wanted, self.control_mode, self.reasons = ENGAGING, control_mode, None, ()
         self.was_entered, self.refusing = False, None
-        self._guard.reset(way)
+        self._guard.reset(control_mode)
         self._last = _Last()
         self._obeys = guided_mode(self.vehicle)
         self._forget()
-        self._stay(yaw_rad=self._outlook.yaw_rad())
+        self._stay(yaw_rad=self._estimate_view.yaw_rad())
 
     def entered(self) -> None:
         """The autopilot obeys our setpoints: from now on the reference stays where it is."""
         if self.state is ENGAGING:
-            self.state, self.way = FLYING, None
+            self.state, self.control_mode = FLYING, None
             self.was_entered = True
             self._guard.reset(self.wanted)
             self._forget()
             self._stay(yaw_rad=self._reference.yaw_rad)
 
-    def want(self, way: Way) -> None:
+    def want(self, control_mode: ControlMode) -> None:
         """Fly it another way from the next tick on, as far as the guard lets it; the reference stays."""
-        self.wanted, self.reasons = way, ()
-        self._guard.reset(way)
+        self.wanted, self.reasons = control_mode, ()
+        self._guard.reset(control_mode)
 
     def release(self, reason: str) -> Tick:
         """Send nothing from now on; whoever took over flies."""
         if self.state is OFF:
             return IDLE
-        self.state, self.way, self.reasons = OFF, None, (reason,)
+        self.state, self.control_mode, self.reasons = OFF, None, (reason,)
         self._until = None
         return Tick(events=(self._event(f"control ended: {reason}", "off"),))
 
-    def why_not(self, way: Way, now: float) -> tuple[str, ...]:
+    def why_not(self, control_mode: ControlMode, now: float) -> tuple[str, ...]:
         """What stands against flying this way now; changes nothing. As of the last tick."""
         facts = replace(self._facts(self._last.estimate, self._last.state_age_s, now), engaging=True)
-        return Guard(self.config.guard, way).why_not(facts)
+        return Guard(self.config.guard, control_mode).why_not(facts)
 
     def change_law(self, law: ControlConfig) -> None:
         """New gains from the next tick on. What was integrated is kept: it is thrust, whatever the gains.
@@ -226,17 +226,17 @@ class Pilot:
             self.memory = replace(self.memory, integral_enu=(east, north, clip(up - learnt, law.thrust_max)))
         self.config = replace(self.config, law=law)
 
-    def fly_to(self, place: Place, yaw_enu_rad: float | None) -> None:
+    def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> None:
         """Go to a point on earth and stay there; None keeps the yaw."""
         yaw = self._reference.yaw_rad if yaw_enu_rad is None else yaw_enu_rad
-        self._reference = Reference(self._outlook.in_anchor(place), yaw)
+        self._reference = Reference(self._estimate_view.in_anchor(place), yaw)
         self._until = None
 
     def follow(self, wanted: Setpoint, until: float) -> None:
         """One setpoint of a stream, good ``until`` then."""
         yaw = self._reference.yaw_rad if wanted.yaw_enu_rad is None else wanted.yaw_enu_rad
         self._reference = Reference(
-            ZERO if wanted.place is None else self._outlook.in_anchor(wanted.place),
+            ZERO if wanted.place is None else self._estimate_view.in_anchor(wanted.place),
             yaw,
             wanted.vel_enu_mps or ZERO,
             wanted.acc_enu_mps2 or ZERO,
@@ -259,10 +259,10 @@ class Pilot:
         first = last.at == -math.inf
         dt_s = self.config.law.period_s if first else min(max(now - last.at, 0.0), LARGEST_DT_S)
         last.at = now
-        estimate = self._outlook.estimate()
-        age_s = self._outlook.age_s(now)
+        estimate = self._estimate_view.estimate()
+        age_s = self._estimate_view.age_s(now)
         last.estimate, last.state_age_s = estimate, age_s
-        self._outlook.measure(age_s, now)
+        self._estimate_view.measure(age_s, now)
         events: list[Event] = []
         if self.state is ENGAGING:
             self._stay(yaw_rad=self._reference.yaw_rad)
@@ -274,18 +274,18 @@ class Pilot:
             ended = self.release("; ".join(verdict.reasons))
             return Tick(events=(*events, *ended.events), left="mode" in verdict.kinds)
         if self.state is ENGAGING:
-            return self._send(verdict.way or POSITION, estimate, dt_s, following=False)
+            return self._send(verdict.control_mode or POSITION, estimate, dt_s, following=False)
         self.reasons = verdict.reasons
         if verdict.changed:
             events += self._on_change(verdict)
-        if verdict.way is POSITION and self.wanted is not POSITION and self._free():
+        if verdict.control_mode is POSITION and self.wanted is not POSITION and self._free():
             # a velocity is flown on by no way the guard has refused it to
             self._stay(yaw_rad=self._reference.yaw_rad)
             events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
-        if verdict.action == "hold" or verdict.way is None:
-            self.state, self.way, self._until = HELD, None, None
+        if verdict.action == "hold" or verdict.control_mode is None:
+            self.state, self.control_mode, self._until = HELD, None, None
             return Tick(events=tuple(events), hold=True)
-        sent = self._send(verdict.way, estimate, dt_s, following=True)
+        sent = self._send(verdict.control_mode, estimate, dt_s, following=True)
         return replace(sent, events=tuple(events)) if events else sent
 
     def status(self, now: float) -> dict[str, Any]:
@@ -296,10 +296,10 @@ class Pilot:
             error = [r - x for r, x in zip(reference.pos_enu_m, last.estimate.pos_enu_m, strict=True)]
             if reference.velocity_only_z:
                 error[2] = 0.0
-        attitude = output if self.way is ATTITUDE else None
+        attitude = output if self.control_mode is ATTITUDE else None
         return {
             "mode": None if self.state is OFF else self.wanted.value,
-            "way": None if self.way is None else self.way.value,
+            "way": None if self.control_mode is None else self.control_mode.value,
             "state": self.state.value,
             "reasons": list(self.reasons),
             "reference": reference,
@@ -318,16 +318,16 @@ class Pilot:
 
     # -- the inside
 
-    def _send(self, way: Way, estimate: Estimate | None, dt_s: float, *, following: bool) -> Tick:
-        if way is not self.way:
-            self.way = way
+    def _send(self, control_mode: ControlMode, estimate: Estimate | None, dt_s: float, *, following: bool) -> Tick:
+        if control_mode is not self.control_mode:
+            self.control_mode = control_mode
             self.memory = Memory()  # an integral of another time is no use, and the first error has no slope
             self._last.output = None
         law, reference = self.config.law, self._reference
-        row = self._row(way, estimate, dt_s, following=following)
+        row = self._row(control_mode, estimate, dt_s, following=following)
         output: Output | None = None
         before = self.memory
-        if way is ATTITUDE:
+        if control_mode is ATTITUDE:
             if estimate is not None:
                 output, self.memory = step(law, self.memory, estimate, reference, dt_s, following=following)
             if output is None:
@@ -338,14 +338,14 @@ class Pilot:
             boost = boosts_thrust(self.vehicle)
             message = setpoint.attitude_target(attitude, thrust, self._boot_ms(), angle_boost=boost)
             return Tick(message, row=row, before=before, after=self.memory)
-        if way is VELOCITY or reference.velocity_only_xy or reference.velocity_only_z:
+        if control_mode is VELOCITY or reference.velocity_only_xy or reference.velocity_only_z:
             velocity = None if estimate is None else velocity_setpoint(law, estimate, reference)
             if velocity is None:
                 return IDLE
             message = setpoint.velocity_target(velocity, reference.yaw_rad, self._boot_ms())
             row = None if row is None else row.with_velocity(velocity)
             return Tick(message, row=row, before=before, after=before)
-        place = self._outlook.place_of(reference)
+        place = self._estimate_view.place_of(reference)
         message = setpoint.position_target(
             _beside_zero(place.lat_deg),
             _beside_zero(place.lon_deg),
@@ -356,33 +356,35 @@ class Pilot:
         )
         return Tick(message, row=row, before=before, after=before)
 
-    def _row(self, way: Way, estimate: Estimate | None, dt_s: float, *, following: bool) -> TraceRow | None:
+    def _row(
+        self, control_mode: ControlMode, estimate: Estimate | None, dt_s: float, *, following: bool
+    ) -> TraceRow | None:
         """What this tick was given, for the trace; None if nobody records."""
         if not self.tracing or estimate is None:
             return None
         age_s = self._last.state_age_s
-        return TraceRow(self._last.at, dt_s, way.value, following, self._reference, estimate, age_s)
+        return TraceRow(self._last.at, dt_s, control_mode.value, following, self._reference, estimate, age_s)
 
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
-        vehicle, config, outlook = self.vehicle, self.config, self._outlook
+        vehicle, config, estimate_view = self.vehicle, self.config, self._estimate_view
         engaging = self.state is ENGAGING
-        breach = outlook.breach()
-        reference_breach = None if engaging else outlook.reference_breach(self._reference)
+        breach = estimate_view.breach()
+        reference_breach = None if engaging else estimate_view.reference_breach(self._reference)
         flies_disarmed = None if vehicle.armed else contradiction(vehicle, now)
         return Facts(
             connected=vehicle.connected,
             armed=vehicle.armed,
             following=vehicle.custom_mode == self._obeys,
             state_age_s=age_s,
-            rtt_p95_s=outlook.delay.rtt_p95_s,
-            delay_p95_s=outlook.delay_p95_s,
+            rtt_p95_s=estimate_view.delay.rtt_p95_s,
+            delay_p95_s=estimate_view.delay_p95_s,
             estimate=estimate,
-            finite=outlook.attitude_is_finite(now),
-            fix_ok=outlook.fix_ok,
+            finite=estimate_view.attitude_is_finite(now),
+            fix_ok=estimate_view.fix_ok,
             airborne=vehicle.in_air(now) if flies_disarmed is None else True,
             flies_disarmed=flies_disarmed,
             two_senders=vehicle.duplicate_beside,
-            battery_percent=outlook.battery_percent,
+            battery_percent=estimate_view.battery_percent,
             inside_fence=breach is None,
             reference_inside_fence=reference_breach is None,
             rate_hz=min(config.attitude_hz, self.attitude_hz_allowed),
@@ -395,17 +397,21 @@ class Pilot:
         )
 
     def _on_change(self, verdict: Verdict) -> list[Event]:
-        first = self.way is None and verdict.way is self.wanted
+        first = self.control_mode is None and verdict.control_mode is self.wanted
         why = "; ".join(verdict.reasons)
         if verdict.action == "hold":
             return [self._event(f"holding, nothing more is sent: {why}", "held")]
-        if verdict.way is None or first:
+        if verdict.control_mode is None or first:
             return []  # that it flies as it was wanted is the order's own outcome
-        text = f"flown by {verdict.way.value} setpoints" + (f": {why}" if why else " again")
-        return [self._event(text, "flying", verdict.way)]
+        text = f"flown by {verdict.control_mode.value} setpoints" + (f": {why}" if why else " again")
+        return [self._event(text, "flying", verdict.control_mode)]
 
-    def _event(self, text: str, state: str, way: Way | None = None) -> Event:
-        data = {"state": state, "way": None if way is None else way.value, "reasons": list(self.reasons)}
+    def _event(self, text: str, state: str, control_mode: ControlMode | None = None) -> Event:
+        data = {
+            "state": state,
+            "way": None if control_mode is None else control_mode.value,
+            "reasons": list(self.reasons),
+        }
         return Event("control", self.vehicle.name, self.vehicle.sysid, text, data)
 
     def _forget(self) -> None:
@@ -417,7 +423,7 @@ class Pilot:
         return self._reference.velocity_only_xy or self._reference.velocity_only_z
 
     def _stay(self, yaw_rad: float) -> None:
-        estimate = self._outlook.estimate()
+        estimate = self._estimate_view.estimate()
         position = self._reference.pos_enu_m if estimate is None else estimate.pos_enu_m
         self._reference = Reference(position, yaw_rad)
         self._until = None

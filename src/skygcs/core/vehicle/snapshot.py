@@ -19,7 +19,7 @@ MAX_STATUS_TEXTS = 32
 
 def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> VehicleState:
     """See `Vehicle.snapshot`."""
-    sections = vehicle.readings.sections(now)
+    sections = vehicle.message_cache.sections(now)
     position = sections["position"]
     if position is not None:
         position |= _in_the_world(vehicle, position)
@@ -49,7 +49,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> Vehic
         "last_ack": _last_ack(vehicle, now),
         "status_texts": _texts(vehicle, now),
         "components": vehicle.system(now),
-        "messages": vehicle.readings.rates(now),
+        "messages": vehicle.message_cache.rates(now),
         "links": {},
     }
     return state  # type: ignore[return-value]  # the keys of `VehicleState`; a test compares them
@@ -96,16 +96,16 @@ def _texts(vehicle: Vehicle, now: float) -> list[dict[str, Any]]:
 
 def _in_the_world(vehicle: Vehicle, position: Part) -> Part:
     """What is known of a position only with the fleet's origin, and with the ground the vehicle took off from."""
-    origin, launch_amsl_m = vehicle.origin, vehicle.launch.alt_amsl_m
+    origin, takeoff_amsl_m = vehicle.origin, vehicle.launch.alt_amsl_m
     velocity = yaw_deg = height_m = None
-    if launch_amsl_m is not None and position["lat_deg"] is not None:
-        height_m = round(position["alt_amsl_m"] - launch_amsl_m, 3)
+    if takeoff_amsl_m is not None and position["lat_deg"] is not None:
+        height_m = round(position["alt_amsl_m"] - takeoff_amsl_m, 3)
     if origin is not None:
         velocity = [round(v, 3) for v in world_from_enu(tuple(position["vel_enu_mps"]), origin)]
         if position["heading_deg"] is not None:
             yaw_deg = round(wrap_deg_180(origin.x_heading_deg - position["heading_deg"]), 2)
     return {
-        "takeoff_alt_amsl_m": launch_amsl_m,
+        "takeoff_alt_amsl_m": takeoff_amsl_m,
         "alt_takeoff_m": height_m,
         "enu_m": vehicle.enu_m(),
         "vel_world_mps": velocity,

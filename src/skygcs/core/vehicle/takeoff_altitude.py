@@ -17,7 +17,7 @@ STANDS_MPS = 0.5
 """Climbing or sinking faster is flying, whatever the landed state, which comes every two seconds, still says."""
 
 
-class LaunchHeight:
+class TakeoffAltitude:
     """``alt_amsl_m``: where it stood when it last armed, or lifted off again; None if nobody here saw it stand.
 
     A vehicle that is met in the air (the daemon was started in mid-flight) has none until it has landed: whoever needs

@@ -15,9 +15,9 @@ from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatCheck, HeartbeatOr
 from skygcs.core.protocols.command import Ack
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import Folded
+from skygcs.core.vehicle.decoding import TelemetryGroup
 from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
-from skygcs.core.vehicle.message_cache import Readings, Slot
+from skygcs.core.vehicle.message_cache import MessageCache, Slot
 from skygcs.core.vehicle.snapshot import MAX_STATUS_TEXTS, take_snapshot
 from skygcs.core.vehicle.state import (
     ACTIVE,
@@ -31,7 +31,7 @@ from skygcs.core.vehicle.state import (
     name_of,
 )
 from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
-from skygcs.core.vehicle.takeoff_altitude import LaunchHeight
+from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude
 from skygcs.core.vehicle.watched_params import Parameters
 from skygcs.events import Event
 
@@ -115,12 +115,12 @@ class Vehicle:
         self.last_ack: Ack | None = None
         self.boot = BootClock()
         self.heartbeats = HeartbeatCheck(compid, timeout_s)
-        self.launch = LaunchHeight()
+        self.launch = TakeoffAltitude()
         self.parameters = Parameters()
         self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
         self._decoder = decoder or Decoder(dialect)
-        self.readings = Readings(self._decoder)
-        self.slots = self.readings.slots
+        self.message_cache = MessageCache(self._decoder)
+        self.slots = self.message_cache.slots
         self.armed_at = -math.inf
         """When its heartbeat said last that it is armed."""
         self._landed = "undefined"
@@ -129,14 +129,14 @@ class Vehicle:
         self._heard_at: float | None = None
         self._heartbeat_payload = b""
         self._lost_at: float | None = None
-        self._patience_s = timeout_s
+        self._min_retry_s = timeout_s
         self._known_since: float | None = None
         self._rates_at: float | None = None
         self._clock_at = -math.inf
         self._other_heartbeats: dict[str, tuple[int, float]] = {}
         """Heartbeats of others with these ids: how many, and when that was reported."""
         self._assembler = StatusTextAssembler()
-        self._enu: tuple[Folded | None, Origin | None, list[float] | None] = (None, None, None)
+        self._enu: tuple[TelemetryGroup | None, Origin | None, list[float] | None] = (None, None, None)
         handlers: dict[str, Callable[[bytes, float], Events]] = {
             "STATUSTEXT": self._on_statustext,
             "EXTENDED_SYS_STATE": self._on_extended_sys_state,
@@ -152,7 +152,7 @@ class Vehicle:
     def on_frame(self, frame: Frame, now: float) -> Events:
         """Note a frame of this vehicle. Hot: one dict lookup and three assignments for most of them. Never raises."""
         if frame.msgid == HEARTBEAT:
-            return self.on_beat(frame.payload, now, frame)
+            return self.on_heartbeat(frame.payload, now, frame)
         slot = self.slots.get(frame.msgid)
         if slot is None:
             if frame.info is None:
@@ -164,7 +164,7 @@ class Vehicle:
         handler = self._handlers.get(frame.msgid)
         return () if handler is None else handler(frame.payload, now)
 
-    def only_noted(self, msgid: int) -> Slot | None:
+    def state_update_only(self, msgid: int) -> Slot | None:
         """The slot of a message of which `on_frame` does no more than to put it there; None: of another one."""
         return None if msgid in self._handlers or msgid == HEARTBEAT else self.slots.get(msgid)
 
@@ -177,7 +177,7 @@ class Vehicle:
         events: list[Event] = []
         for text in self._assembler.flush(now):
             events += self._on_text(text)
-        if self.connected and self._heard_at is not None and now - self._heard_at > self._patience_s:
+        if self.connected and self._heard_at is not None and now - self._heard_at > self._min_retry_s:
             self.connected = False
             self._lost_at = self._heard_at
             age = now - self._heard_at
@@ -186,7 +186,7 @@ class Vehicle:
         if self._rates_at is None:
             self._rates_at = now
         elif now - self._rates_at >= RATE_PERIOD_S:
-            self.readings.sample(now - self._rates_at)
+            self.message_cache.sample(now - self._rates_at)
             self._rates_at = now
             self.launch.look(self, now)
             events += self._check_clocks(now)
@@ -263,21 +263,21 @@ class Vehicle:
 
     def slot(self, message: str) -> Slot | None:
         """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
-        return self.readings.slot(message)
+        return self.message_cache.slot(message)
 
     def count(self, message: str) -> int:
         """How often a message has come."""
         slot = self.slots.get(self._decoder.msgid_of(message))
         return 0 if slot is None else slot.count
 
-    def section(self, name: str) -> Folded | None:
+    def section(self, name: str) -> TelemetryGroup | None:
         """One section of the state, without its age. It is kept: do not change it."""
-        return self.readings.section(name)[0]
+        return self.message_cache.section(name)[0]
 
     def section_at(self, name: str) -> float | None:
         """When the newest message of a section came."""
-        folded, at = self.readings.section(name)
-        return None if folded is None else at
+        group_values, at = self.message_cache.section(name)
+        return None if group_values is None else at
 
     def home_alt_amsl_m(self) -> float | None:
         """What GLOBAL_POSITION_INT.relative_alt is relative to; HOME_POSITION only if there is no position."""
@@ -297,7 +297,7 @@ class Vehicle:
 
     def clock_offset_s(self, now: float, unix_now: float) -> float | None:
         """The vehicle's clock minus ours, as of the last SYSTEM_TIME; the link's delay makes it look late."""
-        time, at = self.readings.section("time")
+        time, at = self.message_cache.section("time")
         if time is None or time["unix_s"] is None:
             return None
         return round(float(time["unix_s"]) - (unix_now - (now - at)), 3)
@@ -320,7 +320,7 @@ class Vehicle:
     def _event(self, kind: str, text: str, data: dict[str, Any] | None = None) -> Event:
         return Event(kind, self.name, self.sysid, text, data or {})
 
-    def on_beat(self, payload: bytes, now: float, frame: Frame | None = None) -> Events:
+    def on_heartbeat(self, payload: bytes, now: float, frame: Frame | None = None) -> Events:
         """A heartbeat. ``frame``: put it into its slot if it is the vehicle's own; None: the slot has it already."""
         fields = self._decoder.read["HEARTBEAT"](payload)
         origin = self.heartbeats.judge(fields[0], fields[1], fields[2], fields[3], now)
@@ -336,7 +336,7 @@ class Vehicle:
 
     def _on_own_heartbeat(self, payload: bytes, fields: tuple[int, ...], now: float) -> Events:
         self._heard_at = now
-        self._patience_s = self.timeout_s
+        self._min_retry_s = self.timeout_s
         if fields[2] & modes.SAFETY_ARMED:
             self.armed_at = now
         if self.is_last_heartbeat(payload):
@@ -397,7 +397,7 @@ class Vehicle:
         if origin != "own":
             return self._on_other_heartbeat(origin, (vehicle_type, autopilot, self.base_mode), now)
         self._heard_at = now
-        self._patience_s = self.timeout_s * HIGH_LATENCY_FACTOR
+        self._min_retry_s = self.timeout_s * HIGH_LATENCY_FACTOR
         self._heartbeat_payload = b""
         had = self.failsafe
         self._high_latency_failures = failures
@@ -501,13 +501,13 @@ class Vehicle:
         """SYSTEM_TIME is not streamed by everybody; other messages carry the same clock. While there may be two clocks,
         all of them are looked at."""
         if self.boot.went_back_at is None:
-            newest = self.readings.newest(BOOT_TIME_MESSAGES)
+            newest = self.message_cache.newest(BOOT_TIME_MESSAGES)
             slots = [] if newest is None else [newest]
         else:
-            slots = [s for s in map(self.readings.slot, BOOT_TIME_MESSAGES) if s is not None]
+            slots = [s for s in map(self.message_cache.slot, BOOT_TIME_MESSAGES) if s is not None]
         events: list[Event] = []
         for slot in sorted(slots, key=lambda s: s.at):
-            values = self.readings.values(slot)
+            values = self.message_cache.values(slot)
             if values and slot.at > self._clock_at:
                 events += self._on_boot_ms(values[0], slot.at)
         self._clock_at = max((s.at for s in slots), default=self._clock_at)
@@ -539,5 +539,5 @@ class Vehicle:
         self._landed = "undefined"
         self.launch.forget()
         self.parameters.forget()
-        self.readings.forget_before(since, keep="HEARTBEAT")
+        self.message_cache.forget_before(since, keep="HEARTBEAT")
         return self._event("reboot", text, {})

@@ -39,17 +39,17 @@ def test_delay_is_that_of_numpy_on_the_window(ticks: list[tuple[float, float]], 
         meter.on_tick(age, now)
         seen.append((now, age))
     window = [age for at, age in seen if now - at <= delay.WINDOW_S]
-    believed = []
+    estimated = []
     for trip in trips:
         now += 1.0
         answered(meter, trip, now)
         if (now + trip) - now <= delay.ROUND_TRIP_VALID_S:
-            believed.append((now + trip) - now)
-    if not believed:
+            estimated.append((now + trip) - now)
+    if not estimated:
         assert meter.rtt_p95_s is None
         assert meter.delay_p95_s is None
         return
-    rtt = float(np.percentile(believed[-delay.ROUND_TRIPS :], 95))
+    rtt = float(np.percentile(estimated[-delay.ROUND_TRIPS :], 95))
     assert meter.rtt_p95_s == pytest.approx(rtt, abs=1e-9)
     assert meter.delay_p95_s == pytest.approx(float(np.percentile([a + rtt / 2 for a in window], 95)), abs=1e-9)
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.control.cascade import Estimate
-from skygcs.core.control.guard import WAYS, Facts, Guard, GuardConfig, Verdict, Way, all_well
+from skygcs.core.control.guard import CONTROL_MODES, ControlMode, Facts, Guard, GuardConfig, Verdict, all_well
 from skygcs.errors import ConfigError
 
 NAN = math.nan
@@ -42,12 +42,12 @@ def but(**changes: Any) -> Facts:
     return replace(WELL, **changes)
 
 
-def checked(facts: Facts, wanted: Way = Way.ATTITUDE, config: GuardConfig = CONFIG) -> Verdict:
+def checked(facts: Facts, wanted: ControlMode = ControlMode.ATTITUDE, config: GuardConfig = CONFIG) -> Verdict:
     return Guard(config, wanted).check(facts, 0.0)
 
 
-@pytest.mark.parametrize("wanted", WAYS)
-def test_sends_what_is_wanted_while_all_is_well_and_has_nothing_to_tell(wanted: Way) -> None:
+@pytest.mark.parametrize("wanted", CONTROL_MODES)
+def test_sends_what_is_wanted_while_all_is_well_and_has_nothing_to_tell(wanted: ControlMode) -> None:
     guard = Guard(CONFIG, wanted)
     for n in range(100):
         assert guard.check(WELL, n * 0.02) == Verdict("send", wanted, (), changed=False)
@@ -64,8 +64,8 @@ def test_sends_what_is_wanted_while_all_is_well_and_has_nothing_to_tell(wanted: 
         ({"following": False}, "mode"),
     ],
 )
-@pytest.mark.parametrize("wanted", WAYS)
-def test_releases_a_vehicle_that_is_not_ours(changes: dict[str, Any], kind: str, wanted: Way) -> None:
+@pytest.mark.parametrize("wanted", CONTROL_MODES)
+def test_releases_a_vehicle_that_is_not_ours(changes: dict[str, Any], kind: str, wanted: ControlMode) -> None:
     verdict = checked(but(**changes), wanted)
     assert (verdict.action, verdict.way, verdict.changed, verdict.kinds) == ("release", None, True, (kind,))
     assert len(verdict.reasons) == 1
@@ -96,8 +96,8 @@ HOLDS = [
 
 
 @pytest.mark.parametrize(("changes", "kind", "words"), HOLDS)
-@pytest.mark.parametrize("wanted", WAYS)
-def test_holds_where_no_way_is_safe(changes: dict[str, Any], kind: str, words: str, wanted: Way) -> None:
+@pytest.mark.parametrize("wanted", CONTROL_MODES)
+def test_holds_where_no_way_is_safe(changes: dict[str, Any], kind: str, words: str, wanted: ControlMode) -> None:
     verdict = checked(but(**changes), wanted)
     assert (verdict.action, verdict.way, verdict.changed, verdict.kinds) == ("hold", None, True, (kind,))
     assert words in verdict.reasons[0]
@@ -112,18 +112,18 @@ def test_does_not_order_a_hold_to_a_vehicle_that_is_not_following_yet(
 
 
 def test_may_send_so_that_the_mode_can_be_entered_but_not_after() -> None:
-    guard = Guard(CONFIG, Way.ATTITUDE)
+    guard = Guard(CONFIG, ControlMode.ATTITUDE)
     assert guard.check(but(following=False, engaging=True), 0.0).action == "send"
     assert guard.check(WELL, 1.0).action == "send"
     assert guard.check(but(following=False), 2.0).action == "release"
 
 
 def test_while_engaging_the_way_follows_the_facts_up_again() -> None:
-    guard = Guard(CONFIG, Way.ATTITUDE)
+    guard = Guard(CONFIG, ControlMode.ATTITUDE)
     unmeasured = but(following=False, engaging=True, rtt_p95_s=None, delay_p95_s=None)
-    assert guard.check(unmeasured, 0.0).way is Way.VELOCITY
-    assert guard.check(but(following=False, engaging=True), 0.5).way is Way.ATTITUDE
-    assert guard.check(WELL, 1.0) == Verdict("send", Way.ATTITUDE, (), changed=False)
+    assert guard.check(unmeasured, 0.0).way is ControlMode.VELOCITY
+    assert guard.check(but(following=False, engaging=True), 0.5).way is ControlMode.ATTITUDE
+    assert guard.check(WELL, 1.0) == Verdict("send", ControlMode.ATTITUDE, (), changed=False)
 
 
 def test_fights_nobody_however_unsafe_it_is() -> None:
@@ -137,36 +137,56 @@ def test_tells_every_reason_of_a_hold_and_the_cause_of_a_release() -> None:
 
 
 UNFIT = [
-    ({"state_age_s": 0.51}, Way.POSITION, "stale", "state is 0.51 s old (limit for attitude and velocity 0.5 s)"),
+    (
+        {"state_age_s": 0.51},
+        ControlMode.POSITION,
+        "stale",
+        "state is 0.51 s old (limit for attitude and velocity 0.5 s)",
+    ),
     (
         {"delay_p95_s": 0.101},
-        Way.VELOCITY,
+        ControlMode.VELOCITY,
         "attitude_delay",
         "is 0.101 s in 95 of 100 ticks (limit for attitude 0.1 s)",
     ),
-    ({"delay_p95_s": 0.501}, Way.POSITION, "velocity_delay", "limit for velocity 0.5 s"),
-    ({"delay_p95_s": math.inf}, Way.POSITION, "velocity_delay", "inf s"),
-    ({"delay_p95_s": NAN}, Way.POSITION, "velocity_delay", "nan s"),
-    ({"rtt_p95_s": NAN}, Way.VELOCITY, "attitude_delay", "limit for attitude"),
-    ({"rtt_p95_s": None, "delay_p95_s": None}, Way.VELOCITY, "unmeasured", "round trip not measured yet"),
-    ({"rtt_p95_s": None}, Way.VELOCITY, "unmeasured", "round trip not measured yet"),
+    ({"delay_p95_s": 0.501}, ControlMode.POSITION, "velocity_delay", "limit for velocity 0.5 s"),
+    ({"delay_p95_s": math.inf}, ControlMode.POSITION, "velocity_delay", "inf s"),
+    ({"delay_p95_s": NAN}, ControlMode.POSITION, "velocity_delay", "nan s"),
+    ({"rtt_p95_s": NAN}, ControlMode.VELOCITY, "attitude_delay", "limit for attitude"),
+    ({"rtt_p95_s": None, "delay_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip not measured yet"),
+    ({"rtt_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip not measured yet"),
     (
         {"rate_hz": 8.0},
-        Way.VELOCITY,
+        ControlMode.VELOCITY,
         "attitude_rate",
         "the link leaves 8 setpoints per second (attitude needs 20): each is held until the next, on average 0.062 s "
         "of delay on top, instead of 0.025 s",
     ),
-    ({"rate_hz": 1.9}, Way.POSITION, "velocity_rate", "the link leaves 1.9 setpoints per second (velocity needs 2"),
-    ({"rate_hz": 0.0}, Way.POSITION, "attitude_rate", "the link leaves 0 setpoints per second (attitude needs 20)"),
-    ({"rate_hz": NAN}, Way.POSITION, "attitude_rate", "nan"),
-    ({"attitude_refused": "thrust means climb rate"}, Way.VELOCITY, "attitude_refused", "thrust means climb rate"),
+    (
+        {"rate_hz": 1.9},
+        ControlMode.POSITION,
+        "velocity_rate",
+        "the link leaves 1.9 setpoints per second (velocity needs 2",
+    ),
+    (
+        {"rate_hz": 0.0},
+        ControlMode.POSITION,
+        "attitude_rate",
+        "the link leaves 0 setpoints per second (attitude needs 20)",
+    ),
+    ({"rate_hz": NAN}, ControlMode.POSITION, "attitude_rate", "nan"),
+    (
+        {"attitude_refused": "thrust means climb rate"},
+        ControlMode.VELOCITY,
+        "attitude_refused",
+        "thrust means climb rate",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("changes", "way", "kind", "words"), UNFIT)
 def test_falls_at_once_to_the_highest_way_that_bears_it(
-    changes: dict[str, Any], way: Way, kind: str, words: str
+    changes: dict[str, Any], way: ControlMode, kind: str, words: str
 ) -> None:
     verdict = checked(but(**changes))
     assert (verdict.action, verdict.way, verdict.changed) == ("send", way, True)
@@ -174,8 +194,8 @@ def test_falls_at_once_to_the_highest_way_that_bears_it(
 
 
 @pytest.mark.parametrize(("changes", "way", "kind", "words"), UNFIT)
-def test_position_bears_all_of_it(changes: dict[str, Any], way: Way, kind: str, words: str) -> None:
-    assert checked(but(**changes), Way.POSITION) == Verdict("send", Way.POSITION, (), changed=False)
+def test_position_bears_all_of_it(changes: dict[str, Any], way: ControlMode, kind: str, words: str) -> None:
+    assert checked(but(**changes), ControlMode.POSITION) == Verdict("send", ControlMode.POSITION, (), changed=False)
 
 
 @pytest.mark.parametrize(
@@ -188,29 +208,29 @@ def test_position_bears_all_of_it(changes: dict[str, Any], way: Way, kind: str, 
     ],
 )
 def test_limits_themselves_and_what_is_merely_unknown_are_fine(changes: dict[str, Any]) -> None:
-    assert checked(but(**changes)) == Verdict("send", Way.ATTITUDE, (), changed=False)
+    assert checked(but(**changes)) == Verdict("send", ControlMode.ATTITUDE, (), changed=False)
 
 
 def test_velocity_needs_no_round_trip() -> None:
-    assert checked(but(rtt_p95_s=None, delay_p95_s=None, rate_hz=5.0), Way.VELOCITY).reasons == ()
+    assert checked(but(rtt_p95_s=None, delay_p95_s=None, rate_hz=5.0), ControlMode.VELOCITY).reasons == ()
 
 
 def test_an_end_is_final_and_told_once_with_its_first_reason() -> None:
-    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard = Guard(RETURNING, ControlMode.ATTITUDE)
     first = guard.check(but(battery_percent=10.0), 0.0)
     for n, facts in enumerate([WELL, but(armed=False), but(battery_percent=5.0), WELL] * 50):
         assert guard.check(facts, float(n)) == replace(first, changed=False)
         assert guard.way is None
-    guard.reset(Way.VELOCITY)
-    assert guard.way is Way.VELOCITY
-    assert guard.check(WELL, 1000.0) == Verdict("send", Way.VELOCITY, (), changed=False)
+    guard.reset(ControlMode.VELOCITY)
+    assert guard.way is ControlMode.VELOCITY
+    assert guard.check(WELL, 1000.0) == Verdict("send", ControlMode.VELOCITY, (), changed=False)
 
 
 def test_stays_down_by_itself_and_says_what_to_do() -> None:
-    guard = Guard(CONFIG, Way.ATTITUDE)
+    guard = Guard(CONFIG, ControlMode.ATTITUDE)
     assert guard.check(but(delay_p95_s=0.2), 0.0).changed
     verdicts = [guard.check(WELL, n * 0.02) for n in range(1, 5000)]
-    assert {(v.action, v.way, v.changed) for v in verdicts} == {("send", Way.VELOCITY, False)}
+    assert {(v.action, v.way, v.changed) for v in verdicts} == {("send", ControlMode.VELOCITY, False)}
     assert verdicts[-1].kinds == ("attitude_delay",)
     assert verdicts[-1].reasons[-1] == (
         "attitude has been possible again for 100.0 s; it does not return by itself, order attitude again"
@@ -218,37 +238,37 @@ def test_stays_down_by_itself_and_says_what_to_do() -> None:
 
 
 def test_returns_after_all_was_well_for_so_long_without_a_break() -> None:
-    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard = Guard(RETURNING, ControlMode.ATTITUDE)
     guard.check(but(delay_p95_s=0.2), 0.0)
     assert guard.check(WELL, 1.0).reasons[-1] == ("attitude has been possible again for 0.0 s; it returns after 5 s")
-    assert guard.check(but(rate_hz=10.0), 5.9).way is Way.VELOCITY
-    assert guard.check(WELL, 6.0).way is Way.VELOCITY
-    assert guard.check(WELL, 10.9).way is Way.VELOCITY
-    assert guard.check(WELL, 11.0) == Verdict("send", Way.ATTITUDE, (), changed=True)
+    assert guard.check(but(rate_hz=10.0), 5.9).way is ControlMode.VELOCITY
+    assert guard.check(WELL, 6.0).way is ControlMode.VELOCITY
+    assert guard.check(WELL, 10.9).way is ControlMode.VELOCITY
+    assert guard.check(WELL, 11.0) == Verdict("send", ControlMode.ATTITUDE, (), changed=True)
     assert not guard.check(WELL, 11.02).changed
 
 
 def test_climbs_as_far_as_it_may() -> None:
-    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard = Guard(RETURNING, ControlMode.ATTITUDE)
     guard.check(but(state_age_s=0.6), 0.0)
-    assert guard.way is Way.POSITION
+    assert guard.way is ControlMode.POSITION
     slow = but(delay_p95_s=0.2)
-    assert guard.check(slow, 1.0).way is Way.POSITION
+    assert guard.check(slow, 1.0).way is ControlMode.POSITION
     climbed = guard.check(slow, 6.0)
-    assert (climbed.way, climbed.changed, climbed.kinds) == (Way.VELOCITY, True, ("attitude_delay",))
+    assert (climbed.way, climbed.changed, climbed.kinds) == (ControlMode.VELOCITY, True, ("attitude_delay",))
 
 
 def test_time_that_runs_backwards_proves_no_recovery() -> None:
-    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard = Guard(RETURNING, ControlMode.ATTITUDE)
     guard.check(but(delay_p95_s=0.2), 1000.0)
     guard.check(WELL, 1000.0)
-    assert guard.check(WELL, 10.0).way is Way.VELOCITY
-    assert guard.check(WELL, 14.9).way is Way.VELOCITY
-    assert guard.check(WELL, 15.0).way is Way.ATTITUDE
+    assert guard.check(WELL, 10.0).way is ControlMode.VELOCITY
+    assert guard.check(WELL, 14.9).way is ControlMode.VELOCITY
+    assert guard.check(WELL, 15.0).way is ControlMode.ATTITUDE
 
 
 def test_a_new_kind_of_reason_is_told_once_and_flicker_is_not() -> None:
-    guard = Guard(CONFIG, Way.ATTITUDE)
+    guard = Guard(CONFIG, ControlMode.ATTITUDE)
     guard.check(but(delay_p95_s=0.2), 0.0)
     assert not guard.check(but(delay_p95_s=0.3), 0.1).changed
     assert guard.check(but(delay_p95_s=0.3, rate_hz=10.0), 0.2).changed
@@ -257,22 +277,22 @@ def test_a_new_kind_of_reason_is_told_once_and_flicker_is_not() -> None:
 
 
 def test_what_was_told_before_a_return_is_told_again_after_the_next_fall() -> None:
-    guard = Guard(RETURNING, Way.ATTITUDE)
+    guard = Guard(RETURNING, ControlMode.ATTITUDE)
     slow, thin = but(delay_p95_s=0.2), but(delay_p95_s=0.2, rate_hz=10.0)
     assert [guard.check(facts, 0.0).changed for facts in (slow, thin, slow, thin)] == [True, True, False, False]
-    assert [guard.check(WELL, at).way for at in (1.0, 6.0)] == [Way.VELOCITY, Way.ATTITUDE]
+    assert [guard.check(WELL, at).way for at in (1.0, 6.0)] == [ControlMode.VELOCITY, ControlMode.ATTITUDE]
     assert [guard.check(facts, 7.0).changed for facts in (slow, thin, slow, thin)] == [True, True, False, False]
 
 
 def test_why_not_tells_everything_and_changes_nothing() -> None:
-    guard = Guard(CONFIG, Way.ATTITUDE)
+    guard = Guard(CONFIG, ControlMode.ATTITUDE)
     found = guard.why_not(but(armed=False, fix_ok=False, rtt_p95_s=None))
     assert [text.split(",")[0] for text in found] == [
         "the vehicle is not armed",
         "the vehicle has no usable position fix",
         "round trip not measured yet",
     ]
-    assert guard.check(WELL, 0.0) == Verdict("send", Way.ATTITUDE, (), changed=False)
+    assert guard.check(WELL, 0.0) == Verdict("send", ControlMode.ATTITUDE, (), changed=False)
 
 
 @pytest.mark.parametrize(
@@ -332,10 +352,10 @@ fit_facts = st.builds(
 )
 sequences = st.lists(st.tuples(st.one_of(any_facts, fit_facts, st.just(WELL)), st.floats(0.0, 4.0)), max_size=40)
 configs = st.sampled_from([CONFIG, RETURNING])
-ways = st.sampled_from(WAYS)
+ways = st.sampled_from(CONTROL_MODES)
 
 
-def run(config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]) -> list[tuple[Facts, Verdict]]:
+def run(config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]) -> list[tuple[Facts, Verdict]]:
     guard, now, found = Guard(config, wanted), 0.0, []
     for facts, pause in sequence:
         now += pause
@@ -373,34 +393,34 @@ def bears_attitude(facts: Facts) -> bool:
 
 @given(configs, ways, sequences)
 def test_never_sends_attitude_unless_every_condition_of_it_holds(
-    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     for facts, verdict in run(config, wanted, sequence):
-        if verdict.action == "send" and verdict.way is Way.ATTITUDE:
+        if verdict.action == "send" and verdict.way is ControlMode.ATTITUDE:
             assert bears_attitude(facts)
 
 
 @given(any_facts)
 def test_sends_attitude_wherever_every_condition_of_it_holds(facts: Facts) -> None:
     verdict = checked(facts)
-    assert (verdict.way is Way.ATTITUDE) is bears_attitude(facts)
+    assert (verdict.way is ControlMode.ATTITUDE) is bears_attitude(facts)
 
 
 @given(configs, ways, sequences)
 def test_never_goes_above_what_was_wanted(
-    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     for _, verdict in run(config, wanted, sequence):
         assert (verdict.way is None) is (verdict.action != "send")
         if verdict.way is not None:
-            assert WAYS.index(verdict.way) >= WAYS.index(wanted)
+            assert CONTROL_MODES.index(verdict.way) >= CONTROL_MODES.index(wanted)
 
 
 @given(configs, ways, sequences)
 def test_tells_every_change_once_and_nothing_that_is_no_change(
-    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
-    before: tuple[str, Way | None] = ("send", wanted)
+    before: tuple[str, ControlMode | None] = ("send", wanted)
     told: set[str] = set()
     for _, verdict in run(config, wanted, sequence):
         what = (verdict.action, verdict.way)
@@ -412,32 +432,32 @@ def test_tells_every_change_once_and_nothing_that_is_no_change(
 
 
 @given(ways, sequences)
-def test_never_climbs_by_itself_unless_configured(wanted: Way, sequence: list[tuple[Facts, float]]) -> None:
-    lowest = WAYS.index(wanted)
+def test_never_climbs_by_itself_unless_configured(wanted: ControlMode, sequence: list[tuple[Facts, float]]) -> None:
+    lowest = CONTROL_MODES.index(wanted)
     for facts, verdict in run(CONFIG, wanted, sequence):
         if verdict.way is not None:
-            assert facts.engaging or WAYS.index(verdict.way) >= lowest
-            lowest = WAYS.index(verdict.way)
+            assert facts.engaging or CONTROL_MODES.index(verdict.way) >= lowest
+            lowest = CONTROL_MODES.index(verdict.way)
 
 
 @given(ways, sequences)
-def test_never_climbs_earlier_than_configured(wanted: Way, sequence: list[tuple[Facts, float]]) -> None:
+def test_never_climbs_earlier_than_configured(wanted: ControlMode, sequence: list[tuple[Facts, float]]) -> None:
     guard, now, lower_since, before = Guard(RETURNING, wanted), 0.0, 0.0, wanted
     for facts, pause in sequence:
         now += pause
         way = guard.check(facts, now).way
         if way is None:
             return
-        if WAYS.index(way) < WAYS.index(before) and not facts.engaging:
+        if CONTROL_MODES.index(way) < CONTROL_MODES.index(before) and not facts.engaging:
             assert now - lower_since >= 5.0 - 1e-9
         if way is not before:
-            lower_since = lower_since if WAYS.index(way) < WAYS.index(before) else now
+            lower_since = lower_since if CONTROL_MODES.index(way) < CONTROL_MODES.index(before) else now
         before = way
 
 
 @given(configs, ways, sequences)
 def test_sends_nothing_after_a_hold_or_a_release(
-    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     ended: Verdict | None = None
     for _, verdict in run(config, wanted, sequence):
@@ -450,7 +470,7 @@ def test_sends_nothing_after_a_hold_or_a_release(
 
 @given(configs, ways, sequences)
 def test_says_why_whenever_it_is_not_what_was_wanted(
-    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     for _, verdict in run(config, wanted, sequence):
         assert bool(verdict.reasons) is (verdict.way is not wanted)
@@ -493,8 +513,10 @@ nearly_well = st.builds(
 
 
 @given(configs, ways, st.one_of(any_facts, nearly_well))
-def test_all_is_well_where_no_row_of_the_table_says_anything(config: GuardConfig, wanted: Way, facts: Facts) -> None:
-    below = WAYS[WAYS.index(wanted) :]
+def test_all_is_well_where_no_row_of_the_table_says_anything(
+    config: GuardConfig, wanted: ControlMode, facts: Facts
+) -> None:
+    below = CONTROL_MODES[CONTROL_MODES.index(wanted) :]
     assert all_well(config, facts, wanted) is not any(Guard(config, way).why_not(facts) for way in below)
 
 
@@ -504,7 +526,7 @@ def test_all_is_well_where_no_row_of_the_table_says_anything(config: GuardConfig
     st.lists(st.tuples(st.one_of(st.just(WELL), nearly_well), st.floats(-1.0, 4.0)), max_size=40),
 )
 def test_says_the_same_whether_or_not_it_goes_by_the_whole_table(
-    config: GuardConfig, wanted: Way, sequence: list[tuple[Facts, float]]
+    config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     quick = run(config, wanted, sequence)
     with pytest.MonkeyPatch.context() as patch:

@@ -21,7 +21,7 @@ from skygcs.core.control import (
 )
 from skygcs.core.control.trace import (
     COLUMNS,
-    WAYS,
+    CONTROL_MODES,
     Entry,
     TraceHead,
     TraceRow,
@@ -44,7 +44,7 @@ rows = st.builds(
     TraceRow,
     t_s=numbers,
     dt_s=numbers,
-    way=st.none() | st.sampled_from(WAYS),
+    way=st.none() | st.sampled_from(CONTROL_MODES),
     following=st.booleans(),
     reference=st.none() | references,
     estimate=st.none() | st.builds(Estimate, vectors, vectors),

@@ -116,10 +116,10 @@ def test_a_refused_order_and_one_for_something_else_explain_no_change() -> None:
 def test_of_two_that_alternate_the_first_stays(period_s: float) -> None:
     """The second one begins at any time and sends at any rate."""
     check = HeartbeatCheck()
-    beats = [(float(n), ARMED, 4) for n in range(20)]
-    beats += [(3.3 + n * period_s, DISARMED, 0) for n in range(round(15 / period_s))]
+    heartbeats = [(float(n), ARMED, 4) for n in range(20)]
+    heartbeats += [(3.3 + n * period_s, DISARMED, 0) for n in range(round(15 / period_s))]
     shown = []
-    for now, base, mode in sorted(beats):
+    for now, base, mode in sorted(heartbeats):
         if check.judge(*COPTER, base, mode, now) == "own":
             shown.append((now, base))
     late = [base for now, base in shown if now > 6.5]

@@ -17,7 +17,7 @@ from skygcs.core.protocols.command import (
     WORKING_LIMIT_S,
     WORKING_SILENCE_S,
     Ack,
-    CommandExchange,
+    CommandProtocol,
     CommandSpec,
     CommandState,
     Location,
@@ -28,13 +28,13 @@ ARM = CommandSpec(400, (1.0, 0.0))
 ACCEPTED = Ack(400, 0)
 
 
-def started(timers: tuple[float, ...] = RETRY_TIMERS_S) -> CommandExchange:
-    exchange = CommandExchange(ARM, timers)
+def started(timers: tuple[float, ...] = RETRY_TIMERS_S) -> CommandProtocol:
+    exchange = CommandProtocol(ARM, timers)
     assert exchange.start(100.0) == (Transmit(0),)
     return exchange
 
 
-def outcome_of(exchange: CommandExchange) -> Outcome:
+def outcome_of(exchange: CommandProtocol) -> Outcome:
     assert exchange.done
     assert exchange.deadline is None
     assert exchange.outcome is not None
@@ -152,7 +152,7 @@ def test_an_ack_of_another_command_changes_nothing() -> None:
 
 
 def test_a_broadcast_counts_as_the_first_transmission() -> None:
-    exchange = CommandExchange(ARM)
+    exchange = CommandProtocol(ARM)
     assert exchange.start(5.0, transmitted=True) == ()
     assert exchange.on_timer(6.0) == (Transmit(1),)
 
@@ -241,7 +241,7 @@ LONGEST_S = sum(RETRY_TIMERS_S) + WORKING_LIMIT_S + SETTLE_S
 
 @given(happenings)
 def test_whatever_comes_in_whatever_order_there_is_exactly_one_outcome_in_bounded_time(story: list[Happening]) -> None:
-    exchange = CommandExchange(ARM)
+    exchange = CommandProtocol(ARM)
     now, finishes, transmissions = 0.0, 0, 0
 
     def count(effects: tuple[object, ...]) -> None:

@@ -11,7 +11,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.protocols.base import Effect, Finish, Send
-from skygcs.core.protocols.mission import MAX_TRIES, MissionClear, MissionExchange
+from skygcs.core.protocols.mission import MAX_TRIES, MissionClear, MissionProtocol
 from skygcs.core.protocols.mission_download import MAX_ROUNDS as DOWNLOAD_ROUNDS
 from skygcs.core.protocols.mission_download import MissionDownload
 from skygcs.core.protocols.mission_upload import ANSWERS_PER_ITEM, MAX_ROUNDS, MissionUpload
@@ -29,7 +29,7 @@ LIMIT = MAX_ROUNDS * (MAX_TRIES + DOWNLOAD_ROUNDS * MAX_TRIES * (COUNT + 2)) + (
 class AnyPeer(RuleBasedStateMachine):
     """One exchange of one kind; the kinds are the subclasses."""
 
-    def make(self) -> MissionExchange:
+    def make(self) -> MissionProtocol:
         raise NotImplementedError
 
     @initialize()
@@ -109,7 +109,7 @@ class AnyPeer(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         """Left alone, every exchange ends."""
-        if hasattr(self, "exchange"):
+        if hasattr(self, "protocol"):
             for _ in range(LIMIT):
                 if self.exchange.deadline is not None:
                     self.now = max(self.now, self.exchange.deadline)
@@ -119,7 +119,7 @@ class AnyPeer(RuleBasedStateMachine):
 
 
 class UploadToAny(AnyPeer):
-    def make(self) -> MissionExchange:
+    def make(self) -> MissionProtocol:
         return MissionUpload(MissionType.MISSION, ITEMS, keeps_old=False)
 
     @invariant()
@@ -130,7 +130,7 @@ class UploadToAny(AnyPeer):
 
 
 class DownloadFromAny(AnyPeer):
-    def make(self) -> MissionExchange:
+    def make(self) -> MissionProtocol:
         return MissionDownload(MissionType.FENCE)
 
     @invariant()
@@ -148,7 +148,7 @@ class DownloadFromAny(AnyPeer):
 
 
 class ClearAny(AnyPeer):
-    def make(self) -> MissionExchange:
+    def make(self) -> MissionProtocol:
         return MissionClear(MissionType.RALLY)
 
 

@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 
 from skygcs.core.mavlink.param_encoding import Encoding, Param, ParamType, ParamValue
 from skygcs.core.protocols.base import Send
-from skygcs.core.protocols.parameter import LATE_VALUE_S, ParamExchange
+from skygcs.core.protocols.parameter import LATE_VALUE_S, ParameterProtocol
 from support.param_vehicle import Network, ParamVehicle, Wire, big_set
 
 THR = Param("MPC_THR_HOVER", 0.5, ParamType.REAL32)
@@ -26,13 +26,13 @@ def vehicle(**more: Any) -> ParamVehicle:
 
 
 def test_reads_one() -> None:
-    outcome = Wire(vehicle(), Network()).run(ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE))
+    outcome = Wire(vehicle(), Network()).run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE))
     assert (outcome.ok, outcome.param, outcome.attempts) == (True, ACT, 1)
 
 
 def test_sets_one_and_reads_it_back() -> None:
     v = vehicle()
-    outcome = Wire(v, Network()).run(ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, 0))
+    outcome = Wire(v, Network()).run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0))
     assert (outcome.ok, outcome.param, outcome.before, outcome.message) == (
         True,
         Param("NAV_RCL_ACT", 0, ParamType.INT32),
@@ -43,19 +43,19 @@ def test_sets_one_and_reads_it_back() -> None:
 
 
 def test_a_float_is_accepted_as_its_nearest_32_bit_float() -> None:
-    outcome = Wire(vehicle(), Network()).run(ParamExchange("MPC_THR_HOVER", Encoding.BYTEWISE, 0.3))
+    outcome = Wire(vehicle(), Network()).run(ParameterProtocol("MPC_THR_HOVER", Encoding.BYTEWISE, 0.3))
     assert outcome.ok and outcome.message == "0.5 -> 0.3"
 
 
 def test_what_is_known_saves_the_question() -> None:
     wire = Wire(vehicle(), Network())
-    assert wire.run(ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, 0, known=ACT)).ok
+    assert wire.run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0, known=ACT)).ok
     assert [s.message for s in wire.sent] == ["PARAM_SET"]
 
 
 def test_a_value_that_is_kept_is_a_denial() -> None:
     outcome = Wire(vehicle(read_only={"NAV_RCL_ACT"}), Network()).run(
-        ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, 0)
+        ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0)
     )
     assert (outcome.ok, outcome.result) == (False, "denied")
     assert outcome.message == "denied: it keeps 2 instead of 0"
@@ -63,7 +63,7 @@ def test_a_value_that_is_kept_is_a_denial() -> None:
 
 def test_a_clamped_value_is_told_with_both() -> None:
     outcome = Wire(vehicle(limits={"MPC_THR_HOVER": (0.1, 0.8)}), Network()).run(
-        ParamExchange("MPC_THR_HOVER", Encoding.BYTEWISE, 0.95)
+        ParameterProtocol("MPC_THR_HOVER", Encoding.BYTEWISE, 0.95)
     )
     assert (outcome.ok, outcome.result) == (False, "changed")
     assert outcome.message == "it took 0.8 instead of 0.95 (it was 0.5)"
@@ -72,23 +72,23 @@ def test_a_clamped_value_is_told_with_both() -> None:
 @pytest.mark.parametrize(("value", "why"), [(1.5, "not whole"), (1 << 31, "not within")])
 def test_a_value_the_type_cannot_hold_is_refused_unsent(value: float, why: str) -> None:
     wire = Wire(vehicle(), Network())
-    outcome = wire.run(ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, value))
+    outcome = wire.run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, value))
     assert outcome.result == "refused" and why in outcome.message
     assert [s.message for s in wire.sent] == ["PARAM_REQUEST_READ"]
 
 
 def test_a_name_that_only_silence_answers_is_unknown() -> None:
-    outcome = Wire(vehicle(), Network()).run(ParamExchange("NO_SUCH", Encoding.BYTEWISE))
+    outcome = Wire(vehicle(), Network()).run(ParameterProtocol("NO_SUCH", Encoding.BYTEWISE))
     assert (outcome.result, outcome.param) == ("unknown", None)
 
 
 def test_silence_all_around_is_no_unknown_name() -> None:
-    outcome = Wire(vehicle(), Network(loss=1.0)).run(ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE))
+    outcome = Wire(vehicle(), Network(loss=1.0)).run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE))
     assert outcome.result == "timeout" and outcome.elapsed_s == pytest.approx(7.0)
 
 
 def test_param_error_ends_it_at_once() -> None:
-    exchange = ParamExchange("NO_SUCH", Encoding.C_CAST, 1)
+    exchange = ParameterProtocol("NO_SUCH", Encoding.C_CAST, 1)
     exchange.start(0.0)
     exchange.on_error("OTHER", 1, 0.1)
     assert not exchange.done
@@ -97,7 +97,7 @@ def test_param_error_ends_it_at_once() -> None:
 
 
 def test_the_autopilots_text_is_the_reason() -> None:
-    exchange = ParamExchange("NAV_RCL_ACT", Encoding.C_CAST, 1, known=ACT)
+    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.C_CAST, 1, known=ACT)
     exchange.start(0.0)
     exchange.on_text("Param write denied (NAV_RCL_ACT)", 0.1)
     exchange.on_value(ParamValue(ACT, 3, None), 0.1)
@@ -106,14 +106,14 @@ def test_the_autopilots_text_is_the_reason() -> None:
 
 
 def test_px4_says_in_words_that_it_does_not_know_it() -> None:
-    exchange = ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, 1, known=ACT)
+    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 1, known=ACT)
     exchange.start(0.0)
     exchange.on_text("[pm] unknown param: NAV_RCL_ACT", 0.1)
     assert exchange.outcome is not None and exchange.outcome.result == "unknown"
 
 
 def test_an_old_answer_is_not_taken_for_a_denial() -> None:
-    exchange = ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, 0)
+    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0)
     exchange.start(0.0)
     exchange.on_value(ParamValue(ACT, 3, 2), 0.5)
     exchange.on_value(ParamValue(ACT, 3, 2), 0.6)
@@ -124,7 +124,7 @@ def test_an_old_answer_is_not_taken_for_a_denial() -> None:
 
 
 def test_stopped_while_setting_it_says_that_it_may_be_set() -> None:
-    exchange = ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, 0, known=ACT)
+    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, 0, known=ACT)
     exchange.start(0.0)
     exchange.stop(0.1, "cancelled", "cancelled")
     assert exchange.outcome is not None and exchange.outcome.message == "cancelled; it may or may not be set"
@@ -137,7 +137,7 @@ def test_what_it_says_is_so_on_a_bad_network(seed: int, value: int, clamps: bool
     """Delays of up to 2 s, 20 % lost each way, doubled, overtaking: it ends in time, and never says what is not so."""
     v = vehicle(limits={"NAV_RCL_ACT": (0, 3)} if clamps else {})
     wire = Wire(v, Network(loss=0.2, duplicate=0.3, delay_s=(0.0, 1.0)), seed)
-    outcome = wire.run(ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, value))
+    outcome = wire.run(ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, value))
     held = v.params["NAV_RCL_ACT"].value
     if outcome.ok:
         assert held == value == outcome.param.value
@@ -157,7 +157,7 @@ class ParamMachine(RuleBasedStateMachine):
     def begin(self, value: int, named: bool) -> None:
         self.now = 0.0
         self.vehicle = vehicle(limits={"NAV_RCL_ACT": (0, 3)}, index_for_named=named)
-        self.exchange = ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE, value)
+        self.exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE, value)
         self.value = value
         self.up: list[Send] = []
         self.down: list[ParamValue] = []
@@ -209,7 +209,7 @@ class ParamMachine(RuleBasedStateMachine):
             assert not 0 <= self.value <= 3
 
     def teardown(self) -> None:
-        if not hasattr(self, "exchange"):
+        if not hasattr(self, "protocol"):
             return
         for _ in range(40):
             if not self.exchange.done:
@@ -222,7 +222,7 @@ TestParamMachine.settings = settings(max_examples=60, deadline=None, suppress_he
 
 
 def test_answers_may_still_come_for_a_while_after_a_timeout() -> None:
-    exchange = ParamExchange("NAV_RCL_ACT", Encoding.BYTEWISE)
+    exchange = ParameterProtocol("NAV_RCL_ACT", Encoding.BYTEWISE)
     exchange.start(1.0)
     assert exchange.quiet_until == 1.0 + LATE_VALUE_S
     exchange.on_value(ParamValue(ACT, 3, 2), 1.1)
@@ -233,4 +233,4 @@ def test_a_long_name_is_like_any_other() -> None:
     params = big_set(12)
     name = max((p.name for p in params), key=len)
     assert len(name) == 16
-    assert Wire(ParamVehicle.of(params), Network()).run(ParamExchange(name, Encoding.BYTEWISE)).ok
+    assert Wire(ParamVehicle.of(params), Network()).run(ParameterProtocol(name, Encoding.BYTEWISE)).ok

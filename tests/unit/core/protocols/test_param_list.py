@@ -226,7 +226,7 @@ class ListMachine(RuleBasedStateMachine):
             assert len(set(names)) == len(names) == exchange.outcome.count
 
     def teardown(self) -> None:
-        if not hasattr(self, "exchange"):
+        if not hasattr(self, "protocol"):
             return
         for _ in range(2000):
             while self.up:

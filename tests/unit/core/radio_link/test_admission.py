@@ -14,9 +14,9 @@ from skygcs.core.radio_link.admission import (
     ORDER_BURST,
     SOURCE_GONE_S,
     TELL_AFTER,
-    ForeignRules,
-    ForeignTraffic,
-    Ruling,
+    AdmissionDecision,
+    ThirdPartyRules,
+    ThirdPartyTraffic,
 )
 from skygcs.core.radio_link.admission_frames import PARAMETERS, parse
 from skygcs.core.radio_link.file_turns import LONGEST_S, QUIET_S
@@ -31,29 +31,29 @@ RATE = 500.0
 class Radio:
     """The traffic, and a queue that keeps what it lets through until `send` is called."""
 
-    def __init__(self, rules: ForeignRules | None = None, bytes_per_s: float = RATE) -> None:
-        self.traffic = ForeignTraffic(rules or ForeignRules(), dialect().messages, bytes_per_s, 0.0)
+    def __init__(self, rules: ThirdPartyRules | None = None, bytes_per_s: float = RATE) -> None:
+        self.traffic = ThirdPartyTraffic(rules or ThirdPartyRules(), dialect().messages, bytes_per_s, 0.0)
         self.queue: TxQueue[bytes] = TxQueue()
         self.queue.forwarded = self.traffic.budget
         self.now = 0.0
 
-    def offer(self, name: str, source: int = QGC, version: int = 2, **values: Any) -> Ruling:
+    def offer(self, name: str, source: int = QGC, version: int = 2, **values: Any) -> AdmissionDecision:
         raw = frame(name, values, sysid=source >> 8, compid=source & 0xFF, version=version)
         return self.offer_raw(raw)
 
-    def offer_raw(self, raw: bytes) -> Ruling:
-        ruling = self.traffic.judge(raw, self.now, self.queue.holds)
-        if ruling.outcome == "send":
-            self.put(raw, ruling)
-        return ruling
+    def offer_raw(self, raw: bytes) -> AdmissionDecision:
+        admission = self.traffic.judge(raw, self.now, self.queue.holds)
+        if admission.outcome == "send":
+            self.put(raw, admission)
+        return admission
 
-    def put(self, raw: bytes, ruling: Ruling) -> None:
-        self.queue.offer(raw, ruling.priority, self.now, ruling.key, size=len(raw), flow=ruling.flow)
+    def put(self, raw: bytes, admission: AdmissionDecision) -> None:
+        self.queue.offer(raw, admission.priority, self.now, admission.key, size=len(raw), flow=admission.flow)
 
     def poll(self) -> list[bytes]:
         released = self.traffic.poll(self.now)
-        for raw, ruling in released:
-            self.put(raw, ruling)
+        for raw, admission in released:
+            self.put(raw, admission)
         return [raw for raw, _ in released]
 
     def sent(self) -> list[tuple[bytes, Priority]]:
@@ -130,7 +130,7 @@ def test_the_same_of_parameters_that_are_set() -> None:
 
 @pytest.mark.parametrize("name", ["COMMAND_LONG", "COMMAND_INT"])
 def test_who_stops_motors_in_the_air_goes_before_all_and_is_never_refused(name: str) -> None:
-    rules = ForeignRules(rates_hz={76: 0.0, 75: 0.0})
+    rules = ThirdPartyRules(rates_hz={76: 0.0, 75: 0.0})
     radio = Radio(rules)
     stops = [radio.offer(name, target_system=3, **FORCED_DISARM)]
     assert radio.offer(name, target_system=3, command=185, param1=1.0).priority is Priority.EMERGENCY
@@ -266,7 +266,7 @@ def test_who_asks_for_more_than_waits_loses_his_own_oldest() -> None:
 
 
 def test_a_fleet_files_rate_is_laid_over_the_built_in_one_and_zero_refuses() -> None:
-    radio = Radio(ForeignRules(rates_hz={111: 5.0, 110: 0.0, 82: 1.0}))
+    radio = Radio(ThirdPartyRules(rates_hz={111: 5.0, 110: 0.0, 82: 1.0}))
     for _ in range(100):
         radio.now += 0.1
         radio.offer("TIMESYNC", tc1=int(radio.now * 1e9))
@@ -299,7 +299,7 @@ def test_nobody_else_sets_the_streams_that_are_planned(name: str, values: dict[s
     assert radio.counts()["refused_streams"] == 9
     radio.traffic.unplanned = frozenset({3})
     assert radio.offer(name, target_system=3, **values).outcome == "send"
-    assert Radio(ForeignRules(streams="allow")).offer(name, target_system=3, **values).outcome == "send"
+    assert Radio(ThirdPartyRules(streams="allow")).offer(name, target_system=3, **values).outcome == "send"
 
 
 def test_logs_are_not_downloaded_unless_the_fleet_file_says_so() -> None:
@@ -308,7 +308,7 @@ def test_logs_are_not_downloaded_unless_the_fleet_file_says_so() -> None:
         assert radio.offer(name, target_system=3).outcome == "refuse"
     assert radio.counts() == {"sent": 0, "refused_logs": 3}
     assert len(radio.traffic.notes) == 1
-    assert Radio(ForeignRules(logs="allow")).offer("LOG_REQUEST_LIST", target_system=3).outcome == "send"
+    assert Radio(ThirdPartyRules(logs="allow")).offer("LOG_REQUEST_LIST", target_system=3).outcome == "send"
 
 
 def file_request(system: int, opcode: int = 15, seq: int = 0) -> dict[str, Any]:
@@ -343,7 +343,7 @@ def test_a_file_without_end_gives_way_to_who_asks_after_a_while() -> None:
 
 
 def test_files_of_all_or_of_none() -> None:
-    allowed, denied = Radio(ForeignRules(files="allow")), Radio(ForeignRules(files="deny"))
+    allowed, denied = Radio(ThirdPartyRules(files="allow")), Radio(ThirdPartyRules(files="deny"))
     assert [allowed.offer("FILE_TRANSFER_PROTOCOL", **file_request(v)).outcome for v in (1, 2)] == ["send", "send"]
     assert denied.offer("FILE_TRANSFER_PROTOCOL", **file_request(1)).outcome == "refuse"
     assert denied.counts() == {"sent": 0, "refused_files": 1}
@@ -376,8 +376,8 @@ def test_one_list_at_a_time_and_the_next_when_it_is_through() -> None:
 
 def test_a_list_of_all_vehicles_at_once_is_refused() -> None:
     assert Radio().offer("PARAM_REQUEST_LIST", target_system=0).outcome == "refuse"
-    assert Radio(ForeignRules(param_lists="deny")).offer("PARAM_REQUEST_LIST", target_system=1).outcome == "refuse"
-    allowed = Radio(ForeignRules(param_lists="allow"))
+    assert Radio(ThirdPartyRules(param_lists="deny")).offer("PARAM_REQUEST_LIST", target_system=1).outcome == "refuse"
+    allowed = Radio(ThirdPartyRules(param_lists="allow"))
     assert {allowed.offer("PARAM_REQUEST_LIST", target_system=v).outcome for v in range(9)} == {"send"}
 
 

@@ -8,7 +8,7 @@ from collections import Counter, defaultdict
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.radio_link.admission import MAX_SOURCES, MAX_WAITING, ForeignRules, ForeignTraffic
+from skygcs.core.radio_link.admission import MAX_SOURCES, MAX_WAITING, ThirdPartyRules, ThirdPartyTraffic
 from skygcs.core.radio_link.admission_frames import BUILT_IN, is_emergency, parse
 from skygcs.core.radio_link.list_turns import MAX_WAITING as MAX_LISTS
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
@@ -44,7 +44,7 @@ FRAMES = st.builds(
 OFFERS = st.lists(st.tuples(st.floats(0, 3), FRAMES), max_size=80)
 VALUES = st.lists(st.tuples(*[st.integers(0, 255)] * 2, *[st.integers(0, 0xFFFF)] * 2), max_size=20)
 RULES = st.builds(
-    ForeignRules,
+    ThirdPartyRules,
     st.sampled_from(["one", "deny", "allow"]),
     st.sampled_from(["one", "deny", "allow"]),
     st.sampled_from(["deny", "allow"]),
@@ -56,9 +56,9 @@ RULES = st.builds(
 
 @given(st.lists(st.binary(max_size=300) | FRAMES, max_size=60), RULES, VALUES)
 def test_no_bytes_are_wrong_enough_to_raise(
-    frames: list[bytes], rules: ForeignRules, values: list[tuple[int, int, int, int]]
+    frames: list[bytes], rules: ThirdPartyRules, values: list[tuple[int, int, int, int]]
 ) -> None:
-    traffic = ForeignTraffic(rules, dialect().messages, 500.0, 0.0)
+    traffic = ThirdPartyTraffic(rules, dialect().messages, 500.0, 0.0)
     queue: TxQueue[bytes] = TxQueue()
     for number, raw in enumerate(frames):
         traffic.judge(raw, number / 10, queue.holds)
@@ -72,29 +72,29 @@ def test_no_bytes_are_wrong_enough_to_raise(
 
 @given(OFFERS, RULES)
 def test_emergencies_always_pass_and_nothing_else_goes_as_one(
-    offers: list[tuple[float, bytes]], rules: ForeignRules
+    offers: list[tuple[float, bytes]], rules: ThirdPartyRules
 ) -> None:
-    traffic = ForeignTraffic(rules, dialect().messages, 500.0, 0.0)
+    traffic = ThirdPartyTraffic(rules, dialect().messages, 500.0, 0.0)
     queue: TxQueue[bytes] = TxQueue()
     now = 0.0
     for pause_s, raw in offers:
         now += pause_s
-        ruling = traffic.judge(raw, now, queue.holds)
+        admission = traffic.judge(raw, now, queue.holds)
         frame = parse(raw, dialect().messages)
         if frame is not None and is_emergency(frame):
-            assert ruling.outcome == "send"
-            assert ruling.priority in (Priority.EMERGENCY, Priority.COMMAND, Priority.FORWARDED)
+            assert admission.outcome == "send"
+            assert admission.priority in (Priority.EMERGENCY, Priority.COMMAND, Priority.FORWARDED)
         else:
-            assert ruling.priority is not Priority.EMERGENCY
-        if ruling.outcome == "send":
-            assert queue.offer(raw, ruling.priority, now, ruling.key, size=len(raw), flow=ruling.flow)
+            assert admission.priority is not Priority.EMERGENCY
+        if admission.outcome == "send":
+            assert queue.offer(raw, admission.priority, now, admission.key, size=len(raw), flow=admission.flow)
 
 
 @given(OFFERS)
 @settings(max_examples=50)
 def test_no_source_sends_more_of_anything_than_its_rate(offers: list[tuple[float, bytes]]) -> None:
-    rules = ForeignRules(param_lists="allow", streams="allow", logs="allow")
-    traffic = ForeignTraffic(rules, dialect().messages, 500.0, 0.0)
+    rules = ThirdPartyRules(param_lists="allow", streams="allow", logs="allow")
+    traffic = ThirdPartyTraffic(rules, dialect().messages, 500.0, 0.0)
     went: defaultdict[tuple[int, str], list[float]] = defaultdict(list)
 
     def note(raw: bytes, now: float) -> None:
@@ -115,7 +115,7 @@ def test_no_source_sends_more_of_anything_than_its_rate(offers: list[tuple[float
         now = end
         if traffic.judge(raw, now, lambda *_: False).outcome == "send":
             note(raw, now)
-    rates = {allotment.group: allotment for allotment in BUILT_IN.values()}
+    rates = {rate_class.group: rate_class for rate_class in BUILT_IN.values()}
     for (_, group), times in went.items():
         hz, burst = rates[group].hz, rates[group].burst
         for first, since in enumerate(times):
@@ -127,7 +127,7 @@ def test_no_source_sends_more_of_anything_than_its_rate(offers: list[tuple[float
 @settings(max_examples=50)
 def test_everything_foreign_together_keeps_to_its_share(offers: list[tuple[float, bytes]], rate: float) -> None:
     """But for orders and emergencies, which may be ahead of it by their bursts."""
-    traffic = ForeignTraffic(ForeignRules(streams="allow", logs="allow"), dialect().messages, rate, 0.0)
+    traffic = ThirdPartyTraffic(ThirdPartyRules(streams="allow", logs="allow"), dialect().messages, rate, 0.0)
     queue: TxQueue[bytes] = TxQueue()
     queue.forwarded = traffic.budget
     sent: list[tuple[float, int]] = []
@@ -141,9 +141,9 @@ def test_everything_foreign_together_keeps_to_its_share(offers: list[tuple[float
             if popped[1] is Priority.FORWARDED:
                 sent.append((now, len(popped[0])))
         now = end
-        ruling = traffic.judge(raw, now, queue.holds)
-        if ruling.outcome == "send":
-            queue.offer(raw, ruling.priority, now, ruling.key, size=len(raw), flow=ruling.flow)
+        admission = traffic.judge(raw, now, queue.holds)
+        if admission.outcome == "send":
+            queue.offer(raw, admission.priority, now, admission.key, size=len(raw), flow=admission.flow)
     for first, (since, _) in enumerate(sent):
         total = 0
         for at, size in sent[first:]:
@@ -154,7 +154,7 @@ def test_everything_foreign_together_keeps_to_its_share(offers: list[tuple[float
 @given(st.lists(st.tuples(st.floats(0, 2), st.integers(0, 0xFFFF), st.binary(max_size=40)), max_size=400))
 @settings(max_examples=20)
 def test_memory_is_bounded_whatever_comes_from_whomever(offers: list[tuple[float, int, bytes]]) -> None:
-    traffic = ForeignTraffic(ForeignRules(), dialect().messages, 500.0, 0.0)
+    traffic = ThirdPartyTraffic(ThirdPartyRules(), dialect().messages, 500.0, 0.0)
     now = 0.0
     for pause_s, source, payload in offers:
         now += pause_s

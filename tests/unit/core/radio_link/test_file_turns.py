@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.radio_link.admission_frames import ForeignFrame
+from skygcs.core.radio_link.admission_frames import ThirdPartyFrame
 from skygcs.core.radio_link.file_turns import LONGEST_S, QUIET_S, FileTurns
 
 
-def request(system: int, opcode: int = 15) -> ForeignFrame:
-    return ForeignFrame(b"", 110, 255 << 8 | 190, system, 1, bytes([0, system, 1, 7, 0, 0, opcode]))
+def request(system: int, opcode: int = 15) -> ThirdPartyFrame:
+    return ThirdPartyFrame(b"", 110, 255 << 8 | 190, system, 1, bytes([0, system, 1, 7, 0, 0, opcode]))
 
 
 def test_the_turn_passes_when_nothing_has_gone_up_or_come_down_for_a_while() -> None:

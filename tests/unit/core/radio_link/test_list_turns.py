@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.radio_link.admission_frames import ForeignFrame
+from skygcs.core.radio_link.admission_frames import ThirdPartyFrame
 from skygcs.core.radio_link.list_turns import (
     FIRST_VALUE_S,
     LONGEST_S,
@@ -21,8 +21,8 @@ from skygcs.core.radio_link.list_turns import (
 QGC = 255 << 8 | 190
 
 
-def request(system: int, component: int = 1, source: int = QGC) -> ForeignFrame:
-    return ForeignFrame(b"", 21, source, system, component, bytes((system, component)))
+def request(system: int, component: int = 1, source: int = QGC) -> ThirdPartyFrame:
+    return ThirdPartyFrame(b"", 21, source, system, component, bytes((system, component)))
 
 
 def due(lists: ParamLists, now: float) -> int | None:

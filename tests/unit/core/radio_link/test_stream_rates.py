@@ -25,10 +25,10 @@ from skygcs.core.radio_link.stream_rates import (
     SETTLE_S,
     SILENCES,
     WORSE_AFTER_S,
-    Ask,
     Downlink,
-    PlanKeeper,
-    Wish,
+    RateController,
+    RateDemand,
+    RateRequest,
     fit,
     on_grid,
     plan_bytes_per_s,
@@ -44,29 +44,29 @@ def total(plans: dict[int, dict[str, float]]) -> float:
 
 
 def test_where_there_is_room_everybody_gets_all() -> None:
-    plans = fit({n: Wish(NAV) for n in range(10)}, 2880, 276, SIZES)
+    plans = fit({n: RateDemand(NAV) for n in range(10)}, 2880, 276, SIZES)
     assert all(rates == NAV for rates in plans.values())
 
 
 def test_where_there_is_none_the_position_is_the_last_to_suffer() -> None:
-    plans = fit({n: Wish(NAV) for n in range(15)}, 2250, 500, SIZES)
+    plans = fit({n: RateDemand(NAV) for n in range(15)}, 2250, 500, SIZES)
     assert total(plans) <= 2250
     for rates in plans.values():
         assert rates[POSITION] == NAV[POSITION]
         assert rates["ATTITUDE"] < NAV["ATTITUDE"]
-    poorer = fit({n: Wish(NAV) for n in range(15)}, 1200, 500, SIZES)
+    poorer = fit({n: RateDemand(NAV) for n in range(15)}, 1200, 500, SIZES)
     assert 0.2 <= poorer[0][POSITION] < NAV[POSITION]
 
 
 def test_a_timeslot_bounds_one_vehicle_however_much_is_free() -> None:
-    (rates,) = fit({1: Wish(profile_rates("full"))}, 2880, 300, SIZES).values()
+    (rates,) = fit({1: RateDemand(profile_rates("full"))}, 2880, 300, SIZES).values()
     assert 200 < plan_bytes_per_s(rates, SIZES) <= 300
 
 
 def test_who_is_flown_or_looked_at_gets_more_and_the_others_less() -> None:
     full = profile_rates("full")
     weights = {1: CONTROLLED, 2: SELECTED, **dict.fromkeys(range(3, 9), NORMAL)}
-    plans = fit({n: Wish(full, weight) for n, weight in weights.items()}, 2000, 2000, SIZES)
+    plans = fit({n: RateDemand(full, weight) for n, weight in weights.items()}, 2000, 2000, SIZES)
     gets = {n: plan_bytes_per_s(rates, SIZES) - FRAME_BYTES["HEARTBEAT"] for n, rates in plans.items()}
     assert gets[1] > gets[2] > gets[3] == gets[8]
     assert gets[1] == pytest.approx(4 * gets[3], rel=0.35), "as far as the grid of rates lets it"
@@ -74,7 +74,7 @@ def test_who_is_flown_or_looked_at_gets_more_and_the_others_less() -> None:
 
 
 def test_who_wants_little_leaves_the_rest_to_the_others() -> None:
-    plans = fit({1: Wish({"SYS_STATUS": 0.1}), 2: Wish(profile_rates("full"))}, 600, 600, SIZES)
+    plans = fit({1: RateDemand({"SYS_STATUS": 0.1}), 2: RateDemand(profile_rates("full"))}, 600, 600, SIZES)
     assert plans[1] == {"SYS_STATUS": 0.1}
     assert plan_bytes_per_s(plans[2], SIZES) > 400
 
@@ -91,18 +91,18 @@ RATES = st.dictionaries(st.sampled_from(sorted(set(SIZES) - {"HEARTBEAT"})), st.
 def test_no_plan_is_above_what_is_wanted_or_what_there_is(
     wanted: list[tuple[dict[str, float], float]], room: float, each: float
 ) -> None:
-    wishes = {n: Wish(rates, weight) for n, (rates, weight) in enumerate(wanted)}
-    plans = fit(wishes, room, each, SIZES)
-    assert plans.keys() == wishes.keys()
+    demands = {n: RateDemand(rates, weight) for n, (rates, weight) in enumerate(wanted)}
+    plans = fit(demands, room, each, SIZES)
+    assert plans.keys() == demands.keys()
     floors = 0.0
     for n, rates in plans.items():
-        assert rates.keys() == wishes[n].rates_hz.keys(), "slowed down, never dropped"
+        assert rates.keys() == demands[n].rates_hz.keys(), "slowed down, never dropped"
         for name, hz in rates.items():
-            assert 0 < hz <= max(wishes[n].rates_hz[name], GRID_HZ[0]) + 1e-9
-            floors += max(0.2 * wishes[n].rates_hz[name], 0.2 if name == POSITION else GRID_HZ[0]) * SIZES[name]
-        floor = sum(max(0.2 * hz, 0.2 if m == POSITION else 0.05) * SIZES[m] for m, hz in wishes[n].rates_hz.items())
+            assert 0 < hz <= max(demands[n].rates_hz[name], GRID_HZ[0]) + 1e-9
+            floors += max(0.2 * demands[n].rates_hz[name], 0.2 if name == POSITION else GRID_HZ[0]) * SIZES[name]
+        floor = sum(max(0.2 * hz, 0.2 if m == POSITION else 0.05) * SIZES[m] for m, hz in demands[n].rates_hz.items())
         assert plan_bytes_per_s(rates, SIZES) <= max(each, FRAME_BYTES["HEARTBEAT"]) + floor + 1e-6
-    assert total(plans) <= max(room, FRAME_BYTES["HEARTBEAT"] * len(wishes)) + floors + 1e-6
+    assert total(plans) <= max(room, FRAME_BYTES["HEARTBEAT"] * len(demands)) + floors + 1e-6
 
 
 def test_every_profile_is_asked_for_without_the_heartbeat() -> None:
@@ -160,17 +160,17 @@ def test_the_factor_is_never_below_its_least_nor_above_one(looks: list[tuple[flo
 class Vehicle:
     """Sends at its rates, obeys after a delay, and may not."""
 
-    def __init__(self, keeper: PlanKeeper, rates: dict[str, float], *, ardupilot: bool = False) -> None:
+    def __init__(self, keeper: RateController, rates: dict[str, float], *, ardupilot: bool = False) -> None:
         self.keeper = keeper
         self.rates = {"HEARTBEAT": 1.0, **rates}
         self.ardupilot = ardupilot
         self.counts: dict[str, float] = {}
-        self.asked: list[tuple[float, Ask]] = []
-        self.obeys: Callable[[Ask], bool] = lambda ask: True
+        self.asked: list[tuple[float, RateRequest]] = []
+        self.obeys: Callable[[RateRequest], bool] = lambda ask: True
         self.now = 0.0
-        self._obeyed: list[tuple[float, Ask]] = []
+        self._obeyed: list[tuple[float, RateRequest]] = []
 
-    def live(self, seconds: float) -> list[tuple[float, Ask]]:
+    def live(self, seconds: float) -> list[tuple[float, RateRequest]]:
         """What it was asked meanwhile."""
         before = len(self.asked)
         for _ in range(int(seconds * 10)):
@@ -195,8 +195,8 @@ class Vehicle:
 PX4 = {"ATTITUDE": 4.0, POSITION: 2.0, "VFR_HUD": 1.0, "ALTITUDE": 0.5, "SYS_STATUS": 1.0}
 
 
-def planned(rates: dict[str, float], **old: bool) -> PlanKeeper:
-    keeper = PlanKeeper(**old)
+def planned(rates: dict[str, float], **old: bool) -> RateController:
+    keeper = RateController(**old)
     keeper.plan(rates)
     return keeper
 
@@ -214,8 +214,8 @@ def test_a_px4_is_brought_to_its_plan_and_then_left_alone() -> None:
 def test_an_ardupilot_is_silenced_by_one_frame_before_anything_is_asked() -> None:
     vehicle = Vehicle(planned(NAV), {n: 4.0 for n in SIZES if n != "HEARTBEAT"}, ardupilot=True)
     asked = vehicle.live(60)
-    assert asked[0][1] == Ask(None, 0.0, 0)
-    assert asked[1][1] == Ask(POSITION, 2.0)
+    assert asked[0][1] == RateRequest(None, 0.0, 0)
+    assert asked[1][1] == RateRequest(POSITION, 2.0)
     assert [ask.stream for _, ask in asked].count(0) == 1
     assert not [ask for _, ask in asked if ask.message is not None and ask.rate_hz == 0]
     assert {n: hz for n, hz in vehicle.rates.items() if hz} == {"HEARTBEAT": 1.0, **NAV}
@@ -251,7 +251,7 @@ def test_half_of_what_is_wanted_is_a_lossy_radio_and_twice_is_not() -> None:
     lossy.rates[POSITION], fast.rates[POSITION] = 1.3, 5.0
     assert lossy.live(60) == []
     asked = fast.live(30)
-    assert {ask for _, ask in asked} == {Ask(POSITION, 2.0)} and fast.rates[POSITION] == 2.0
+    assert {ask for _, ask in asked} == {RateRequest(POSITION, 2.0)} and fast.rates[POSITION] == 2.0
 
 
 def test_answers_and_events_are_never_turned_off() -> None:
@@ -280,7 +280,7 @@ def test_a_new_plan_asks_for_what_changed_only() -> None:
     vehicle.live(60)
     assert vehicle.keeper.plan({**NAV, "ATTITUDE": 0.5})
     assert not vehicle.keeper.plan({**NAV, "ATTITUDE": 0.5})
-    assert {ask for _, ask in vehicle.live(30)} == {Ask("ATTITUDE", 0.5)}
+    assert {ask for _, ask in vehicle.live(30)} == {RateRequest("ATTITUDE", 0.5)}
 
 
 def test_after_a_reboot_everything_is_asked_for_again() -> None:
@@ -304,13 +304,13 @@ def test_what_will_not_stop_is_told_of() -> None:
     vehicle = Vehicle(planned({POSITION: 2.0}), {"VFR_HUD": 10.0})
     vehicle.obeys = lambda ask: ask.message == POSITION
     vehicle.live(200)
-    assert [name for name, _ in vehicle.keeper.stubborn()] == ["VFR_HUD"]
-    assert vehicle.keeper.stubborn()[0][1] == pytest.approx(10, rel=0.2)
+    assert [name for name, _ in vehicle.keeper.unresponsive()] == ["VFR_HUD"]
+    assert vehicle.keeper.unresponsive()[0][1] == pytest.approx(10, rel=0.2)
     assert len([ask for _, ask in vehicle.asked if ask.rate_hz == 0]) >= HINT_AFTER
 
 
 def test_old_firmware_is_asked_by_groups_at_whole_rates() -> None:
     vehicle = Vehicle(planned({POSITION: 2.0, "SYS_STATUS": 0.5}, old=True), {}, ardupilot=True)
     asked = [ask for _, ask in vehicle.live(10)]
-    assert asked[:3] == [Ask(None, 0.0, 0), Ask(None, 2.0, 6), Ask(None, 1.0, 2)]
+    assert asked[:3] == [RateRequest(None, 0.0, 0), RateRequest(None, 2.0, 6), RateRequest(None, 1.0, 2)]
     assert SETTLE_S > 0

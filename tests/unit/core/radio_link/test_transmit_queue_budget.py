@@ -122,7 +122,7 @@ def test_a_stop_for_each_of_ten_vehicles_leaves_within_the_burst_and_the_rest_wi
     assert now - start <= (450 - RESERVED_SHARE * 500) / 500 + 0.01
 
 
-@pytest.mark.parametrize("flood", [Priority.COMMAND, Priority.SETPOINT, Priority.EXCHANGE])
+@pytest.mark.parametrize("flood", [Priority.COMMAND, Priority.SETPOINT, Priority.PROTOCOL])
 def test_heartbeats_go_under_any_flood_and_any_budget(flood: Priority) -> None:
     queue: TxQueue[str] = TxQueue(ByteBudget(60.0, 120.0))
     sent = []
@@ -272,9 +272,9 @@ def test_the_last_class_keeps_to_its_part_and_holds_up_nobody() -> None:
     assert queue.pop(0.0) == (0, Priority.FORWARDED)
     assert queue.pop(0.0) is None
     assert queue.next_send_time(0.0) == 1.0
-    queue.offer(99, Priority.EXCHANGE, 0.5, size=100)
+    queue.offer(99, Priority.PROTOCOL, 0.5, size=100)
     assert queue.next_send_time(0.5) == 0.5
-    assert queue.pop(0.5) == (99, Priority.EXCHANGE)
+    assert queue.pop(0.5) == (99, Priority.PROTOCOL)
     assert queue.pop(0.99) is None
     assert queue.pop(1.0) == (1, Priority.FORWARDED)
 

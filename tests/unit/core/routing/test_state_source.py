@@ -75,12 +75,12 @@ class Net:
         self._take()
         return counts
 
-    def second(self, machine: Machine, *channels: int, seconds: int = 1, beats: bool = True) -> None:
+    def second(self, machine: Machine, *channels: int, seconds: int = 1, heartbeats: bool = True) -> None:
         """A heartbeat, an attitude and a position a second on these channels."""
         for _ in range(seconds):
             self.now += 1.0
             for channel_id in channels:
-                if beats:
+                if heartbeats:
                     self.hear(channel_id, machine.heartbeat())
                 self.hear(channel_id, machine.attitude(self.now))
                 self.hear(channel_id, machine.position(self.now))

@@ -15,12 +15,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.control.cascade import Memory
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import AxisGains, ControlConfig
-from skygcs.core.control.guard import GuardConfig, Way
+from skygcs.core.control.guard import ControlMode, GuardConfig
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.estimate_view import JUDGE_S
-from skygcs.core.vehicle.geodetic_position import Place, Setpoint
-from skygcs.core.vehicle.offboard_controller import Pilot, PilotConfig, PilotState, Tick
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState, Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect
@@ -32,26 +32,26 @@ FENCE = Fence(Origin(*HOME))
 START = 100.0
 
 MESSAGES = {
-    Way.ATTITUDE: "SET_ATTITUDE_TARGET",
-    Way.VELOCITY: "SET_POSITION_TARGET_LOCAL_NED",
-    Way.POSITION: "SET_POSITION_TARGET_GLOBAL_INT",
+    ControlMode.ATTITUDE: "SET_ATTITUDE_TARGET",
+    ControlMode.VELOCITY: "SET_POSITION_TARGET_LOCAL_NED",
+    ControlMode.POSITION: "SET_POSITION_TARGET_GLOBAL_INT",
 }
 
 
-def place(east_m: float, north_m: float, up_m: float) -> Place:
+def place(east_m: float, north_m: float, up_m: float) -> GeodeticPosition:
     """A point about HOME, worked out by pymap3d."""
-    return Place(*(float(v) for v in pymap3d.enu2geodetic(east_m, north_m, up_m, *HOME)))
+    return GeodeticPosition(*(float(v) for v in pymap3d.enu2geodetic(east_m, north_m, up_m, *HOME)))
 
 
 class Flight:
     """A vehicle that says what a test lets it say, its pilot, and a clock."""
 
-    def __init__(self, autopilot: int = PX4, config: PilotConfig | None = None, *, up_m: float = 10.0) -> None:
+    def __init__(self, autopilot: int = PX4, config: OffboardConfig | None = None, *, up_m: float = 10.0) -> None:
         self.now = START
         self.autopilot = autopilot
         self.vehicle = Vehicle(1, 1, flight_dialect(), name="alpha", decoder=DECODER)
         self.voice = Voice(1)
-        self.pilot = Pilot(self.vehicle, config or PilotConfig(ControlConfig(), GuardConfig()))
+        self.pilot = OffboardController(self.vehicle, config or OffboardConfig(ControlConfig(), GuardConfig()))
         self.beat()
         self.landed(2)
         self.at(0.0, 0.0, up_m)
@@ -90,7 +90,7 @@ class Flight:
             self.vehicle.on_frame(slot.frame, self.now)
         return self.pilot.tick(self.now)
 
-    def fly(self, way: Way = Way.ATTITUDE, fence: Fence | None = FENCE) -> Flight:
+    def fly(self, way: ControlMode = ControlMode.ATTITUDE, fence: Fence | None = FENCE) -> Flight:
         """Up to the state "flying" by this way."""
         self.pilot.engage(way, fence)
         self.tick()
@@ -99,7 +99,7 @@ class Flight:
         self.beat(self.obeying)
         self.pilot.entered()
         self.tick()
-        assert (self.pilot.state, self.pilot.way) == (PilotState.FLYING, way)
+        assert (self.pilot.state, self.pilot.way) == (OffboardState.FLYING, way)
         return self
 
     def reference_enu_m(self) -> tuple[float, ...]:
@@ -116,7 +116,7 @@ def texts(tick: Tick) -> str:
 
 def test_off_sends_nothing_and_has_nothing_to_release() -> None:
     flight = Flight()
-    assert flight.pilot.state is PilotState.OFF and not flight.pilot.active
+    assert flight.pilot.state is OffboardState.OFF and not flight.pilot.active
     assert flight.tick() == Tick() and flight.pilot.release("why not") == Tick()
     assert flight.pilot.status(flight.now)["mode"] is None
 
@@ -125,12 +125,12 @@ def test_without_a_position_it_is_not_taken_over() -> None:
     flight = Flight()
     flight.vehicle.on_frame(flight.voice.position(0.0, 0.0), flight.now)  # what autopilots send before they know
     with pytest.raises(RefusedError, match="position is not known"):
-        flight.pilot.engage(Way.POSITION, FENCE)
-    assert flight.pilot.state is PilotState.OFF
+        flight.pilot.engage(ControlMode.POSITION, FENCE)
+    assert flight.pilot.state is OffboardState.OFF
 
 
-@pytest.mark.parametrize("way", Way)
-def test_engaging_streams_stay_where_you_are_wherever_that_is(way: Way) -> None:
+@pytest.mark.parametrize("way", ControlMode)
+def test_engaging_streams_stay_where_you_are_wherever_that_is(way: ControlMode) -> None:
     flight = Flight()
     flight.pilot.engage(way, FENCE)
     flight.tick()
@@ -139,31 +139,31 @@ def test_engaging_streams_stay_where_you_are_wherever_that_is(way: Way) -> None:
     tick = [flight.tick(0.02) for _ in range(10)][-1]
     assert tick.message is not None and tick.message[0] == MESSAGES[way]
     values = tick.message[1]
-    if way is Way.VELOCITY:
+    if way is ControlMode.VELOCITY:
         assert [values[k] for k in ("vx", "vy", "vz")] == pytest.approx([0.0, 0.0, 0.0])
-    elif way is Way.POSITION:
+    elif way is ControlMode.POSITION:
         there = place(3.0, -2.0, 11.0)
         assert (values["lat_int"], values["lon_int"]) == (round(there.lat_deg * 1e7), round(there.lon_deg * 1e7))
         assert values["alt"] == pytest.approx(there.alt_amsl_m, abs=2e-3)
     else:
         assert values["thrust"] == pytest.approx(ControlConfig().hover_thrust)
-    assert flight.pilot.state is PilotState.ENGAGING and not tick.events and not tick.hold
+    assert flight.pilot.state is OffboardState.ENGAGING and not tick.events and not tick.hold
 
 
 def test_while_engaging_nothing_is_integrated() -> None:
     flight = Flight()
-    flight.pilot.engage(Way.ATTITUDE, FENCE)
+    flight.pilot.engage(ControlMode.ATTITUDE, FENCE)
     flight.tick()
     flight.pinged()
     for _ in range(20):
         flight.vehicle.on_frame(flight.voice.position(*HOME[:2], HOME[2] + 10, 10, velocity=(100, 0, 0)), flight.now)
         flight.tick(fresh=False)
-    assert flight.pilot.way is Way.ATTITUDE
+    assert flight.pilot.way is ControlMode.ATTITUDE
     assert flight.pilot.memory.integral_enu == (0.0, 0.0, 0.0)
 
 
 def test_entered_flies_and_from_then_on_the_reference_stays() -> None:
-    flight = Flight().fly(Way.POSITION)
+    flight = Flight().fly(ControlMode.POSITION)
     flight.at(4.0, 0.0, 10.0)
     flight.tick()
     assert flight.reference_enu_m() == pytest.approx((0.0, 0.0, 0.0), abs=0.02)
@@ -172,8 +172,8 @@ def test_entered_flies_and_from_then_on_the_reference_stays() -> None:
 def test_entered_means_something_only_while_engaging() -> None:
     flight = Flight()
     flight.pilot.entered()
-    assert flight.pilot.state is PilotState.OFF
-    flight.fly(Way.POSITION)
+    assert flight.pilot.state is OffboardState.OFF
+    flight.fly(ControlMode.POSITION)
     memory = flight.pilot.memory
     flight.pilot.entered()
     assert flight.pilot.memory is memory
@@ -183,13 +183,13 @@ def test_entered_means_something_only_while_engaging() -> None:
 def test_release_ends_it_at_once_and_says_why_once(engaging: bool) -> None:
     flight = Flight()
     if engaging:
-        flight.pilot.engage(Way.VELOCITY, FENCE)
+        flight.pilot.engage(ControlMode.VELOCITY, FENCE)
     else:
-        flight.fly(Way.VELOCITY)
+        flight.fly(ControlMode.VELOCITY)
     ended = flight.pilot.release("land was ordered")
     assert texts(ended) == "control ended: land was ordered" and not ended.hold and ended.message is None
     assert ended.events[0].data == {"state": "off", "way": None, "reasons": ["land was ordered"]}
-    assert flight.pilot.state is PilotState.OFF and flight.tick() == Tick()
+    assert flight.pilot.state is OffboardState.OFF and flight.tick() == Tick()
     assert flight.pilot.release("again") == Tick()
 
 
@@ -203,12 +203,12 @@ RELEASES: dict[str, tuple[Callable[[Flight], object], str]] = {
 
 @pytest.mark.parametrize("what", RELEASES)
 def test_what_is_not_ours_any_more_is_released_and_given_no_order(what: str) -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     happen, why = RELEASES[what]
     happen(flight)
     tick = flight.tick()
     assert tick.message is None and not tick.hold and why in texts(tick)
-    assert flight.pilot.state is PilotState.OFF and flight.tick() == Tick()
+    assert flight.pilot.state is OffboardState.OFF and flight.tick() == Tick()
 
 
 HOLDS: dict[str, tuple[Callable[[Flight], object], str]] = {
@@ -245,12 +245,12 @@ HOLDS: dict[str, tuple[Callable[[Flight], object], str]] = {
 
 @pytest.mark.parametrize("what", HOLDS)
 def test_what_is_unsafe_is_held_once_and_then_left_alone(what: str) -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     happen, why = HOLDS[what]
     happen(flight)
     tick = flight.tick(2 * JUDGE_S)
     assert tick.hold and tick.message is None and why in texts(tick), texts(tick)
-    assert flight.pilot.state is PilotState.HELD and not flight.pilot.active
+    assert flight.pilot.state is OffboardState.HELD and not flight.pilot.active
     assert why in " ".join(flight.pilot.reasons)
     assert flight.tick() == Tick()  # the order is given once
 
@@ -258,28 +258,28 @@ def test_what_is_unsafe_is_held_once_and_then_left_alone(what: str) -> None:
 @pytest.mark.parametrize("what", HOLDS)
 def test_what_would_be_a_hold_only_ends_an_attempt_to_take_it_over(what: str) -> None:
     flight = Flight()
-    flight.pilot.engage(Way.POSITION, FENCE)
+    flight.pilot.engage(ControlMode.POSITION, FENCE)
     flight.tick()
     HOLDS[what][0](flight)
     tick = flight.tick(2 * JUDGE_S)
-    assert not tick.hold and tick.message is None and flight.pilot.state is PilotState.OFF
+    assert not tick.hold and tick.message is None and flight.pilot.state is OffboardState.OFF
 
 
 def test_a_silent_vehicle_is_held() -> None:
-    flight = Flight().fly(Way.POSITION)
+    flight = Flight().fly(ControlMode.POSITION)
     assert flight.tick(1.9, fresh=False).message is not None
     tick = flight.tick(0.2, fresh=False)
     assert tick.hold and "old" in texts(tick)
 
 
 def test_what_is_held_may_be_engaged_again_or_released() -> None:
-    flight = Flight().fly(Way.VELOCITY)
+    flight = Flight().fly(ControlMode.VELOCITY)
     flight.pilot.refusing = "no"
     flight.tick()
     flight.pilot.refusing = None
-    assert flight.pilot.state is PilotState.HELD
+    assert flight.pilot.state is OffboardState.HELD
     assert texts(flight.pilot.release("switched off")) == "control ended: switched off"
-    flight.fly(Way.VELOCITY)
+    flight.fly(ControlMode.VELOCITY)
     assert flight.pilot.reasons == ()
 
 
@@ -287,8 +287,8 @@ def test_what_is_held_may_be_engaged_again_or_released() -> None:
 
 
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
-@pytest.mark.parametrize("way", Way)
-def test_the_message_is_that_of_the_way_and_the_pace_too(way: Way, autopilot: int) -> None:
+@pytest.mark.parametrize("way", ControlMode)
+def test_the_message_is_that_of_the_way_and_the_pace_too(way: ControlMode, autopilot: int) -> None:
     flight = Flight(autopilot).fly(way)
     tick = flight.tick()
     assert tick.message is not None and tick.message[0] == MESSAGES[way]
@@ -296,9 +296,9 @@ def test_the_message_is_that_of_the_way_and_the_pace_too(way: Way, autopilot: in
 
 
 def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     told = flight.tick(0.51, fresh=False)
-    assert told.message is not None and told.message[0] == MESSAGES[Way.POSITION]
+    assert told.message is not None and told.message[0] == MESSAGES[ControlMode.POSITION]
     assert "flown by position setpoints" in texts(told) and "0.5" in texts(told)
     assert told.events[0].data["way"] == "position"
     assert not flight.tick().events
@@ -306,28 +306,28 @@ def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown() -> None:
 
 
 def test_that_a_better_way_is_possible_again_is_shown_though_not_told() -> None:
-    flight = Flight().fly(Way.VELOCITY)
+    flight = Flight().fly(ControlMode.VELOCITY)
     flight.tick(0.51, fresh=False)
-    assert flight.pilot.way is Way.POSITION
+    assert flight.pilot.way is ControlMode.POSITION
     for _ in range(30):
         assert not flight.tick(0.2).events
     assert any("order velocity again" in reason for reason in flight.pilot.reasons), flight.pilot.reasons
 
 
 def test_the_wanted_way_is_tried_again_when_it_is_ordered_again() -> None:
-    flight = Flight().fly(Way.VELOCITY)
+    flight = Flight().fly(ControlMode.VELOCITY)
     flight.tick(0.6, fresh=False)
     for _ in range(20):
         flight.tick(0.2)
-    assert flight.pilot.way is Way.POSITION
-    flight.pilot.want(Way.VELOCITY)
+    assert flight.pilot.way is ControlMode.POSITION
+    flight.pilot.want(ControlMode.VELOCITY)
     assert flight.pilot.reasons == ()
     tick = flight.tick()
-    assert tick.message is not None and tick.message[0] == MESSAGES[Way.VELOCITY]
+    assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY]
 
 
 def test_the_memory_is_forgotten_on_a_change_of_way_and_only_then() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     flight.pilot.fly_to(place(1.0, 1.0, 10.5), None)
     for _ in range(20):
         flight.tick()
@@ -335,10 +335,10 @@ def test_the_memory_is_forgotten_on_a_change_of_way_and_only_then() -> None:
     assert kept.integral_enu[0] > 0 and kept.vel_error_enu_mps is not None
     flight.pilot.change_law(replace(flight.pilot.config.law, xy=AxisGains(0.5, 0.05, 0.01)))
     assert flight.pilot.memory is kept  # what was integrated is thrust, whatever the gains
-    flight.pilot.want(Way.VELOCITY)
+    flight.pilot.want(ControlMode.VELOCITY)
     flight.tick()
     assert flight.pilot.memory == Memory()
-    flight.pilot.want(Way.ATTITUDE)
+    flight.pilot.want(ControlMode.ATTITUDE)
     flight.tick()
     assert flight.pilot.memory.integral_enu != kept.integral_enu
     assert abs(flight.pilot.memory.integral_enu[0]) < kept.integral_enu[0] / 5
@@ -348,22 +348,22 @@ def test_the_link_bounds_the_pace_of_attitude_but_never_below_what_can_be_flown(
     flight = Flight()
     for allowed, period_s in ((math.inf, 1 / 50), (28.0, 1 / 28), (5.0, 1 / 20)):
         flight.pilot.attitude_hz_allowed = allowed
-        flight.pilot.wanted = Way.ATTITUDE
+        flight.pilot.wanted = ControlMode.ATTITUDE
         assert flight.pilot.period_s == pytest.approx(period_s)
 
 
 def test_with_fewer_setpoints_than_attitude_takes_it_flies_by_velocity() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     flight.pilot.attitude_hz_allowed = 14.1
     tick = flight.tick()
-    assert tick.message is not None and tick.message[0] == MESSAGES[Way.VELOCITY] and "14" in texts(tick)
+    assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY] and "14" in texts(tick)
 
 
 # --- time
 
 
 def test_the_step_is_measured_and_not_assumed() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     flight.pilot.tracing = True
     for dt_s in (0.02, 0.013, 0.031):
         row = flight.tick(dt_s).row
@@ -374,14 +374,14 @@ def test_the_step_is_measured_and_not_assumed() -> None:
 
 
 def test_the_first_step_after_a_pause_is_no_step_of_that_pause() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     flight.pilot.release("land was ordered")
     flight.now += 500.0
     flight.beat()
     flight.landed(2)
     flight.at(0.0, 0.0, 10.0)
     flight.pilot.tracing = True
-    flight.pilot.engage(Way.POSITION, FENCE)
+    flight.pilot.engage(ControlMode.POSITION, FENCE)
     row = flight.tick().row
     assert row is not None and row.dt_s == ControlConfig().period_s
 
@@ -398,7 +398,7 @@ def test_the_first_step_after_a_pause_is_no_step_of_that_pause() -> None:
 def test_a_place_is_flown_to_exactly_and_a_yaw_kept_unless_given(
     east_m: float, north_m: float, up_m: float, yaw_rad: float | None
 ) -> None:
-    flight = Flight().fly(Way.POSITION)
+    flight = Flight().fly(ControlMode.POSITION)
     assert flight.pilot.reference is not None
     before = flight.pilot.reference.yaw_rad
     there = place(east_m, north_m, up_m)
@@ -412,7 +412,7 @@ def test_a_place_is_flown_to_exactly_and_a_yaw_kept_unless_given(
 
 
 def test_what_is_sent_for_a_place_is_that_place() -> None:
-    flight = Flight(ARDUPILOT).fly(Way.POSITION)
+    flight = Flight(ARDUPILOT).fly(ControlMode.POSITION)
     there = place(12.0, -7.0, 15.0)
     flight.pilot.fly_to(there, math.pi / 2)
     tick = flight.tick()
@@ -426,13 +426,13 @@ def test_what_is_sent_for_a_place_is_that_place() -> None:
 def test_the_heading_at_the_beginning_is_kept() -> None:
     flight = Flight()
     flight.at(0.0, 0.0, 10.0, heading_cdeg=9000)
-    flight.fly(Way.POSITION)
+    flight.fly(ControlMode.POSITION)
     assert flight.pilot.reference is not None
     assert flight.pilot.reference.yaw_rad == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_stream_leads_it_until_its_deadline_and_then_it_stays_where_it_is() -> None:
-    flight = Flight().fly(Way.VELOCITY)
+    flight = Flight().fly(ControlMode.VELOCITY)
     flight.pilot.follow(Setpoint(place(20.0, 0.0, 10.0), (1.0, 2.0, 0.0), yaw_enu_rad=0.3), flight.now + 0.5)
     assert flight.pilot.streaming
     tick = flight.tick(0.4)
@@ -448,18 +448,18 @@ def test_a_stream_leads_it_until_its_deadline_and_then_it_stays_where_it_is() ->
     assert ended.message is not None and ended.message[1]["vy"] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("way", [Way.VELOCITY, Way.POSITION])
-def test_axes_without_a_position_are_flown_by_velocity_also_where_the_way_is_position(way: Way) -> None:
+@pytest.mark.parametrize("way", [ControlMode.VELOCITY, ControlMode.POSITION])
+def test_axes_without_a_position_are_flown_by_velocity_also_where_the_way_is_position(way: ControlMode) -> None:
     flight = Flight().fly(way)
     flight.pilot.follow(Setpoint(None, (1.0, 0.0, -0.5), free_xy=True, free_z=True), flight.now + 1)
     tick = flight.tick()
-    assert tick.message is not None and tick.message[0] == MESSAGES[Way.VELOCITY]
+    assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY]
     assert (tick.message[1]["vy"], tick.message[1]["vz"]) == pytest.approx((1.0, 0.5))
 
 
 def test_what_a_place_says_of_a_free_axis_does_not_matter() -> None:
     high = Fence(Origin(*HOME), up_m=(5.0, 20.0))
-    flight = Flight().fly(Way.VELOCITY, high)
+    flight = Flight().fly(ControlMode.VELOCITY, high)
     flight.pilot.follow(Setpoint(place(5.0, 0.0, 0.0), (0.0, 0.0, 0.5), free_z=True), flight.now + 1)
     tick = flight.tick()
     assert not tick.hold and tick.message is not None
@@ -467,12 +467,12 @@ def test_what_a_place_says_of_a_free_axis_does_not_matter() -> None:
     assert flight.pilot.status(flight.now)["error_enu_m"] == pytest.approx([5.0, 0.0, 0.0], abs=0.02)
     flight.pilot.follow(Setpoint(place(0.0, 0.0, 300.0), free_xy=True), flight.now + 1)
     assert (
-        "z" not in texts(flight.tick()) and flight.pilot.state is PilotState.HELD
+        "z" not in texts(flight.tick()) and flight.pilot.state is OffboardState.HELD
     )  # but what it says of the other does
 
 
 def test_a_reference_outside_the_fence_is_held() -> None:
-    flight = Flight().fly(Way.VELOCITY)
+    flight = Flight().fly(ControlMode.VELOCITY)
     flight.pilot.fly_to(place(70.0, 0.0, 10.0), None)
     tick = flight.tick()
     assert tick.hold and "place to go to" in texts(tick)
@@ -481,7 +481,7 @@ def test_a_reference_outside_the_fence_is_held() -> None:
 def test_the_fence_stands_on_earth_and_not_about_the_vehicle() -> None:
     flight = Flight()
     flight.at(45.0, 0.0, 10.0)
-    flight.fly(Way.VELOCITY)
+    flight.fly(ControlMode.VELOCITY)
     flight.at(51.0, 0.0, 10.0)
     assert flight.tick().hold
 
@@ -490,7 +490,7 @@ def test_the_fence_stands_on_earth_and_not_about_the_vehicle() -> None:
 
 
 def test_the_state_tells_what_is_flown() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     flight.pilot.fly_to(place(3.0, -4.0, 10.0), None)
     flight.tick()
     status = flight.pilot.status(flight.now)
@@ -505,7 +505,7 @@ def test_the_state_tells_what_is_flown() -> None:
 
 
 def test_rows_are_made_only_while_somebody_traces() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     assert flight.tick().row is None
     flight.pilot.tracing = True
     tick = flight.tick()
@@ -524,7 +524,7 @@ class Happening:
     do: Callable[[Flight], object]
 
 
-def _engage(way: Way) -> Happening:
+def _engage(way: ControlMode) -> Happening:
     def do(flight: Flight) -> None:
         try:
             flight.pilot.engage(way, FENCE)
@@ -535,21 +535,21 @@ def _engage(way: Way) -> Happening:
 
 
 def _follow(flight: Flight, wanted: Setpoint) -> None:
-    if flight.pilot.state is PilotState.FLYING:
+    if flight.pilot.state is OffboardState.FLYING:
         flight.pilot.follow(wanted, flight.now + 0.5)
 
 
-def _go(flight: Flight, there: Place) -> None:
-    if flight.pilot.state is PilotState.FLYING:
+def _go(flight: Flight, there: GeodeticPosition) -> None:
+    if flight.pilot.state is OffboardState.FLYING:
         flight.pilot.fly_to(there, None)
 
 
 numbers = st.floats(-100, 100)
 vectors = st.tuples(numbers, numbers, numbers)
 happenings = st.one_of(
-    st.sampled_from([_engage(way) for way in Way]),
+    st.sampled_from([_engage(way) for way in ControlMode]),
     st.just(Happening("entered", lambda f: f.pilot.entered())),
-    st.sampled_from([Happening(f"want {way}", lambda f, way=way: f.pilot.want(way)) for way in Way]),
+    st.sampled_from([Happening(f"want {way}", lambda f, way=way: f.pilot.want(way)) for way in ControlMode]),
     st.just(Happening("release", lambda f: f.pilot.release("asked"))),
     st.just(Happening("obeys", lambda f: f.beat(f.obeying))),
     st.sampled_from([PX4_LOITER, PX4_RTL]).map(lambda mode: Happening(f"mode {mode}", lambda f: f.beat(mode))),
@@ -593,7 +593,7 @@ def test_whatever_happens_it_never_raises_and_never_sends_what_it_must_not(
     pilot = flight.pilot
     pilot.tracing = True
     if fly:
-        flight.fly(Way.ATTITUDE)
+        flight.fly(ControlMode.ATTITUDE)
     for event in happening:
         event.do(flight)
         for _ in range(2):
@@ -608,7 +608,7 @@ def test_whatever_happens_it_never_raises_and_never_sends_what_it_must_not(
             mixed = pilot.reference is not None and (
                 pilot.reference.velocity_only_xy or pilot.reference.velocity_only_z
             )
-            way = Way.VELOCITY if mixed and pilot.way is Way.POSITION else pilot.way
+            way = ControlMode.VELOCITY if mixed and pilot.way is ControlMode.POSITION else pilot.way
             name, values = tick.message
             assert name == MESSAGES[way]
             info = flight_dialect().by_name[name]
@@ -616,14 +616,16 @@ def test_whatever_happens_it_never_raises_and_never_sends_what_it_must_not(
             if name == "SET_ATTITUDE_TARGET":
                 assert 0.0 <= values["thrust"] <= 1.0
                 assert math.hypot(*values["q"]) == pytest.approx(1.0, abs=1e-3)
-            if pilot.state is PilotState.FLYING:
+            if pilot.state is OffboardState.FLYING:
                 assert flight.vehicle.custom_mode == flight.obeying
         pilot.status(flight.now)
 
 
 @pytest.mark.parametrize(("lat_deg", "lon_deg"), [(0.0, 8.5), (47.4, 0.0)])
-@pytest.mark.parametrize("way", Way)
-def test_the_equator_and_the_first_meridian_are_places_like_any_other(lat_deg: float, lon_deg: float, way: Way) -> None:
+@pytest.mark.parametrize("way", ControlMode)
+def test_the_equator_and_the_first_meridian_are_places_like_any_other(
+    lat_deg: float, lon_deg: float, way: ControlMode
+) -> None:
     flight = Flight()
     here = Origin(lat_deg, lon_deg, 100.0)
     frame = flight.voice.position(lat_deg, lon_deg, 110.0, 10.0)
@@ -634,7 +636,7 @@ def test_the_equator_and_the_first_meridian_are_places_like_any_other(lat_deg: f
 
 
 def test_a_new_hover_thrust_makes_no_step_in_the_thrust() -> None:
-    flight = Flight().fly(Way.ATTITUDE)
+    flight = Flight().fly(ControlMode.ATTITUDE)
     before = flight.tick().message
     flight.pilot.change_law(replace(flight.pilot.config.law, hover_thrust=0.55))
     after = flight.tick().message

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import ARRAYS, FIELDS, Decoder
-from skygcs.core.vehicle.decoding import SECTIONS
+from skygcs.core.vehicle.decoding import GROUPS
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.core.vehicle.vehicle import MAX_STATUS_TEXTS, Vehicle
 from skygcs.events import Event
@@ -46,7 +46,7 @@ def test_an_unheard_vehicle_knows_nothing_and_says_so() -> None:
     state = told(vehicle)
     assert state["connected"] is False
     assert state["last_heartbeat_age_s"] is None
-    assert all(state[section.name] is None for section in SECTIONS)
+    assert all(state[section.name] is None for section in GROUPS)
 
 
 def test_the_state_has_exactly_the_keys_it_promises() -> None:
@@ -401,15 +401,17 @@ FOREIGN = [
 ]
 
 
-@pytest.mark.parametrize(("foreign", "kind"), FOREIGN)
-def test_a_heartbeat_that_is_not_its_own_changes_nothing_and_is_told_once(foreign: dict[str, int], kind: str) -> None:
+@pytest.mark.parametrize(("third_party", "kind"), FOREIGN)
+def test_a_heartbeat_that_is_not_its_own_changes_nothing_and_is_told_once(
+    third_party: dict[str, int], kind: str
+) -> None:
     vehicle, voice = new()
     own = voice.beat(ARDUPILOT, 4, armed=True, status=4)
     vehicle.on_frame(own, 0.0)
     events: list[Event] = []
     for n in range(1, 1500):  # 50 a second beside its own one
         now = n * 0.02
-        events += vehicle.on_frame(voice.beat(mode=0, armed=False, **foreign), now)
+        events += vehicle.on_frame(voice.beat(mode=0, armed=False, **third_party), now)
         if n % 50 == 0:
             events += vehicle.on_frame(own, now)
         assert (vehicle.family, vehicle.type, vehicle.mode, vehicle.armed) == ("ardupilot", 2, "GUIDED", True)
@@ -614,10 +616,10 @@ def test_firmware_comes_from_autopilot_version() -> None:
     assert told(vehicle, voice.say(version))["firmware"] == "4.5.1"
 
 
-FOLDED = sorted({name for section in SECTIONS for name in section.messages} | set(DECODER.read))
+DECODED = sorted({name for section in GROUPS for name in section.messages} | set(DECODER.read))
 
 
-@given(st.lists(st.tuples(st.sampled_from(FOLDED), st.binary(max_size=255)), max_size=12))
+@given(st.lists(st.tuples(st.sampled_from(DECODED), st.binary(max_size=255)), max_size=12))
 def test_no_payload_whatever_makes_it_raise_or_say_what_is_no_json(story: list[tuple[str, bytes]]) -> None:
     vehicle, _ = new()
     vehicle.origin = Origin(*HOME)

@@ -62,7 +62,7 @@ class Leftover(NamedTuple):
     before_hz: Mapping[str, float]
 
 
-class StreamRequests:
+class ProgramStreams:
     """`on_request` with every request that passes, `left_behind` once a second. Vehicles by sysid << 8 | compid."""
 
     def __init__(self) -> None:

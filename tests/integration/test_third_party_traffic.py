@@ -69,23 +69,23 @@ class Field:
             self.unanswered += 1
 
     @property
-    def foreign(self) -> dict[str, Any]:
+    def third_party(self) -> dict[str, Any]:
         """What link.status tells of others' traffic."""
-        return dict(self.air.air()["up"]["foreign"])
+        return dict(self.air.air()["up"]["third_party"])
 
     @property
     def listed(self) -> int | None:
         """The vehicle whose list comes, if it is one at a time."""
-        running = self.foreign["param_lists"]["running"]
+        running = self.third_party["param_lists"]["running"]
         return None if running is None else int(running["sysid"])
 
 
 @contextlib.asynccontextmanager
 async def field(
-    tmp_path: Path, *, stations: int = 1, parameters: int = 0, foreign: Mapping[str, Any] | None = None
+    tmp_path: Path, *, stations: int = 1, parameters: int = 0, third_party: Mapping[str, Any] | None = None
 ) -> AsyncIterator[Field]:
     """When the plan is followed. ``parameters``: what each vehicle has of them at least."""
-    link = {"stream_profile": "nav", "foreign": dict(foreign or {})}
+    link = {"stream_profile": "nav", "third_party": dict(third_party or {})}
     async with on_air(
         tmp_path, px4=5, ardupilot=5, radio={"air_kbps": 64, "loss": 0.01}, link=link, stations=stations
     ) as air:
@@ -128,7 +128,7 @@ async def test_a_station_that_asks_ten_vehicles_for_everything_disturbs_nobody(t
 
 async def test_without_the_gate_it_disturbs_all(tmp_path: Path) -> None:
     """What the rules are for: the same flood, let through."""
-    async with field(tmp_path, parameters=900, foreign={"param_lists": "allow"}) as flown:
+    async with field(tmp_path, parameters=900, third_party={"param_lists": "allow"}) as flown:
         (station,) = stations_of(flown)
         station.connect(VEHICLES)
         await flown.watched(60)
@@ -143,14 +143,14 @@ async def test_all_ten_lists_come_one_after_the_other_and_the_station_is_told_th
         station.connect(VEHICLES)
         await flown.air.until(lambda: all(station.has_list(v) for v in VEHICLES), 300)
         station.disconnect()
-        told = flown.foreign
+        told = flown.third_party
     assert told["param_lists"]["waiting"] == []
     ended = [station.listed_at[v] for v in VEHICLES]
     assert ended == sorted(ended), "in the order in which they were asked for"
     assert "parameters of 2 wait: one list at a time" in station.texts
-    (held,) = [text for text in flown.air.events("foreign") if "parameters of vehicle 2" in text]
+    (held,) = [text for text in flown.air.events("third_party") if "parameters of vehicle 2" in text]
     assert "255/190 (memory)" in held
-    assert 'links.air.foreign.param_lists = "allow"' in held
+    assert 'links.air.third_party.param_lists = "allow"' in held
 
 
 async def test_what_is_refused_is_counted_per_source_and_told_once_with_what_to_do(tmp_path: Path) -> None:
@@ -160,17 +160,17 @@ async def test_what_is_refused_is_counted_per_source_and_told_once_with_what_to_
         station.connect(VEHICLES)
         await asyncio.sleep(20)
         station.disconnect()
-        (source,) = flown.foreign["sources"]
+        (source,) = flown.third_party["sources"]
         assert flown.air.rates(6) == before, "nobody's streams have changed"
     assert source["source"] == "255/190"
     assert source["counts"]["refused_logs"] == 60
     assert source["counts"]["refused_streams"] == 420
     assert source["counts"]["needless"] >= 20, "its heartbeats, which are of our own system"
     assert source["counts"]["thinned"] > 150
-    told = flown.air.events("foreign")
+    told = flown.air.events("third_party")
     assert len([text for text in told if "LOG_REQUEST" in text]) == 1
     assert any("553 B/s that one vehicle can send, 10 MB take 5.0 h" in text for text in told)
-    assert any("links.air.foreign.streams" in text for text in told)
+    assert any("links.air.third_party.streams" in text for text in told)
     assert any("TIMESYNC at 10 Hz, of which 0.2 Hz" in text for text in told)
     assert {"no log downloads over this radio", "slowed down on this radio: TIMESYNC"} <= set(station.texts)
 
@@ -191,7 +191,7 @@ async def test_eight_programs_that_flood_disturb_nobody_and_a_ninth_is_served(tm
         assert flown.air.daemon.now() - asked < 20
         for station in (*flooding, quiet):
             station.disconnect()
-        assert flown.foreign["waiting"] <= 512
+        assert flown.third_party["waiting"] <= 512
         classes = flown.air.air()["up"]["classes"]
     assert p95(flown.ages_s) <= AGE_S
     assert p95(flown.acks_s) <= flown.ack_limit_s

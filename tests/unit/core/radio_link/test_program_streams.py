@@ -5,15 +5,15 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.radio_link.stream_requests import (
+from skygcs.core.radio_link.program_streams import (
     ALL_GROUPS,
     GROUPS,
     MOST_ITEMS,
     MOST_PROGRAMS,
     Leftover,
+    ProgramStreams,
     Request,
     Stream,
-    StreamRequests,
     restoring,
 )
 
@@ -23,13 +23,13 @@ ATTITUDE = Stream(None, "ATTITUDE")
 WANTED = {"GLOBAL_POSITION_INT": 2.0, "ATTITUDE": 1.0}
 
 
-def left(requests: StreamRequests, *connected: tuple[int, int]) -> dict[int, set[Stream]]:
+def left(requests: ProgramStreams, *connected: tuple[int, int]) -> dict[int, set[Stream]]:
     found = requests.left_behind(lambda program: program in connected)
     return {vehicle: {leftover.stream for leftover in leftovers} for vehicle, leftovers in found.items()}
 
 
 def test_a_stream_is_left_behind_when_the_last_that_asked_is_gone() -> None:
-    requests = StreamRequests()
+    requests = ProgramStreams()
     requests.on_request(1, MAVPROXY, POSITION, lambda: {"ATTITUDE": 1.0})
     requests.on_request(1, QGC, POSITION, lambda: {"ATTITUDE": 4.0})
     requests.on_request(1, MAVPROXY, RAW, lambda: {"ATTITUDE": 4.0})
@@ -42,21 +42,21 @@ def test_a_stream_is_left_behind_when_the_last_that_asked_is_gone() -> None:
 
 
 def test_all_streams_are_each_of_the_groups() -> None:
-    requests = StreamRequests()
+    requests = ProgramStreams()
     requests.on_request(1, MAVPROXY, Stream(ALL_GROUPS, None), lambda: {})
     requests.on_request(1, QGC, POSITION, lambda: {})
     assert left(requests, QGC) == {1: {Stream(group, None) for group in GROUPS} - {POSITION}}
 
 
 def test_a_rebooted_vehicle_knows_of_no_request() -> None:
-    requests = StreamRequests()
+    requests = ProgramStreams()
     requests.on_request(1, MAVPROXY, POSITION, lambda: {})
     requests.forget(1)
     assert left(requests) == {}
 
 
 def test_a_flood_of_requests_is_bounded_and_counted() -> None:
-    requests = StreamRequests()
+    requests = ProgramStreams()
     for n in range(100):
         requests.on_request(1, MAVPROXY, Stream(None, f"M{n}"), lambda: {})
         requests.on_request(2, (n, n), POSITION, lambda: {})
