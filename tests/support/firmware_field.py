@@ -410,20 +410,26 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         flying = [name for name in self.names if self.truth(name).armed]
         for name in flying:
             self.order("vehicles.land", name)
-        return self.wait(lambda: not any(self.truth(n).armed for n in self.names), 120, "all have landed")
+        landed_s = self.wait(lambda: not any(self.truth(n).armed for n in self.names), 120, "all have landed")
+        self.wait_idle()
+        return landed_s
+
+    def wait_idle(self) -> None:
+        """Until the daemon takes all for disarmed and on the ground: before that it does nothing to them that would be
+        dangerous in the air."""
+        self.wait(lambda: not any(self.state(n)["armed"] for n in self.names), 20, "all are seen disarmed")
+        self.wait(
+            lambda: all(self.state(n)["landed"] in ("on_ground", None) for n in self.names), 20, "all are seen landed"
+        )
+        self.wait(lambda: all(self.truth(n).armed_at < time.monotonic() - RECENTLY_S for n in self.names), 10, "idle")
 
     def ready_on_ground(self) -> None:
         """All disarmed, in a mode that arms, and near where they began."""
         self.relay.clear()
         if any(self.truth(n).armed for n in self.names):
             self.land()
-        self.wait(lambda: not any(self.state(n)["armed"] for n in self.names), 20, "all are seen disarmed")
         self.wait(lambda: not any(self.state(n)["duplicate_sysid"] for n in self.names), 20, "no duplicate is reported")
-        self.wait(
-            lambda: all(self.state(n)["landed"] in ("on_ground", None) for n in self.names), 20, "all are seen landed"
-        )
-        # what was armed a moment ago and is not seen on the ground takes no order that is dangerous in the air
-        self.wait(lambda: all(self.truth(n).armed_at < time.monotonic() - RECENTLY_S for n in self.names), 10, "idle")
+        self.wait_idle()
         for name in self.names:
             mode = "AUTO.LOITER" if self.px4 else "GUIDED"
             if self.state(name)["mode"] != mode:
