@@ -150,8 +150,11 @@ class CopterVehicle(SimVehicle):
         return None
 
     @property
-    def tells_of_fence(self) -> bool:
-        return bool(self.params["FENCE_ENABLE"])
+    def fence_flags(self) -> tuple[bool, bool, bool]:
+        # AC_Fence::sys_status_present, _enabled and _failed: one that is off is present and healthy
+        present = copter_failsafe.fence_present(self)
+        enabled = present and bool(self.params["FENCE_ENABLE"]) and self.params["FENCE_ACTION"] != 0
+        return present, enabled, not present or self.fence_breach == m.FENCE_BREACH_NONE
 
     def make_lists(self) -> tuple[CopterLists, CopterRun]:
         run = CopterRun()

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 FENCE_HEIGHT = 1
 FENCE_CIRCLE = 2
 FENCE_POLYGON = 4
-"""Bits of FENCE_TYPE; the last one is for polygons and circles of the fence list."""
+FENCE_FLOOR = 8
+"""Bits of FENCE_TYPE; that of polygons is for polygons and circles of the fence list. No floor is simulated."""
 
 TEXTS = {"height": "Max Alt fence breached", "distance": "Circle fence breached", "polygon": "Polygon fence breached"}
 
@@ -92,6 +93,12 @@ def watch(v: CopterVehicle, now: float) -> None:
     elif was_lost and not alarms.gcs.raised and action:
         v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe Cleared")
     _watch_fence(v, now)
+
+
+def fence_present(v: CopterVehicle) -> bool:
+    """Whether a fence is set up, enabled or not (AC_Fence::present)."""
+    polygon = FENCE_POLYGON if v.lists.fence else 0
+    return bool(int(v.params["FENCE_TYPE"]) & (FENCE_HEIGHT | FENCE_CIRCLE | FENCE_FLOOR | polygon))
 
 
 def inside_fence(v: CopterVehicle, east_m: float, north_m: float, up_m: float) -> bool:

@@ -145,8 +145,8 @@ class Px4Vehicle(SimVehicle):
         return None
 
     @property
-    def tells_of_fence(self) -> bool:
-        return False
+    def fence_flags(self) -> tuple[bool, bool, bool]:
+        return False, False, False  # SYS_STATUS.hpp has no bit for it
 
     def make_lists(self) -> tuple[Px4Lists, Px4Run]:
         run = Px4Run()

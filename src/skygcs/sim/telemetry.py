@@ -71,12 +71,11 @@ def sys_status(v: SimVehicle, now: float) -> Fields:
         health |= m.MAV_SYS_STATUS_AHRS
     if v.arming_refusal() is None:
         health |= m.MAV_SYS_STATUS_PREARM_CHECK
-    fenced = m.MAV_SYS_STATUS_GEOFENCE if v.tells_of_fence else 0
-    if v.fence_breach == m.FENCE_BREACH_NONE:
-        health |= fenced
+    present, enabled, healthy = (m.MAV_SYS_STATUS_GEOFENCE if flag else 0 for flag in v.fence_flags)
+    health |= healthy
     return {
-        "onboard_control_sensors_present": _ALL_SENSORS | fenced,
-        "onboard_control_sensors_enabled": _ALL_SENSORS | fenced,
+        "onboard_control_sensors_present": _ALL_SENSORS | present,
+        "onboard_control_sensors_enabled": _ALL_SENSORS | enabled,
         "onboard_control_sensors_health": health & ~v.faults.unhealthy_sensors,
         "load": 350 if v.armed else 280,
         "voltage_battery": round(v.battery.volts * 1000),

@@ -143,8 +143,8 @@ class SimVehicle(ABC):
 
     @property
     @abstractmethod
-    def tells_of_fence(self) -> bool:
-        """Whether SYS_STATUS has a bit for the fence now."""
+    def fence_flags(self) -> tuple[bool, bool, bool]:
+        """The fence in SYS_STATUS: present, enabled, healthy."""
 
     @abstractmethod
     def make_lists(self) -> tuple[MissionLists, MissionRun]: ...

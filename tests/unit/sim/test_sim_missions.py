@@ -317,6 +317,41 @@ def test_a_polygon_is_a_fence(make: type[SimVehicle]) -> None:
     assert any("fence" in text.lower() for text in pilot.texts())
 
 
+def fence_flags(pilot: Uploader) -> tuple[bool, bool, bool]:
+    """Present, enabled and healthy, of the last SYS_STATUS."""
+    status = pilot.last("SYS_STATUS")
+    sensors = (
+        status.onboard_control_sensors_present,
+        status.onboard_control_sensors_enabled,
+        status.onboard_control_sensors_health,
+    )
+    present, enabled, healthy = (bool(flags & mav.MAV_SYS_STATUS_GEOFENCE) for flags in sensors)
+    return present, enabled, healthy
+
+
+@pytest.mark.parametrize(
+    ("parameters", "flags"),
+    [
+        ({}, (True, False, True)),  # without the last one MAVProxy reports a breach
+        ({"FENCE_TYPE": 0, "FENCE_ENABLE": 1}, (False, False, True)),
+        ({"FENCE_TYPE": 4, "FENCE_ENABLE": 1}, (False, False, True)),  # no polygon in the list
+        ({"FENCE_ENABLE": 1, "FENCE_ACTION": 0}, (True, False, True)),
+        ({"FENCE_ENABLE": 1}, (True, True, True)),
+    ],
+)
+def test_an_ardupilot_reports_a_fence_that_is_off_as_present_and_healthy(
+    parameters: dict[str, float], flags: tuple[bool, bool, bool]
+) -> None:
+    """AC_Fence::sys_status_present, _enabled and _failed."""
+    pilot = Uploader(copter())
+    for name, value in parameters.items():
+        found = pilot.vehicles[0].params.find(name)
+        assert found is not None
+        found[1].value = value
+    pilot.get_ready()
+    assert fence_flags(pilot) == flags
+
+
 def test_an_ardupilot_tells_of_its_fence_also_on_the_ground() -> None:
     pilot = Uploader(copter())
     v = pilot.vehicles[0]
