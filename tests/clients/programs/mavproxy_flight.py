@@ -1,7 +1,7 @@
 """MAVProxy itself at its own console, as its documentation flies it: mavproxy_flight.py CONNECTION px4|ardupilot
 
-Connect, param show and set, wp load, list and save, mode, arm throttle, takeoff, guided, velocity, RTL, LAND. MAVProxy's
-`mode` and `takeoff` are ArduPilot's (see `px4`).
+Connect, param show and set, wp load, list and save, mode, arm throttle, takeoff, guided, velocity, RTL, LAND. Its
+`mode` and `takeoff` are for ArduPilot (see `px4`).
 """
 
 import os
@@ -85,7 +85,9 @@ class Console:
                 self.type(line)
             self.type(f"status {message}")
             found = soon(lambda: self.find(rf"{message} \{{([^}}]*)\}}"), ANSWER_S)
-            values = {name: float(value) for name, value in re.findall(r"(\w+) : (-?[\d.]+)", found[1])} if found else {}
+            values = (
+                {name: float(value) for name, value in re.findall(r"(\w+) : (-?[\d.]+)", found[1])} if found else {}
+            )
             return values if values and good(values) else None
 
         return until(look, f"{message} as wanted", pause_s=0.5)

@@ -98,7 +98,9 @@ def mission(system, action, telemetry):
     at = telemetry.position()
     legs = [moved(at.latitude_deg, at.longitude_deg, north, east) for north, east in ((12, 0), (12, 12), (0, 12))]
     items = [
-        MissionItem(latitude_deg=lat, longitude_deg=lon, relative_altitude_m=8.0, speed_m_s=5.0, acceptance_radius_m=1.0)
+        MissionItem(
+            latitude_deg=lat, longitude_deg=lon, relative_altitude_m=8.0, speed_m_s=5.0, acceptance_radius_m=1.0
+        )
         for lat, lon in legs
     ]
     plugin.set_return_to_launch_after_mission(False)
