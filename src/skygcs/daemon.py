@@ -51,6 +51,7 @@ from skygcs.runtime.signing_keys import Signing, why_silent
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.signing_store import SigningStore, default_state_dir
 from skygcs.runtime.uplink import setpoint_bytes_per_s, stream_refusal
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_EVENTS = 1000
 """Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
@@ -268,7 +269,7 @@ class Daemon:
         if flown:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(PARK_S):
-                    await self.fleet.command_all(flown, "hold")
+                    await self.fleet.command_all(flown, VehicleActor.hold)
 
     def stop(self) -> None:
         """End `run` in order. Idempotent; safe as a signal handler of the loop."""

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from skygcs.rpc.methods import METHODS
+from skygcs.runtime.vehicle_actor import VehicleActor
 from support.on_air import OnAir, on_air
 from support.rtcm import STANDARD_1005, rtcm_frame
 
@@ -61,7 +62,7 @@ async def test_orders_do_not_wait_for_corrections(tmp_path: Path) -> None:
 
         sending = asyncio.create_task(base())
         await asyncio.sleep(10)
-        outcomes = await air.daemon.fleet.command_all("all", "set_mode", name="AUTO.LOITER")
+        outcomes = await air.daemon.fleet.command_all("all", VehicleActor.set_mode, name="AUTO.LOITER")
         sending.cancel()
         (outcome,) = outcomes.values()
         up = air.air()["up"]

@@ -15,6 +15,7 @@ from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
 from skygcs.links.memory import MemoryLink as Memory
+from skygcs.runtime.vehicle_actor import VehicleActor
 from support.routed import DIALECT, heartbeat, message
 
 
@@ -103,7 +104,11 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
         recorded = daemon.fleet.vehicles[2 << 8 | 1]
         assert recorded.state(daemon.now())["replayed"] is True
         before = len(got(daemon, "radio"))
-        for order, arguments in (("arm", {}), ("land", {}), ("disarm", {"force": True})):
+        for order, arguments in (
+            (VehicleActor.arm, {}),
+            (VehicleActor.land, {}),
+            (VehicleActor.disarm, {"force": True}),
+        ):
             [outcome] = (await daemon.fleet.command_all("2", order, **arguments)).values()
             assert outcome.result == "refused"
             assert "recording" in outcome.message

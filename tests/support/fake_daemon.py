@@ -26,6 +26,7 @@ from skygcs.core.vehicle.stop import require_confirmed
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.events import Event
 from skygcs.rpc.server import RpcServer
+from skygcs.runtime.fleet import Order
 
 NAMES = ("alpha", "bravo", "carol")
 
@@ -411,13 +412,13 @@ class FakeFleet:
             found.update({v.sysid: v for v in matching})
         return list(found.values())
 
-    async def command_all(self, targets: str | list[str], order: str, /, **arguments: Any) -> dict[str, FakeOutcome]:
-        vehicles = self.resolve(targets)
-        if order == "disarm":
+    async def command_all(self, targets: str | list[str], order: Order, /, **arguments: Any) -> dict[str, FakeOutcome]:
+        vehicles, name = self.resolve(targets), order.__name__
+        if name == "disarm":
             arguments.pop("confirm", None)
-        if order == "stop":
+        if name == "stop":
             require_confirmed(arguments["action"], dict.fromkeys(v.name for v in vehicles), arguments.pop("confirm"))
-        done = await asyncio.gather(*(getattr(v, order)(**arguments) for v in vehicles))
+        done = await asyncio.gather(*(getattr(v, name)(**arguments) for v in vehicles))
         return dict(zip((v.name for v in vehicles), done, strict=True))
 
     @staticmethod

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from skygcs.errors import TargetError
 from skygcs.rpc import models as m
 from skygcs.rpc.ports import Daemon, JsonObject, Vehicle, resolve
+from skygcs.runtime.fleet import Order
 
 
 class Context(Protocol):
@@ -18,12 +19,12 @@ class Context(Protocol):
     def unsubscribe(self, number: int) -> None: ...
 
 
-async def order(context: Context, order: str, params: m.TargetsParams) -> JsonObject:
+async def order(context: Context, order: Order, params: m.TargetsParams) -> JsonObject:
     """An order whose arguments are the parameters."""
     return await outcomes(context, params.targets, order, **params.model_dump(exclude={"targets"}))
 
 
-async def outcomes(context: Context, targets: str | list[str], order: str, **arguments: Any) -> JsonObject:
+async def outcomes(context: Context, targets: str | list[str], order: Order, **arguments: Any) -> JsonObject:
     """The same order to every target at the same time, and what became of it on each."""
     told = await context.daemon.fleet.command_all(targets, order, **arguments)
     return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}

@@ -8,6 +8,7 @@ from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, outcomes
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.ports import JsonObject, resolve
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 
 async def control_set(context: Context, params: c.ControlSetParams) -> JsonObject:
@@ -16,7 +17,7 @@ async def control_set(context: Context, params: c.ControlSetParams) -> JsonObjec
     The whole sequence: checks, a stream of setpoints, the autopilot's mode (OFFBOARD, GUIDED), its verification; undone
     on failure. A vehicle begins by staying where it is. With "off" it is told to hold.
     """
-    return await outcomes(context, params.targets, "control", mode=params.mode, force=params.force)
+    return await outcomes(context, params.targets, VehicleActor.control, mode=params.mode, force=params.force)
 
 
 async def control_gains(context: Context, params: c.ControlGainsParams) -> JsonObject:
@@ -24,7 +25,7 @@ async def control_gains(context: Context, params: c.ControlGainsParams) -> JsonO
     changes = params.changes()
     told: JsonObject = {}
     if changes:
-        answer = await outcomes(context, params.targets, "change_gains", changes=changes, force=params.force)
+        answer = await outcomes(context, params.targets, VehicleActor.change_gains, changes=changes, force=params.force)
         told = answer["outcomes"]
     vehicles = context.daemon.fleet.resolve(params.targets)
     return {"outcomes": told, "gains": {vehicle.name: vehicle.gains() for vehicle in vehicles}}

@@ -12,6 +12,7 @@ from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.ports import JsonObject
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 
 class FenceSetParams(m.TargetsParams):
@@ -42,12 +43,12 @@ async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
     """Set the fence about home by the autopilot's parameters (PX4 GF_*, ArduCopter FENCE_*), and read it back."""
     if params.radius_m is None and params.height_m is None and params.action is None:
         raise InvalidParams(("radius_m", "give a radius, a height or an action"))
-    return await order(context, "set_fence", params)
+    return await order(context, VehicleActor.set_fence, params)
 
 
 async def fence_status(context: Context, params: m.ListParams) -> JsonObject:
     """The fence of each vehicle, read now, and what it tells of breaches."""
-    return await outcomes(context, params.targets, "read_fence")
+    return await outcomes(context, params.targets, VehicleActor.read_fence)
 
 
 async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
@@ -56,7 +57,7 @@ async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
 
     Progress comes as events of kind fence. Ok: it told of the breach, and did what it is to do if it was armed.
     """
-    return await order(context, "test_fence", params)
+    return await order(context, VehicleActor.test_fence, params)
 
 
 _TARGET = (dispatch.TARGET_ERROR,)

@@ -31,6 +31,7 @@ from skygcs.rpc.context import Context, one_vehicle, order, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.ports import JsonObject, resolve, state_of
 from skygcs.rpc.subscriptions import find_message
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 COMMAND_PREFIX = "MAV_CMD_"
 _INTEGER = re.compile(r"(u?)int(8|16|32|64)_t")
@@ -54,53 +55,53 @@ def vehicles_get(context: Context, params: m.TargetParams) -> JsonObject:
 
 async def vehicles_arm(context: Context, params: m.ArmParams) -> JsonObject:
     """Arm."""
-    return await order(context, "arm", params)
+    return await order(context, VehicleActor.arm, params)
 
 
 async def vehicles_disarm(context: Context, params: m.DisarmParams) -> JsonObject:
     """Disarm; in flight only with force."""
-    return await order(context, "disarm", params)
+    return await order(context, VehicleActor.disarm, params)
 
 
 async def vehicles_mode(context: Context, params: m.ModeParams) -> JsonObject:
     """Set the flight mode by the autopilot's own name for it."""
-    return await outcomes(context, params.targets, "set_mode", name=params.mode)
+    return await outcomes(context, params.targets, VehicleActor.set_mode, name=params.mode)
 
 
 async def vehicles_takeoff(context: Context, params: m.TakeoffParams) -> JsonObject:
     """Take off to a height above the ground it stands on."""
-    return await order(context, "takeoff", params)
+    return await order(context, VehicleActor.takeoff, params)
 
 
 async def vehicles_land(context: Context, params: m.TargetsParams) -> JsonObject:
     """Land where it is."""
-    return await order(context, "land", params)
+    return await order(context, VehicleActor.land, params)
 
 
 async def vehicles_rtl(context: Context, params: m.TargetsParams) -> JsonObject:
     """Return to launch and land there."""
-    return await order(context, "rtl", params)
+    return await order(context, VehicleActor.rtl, params)
 
 
 async def vehicles_hold(context: Context, params: m.TargetsParams) -> JsonObject:
     """Stop and hold position."""
-    return await order(context, "hold", params)
+    return await order(context, VehicleActor.hold, params)
 
 
 async def vehicles_stop(context: Context, params: m.StopParams) -> JsonObject:
     """Emergency stop: sent over every link and repeated for up to 30 s until the vehicle shows it or refuses it, also
     to vehicles that are lost."""
-    return await order(context, "stop", params)
+    return await order(context, VehicleActor.stop, params)
 
 
 async def vehicles_goto(context: Context, params: m.GotoParams) -> JsonObject:
     """Fly to a place, given in degrees and height above home or in metres about the fleet's origin."""
-    return await order(context, "goto", params)
+    return await order(context, VehicleActor.goto, params)
 
 
 async def vehicles_reboot(context: Context, params: m.RebootParams) -> JsonObject:
     """Reboot the autopilot; armed only with force."""
-    return await order(context, "reboot", params)
+    return await order(context, VehicleActor.reboot, params)
 
 
 def vehicles_forget(context: Context, params: m.ForgetParams) -> JsonObject:
@@ -120,25 +121,25 @@ async def vehicles_renumber(context: Context, params: m.RenumberParams) -> JsonO
 
 async def vehicles_set_home(context: Context, params: m.SetHomeParams) -> JsonObject:
     """Set the autopilot's home: a place, or (without one) where it stands."""
-    return await order(context, "set_home", params)
+    return await order(context, VehicleActor.set_home, params)
 
 
 async def vehicles_interval(context: Context, params: m.IntervalParams) -> JsonObject:
     """Ask for one message at a rate (SET_MESSAGE_INTERVAL)."""
     find_message(context.daemon.dialect, params.message, "message")
-    return await order(context, "set_message_interval", params)
+    return await order(context, VehicleActor.set_message_interval, params)
 
 
 async def vehicles_request(context: Context, params: m.RequestParams) -> JsonObject:
     """Ask for one message once; it is there (messages.latest) when the outcome is good."""
     find_message(context.daemon.dialect, params.message, "message")
-    return await order(context, "request_message", params)
+    return await order(context, VehicleActor.request_message, params)
 
 
 async def vehicles_stream(context: Context, params: m.StreamParams) -> JsonObject:
     """Ask for a group of messages at a rate (REQUEST_DATA_STREAM)."""
     _check_entry(context.daemon.dialect, "MAV_DATA_STREAM", params.stream, "stream")
-    return await order(context, "request_stream", params)
+    return await order(context, VehicleActor.request_stream, params)
 
 
 async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObject:
@@ -147,7 +148,7 @@ async def vehicles_command(context: Context, params: m.CommandParams) -> JsonObj
     _check_command(context.daemon.dialect, params.command)
     if params.int_frame is not None:
         _check_entry(context.daemon.dialect, "MAV_FRAME", params.int_frame, "int_frame")
-    return await order(context, "command", params)
+    return await order(context, VehicleActor.command, params)
 
 
 def messages_latest(context: Context, params: m.LatestParams) -> JsonObject | None:

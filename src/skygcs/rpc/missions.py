@@ -16,6 +16,7 @@ from skygcs.rpc import models as m
 from skygcs.rpc.context import Context, one_vehicle, outcomes
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.ports import JsonObject, resolve
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
 Lists = Annotated[list[ListName], Field(min_length=1, max_length=3)]
@@ -86,7 +87,7 @@ async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObj
     except PlanFileError as error:
         raise InvalidParams(("plan", str(error))) from None
     kinds = plan.holds() if params.lists is None else _kinds(params.lists)
-    return await outcomes(context, params.targets, "upload_plan", plan=plan, kinds=kinds, force=params.force)
+    return await outcomes(context, params.targets, VehicleActor.upload_plan, plan=plan, kinds=kinds, force=params.force)
 
 
 async def missions_download(context: Context, params: PlanDownloadParams) -> JsonObject:
@@ -102,28 +103,30 @@ async def missions_download(context: Context, params: PlanDownloadParams) -> Jso
 
 async def missions_clear(context: Context, params: PlanClearParams) -> JsonObject:
     """Empty lists of vehicles."""
-    return await outcomes(context, params.targets, "clear_plan", kinds=_kinds(params.lists), force=params.force)
+    return await outcomes(
+        context, params.targets, VehicleActor.clear_plan, kinds=_kinds(params.lists), force=params.force
+    )
 
 
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on."""
     arguments = {"first": params.first, "arm": params.arm, "force": params.force}
-    return await outcomes(context, params.targets, "start_mission", **arguments)
+    return await outcomes(context, params.targets, VehicleActor.start_mission, **arguments)
 
 
 async def missions_pause(context: Context, params: m.TargetsParams) -> JsonObject:
     """Stop and hold position; missions.resume goes on with the current item."""
-    return await outcomes(context, params.targets, "hold")
+    return await outcomes(context, params.targets, VehicleActor.hold)
 
 
 async def missions_resume(context: Context, params: m.TargetsParams) -> JsonObject:
     """Go on with the current item."""
-    return await outcomes(context, params.targets, "resume_mission")
+    return await outcomes(context, params.targets, VehicleActor.resume_mission)
 
 
 async def missions_set_current(context: Context, params: MissionItemParams) -> JsonObject:
     """Make an item the current one: a vehicle that flies its mission goes there."""
-    return await outcomes(context, params.targets, "set_mission_item", item=params.item)
+    return await outcomes(context, params.targets, VehicleActor.set_mission_item, item=params.item)
 
 
 def missions_status(context: Context, params: m.ListParams) -> list[JsonObject]:

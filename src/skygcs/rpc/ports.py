@@ -12,6 +12,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.events import Event
+from skygcs.runtime.fleet import Order
 
 JsonObject = dict[str, Any]
 OnFrame = Callable[[Frame, Any, float], None]
@@ -101,7 +102,7 @@ class Fleet(Protocol):
     ) -> JsonObject: ...
     def preflight_status(self, targets: str | list[str], /) -> JsonObject: ...
     async def command_all(
-        self, targets: str | list[str], order: str, /, **arguments: Any
+        self, targets: str | list[str], order: Order, /, **arguments: Any
     ) -> Mapping[str, OutcomeLike]: ...
 
 

@@ -45,9 +45,6 @@ RATE_PERIOD_S = 1.0
 ANSWER_S = 2.0
 """For a message that was asked for, after the command was accepted."""
 
-ORDERS = frozenset({"command", "request_message", "set_message_interval", "request_stream"})
-"""What a component may be ordered; all else is the autopilot's."""
-
 
 class Components:
     """By sysid << 8 | compid. ``vehicle_of(sysid)`` is the name of the vehicle to which a system belongs, or None;

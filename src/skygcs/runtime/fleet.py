@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from skygcs.config.models import FleetConfig, VehicleConfig
@@ -19,6 +19,7 @@ from skygcs.core.routing.state_source import KNOWN_BY, Known
 from skygcs.core.vehicle import orders, stop, targets
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.formation import moved, offsets_en_m, too_close
+from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import is_place
 from skygcs.core.vehicle.statustext import StatusText
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -26,7 +27,6 @@ from skygcs.errors import RefusedError, TargetError
 from skygcs.events import Event
 from skygcs.links.base import StateUpdate
 from skygcs.runtime.command_client import BroadcastCommand, SendFn
-from skygcs.runtime.components import ORDERS as COMPONENT_ORDERS
 from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.param_cache import ParamCache
@@ -45,44 +45,30 @@ MAX_VEHICLES_OF_LINK = 250
 MAX_VEHICLES = 300
 """... which leaves room for vehicles of other links. One that the fleet file names always has its place."""
 
-ORDERS = frozenset(
-    {
-        "arm",
-        "disarm",
-        "set_mode",
-        "takeoff",
-        "land",
-        "rtl",
-        "hold",
-        "stop",
-        "goto",
-        "reboot",
-        "set_home",
-        "set_fence",
-        "read_fence",
-        "test_fence",
-        "push_origin",
-        "set_message_interval",
-        "request_stream",
-        "request_message",
-        "command",
-        "control",
-        "change_gains",
-        "upload_plan",
-        "clear_plan",
-        "start_mission",
-        "resume_mission",
-        "set_mission_item",
-    }
+Order = Callable[..., Coroutine[Any, Any, Any]]
+"""An order is named by the method of VehicleActor that carries it out: `VehicleActor.arm`. It returns an Outcome, those
+of the fence a FenceOutcome."""
+
+COMPONENT_ORDERS: Mapping[Order, Order] = {
+    VehicleActor.command: ComponentActor.command,
+    VehicleActor.request_message: ComponentActor.request_message,
+    VehicleActor.set_message_interval: ComponentActor.set_message_interval,
+    VehicleActor.request_stream: ComponentActor.request_stream,
+}
+"""Orders that components other than autopilots take, too, and how."""
+
+BROADCAST: Mapping[Order, Callable[[Vehicle, float], Plan]] = {
+    VehicleActor.land: orders.land,
+    VehicleActor.rtl: orders.rtl,
+}
+"""Orders for all vehicles that may go out as one frame, with what plans them. A broadcast also reaches vehicles never
+heard here: it must be safe for any of them. A disarming would drop one that flies, and a mode has another number
+on another type."""
+
+KEPT = frozenset[Order](
+    {VehicleActor.land, VehicleActor.rtl, VehicleActor.hold, VehicleActor.stop, VehicleActor.disarm}
 )
-"""Methods of VehicleActor that `command_all` runs."""
-
-BROADCAST = frozenset({"land", "rtl"})
-"""Orders for all that may go out as one frame. A broadcast also reaches vehicles that nobody here has heard of: it must
-be good for any of them. A disarming would drop one that flies, and a mode has another number on another type."""
-
-KEPT = frozenset({"land", "rtl", "hold", "stop", "disarm"})
-"""Orders that end a flight are carried on to their outcome, even if whoever gave them goes away meanwhile."""
+"""Orders that end a flight are carried on to their outcome, even if the client that gave them disconnects meanwhile."""
 
 MAX_KEPT = 64
 """So many of them at once; further ones end with whoever gave them. Each lasts seconds."""
@@ -383,32 +369,31 @@ class Fleet:
         """Tell each vehicle the origin; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
         if self.origin is None:
             raise RefusedError("there is no origin to tell; set one first")
-        return await self.command_all(expression, "push_origin", self.origin, home=home, force=force)
+        return await self.command_all(expression, VehicleActor.push_origin, self.origin, home=home, force=force)
 
     async def command_all(
-        self, expression: str | int | Sequence[str | int], order: str, /, *args: Any, **arguments: Any
+        self, expression: str | int | Sequence[str | int], order: Order, /, *args: Any, **arguments: Any
     ) -> dict[str, Outcome]:
-        """Run one order (a method of VehicleActor) on every vehicle meant, at once; the outcome of each by name.
+        """Give one order (`VehicleActor.arm`) to every vehicle meant, at once; the outcome of each by name.
 
         Raises TargetError before anything is sent. An order for all that one frame can carry goes out as a broadcast;
         each vehicle's answer is still collected, and who did not answer is sent its own. When the caller is cancelled,
         the orders of `KEPT` go on, all others end. Raises RefusedError for a stop that has to be confirmed and is not
         (``confirm``, see `core.vehicle.stop`), and for a disarming of a duplicate system id that is not.
         """
-        if order not in ORDERS:
-            raise RefusedError(f"no order {order!r}; there are {', '.join(sorted(ORDERS))}")
+        name = order.__name__
         if self._ending and order not in KEPT:
             raise RefusedError("skygcs is shutting down: it takes no further orders but land, rtl, hold, stop, disarm")
         vehicles = [] if order in COMPONENT_ORDERS else self.resolve(expression)
         actors: list[Actor] = [*vehicles] or self.resolve_any(expression)
-        if order in ("stop", "disarm"):
-            action = arguments["action"] if order == "stop" else "disarm"
+        if order in (VehicleActor.stop, VehicleActor.disarm):
+            action = arguments["action"] if order is VehicleActor.stop else "disarm"
             twice = {actor.name: actor.vehicle.duplicate_where for actor in vehicles}
             stop.require_confirmed(action, twice, arguments.pop("confirm", None))
         work = self._command(actors, order, args, arguments)
         if order not in KEPT or len(self._kept) >= MAX_KEPT:
             return await work
-        return await asyncio.shield(self._kept.start(work, f"{order} {', '.join(a.name for a in actors)}"[:100]))
+        return await asyncio.shield(self._kept.start(work, f"{name} {', '.join(a.name for a in actors)}"[:100]))
 
     def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
         """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError.
@@ -441,10 +426,10 @@ class Fleet:
         return [actor for actor in self.vehicles.values() if actor.flight.pilot.active]
 
     async def _command(
-        self, actors: list[Actor], order: str, args: tuple[Any, ...], arguments: dict[str, Any]
+        self, actors: list[Actor], order: Order, args: tuple[Any, ...], arguments: dict[str, Any]
     ) -> dict[str, Outcome]:
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
-        own_arguments, staying = self._formation(vehicles, arguments) if order == "goto" else ({}, {})
+        own_arguments, staying = self._formation(vehicles, arguments) if order is VehicleActor.goto else ({}, {})
         broadcast = self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
@@ -455,7 +440,7 @@ class Fleet:
                         continue
                     own = own_arguments.get(actor, {}) if isinstance(actor, VehicleActor) else {}
                     call = self._guarded(actor, order, args, {**arguments, **own})
-                    tasks[actor] = group.create_task(call, name=f"{order} {actor.name}")
+                    tasks[actor] = group.create_task(call, name=f"{order.__name__} {actor.name}")
                 if broadcast is not None:
                     await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
                     self._broadcast(broadcast)
@@ -463,15 +448,18 @@ class Fleet:
             for vehicle in vehicles:
                 if vehicle.commands.broadcast is broadcast:
                     vehicle.commands.broadcast = None
-        refused = {actor.name: actor.refuse(order, reason) for actor, reason in staying.items()}
+        refused = {actor.name: actor.refuse(order.__name__, reason) for actor, reason in staying.items()}
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
-    async def _guarded(self, actor: Actor, order: str, args: tuple[Any, ...], arguments: dict[str, Any]) -> Outcome:
+    async def _guarded(self, actor: Actor, order: Order, args: tuple[Any, ...], arguments: dict[str, Any]) -> Outcome:
         """A fault of ours in the order to one vehicle ends with that vehicle."""
         try:
-            outcome: Outcome = await getattr(actor, order)(*args, **arguments)
+            method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
+            outcome: Outcome = await method(actor, *args, **arguments)
         except Exception as error:
-            self._on_event(Event("fault", actor.name, actor.sysid, f"{order} failed inside skygcs: {error!r}", {}))
+            self._on_event(
+                Event("fault", actor.name, actor.sysid, f"{order.__name__} failed inside skygcs: {error!r}", {})
+            )
             return Outcome(False, "failed", f"failed inside skygcs: {error!r}")
         return outcome
 
@@ -517,7 +505,7 @@ class Fleet:
                 places[actor] = {"lat_deg": lat, "lon_deg": lon}
         return places, staying
 
-    def _broadcast_command(self, actors: list[VehicleActor], order: str) -> BroadcastCommand | None:
+    def _broadcast_command(self, actors: list[VehicleActor], order: Order) -> BroadcastCommand | None:
         """A broadcast, if all vehicles are meant, none refuses, all would be sent the very same, and nobody else hears.
 
         ArduPilot acts on it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
@@ -530,7 +518,7 @@ class Fleet:
             return None  # an autopilot was met that is not meant
         specs: set[CommandSpec] = set()
         for actor in actors:
-            plan = actor.plan(order)
+            plan = actor.plan(BROADCAST[order])
             if plan is None or len(plan.steps) != 1 or plan.steps[0].command is None:
                 return None
             specs.add(plan.steps[0].command)

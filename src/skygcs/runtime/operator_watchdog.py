@@ -4,16 +4,20 @@ flown by setpoints are told to hold, land or return (`core.control.deadman`)."""
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from skygcs.core.control.deadman import DeadMan, Fired
 from skygcs.core.mavlink.frame import Frame
 from skygcs.events import Event
-from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.fleet import Fleet, Order
 from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 GCS_TYPE = 6
 """MAV_TYPE_GCS in a HEARTBEAT."""
+
+ACTIONS: Mapping[str, Order] = {"hold": VehicleActor.hold, "land": VehicleActor.land, "rtl": VehicleActor.rtl}
+"""What `Fired.action` orders."""
 
 
 class OperatorWatchdog:
@@ -61,4 +65,4 @@ class OperatorWatchdog:
         self._tasks.start(self._order(fired, names), f"dead-man {fired.action}")
 
     async def _order(self, fired: Fired, names: list[str]) -> None:
-        await self._fleet.command_all(names, fired.action)  # what became of it is told per vehicle, as of any order
+        await self._fleet.command_all(names, ACTIONS[fired.action])  # each vehicle reports its outcome as an event

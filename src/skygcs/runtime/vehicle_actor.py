@@ -24,6 +24,7 @@ from skygcs.core.vehicle.frames import setpoint_from_world
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.stop import Action
+from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.fence_orders import FenceOutcome
 from skygcs.runtime.live_vehicle import LiveVehicle
@@ -280,13 +281,12 @@ class VehicleActor(LiveVehicle):
         """Gains and limits of its control law."""
         return self.flight.gains()
 
-    def plan(self, order: str) -> Plan | None:
-        """What one of the orders land and rtl would do now; None if it would be refused."""
-        now = self._loop.time()
+    def plan(self, planner: Callable[[Vehicle, float], Plan]) -> Plan | None:
+        """What `orders.land` or `orders.rtl` would do now; None if it would be refused."""
         if self.duplicate:
             return None
         try:
-            return {"land": orders.land, "rtl": orders.rtl}[order](self.vehicle, now)
+            return planner(self.vehicle, self._loop.time())
         except RefusedError:
             return None
 

@@ -26,6 +26,7 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.daemon import Daemon
 from skygcs.events import Event
 from skygcs.links.simulated import SimulatedVehiclesLink
+from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim import protocol as m
 from skygcs.sim.param_table import Param
 from skygcs.sim.vehicle import SimVehicle
@@ -272,7 +273,7 @@ class _Cell:
         flood = asyncio.create_task(self._flood(channel))
         await asyncio.sleep(10)
         ordered = self.daemon.now()
-        stop = asyncio.create_task(self.daemon.fleet.command_all("all", "stop", action="land"))
+        stop = asyncio.create_task(self.daemon.fleet.command_all("all", VehicleActor.stop, action="land"))
         await asyncio.sleep(20)
         stop.cancel()
         flood.cancel()

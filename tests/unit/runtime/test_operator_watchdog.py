@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.control.deadman import DeadMan, DeadManAction
 from skygcs.events import Event
-from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.fleet import Fleet, Order
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from support.vehicles import Voice
 
@@ -34,8 +34,8 @@ class FakeFleet:
     def flown(self) -> list[Actor]:
         return [Actor(name) for name in self.names]
 
-    async def command_all(self, names: list[str], order: str) -> dict[str, Any]:
-        self.orders.append((asyncio.get_running_loop().time(), names, order))
+    async def command_all(self, names: list[str], order: Order) -> dict[str, Any]:
+        self.orders.append((asyncio.get_running_loop().time(), names, order.__name__))
         await asyncio.sleep(self.lasts_s)
         if self.fails is not None:
             raise self.fails
