@@ -1,8 +1,8 @@
 """CPU of one frame of a vehicle through the hub: routed, counted, noted; and of reading its state. 10 vehicles and 250.
 
 Run by `make bench`; results also in build/bench/fleet-fold.json. Nothing may grow with the fleet: both are measured
-in turn, and the ratio within a round is what counts. The way is the one without the compiled lane, which every frame
-takes that has something to tell.
+in turn, and the ratio within a round is what counts. Measured without the compiled fast path, as for every frame
+that changes a state.
 """
 
 from __future__ import annotations

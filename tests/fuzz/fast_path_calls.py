@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from support.lanes import Bench, Channel, Slot, attitude
+from support.fast_path_bench import Bench, Channel, Slot, attitude
 
 try:
     import _testcapi  # not in every distribution's Python
@@ -24,18 +24,18 @@ BLOBS = {sysid: b"".join(attitude(n, sysid=sysid, number=n) for n in range(1024)
 FRAME_BYTES = 40
 
 EXPECTED = (ValueError, OSError, MemoryError, RuntimeError)
-"""What callbacks raise here, and what a lane says that is received from twice."""
+"""What callbacks raise here, and what a fast path raises that is called while it receives."""
 
 
 class Chaos:
-    """Two lanes of one table; each with some peers, which are sockets, and flows to each other's."""
+    """Two fast paths of one table, each with some peers, which are sockets, and flows to the other's."""
 
     def __init__(self, seed: int) -> None:
         self.rng = random.Random(seed)
         self.bench = bench = Bench(recording=self.rng.random() < 0.5)
         bench.on_left = self._left
         self.servers = [bench.server, bench.socket()]
-        self.lanes = [bench.fast_path, bench.new_fast_path(self.servers[1])]
+        self.fast_paths = [bench.fast_path, bench.new_fast_path(self.servers[1])]
         self.peers = [bench.socket() for _ in range(4)]
         self.outs = [bench.new_out(Channel(), whole=self.rng.random() < 0.5) for _ in range(3)]
         self.depth = 0
@@ -48,7 +48,7 @@ class Chaos:
         try:
             for _ in range(CALLS):
                 self._guarded(self._any_call)
-            for fast_path in self.lanes:
+            for fast_path in self.fast_paths:
                 self._guarded(fast_path.close)
         finally:
             sys.unraisablehook = unraisable
@@ -103,11 +103,11 @@ class Chaos:
             rng.choice(self.peers).sendto(data, rng.choice(self.servers).getsockname())
 
     def _ready(self) -> None:
-        self.rng.choice(self.lanes).ready()
+        self.rng.choice(self.fast_paths).ready()
 
     def _flow(self) -> None:
         rng, bench = self.rng, self.bench
-        rng.choice(self.lanes).add_flow(
+        rng.choice(self.fast_paths).add_flow(
             rng.choice(self.peers).getsockname(),
             rng.choice((0x0101, 0x0101, 0x0201)),
             rng.choice((30, 30, 30, 0, 77777)),
@@ -123,10 +123,10 @@ class Chaos:
     def _peer(self) -> None:
         channel = self.bench.channel if self.rng.random() < 0.8 else Channel()
         address = self.rng.choice(self.peers).getsockname()
-        self.rng.choice(self.lanes).add_peer(address, channel, self.bench.counts, self.rng.randrange(1, 4))
+        self.rng.choice(self.fast_paths).add_peer(address, channel, self.bench.counts, self.rng.randrange(1, 4))
 
     def _remove(self) -> None:
-        self.rng.choice(self.lanes).remove_peer(self.rng.choice(self.peers).getsockname())
+        self.rng.choice(self.fast_paths).remove_peer(self.rng.choice(self.peers).getsockname())
 
     def _table(self) -> None:
         rng, table = self.rng, self.bench.table
@@ -136,9 +136,9 @@ class Chaos:
 
     def _close(self) -> None:
         number = self.rng.randrange(2)
-        self.lanes[number].close()
+        self.fast_paths[number].close()
         if self.rng.random() < 0.7:
-            self.lanes[number] = self.bench.new_fast_path(self.servers[number])
+            self.fast_paths[number] = self.bench.new_fast_path(self.servers[number])
             self.outs[self.rng.randrange(3)] = self.bench.new_out(Channel())
 
     def _pass_time(self) -> None:

@@ -1,4 +1,4 @@
-"""Bound links over real UDP sockets, with the compiled lane and without it: which datagrams come, and how."""
+"""Bound links over real UDP sockets, with the compiled fast path and without it: which datagrams arrive, and how."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def turned(data: bytes) -> bytes:
     return b"".join(endpoint.outward(f) or b"" for f in FrameParser(DIALECT).feed_datagram(data))
 
 
-@pytest.mark.parametrize("pure", [False, True], ids=["lane", "pure"])
+@pytest.mark.parametrize("pure", [False, True], ids=["fast path", "pure"])
 async def test_each_program_gets_its_vehicles_datagrams_whole(
     tmp_path: Path, sockets: dict[str, socket.socket], pure: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,7 +88,7 @@ async def test_each_program_gets_its_vehicles_datagrams_whole(
         await asyncio.sleep(0.05)
         for name in (*PROGRAMS, "v5", "v6"):
             drained(sockets[name])
-        for n in range(20):  # from the second on the lane knows the way, where there is one
+        for n in range(20):  # from the second on they take the fast path, if there is one
             data = message("ATTITUDE", 5, seq=2 * n, time_boot_ms=n) + message("VFR_HUD", 5, seq=2 * n + 1, heading=n)
             sent.append(data)
             sockets["v5"].sendto(data, place)

@@ -426,8 +426,8 @@ def _datagram(sender: Sender, mood: str, room: int) -> tuple[bytes, int]:
 def _links(rng: random.Random) -> dict[str, dict[str, Any]]:
     """What may be different about links."""
 
-    def some(of: dict[str, Any], rng: float = 0.3) -> dict[str, Any]:
-        return {key: rng.choice(values) for key, values in of.items() if rng.random() < rng}
+    def some(of: dict[str, Any], share: float = 0.3) -> dict[str, Any]:
+        return {key: rng.choice(values) for key, values in of.items() if rng.random() < share}
 
     whole = {"whole_datagrams": (True, False)}
     bound: list[dict[str, Any]] = [{}, {}, {"vehicles": [1]}, {"vehicles": [2], "present_as": 1}]

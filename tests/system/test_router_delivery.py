@@ -22,7 +22,7 @@ def check(report: dict[str, Any]) -> None:
         assert not any(bad.values()), (stream, bad)
 
 
-@pytest.mark.parametrize("pure", [False, True], ids=["lane", "pure"])
+@pytest.mark.parametrize("pure", [False, True], ids=["fast path", "pure"])
 def test_nothing_is_lost_or_misdelivered(tmp_path: Path, pure: bool) -> None:
     load = bench.generator(tmp_path)
     router = bench.skygcs("skygcs", keep_vehicles=True, record=True, pure=pure, gcs=2)

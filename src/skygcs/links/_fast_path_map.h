@@ -2,10 +2,10 @@
 #include <Python.h>
 #include <stdint.h>
 
-/* Of this process only: a sender that knew where its keys fall could make every look-up a walk through the table. */
+/* Random per process: a sender that knew the hash could choose keys that make every look-up a walk through the table. */
 static uint64_t hash_seed;
 
-/* A key of 0 is a free cell; a value of NULL a removed entry, whose cell is free again when the map is made anew. */
+/* A key of 0 is a free cell; a value of NULL a removed entry, whose cell is freed when the map is rebuilt. */
 typedef struct { uint64_t key; void *value; } Cell;
 typedef struct { Cell *cells; size_t mask, filled; } Map; /* filled: cells with a key, removed entries included */
 
@@ -26,30 +26,30 @@ static Cell *map_cell(const Map *map, uint64_t key) {
 
 static void *map_get(const Map *map, uint64_t key) { return map->filled ? map_cell(map, key)->value : NULL; }
 
-/* The size follows what is in it, so that entries that come and go do not make it grow. False: no memory. */
-static int map_make_anew(Map *map) {
+/* Copy the live entries into a table of fitting size: entries that come and go do not make it grow. False: no memory. */
+static int map_rebuild(Map *map) {
     size_t live = 0, size = LEAST_CELLS;
     for (size_t i = 0; map->cells && i <= map->mask; i++) live += map->cells[i].value != NULL;
     while (size < 4 * (live + 1)) size *= 2;
-    Map anew = {.mask = size - 1, .filled = live};
-    if (!(anew.cells = PyMem_Calloc(size, sizeof *anew.cells))) return PyErr_NoMemory(), 0;
+    Map rebuilt = {.mask = size - 1, .filled = live};
+    if (!(rebuilt.cells = PyMem_Calloc(size, sizeof *rebuilt.cells))) return PyErr_NoMemory(), 0;
     for (size_t i = 0; map->cells && i <= map->mask; i++)
-        if (map->cells[i].value) *map_cell(&anew, map->cells[i].key) = map->cells[i];
+        if (map->cells[i].value) *map_cell(&rebuilt, map->cells[i].key) = map->cells[i];
     PyMem_Free(map->cells);
-    *map = anew;
+    *map = rebuilt;
     return 1;
 }
 
 /* key must not be 0. False: no memory, and nothing has changed. */
 static int map_put(Map *map, uint64_t key, void *value) {
-    if ((map->filled + 1) * 2 > map->mask && !map_make_anew(map)) return 0;
+    if ((map->filled + 1) * 2 > map->mask && !map_rebuild(map)) return 0;
     Cell *cell = map_cell(map, key);
     if (!cell->key) cell->key = key, map->filled++;
     cell->value = value;
     return 1;
 }
 
-/* The value that is no longer in it, or NULL. */
+/* Remove a key; returns its value, or NULL. */
 static void *map_remove(Map *map, uint64_t key) {
     if (!map->filled) return NULL;
     Cell *cell = map_cell(map, key);
@@ -58,7 +58,7 @@ static void *map_remove(Map *map, uint64_t key) {
     return value;
 }
 
-/* It is empty before the first value is freed: that may call Python, which may use the map. */
+/* Empty the map, then free the values: freeing may call Python, which may use the map. */
 static void map_clear(Map *map, void (*free_value)(void *)) {
     Map old = *map;
     *map = (Map){0};

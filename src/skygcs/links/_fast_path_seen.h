@@ -1,20 +1,21 @@
-/* Which frame was heard where first, for _fast_path.c: core.dedup.DuplicateFilter in C, two generations of hash sets. */
+/* On which channel each recent frame was heard first, for _fast_path.c: core.routing.duplicates.DuplicateFilter in C,
+   two generations of hash sets. */
 #include <Python.h>
 #include <stdint.h>
 #include <string.h>
 
 enum {
-    MAX_REMEMBERED = 65536, /* core.dedup */
+    MAX_REMEMBERED = 65536, /* core.routing.duplicates */
     SEEN_SLOTS = 2 * MAX_REMEMBERED,
 };
-static const double WINDOW_S = 0.5; /* core.dedup */
+static const double WINDOW_S = 0.5; /* core.routing.duplicates */
 
-/* Sysid, compid, seq and CRC, and the id of a channel (`Hub.attach` gives no greater one), are one number. */
+/* A cell holds sysid, compid, seq and CRC, and the channel id (`Hub.attach` assigns none above), in one number. */
 static const uint64_t GREATEST_KEY = ((uint64_t)1 << 40) - 1;
 static const uint32_t GREATEST_CHANNEL = 0xFFFFFF;
 
 typedef struct { uint64_t *at; int count; } Generation; /* key << 24 | channel id; 0: none */
-typedef struct { Generation newer, older; double turn_at; } Seen;
+typedef struct { Generation newer, older; double swap_at; } Seen;
 
 static int seen_init(Seen *seen) {
     seen->newer.at = PyMem_Calloc(SEEN_SLOTS, sizeof(uint64_t));
@@ -24,18 +25,18 @@ static int seen_init(Seen *seen) {
 
 static void seen_free(Seen *seen) { PyMem_Free(seen->newer.at), PyMem_Free(seen->older.at); }
 
-static int turn_is_due(const Seen *seen, double now) {
-    return now >= seen->turn_at || seen->newer.count >= MAX_REMEMBERED;
+static int swap_is_due(const Seen *seen, double now) {
+    return now >= seen->swap_at || seen->newer.count >= MAX_REMEMBERED;
 }
 
-static void turn(Seen *seen, double now) {
+static void swap_generations(Seen *seen, double now) {
     Generation old = seen->newer;
     seen->newer = seen->older;
     seen->older = old;
     seen->newer.count = 0;
     memset(seen->newer.at, 0, SEEN_SLOTS * sizeof *seen->newer.at);
-    if (now >= seen->turn_at + WINDOW_S) memset(old.at, 0, SEEN_SLOTS * sizeof *old.at);
-    seen->turn_at = now + WINDOW_S;
+    if (now >= seen->swap_at + WINDOW_S) memset(old.at, 0, SEEN_SLOTS * sizeof *old.at);
+    seen->swap_at = now + WINDOW_S;
 }
 
 static uint64_t *seen_slot(const Generation *g, uint64_t key) {
@@ -44,7 +45,7 @@ static uint64_t *seen_slot(const Generation *g, uint64_t key) {
     return &g->at[i];
 }
 
-/* The channel that a frame was heard on first, 0 if it is new. */
+/* The channel on which a frame was heard first; 0: it is new. */
 static uint32_t first_heard(const Seen *seen, uint64_t key) {
     uint64_t found = *seen_slot(&seen->newer, key);
     if (!found) found = *seen_slot(&seen->older, key);

@@ -1,11 +1,11 @@
-/* Python's objects as _fast_path.c reads and sets them: socket addresses, and integers that are attributes. */
+/* Python's objects for _fast_path.c: socket addresses, integer attributes, exceptions. */
 #include <Python.h>
 #include <arpa/inet.h>
 #include <netinet/in.h>
 #include <stdint.h>
 #include <string.h>
 
-/* Addresses are of IPv4; a peer of IPv6 is no peer here and takes the Python way */
+/* IPv4 only: Python handles datagrams of IPv6 peers. */
 
 static int address_from(PyObject *tuple, struct sockaddr_in *out) {
     const char *host;
@@ -13,7 +13,7 @@ static int address_from(PyObject *tuple, struct sockaddr_in *out) {
     memset(out, 0, sizeof *out);
     if (!PyArg_ParseTuple(tuple, "si;an IPv4 address is (host, port)", &host, &port)) return 0;
     if (inet_pton(AF_INET, host, &out->sin_addr) != 1)
-        return PyErr_Format(PyExc_ValueError, "%s is no numeric IPv4 address", host), 0;
+        return PyErr_Format(PyExc_ValueError, "%s is not a numeric IPv4 address", host), 0;
     out->sin_family = AF_INET, out->sin_port = htons((uint16_t)port);
     return 1;
 }
@@ -73,16 +73,16 @@ static void raise_exception(PyObject *exception) {
 #endif
 }
 
-/* What went wrong first in work that goes on nevertheless. */
+/* The first exception of work that goes on nevertheless. */
 typedef struct { PyObject *first; } Faults;
 
-/* Put the exception that is set aside. Of several the first will be raised; the others go to sys.unraisablehook. */
+/* Keep the exception that is set now. The first one will be raised; the others go to sys.unraisablehook. */
 static void set_aside(Faults *faults, PyObject *where) {
     if (faults->first) PyErr_WriteUnraisable(where);
     else faults->first = take_exception();
 }
 
-/* True if there were none; else the first is raised. */
+/* True if there were none; else raise the first one. */
 static int none_of(Faults *faults) {
     if (!faults->first) return 1;
     raise_exception(faults->first);

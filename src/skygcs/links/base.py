@@ -28,24 +28,24 @@ if TYPE_CHECKING:
 
 
 class StateUpdate(NamedTuple):
-    """How frames of one source and message are noted where not each of them has to be looked at."""
+    """The state update for frames of one source and message that need not be checked one by one."""
 
     slot: Any = None
-    """Where the newest is put, with its time, and counted (`core.vehicle.message_cache.Slot`); None: nowhere."""
+    """Gets the newest frame, its time and the count (`core.vehicle.message_cache.Slot`); None: no state is kept."""
     watches: list[Any] | None = None
-    """While it is not empty somebody waits for what such frames may change, and each of them is to be shown."""
+    """While it is not empty, a task waits for what such frames may change, and each frame must be shown."""
     again: Callable[[float], None] | None = None
-    """To be called at the end of a burst with its time; for frames whose payload is that of the one before."""
+    """Called with the time at the end of a burst of frames that repeat the same payload."""
 
 
 class ForwardingPath(NamedTuple):
-    """What is known of all further frames of one source and message: no rule has to be asked."""
+    """What happens to all further frames of one source and message: no rule has to be applied."""
 
     outs: tuple[Out, ...]
     stats: SourceStats
     heard: dict[int, float]
-    """Where the time is noted, under the source (`core.routing`)."""
-    noted: StateUpdate
+    """The time of the last frame by source: the routing table's own."""
+    state_update: StateUpdate
     steady: bytes | None = None
     """The payload they must have; None: any."""
 
@@ -105,11 +105,11 @@ class LinkHost(Protocol):
 
     @property
     def fast_path(self) -> Table | None:
-        """What compiled lanes of links share; None: frames go through `on_frames`, all of them."""
+        """What the fast paths of all links share; None: every frame goes through `on_frames`."""
         ...
 
     def after_fast_path(self) -> None:
-        """Count and record what has passed lanes: to be called before anybody looks at channels or sources."""
+        """Count and record the frames of the fast path; call it before reading channels or sources."""
         ...
 
     def new_parser(self, config: LinkConfig) -> FrameParser:
@@ -156,9 +156,9 @@ class Channel(ABC):
     """Whether frames that came in one datagram and all go the same way may be sent on in one (`send_whole`)."""
 
     fast_path: FastPath | None = None
-    """The compiled lane that datagrams from this peer may take, and ..."""
+    """The compiled fast path for datagrams from this peer, and ..."""
     out: Out | None = None
-    """... this peer as the end of such lanes."""
+    """... this peer as a destination of fast paths."""
 
     def __init__(self, link: Link, peer: str) -> None:
         self.id = 0
@@ -192,7 +192,7 @@ class Channel(ABC):
         raise NotImplementedError
 
     def add_flow(self, frame: Frame, path: ForwardingPath) -> None:
-        """Open the lane to further frames of this source and message; only where there is a ``fast_path``."""
+        """Open a flow for further frames of this source and message; only if there is a ``fast_path``."""
         raise NotImplementedError
 
     def encode(self, outgoing: Outgoing) -> bytes:

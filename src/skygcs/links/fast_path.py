@@ -1,7 +1,7 @@
-"""The express lane: datagrams whose way is known pass from socket to socket in compiled code. Optional.
+"""The fast path: compiled code forwards UDP datagrams of open flows from socket to socket. Optional.
 
-What it does and why it may be left out is told in `_fast_path.c`; without it (no compiler when skygcs was installed, or
-SKYGCS_PURE set to anything) the very same happens in Python, at some four times the cost per frame.
+`_fast_path.c` explains what it does and why it may be left out. Without it (no compiler when skygcs was installed, or
+SKYGCS_PURE set to anything) Python does the same at some four times the cost per frame.
 """
 
 from __future__ import annotations
@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     from skygcs.links.address import Address
 
 PURE = "SKYGCS_PURE"
-"""Environment variable: leave the compiled code aside."""
+"""Environment variable: do not use the compiled code."""
 
-INTERFACE = 2
-"""Of `_fast_path.c` as this module uses it. A compiled file of an older checkout would lose frames: it is not used."""
+INTERFACE = 3
+"""The interface of `_fast_path.c` that this module uses. Code compiled from an older checkout would lose frames: it is
+not used."""
 
 _log = structlog.get_logger("skygcs")
 
 
 def new_table(dialect: Dialect, *, recording: bool) -> Table | None:
-    """What all lanes of one hub share; None if there is no compiled code. ``recording``: tlog records are wanted."""
+    """What all fast paths of one hub share; None if there is no compiled code. ``recording``: collect tlog records."""
     if os.environ.get(PURE):
         return None
     try:
@@ -60,10 +61,10 @@ def new_fast_path(
     after: Callable[[], None],
     broken: Callable[[OSError], None],
 ) -> FastPath:
-    """The lane of one UDP socket. Nothing passes until `FastPath.add_flow` says so.
+    """The fast path of one UDP socket. It forwards nothing until `FastPath.add_flow` opens a flow.
 
-    ``slow(data, address, now)`` gets what does not pass, ``broken(error)`` the socket's errors; ``after()`` is to call
-    `Table.take`, for there is much to be taken.
+    ``slow(data, address, now)`` gets every other datagram and ``broken(error)`` the socket's errors; ``after()`` must
+    call `Table.take`, as many records wait.
     """
     from skygcs.links._fast_path import FastPath
 
@@ -71,7 +72,7 @@ def new_fast_path(
 
 
 def new_out(fd: int, address: tuple[object, ...], channel: object, *, whole: bool) -> Out | None:
-    """A UDP peer as a destination of lanes; None if it is not of IPv4. ``whole``: see `Channel.whole_datagrams`."""
+    """A UDP peer as a destination of fast paths; None for IPv6. ``whole``: see `Channel.whole_datagrams`."""
     if len(address) != 2:
         return None
     from skygcs.links._fast_path import Out

@@ -91,7 +91,7 @@ class UdpChannel(Channel):
         self.tx_bytes += len(data)
 
     def use_fast_path(self, fast_path: FastPath, fd: int) -> None:
-        """To be called once it is attached. A peer of IPv6 takes no lane."""
+        """Call once it is attached. A peer of IPv6 has no fast path."""
         self.out = new_out(fd, self.address, self, whole=self.whole_datagrams)
         if self.out is not None:
             fast_path.add_peer(self.address, self, self.parser.stats, self.id)
@@ -100,7 +100,7 @@ class UdpChannel(Channel):
     def add_flow(self, frame: Frame, path: ForwardingPath) -> None:
         if self.fast_path is not None:
             source = frame.sysid << 8 | frame.compid
-            slot, watches, again = path.noted
+            slot, watches, again = path.state_update
             self.fast_path.add_flow(
                 self.address,
                 source,
@@ -243,7 +243,7 @@ class UdpLink(Link):
                 on_frames(channel, frames, now)
 
     def _on_datagram(self, data: bytes, address: Address, now: float) -> None:
-        """One that does not pass the compiled lane."""
+        """A datagram that the fast path leaves to Python."""
         channel = self._peers.get(address) or self._stranger(data, address, now)
         if channel is not None:
             frames = channel.parser.feed_datagram(data)

@@ -62,7 +62,7 @@ class Components:
         vehicles_of: Callable[[int], list[Vehicle]],
     ) -> None:
         self.on_change: Callable[[], None] = lambda: None
-        """Called when frames are to be noted elsewhere than before."""
+        """Called when the state update for some frames changes."""
         self.not_kept = 0
         """Frames of components for which there was no place."""
         self._own = own
@@ -92,7 +92,7 @@ class Components:
         actor.after(frame, now)
 
     def state_update(self, key: int, frame: Frame) -> StateUpdate | None:
-        """How frames like this one are noted (see `Fleet.state_update_only`)."""
+        """The state update for frames like this one (see `Fleet.state_update_only`)."""
         actor = self._by_key.get(key)
         if actor is None:
             return None  # each is counted, or finds a place that has become free

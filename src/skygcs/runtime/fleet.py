@@ -167,8 +167,8 @@ class Fleet:
             self.components.on_frame(key, frame, now)
 
     def state_update_only(self, key: int, frame: Frame, channel_label: str) -> StateUpdate | None:
-        """How frames like this one (heartbeats: of the same payload) are noted, until `on_roster` is called. None: each
-        is to be given to `on_frame`."""
+        """The state update for frames like this one (heartbeats: with the same payload), until `on_roster` is called.
+        None: each must be given to `on_frame`."""
         actor = self.vehicles.get(key)
         if actor is not None:
             return actor.state_update_only(frame, channel_label)

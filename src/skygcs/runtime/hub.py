@@ -46,11 +46,11 @@ MAX_REPLAYED = 4096
 """As many sources of recordings are told from live ones as there may be routes."""
 
 MAX_NEGATIVE_CACHE = 16384
-"""Sources and messages known not to pass a lane; then all are asked about anew."""
+"""Sources and messages that have no flow. When it is full it is cleared, and each is checked again."""
 
 MAX_CHANNEL_ID = (1 << 24) - 1
-"""What the compiled lane's memory of frames has room for; then ids of closed channels are given again. A peer that
-comes under ever new addresses gets there in hours."""
+"""The greatest id the fast path's memory of duplicates has room for; after it, ids of closed channels are used again.
+A peer that keeps changing its address gets there in hours."""
 
 WHOLE_DATAGRAM_BYTES = 1472
 """Frames that came in one datagram are sent on in one up to this size, what one Ethernet packet carries."""
@@ -67,8 +67,8 @@ class Hub:
     is told, before its first frame is shown, that a source is heard in a recording only, or on the air after all;
     ``on_key(sysid, channel)`` that somebody sent a signing key, which goes nowhere.
 
-    With ``record_many(tlog records, their number)`` and ``state_update_only(key, frame, channel label)`` (how frames
-    like this one are noted if not each has to be shown, else None; `forget_flows` when that changes) links may use the
+    With ``record_many(tlog records, their number)`` and ``state_update_only(key, frame, channel label)`` (the state
+    update for frames like this one, None if each must be shown; `forget_flows` when that changes) links may use the
     compiled fast path.
     Without ``on_vehicle_frame`` it is a router and nothing else.
     """
@@ -291,10 +291,10 @@ class Hub:
         elif shown:
             channel.send(shown[0])
 
-    # -- compiled lanes
+    # -- the compiled fast path
 
     def after_fast_path(self) -> None:
-        """Count and record what has passed lanes since the last call; for whoever looks at channels or sources."""
+        """Count and record the fast path's frames since the last call; call it before reading channels or sources."""
         if self.fast_path is None:
             return
         forwarded, local, records, count = self.fast_path.take()
@@ -306,13 +306,13 @@ class Hub:
             self._record_many(records, count)
 
     def forget_flows(self) -> None:
-        """Whatever may pass lanes has to be learned anew."""
+        """Close all flows and clear the negative cache: a route or an observer changed."""
         if self.fast_path is not None:
             self.fast_path.invalidate()
             self._negative_cache.clear()
 
     def _add_flow(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> None:
-        """Open the channel's lane to further frames like this one, if nothing has to be decided about them."""
+        """Open a flow for further frames like this one, if no rule has to be applied to them."""
         mark = channel.id << 40 | key << 24 | frame.msgid
         if mark in self._negative_cache or frame.target()[0] or channel.signing is not None:
             return  # with a signing key each frame's stamp has to be looked at
@@ -323,29 +323,29 @@ class Hub:
             self._negative_cache.add(mark)
 
     def _path_of(self, channel: Channel, frame: Frame, key: int, stats: SourceStats) -> ForwardingPath | None:
-        standing = self.router.standing(channel.id, frame)
-        if standing is None or channel.sources.get(key) is not stats or self._shown_of(channel) is not None:
+        entry = self.router.forwarding_entry(channel.id, frame)
+        if entry is None or channel.sources.get(key) is not stats or self._shown_of(channel) is not None:
             return None
         if self._observers.watch(frame.msgid, key):
             return None
-        if any(d in self._renumbering for d in standing.destinations):
+        if any(d in self._renumbering for d in entry.destinations):
             return None  # each frame has to be changed on its way there
-        outs = tuple(out for d in standing.destinations if (out := self.channels[d].out) is not None)
-        if len(outs) != len(standing.destinations):
+        outs = tuple(out for d in entry.destinations if (out := self.channels[d].out) is not None)
+        if len(outs) != len(entry.destinations):
             return None
-        noted: StateUpdate | None = StateUpdate()
+        update: StateUpdate | None = StateUpdate()
         if self._state_update_only is not None and self._on_vehicle_frame is not None:
-            noted = self._state_update_only(key, frame, channel.link.name)
-        if noted is None:
+            update = self._state_update_only(key, frame, channel.link.name)
+        if update is None:
             return None
         if frame.msgid != HEARTBEAT:
-            return ForwardingPath(outs, stats, standing.heard, noted)
-        if noted.again is not None:
-            noted = noted._replace(again=partial(self._on_heartbeats, noted.again))
-        return ForwardingPath(outs, stats, standing.heard, noted, steady=frame.payload)
+            return ForwardingPath(outs, stats, entry.heard, update)
+        if update.again is not None:
+            update = update._replace(again=partial(self._on_heartbeats, update.again))
+        return ForwardingPath(outs, stats, entry.heard, update, steady=frame.payload)
 
     def _on_heartbeats(self, again: Callable[[float], None], now: float) -> None:
-        """Heartbeats like the last one have passed a lane."""
+        """Heartbeats like the last one came on the fast path."""
         try:
             again(now)
         except Exception as error:

@@ -247,13 +247,13 @@ class LiveVehicle:
             self.planned.on_ack(self.vehicle.last_ack, now)
 
     def state_update_only(self, frame: Frame, channel: str) -> StateUpdate | None:
-        """How frames like this one are noted, if not each has to be given to `on_frame`."""
+        """The state update for frames like this one; None: each must be given to `on_frame`."""
         if frame.msgid in self._read:
             return None
         if frame.msgid == HEARTBEAT:
             payload = frame.payload
             if not self.vehicle.is_last_heartbeat(payload):
-                return None  # of another sender: each is to be looked at
+                return None  # from another sender: each must be checked
 
             def again(now: float) -> None:
                 events = self.vehicle.on_heartbeat(payload, now)

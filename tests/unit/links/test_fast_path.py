@@ -19,8 +19,8 @@ import pytest
 
 from skygcs.links import fast_path
 from skygcs.links.udp import DATAGRAMS_PER_WAKEUP
+from support.fast_path_bench import Bench, Channel, Slot, attitude
 from support.frames import dialect
-from support.lanes import Bench, Channel, Slot, attitude
 from support.watchdog import processor_limit
 
 pytestmark = pytest.mark.skipif(
@@ -166,7 +166,7 @@ def test_a_link_closed_behind_a_datagram_ends_the_burst(bench: Bench) -> None:
     bench.fast_path.close()
 
 
-def test_a_link_closed_amid_the_newest_frames_is_let_go_of_after_the_last(bench: Bench) -> None:
+def test_a_link_closed_while_the_newest_frames_are_reported_is_released_after_the_last(bench: Bench) -> None:
     """``again`` runs while the flows of the burst are gone through."""
     bench.learn()
     called: list[int] = []
@@ -213,7 +213,7 @@ def test_flows_added_and_ended_by_callbacks(bench: Bench) -> None:
     assert bench.left == [attitude(3)]
 
 
-def test_a_lane_is_not_received_from_within_itself(bench: Bench) -> None:
+def test_a_fast_path_cannot_receive_within_its_own_callback(bench: Bench) -> None:
     caught: list[str] = []
 
     def again(*_: object) -> None:
@@ -249,7 +249,7 @@ def test_the_last_reference_may_go_in_a_callback() -> None:
 # -- owners and memory
 
 
-def test_a_channel_that_is_gone_is_not_told(bench: Bench) -> None:
+def test_counts_for_a_freed_channel_are_dropped(bench: Bench) -> None:
     bench.learn()
     bench.open_flow()
     gone = weakref.ref(bench.target)
@@ -261,7 +261,7 @@ def test_a_channel_that_is_gone_is_not_told(bench: Bench) -> None:
     assert bench.table.take()[0] == 1
 
 
-def test_what_is_closed_is_let_go_of() -> None:
+def test_what_is_closed_is_released() -> None:
     def once() -> None:
         bench = Bench()
         bench.learn()
@@ -285,7 +285,7 @@ def test_what_is_closed_is_let_go_of() -> None:
         grown = tracemalloc.get_traced_memory()[0] - before
     finally:
         tracemalloc.stop()
-    assert grown < 20_000  # one flow that is kept of fifty would be 20 times 100 bytes, one lane 20 times 1,000
+    assert grown < 20_000  # one flow that is kept of fifty would be 20 times 100 bytes, one fast path 20 times 1,000
 
 
 def test_peers_that_come_and_go_do_not_add_up(bench: Bench) -> None:
@@ -308,7 +308,7 @@ def test_peers_that_come_and_go_do_not_add_up(bench: Bench) -> None:
     assert bench.received() == [attitude(1)]
 
 
-def test_room_for_records_is_given_back(bench: Bench) -> None:
+def test_the_buffer_of_records_shrinks_again(bench: Bench) -> None:
     sent = full_datagrams(bench, DATAGRAMS_PER_WAKEUP)
     tracemalloc.start()
     try:
@@ -445,7 +445,7 @@ def test_both_are_made_once(bench: Bench) -> None:
         bench.out.__init__(1, ("127.0.0.1", 1), bench.channel, True)
 
 
-def test_a_lane_that_nobody_closed_tells_what_it_knows_when_it_goes(bench: Bench) -> None:
+def test_a_fast_path_that_was_not_closed_reports_its_counts_when_it_is_freed(bench: Bench) -> None:
     bench.learn()
     server = bench.socket()
     fast_path = bench.new_fast_path(server)

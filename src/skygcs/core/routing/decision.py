@@ -31,11 +31,11 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class ForwardingEntry:
-    """Where all frames like one go, so that nobody need ask about each."""
+    """The destinations of all further frames like one: `Router.forwarding_entry`."""
 
     destinations: tuple[int, ...]
     heard: dict[int, float]
-    """Where the router wants their time noted, under sysid << 8 | compid."""
+    """The router's time of the last frame by sysid << 8 | compid; the fast path writes it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,7 +101,7 @@ class Router:
         self._by_system: dict[int, list[Port]] = {}
         self._duplicates: FirstHeard = DuplicateFilter() if duplicates is None else duplicates
         self.on_change: Callable[[], None] = lambda: None
-        """Called whenever what `standing` said, a None as well, may no longer be so."""
+        """Called whenever an answer of `forwarding_entry`, also None, may have become wrong."""
         self._dedup = False
         self._any_bound = False
         self._parallel: dict[int, ParallelChannels] = {}
@@ -208,22 +208,22 @@ class Router:
         self.counters[decision.verdict] += 1
         return decision
 
-    def standing(self, channel_id: int, frame: Frame) -> ForwardingEntry | None:
-        """What `decide` would say of all further frames of this source and message that have no target and are no
-        copies (and, of heartbeats, have the same payload), until `on_change`. None: it has to be asked about each.
+    def forwarding_entry(self, channel_id: int, frame: Frame) -> ForwardingEntry | None:
+        """The decision for all further frames of this source and message that have no target and are no copies (and,
+        for heartbeats, have the same payload), until `on_change`. None: `decide` must be called for each.
         """
         port = self._ports[channel_id]
         source = frame.sysid << 8 | frame.compid
         if frame.info is None or frame.msgid == SYSTEM_TIME or port.policy.replayed or not self._dedup:
             return None
         if source in self.state_sources:
-            return None  # each of its frames is looked at
+            return None  # each of its frames is compared
         if port.bound:
-            return None  # a lane would remember its frames, and take equal ones of another program for copies
+            return None  # the fast path would take equal frames of another program for copies
         if source == self._own_source or source not in port.heard or frame.sysid in self._parallel:
             return None
         if len(self._by_source[source]) > 1:
-            return None  # which channel's frame is the newest only their order tells
+            return None  # only their order shows which channel's frame is the newest
         if source in self._anchored and port.policy.role == "gcs":
             return None
         if port.limiter_in is not None:
@@ -558,7 +558,7 @@ class Router:
         return self._counted(_DUPLICATE)
 
     def _is_copy(self, port: Port, frame: Frame, source: int, now: float) -> bool:
-        # one int, as the compiled lane keeps it
+        # one int, as the fast path keeps it
         first = self._duplicates.first_heard_on(source << 24 | frame.seq << 16 | frame.crc, port.id, now)
         system = source >> 8
         parallel = self._parallel.get(system)

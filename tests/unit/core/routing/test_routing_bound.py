@@ -248,22 +248,22 @@ def test_filters_of_a_bound_channel_count_as_well() -> None:
     assert "quiet" in sent(net, "radio", message("HIGHRES_IMU", 1))
 
 
-# -- lanes
+# -- the fast path
 
 
-def test_lanes_carry_a_vehicles_frames_to_its_own_programs_and_none_of_a_programs() -> None:
+def test_the_fast_path_carries_a_vehicles_frames_to_its_own_programs_and_none_of_a_programs() -> None:
     net = one_radio()
     (first,) = net.parsers["radio"].feed_datagram(message("ATTITUDE", 1))
     (other,) = net.parsers["radio"].feed_datagram(message("ATTITUDE", 3))
     for frame, programs in ((first, {"qgc", "P1", "P12"}), (other, {"qgc", "P3"})):
         decision = net.router.decide(net.ids["radio"], frame, net.now)
-        standing = net.router.standing(net.ids["radio"], frame)
-        assert standing is not None
-        assert standing.destinations == decision.destinations
-        assert {name for name, i in net.ids.items() if i in standing.destinations} == programs
+        entry = net.router.forwarding_entry(net.ids["radio"], frame)
+        assert entry is not None
+        assert entry.destinations == decision.destinations
+        assert {name for name, i in net.ids.items() if i in entry.destinations} == programs
     (beat,) = net.parsers["P4"].feed_datagram(heartbeat(245, 190, gcs=True))
     net.router.decide(net.ids["P4"], beat, net.now)
-    assert net.router.standing(net.ids["P4"], beat) is None
+    assert net.router.forwarding_entry(net.ids["P4"], beat) is None
 
 
 def test_opening_and_closing_a_bound_channel_changes_who_hears() -> None:

@@ -1,4 +1,4 @@
-"""The parts of the compiled fast path by themselves: a lane on a real socket between objects that only count."""
+"""The parts of the compiled fast path by themselves: one on a real socket between objects that only count."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Slot:
 
 
 class Bench:
-    """A table, a lane, one vehicle's socket that sends to it and one ground station's that receives."""
+    """A table, a fast path, one vehicle's socket that sends to it and one ground station's that receives."""
 
     def __init__(self, *, recording: bool = True) -> None:
         table = fast_path.new_table(dialect(), recording=recording)
@@ -96,7 +96,7 @@ class Bench:
         self.fast_path.add_flow(self.vehicle.getsockname(), source, msgid, self.stats, self.heard, *values.values())
 
     def learn(self) -> None:
-        """The first turn of the memory of frames is Python's."""
+        """Python makes the first swap of the memory of duplicates."""
         self.table.first_heard_on((1 << 40) - 1, 1, self.now)
 
     def send(self, *datagrams: bytes) -> None:
