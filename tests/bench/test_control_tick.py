@@ -74,7 +74,7 @@ class Flown:
         self.commands = CommandClient((1, 1), (255, 25), dialect, hub.send, self.loop)
         settings = ControlSettings()
         self.pilot = OffboardController(self.vehicle, OffboardConfig(settings.law(), settings.guard()))
-        self.way = way
+        self.control_mode = way
         self.positions = [
             self.voice.position(HOME[0] + 1e-6 * math.sin(i / 9), HOME[1], HOME[2] + 10, 10.0, heading=100 * i)
             for i in range(50)
@@ -87,14 +87,14 @@ class Flown:
         self.vehicle.on_frame(self.voice.beat(PX4, OFFBOARD, armed=True, status=4), self.now)
         self.vehicle.on_frame(self.voice.landed(2), self.now)
         self.vehicle.on_frame(self.positions[0], self.now)
-        self.pilot.engage(self.way, Fence(Origin(*HOME)))
+        self.pilot.engage(self.control_mode, Fence(Origin(*HOME)))
         for _ in range(5):
             self.pilot.delay.on_pong(self.pilot.delay.ping(self.now - 0.004), self.now)
         self.pilot.entered()
         self.pilot.fly_to(GeodeticPosition(HOME[0] + 1e-5, HOME[1], HOME[2] + 12), None)
         for i in range(400):
             self.tick(i)
-        assert (self.pilot.state, self.pilot.way) == (OffboardState.FLYING, self.way)
+        assert (self.pilot.state, self.pilot.control_mode) == (OffboardState.FLYING, self.control_mode)
 
     def hear(self, i: int) -> None:
         """A position every other tick, once a second the rest."""
@@ -182,7 +182,7 @@ class Whole:
             log_dir=folder,
             uplink_bytes_per_s=lambda: math.inf,
         )
-        self.way = way
+        self.control_mode = way
         self.heard = 0
         self.positions = [
             self.voice.position(HOME[0] + 1e-6 * math.sin(i / 9), HOME[1], HOME[2] + 10, 10.0, heading=100 * i)
@@ -198,7 +198,7 @@ class Whole:
         self.hub.on_frames(self.link.channels[0], [beat], self.loop.now)
         self.hear(0)
         pilot = self.flight.pilot
-        pilot.engage(self.way, Fence(Origin(*HOME)))
+        pilot.engage(self.control_mode, Fence(Origin(*HOME)))
         self.flight.clock.start()
         pilot.delay.on_pong(pilot.delay.ping(self.loop.now - 0.004), self.loop.now)
         pilot.entered()
@@ -227,7 +227,7 @@ class Whole:
         cost = per_tick_us(self.tick) - per_tick_us(self.hear)
         self.loop.forget()
         pilot = self.flight.pilot
-        assert (pilot.state, pilot.way) == (OffboardState.FLYING, self.way), pilot.reasons
+        assert (pilot.state, pilot.control_mode) == (OffboardState.FLYING, self.control_mode), pilot.reasons
         return cost
 
 

@@ -56,8 +56,8 @@ def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> 
     since = time.monotonic()
     air.order("control.set", air.one, mode=mode, force=True)
     air.daemon.call("control.record", targets=air.one, on=True)
-    figures["way"] = air.control(air.one)["way"]
-    assert figures["way"] == mode, air.control(air.one)
+    figures["control_mode"] = air.control(air.one)["control_mode"]
+    assert figures["control_mode"] == mode, air.control(air.one)
     try:
         steps: dict[str, Any] = {"pos_enu_m": [0.0, 0.0, HEIGHT_M]}
         with Stream(air.daemon.socket, air.one, lambda t: steps, RATE_HZ) as stream:
@@ -79,7 +79,7 @@ def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> 
         if fell_back:
             pytest.skip(f"this computer is too busy for it: {fell_back[0]}")
         assert not stream.refused, stream.refused[:2]
-        assert status["way"] == mode, status
+        assert status["control_mode"] == mode, status
         figures["state age s"], figures["delay p95 s"] = status["state_age_s"], status["delay_p95_s"]
         figures["late ticks"] = status["late"]
     finally:

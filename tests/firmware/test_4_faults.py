@@ -81,11 +81,11 @@ def test_a_delay_brings_attitude_down_to_velocity_and_position(air: Field, figur
         began = time.monotonic()
         air.relay.delay_down_s = air.relay.delay_up_s = 0.12
         figures["velocity after s"] = air.wait(
-            lambda: air.control(air.one)["way"] == "velocity", 30, "velocity instead of attitude"
+            lambda: air.control(air.one)["control_mode"] == "velocity", 30, "velocity instead of attitude"
         )
         air.relay.delay_down_s = air.relay.delay_up_s = 0.45
         figures["position after s"] = air.wait(
-            lambda: air.control(air.one)["way"] == "position", 30, "position instead of velocity"
+            lambda: air.control(air.one)["control_mode"] == "position", 30, "position instead of velocity"
         )
         figures["farthest m"], figures["lowest m"] = stays_up(air, 4)
         figures["events"] = [e["text"][:80] for e in air.watcher.events_since(began, "control", vehicle=air.one)]

@@ -130,7 +130,7 @@ async def test_new_gains_make_no_jump(tmp_path: Path, kind: dict[str, int], chan
         await asyncio.sleep(20)
         assert gcs.farthest_m(changed) < 0.3
         assert max(thrusts(gcs, changed)) - min(thrusts(gcs, changed)) < 0.05
-        assert gcs.control()["way"] == "attitude"
+        assert gcs.control()["control_mode"] == "attitude"
 
 
 async def test_gains_that_the_delay_does_not_bear_take_force(tmp_path: Path) -> None:
@@ -163,7 +163,7 @@ async def test_from_way_to_way_in_flight(tmp_path: Path, kind: dict[str, int]) -
         for mode in ("velocity", "attitude", "position", "attitude", "velocity", "position"):
             await gcs.fly(mode)
             await asyncio.sleep(4)
-            assert gcs.control()["way"] == mode
+            assert gcs.control()["control_mode"] == mode
         assert gcs.farthest_m(began) < 0.5
         assert not gcs.commands(began)
         gaps = [b.at - a.at for a, b in zip(gcs.setpoints(began), gcs.setpoints(began)[1:], strict=False)]

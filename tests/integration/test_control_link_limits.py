@@ -30,7 +30,7 @@ async def test_three_tenths_of_a_second_of_delay(tmp_path: Path, kind: dict[str,
         assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.2)
         assert gcs.farthest_m(began, of=start) < 3.6
         assert "SET_ATTITUDE_TARGET" not in {s.name for s in gcs.setpoints(began)}
-        assert gcs.control()["way"] == "velocity"
+        assert gcs.control()["control_mode"] == "velocity"
         assert len(gcs.texts(began)) <= 1, "the order's outcome has told it already"
 
 

@@ -32,7 +32,7 @@ async def test_a_cut_of_a_second_and_a_half_falls_back_to_position_and_stays_the
         blind = [s for s in gcs.setpoints(cut + 0.7) if s.at < cut + 1.4]
         assert blind and {s.name for s in blind} == {"SET_POSITION_TARGET_GLOBAL_INT"}
         await asyncio.sleep(20)
-        assert (gcs.control()["state"], gcs.control()["way"]) == ("flying", "position")
+        assert (gcs.control()["state"], gcs.control()["control_mode"]) == ("flying", "position")
         assert gcs.setpoints(gcs.now - 1.0)[-1].name == "SET_POSITION_TARGET_GLOBAL_INT", "it returned unasked"
         assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.3)
         assert gcs.farthest_m(cut, of=start) < 4.0
@@ -53,7 +53,7 @@ async def test_it_returns_by_itself_only_after_the_time_that_is_set_for_it(tmp_p
         await asyncio.sleep(1.5)
         gcs.sim().faults.mute = False
         heard = gcs.now
-        back = await gcs.until(lambda: gcs.control()["way"] == "attitude")
+        back = await gcs.until(lambda: gcs.control()["control_mode"] == "attitude")
         assert back - heard >= 4.0
         assert not [s for s in gcs.setpoints(heard) if s.name == "SET_ATTITUDE_TARGET" and s.at < heard + 4.0]
         assert gcs.texts(back - 0.1) == ["flown by attitude setpoints again"]

@@ -51,7 +51,7 @@ async def test_a_flight_with_everything_in_it_runs_again_alike(tmp_path: Path, k
     trace, entries = read(Path(path))
     assert trace.cut_line is None and trace.head.vehicle == "v1"
     assert not list(rerun(entries))
-    assert len(entries) >= ticks - 20 and {e.row.way for e in entries} == {"attitude", "velocity", "position"}
+    assert len(entries) >= ticks - 20 and {e.row.control_mode for e in entries} == {"attitude", "velocity", "position"}
 
 
 async def test_a_full_disk_is_told_once_and_control_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

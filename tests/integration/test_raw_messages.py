@@ -49,7 +49,7 @@ async def test_an_attitude_stream_of_a_client_moves_no_vehicle_unless_forced(tmp
 TO = {"target_system": 1}
 """A system without its component."""
 
-CONTROL_MODES: list[dict[str, Any]] = [
+ADDRESSES: list[dict[str, Any]] = [
     {"target": "v1"},
     {"target": "all"},
     {"target": ["v1", "v2"]},
@@ -62,12 +62,14 @@ CONTROL_MODES: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("way", CONTROL_MODES, ids=str)
-async def test_every_address_that_reaches_a_vehicle_in_the_air_is_refused(tmp_path: Path, way: dict[str, Any]) -> None:
+@pytest.mark.parametrize("address", ADDRESSES, ids=str)
+async def test_every_address_that_reaches_a_vehicle_in_the_air_is_refused(
+    tmp_path: Path, address: dict[str, Any]
+) -> None:
     async with flown(tmp_path, px4=1, ardupilot=1) as gcs:
         since = gcs.now
-        fields = way.get("fields", {})
-        rest = {k: v for k, v in way.items() if k != "fields"}
+        fields = address.get("fields", {})
+        rest = {k: v for k, v in address.items() if k != "fields"}
         for name in ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "RC_CHANNELS_OVERRIDE"):
             text = await refused(gcs, name=name, fields=fields, **rest)
             assert name in text and "control set" in text and "--force" in text

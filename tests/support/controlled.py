@@ -25,7 +25,7 @@ from support.fake_daemon import NAMES, FakeDaemon, FakeFleet, FakeOutcome, FakeV
 TAKEN = FakeOutcome(True, "accepted", "taken", attempts=0, elapsed_s=0.0)
 OFF: dict[str, Any] = {
     "mode": None,
-    "way": None,
+    "control_mode": None,
     "state": "off",
     "reasons": [],
     "reference": None,
@@ -40,7 +40,7 @@ OFF: dict[str, Any] = {
 FLYING: dict[str, Any] = {
     **OFF,
     "mode": "attitude",
-    "way": "attitude",
+    "control_mode": "attitude",
     "state": "flying",
     "reference": {"pos_enu_m": [1.0, 2.0, 5.0], "vel_enu_mps": [0.0, 0.0, 0.0], "yaw_deg": 90.0},
     "error_enu_m": [0.3, -0.4, -0.001],

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 TRACK_COLUMNS = (
     "name",
     "mode",
-    "way",
+    "control_mode",
     "error",
     "x y z error",
     "age",
@@ -30,7 +30,7 @@ TRACK_COLUMNS = (
 TRACK_LEAVES_OUT = ("roll pitch", "thrust", "x y z error", "ticks", "rate", "rtt", "skipped", "late", "limits")
 """What a narrow terminal does not show, first things first."""
 
-_LEFT = ("name", "mode", "way", "limits")
+_LEFT = ("name", "mode", "control_mode", "limits")
 
 
 def track_cells(state: State) -> tuple[str, ...]:
@@ -67,7 +67,9 @@ def track_reasons(state: State) -> str:
 def track_line(state: State) -> str:
     """One update as a line of text."""
     cells = zip(TRACK_COLUMNS, track_cells(state), strict=True)
-    named = (cell if column in ("name", "mode", "way") else f"{column} {cell}" for column, cell in cells if cell)
+    named = (
+        cell if column in ("name", "mode", "control_mode") else f"{column} {cell}" for column, cell in cells if cell
+    )
     line = "  ".join(named)
     reasons = track_reasons(state)
     return f"{line}  ({reasons})" if reasons else line
@@ -96,15 +98,15 @@ def track_table(states: Sequence[State], width: int = PIPE_WIDTH) -> RenderableT
 
 def _control_mode(control: Mapping[str, Any]) -> str:
     """How it is flown now; what is going on, where it is not."""
-    return str(control.get("way") or "") if control.get("state") == "flying" else str(control.get("state"))
+    return str(control.get("control_mode") or "") if control.get("state") == "flying" else str(control.get("state"))
 
 
 def _styles(state: State) -> dict[str, str]:
     control: Mapping[str, Any] = state.get("control") or {}
     if control.get("state") == "held":
-        return {"way": "bold red"}
-    if control.get("state") == "flying" and control.get("way") != control.get("mode"):
-        return {"way": "bold yellow"}
+        return {"control_mode": "bold red"}
+    if control.get("state") == "flying" and control.get("control_mode") != control.get("mode"):
+        return {"control_mode": "bold yellow"}
     return {"limits": "yellow"}
 
 

@@ -240,10 +240,10 @@ def over_the_wire(dialect: Dialect) -> Section:
             )
             if (
                 abs(wire["overshoot_percent"] - alone["overshoot_percent"]) > ROUNDING
-                or flown.way is not ControlMode.ATTITUDE
+                or flown.control_mode is not ControlMode.ATTITUDE
             ):
                 section.missed.append(
-                    f"over the wire, {name} at {delay_s} s: {wire} by {flown.way}, the law alone: {alone}"
+                    f"over the wire, {name} at {delay_s} s: {wire} by {flown.control_mode}, the law alone: {alone}"
                 )
     section.remarks = [
         "The F450's battery is fuller here (16.4 V) than above (15.6 V): thrust is (16.4/15.6)² = 1.11 times as strong",
@@ -257,13 +257,13 @@ def guarded(dialect: Dialect) -> Section:
     section = Section("guard", "3 m east ordered as attitude with 0.3 s of round trip, the guard as it is by default")
     flown: Flown = WiredPilot(dialect, Conditions(), 0.3, GuardConfig()).fly_step(ControlMode.ATTITUDE, 3.0, 30.0)
     figures = _figures(flown.track_m, 3.0, ControlConfig().period_s)
-    section.data = {"way": flown.way, "events": flown.events, **figures}
+    section.data = {"control_mode": flown.control_mode, "events": flown.events, **figures}
     section.remarks = [
         *flown.events,
         f"{figures['overshoot_percent']:.1f} % over, within 5 % after {_seconds(figures['settling_s'])} s",
     ]
-    if flown.way is not ControlMode.VELOCITY or figures["settling_s"] is None:
-        section.missed.append(f"at 0.3 s: flown by {flown.way}, settled after {figures['settling_s']} s")
+    if flown.control_mode is not ControlMode.VELOCITY or figures["settling_s"] is None:
+        section.missed.append(f"at 0.3 s: flown by {flown.control_mode}, settled after {figures['settling_s']} s")
     return section
 
 

@@ -49,7 +49,7 @@ class Flown:
 
     track_m: list[float]
     """East, from the start, at every tick, as it truly was."""
-    way: ControlMode | None
+    control_mode: ControlMode | None
     delay_s: float | None
     supply_v: float
     """Of its battery when the step began."""
@@ -73,7 +73,7 @@ class WiredPilot:
         self._seq = 0
         self._steps = 0
 
-    def fly_step(self, way: ControlMode, east_m: float, seconds: float) -> Flown:
+    def fly_step(self, control_mode: ControlMode, east_m: float, seconds: float) -> Flown:
         """Take off, take over, come to rest, then a step to the east."""
         self._until(lambda: self.sim.position_ok)
         self.command(TAKEOFF, p7=FIELD.alt_amsl_m + 10.0, p5=math.nan, p6=math.nan)
@@ -81,7 +81,7 @@ class WiredPilot:
         self.command(SET_MESSAGE_INTERVAL, p1=GLOBAL_POSITION_INT, p2=1e6 * PERIOD_S)
         self._until(lambda: self.sim.motion.up_m > 9.8)
         self.run(5.0)
-        self.pilot.engage(way, None)
+        self.pilot.engage(control_mode, None)
         self.run(1.5 + 2 * self._one_way_s)
         self.command(SET_MODE, p1=1.0, p2=6.0)
         self._until(lambda: self.vehicle.custom_mode == guided_mode(self.vehicle))
@@ -92,7 +92,9 @@ class WiredPilot:
         start_m, supply_v = self.sim.motion.east_m, _supply_v(self.sim)
         self.pilot.fly_to(GeodeticPosition(*self.pilot.frame.to_geodetic(x + east_m, y, z)), None)
         track = self.run(seconds)
-        return Flown([e - start_m for e in track], self.pilot.way, self.pilot.delay_p95_s, supply_v, self.events)
+        return Flown(
+            [e - start_m for e in track], self.pilot.control_mode, self.pilot.delay_p95_s, supply_v, self.events
+        )
 
     def run(self, seconds: float) -> list[float]:
         """Let time pass; where it truly was (east, m) at each of our ticks."""

@@ -143,7 +143,7 @@ def test_over_the_wire_it_is_the_same_step() -> None:
     dialect = load_dialect(["ardupilotmega", "px4-extras"])
     flown = WiredPilot(dialect, Conditions(airframe=IDEAL), 0.1, BEAR_ALL).fly_step(ControlMode.ATTITUDE, 3.0, 8.0)
     alone = axis(fly(Flight(IDEAL, delay_s=0.1, seconds=8.0)), EAST)
-    assert flown.way is ControlMode.ATTITUDE
+    assert flown.control_mode is ControlMode.ATTITUDE
     # there the new reference is in the loop's middle, half of the delay before it works: 0.05 s, two ticks and a half
     assert max(abs(a - b) for a, b in zip(flown.track_m, alone[2:], strict=False)) < 0.08
     assert overshoot_percent(flown.track_m, 3.0) == pytest.approx(overshoot_percent(alone, 3.0), abs=0.5)
@@ -152,7 +152,7 @@ def test_over_the_wire_it_is_the_same_step() -> None:
 def test_at_three_tenths_the_guard_takes_attitude_away_and_velocity_settles() -> None:
     dialect = load_dialect(["ardupilotmega", "px4-extras"])
     flown = WiredPilot(dialect, Conditions(), 0.3, GuardConfig()).fly_step(ControlMode.ATTITUDE, 3.0, 10.0)
-    assert flown.way is ControlMode.VELOCITY
+    assert flown.control_mode is ControlMode.VELOCITY
     assert any("limit for attitude" in text for text in flown.events)
     assert settling_s(flown.track_m, 3.0, 0.02) is not None
 

@@ -86,7 +86,11 @@ def test_status_and_track_once_show_the_same_table(fleet: Commanded) -> None:
 
 
 def test_track_on_a_pipe_is_a_line_for_each_update(fleet: Commanded) -> None:
-    fleet.vehicles["alpha"].control_told = {**FLYING, "way": "velocity", "reasons": ["delay 0.2 s (limit 0.1 s)"]}
+    fleet.vehicles["alpha"].control_told = {
+        **FLYING,
+        "control_mode": "velocity",
+        "reasons": ["delay 0.2 s (limit 0.1 s)"],
+    }
     (line,) = fleet.run("track", "alpha", "--count", "1").splitlines()
     assert line.startswith("alpha  attitude  velocity  error 0.50 m")
     assert line.endswith("limits tilt  (delay 0.2 s (limit 0.1 s))")
@@ -112,7 +116,7 @@ def test_each_column_has_a_cell_of_its_own() -> None:
     assert cells == {
         "name": "alpha",
         "mode": "attitude",
-        "way": "attitude",
+        "control_mode": "attitude",
         "error": "0.50 m",
         "x y z error": " 0.30 -0.40  0.00",
         "age": "85 ms",
@@ -136,7 +140,9 @@ def test_a_vehicle_that_is_not_controlled_is_off(control: Any) -> None:
 
 
 def test_a_held_vehicle_says_so_and_why_below_the_table() -> None:
-    shown = text_of(track_table([state(state="held", way=None, reasons=["state is 0.62 s old (limit 0.5 s)"])]), 200)
+    shown = text_of(
+        track_table([state(state="held", control_mode=None, reasons=["state is 0.62 s old (limit 0.5 s)"])]), 200
+    )
     assert "held" in shown
     assert "alpha: state is 0.62 s old (limit 0.5 s)" in shown.splitlines()[-1]
 

@@ -170,20 +170,20 @@ async def field(log_dir: Path, **settings: Any) -> AsyncIterator[Field]:
         await made.close()
 
 
-@pytest.mark.parametrize("way", ControlMode)
-async def test_it_streams_before_the_mode_and_flies_after_it(tmp_path: Path, way: ControlMode) -> None:
+@pytest.mark.parametrize("control_mode", ControlMode)
+async def test_it_streams_before_the_mode_and_flies_after_it(tmp_path: Path, control_mode: ControlMode) -> None:
     async with field(tmp_path) as f:
         began = f.loop.time()
-        outcome = await f.flight.engage(way)
-        assert outcome.ok and outcome.message == f"flown by {way.value} setpoints", outcome
+        outcome = await f.flight.engage(control_mode)
+        assert outcome.ok and outcome.message == f"flown by {control_mode.value} setpoints", outcome
         assert [plan.order for plan in f.orders][-1] == "control"
         streamed = f.commands.sent[0][0] - began
         assert f.flight.flying and outcome.elapsed_s > 1.0 + streamed
         since = f.loop.time()
         await asyncio.sleep(2.0)
         sent = f.ways(since)
-        assert set(sent) == {way}
-        assert len(sent) == pytest.approx({"attitude": 100, "velocity": 20, "position": 10}[way], abs=2)
+        assert set(sent) == {control_mode}
+        assert len(sent) == pytest.approx({"attitude": 100, "velocity": 20, "position": 10}[control_mode], abs=2)
         setpoints = [s for s in f.commands.sent if s[1] in SETPOINTS]
         assert {(s[3], s[4]) for s in setpoints} == {(Priority.SETPOINT, ("setpoint", 1, 1))}
 
@@ -364,7 +364,7 @@ async def test_a_trace_is_a_file_per_flight_with_a_row_per_tick(tmp_path: Path) 
         assert f.flight.recording is None
         with path.open(encoding="ascii", newline="") as lines:
             rows = [entry.row for entry in decode(lines)]
-        assert len(rows) == ticks and {row.way for row in rows} >= {"attitude"}
+        assert len(rows) == ticks and {row.control_mode for row in rows} >= {"attitude"}
         assert [row.following for row in rows].index(True) > 10
 
 

@@ -12,7 +12,7 @@ CONTROL_MODES = (ATTITUDE, VELOCITY, POSITION)
 """Who closes the loops: all of them here; the position loop here; none here."""
 
 COLUMNS = (
-    *("t_s", "dt_s", "way", "following"),
+    *("t_s", "dt_s", "control_mode", "following"),
     *("ref_x_m", "ref_y_m", "ref_z_m", "ref_yaw_rad", "ref_vx_mps", "ref_vy_mps", "ref_vz_mps"),
     *("ref_ax_mps2", "ref_ay_mps2", "ref_az_mps2", "vel_only_xy", "vel_only_z"),
     *("x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps", "state_age_s"),

@@ -299,7 +299,7 @@ class OffboardController:
         attitude = output if self.control_mode is ATTITUDE else None
         return {
             "mode": None if self.state is OFF else self.wanted.value,
-            "way": None if self.control_mode is None else self.control_mode.value,
+            "control_mode": None if self.control_mode is None else self.control_mode.value,
             "state": self.state.value,
             "reasons": list(self.reasons),
             "reference": reference,
@@ -409,7 +409,7 @@ class OffboardController:
     def _event(self, text: str, state: str, control_mode: ControlMode | None = None) -> Event:
         data = {
             "state": state,
-            "way": None if control_mode is None else control_mode.value,
+            "control_mode": None if control_mode is None else control_mode.value,
             "reasons": list(self.reasons),
         }
         return Event("control", self.vehicle.name, self.vehicle.sysid, text, data)

@@ -67,7 +67,7 @@ def test_sends_what_is_wanted_while_all_is_well_and_has_nothing_to_tell(wanted: 
 @pytest.mark.parametrize("wanted", CONTROL_MODES)
 def test_releases_a_vehicle_that_is_not_ours(changes: dict[str, Any], kind: str, wanted: ControlMode) -> None:
     verdict = checked(but(**changes), wanted)
-    assert (verdict.action, verdict.way, verdict.changed, verdict.kinds) == ("release", None, True, (kind,))
+    assert (verdict.action, verdict.control_mode, verdict.changed, verdict.kinds) == ("release", None, True, (kind,))
     assert len(verdict.reasons) == 1
 
 
@@ -99,7 +99,7 @@ HOLDS = [
 @pytest.mark.parametrize("wanted", CONTROL_MODES)
 def test_holds_where_no_way_is_safe(changes: dict[str, Any], kind: str, words: str, wanted: ControlMode) -> None:
     verdict = checked(but(**changes), wanted)
-    assert (verdict.action, verdict.way, verdict.changed, verdict.kinds) == ("hold", None, True, (kind,))
+    assert (verdict.action, verdict.control_mode, verdict.changed, verdict.kinds) == ("hold", None, True, (kind,))
     assert words in verdict.reasons[0]
 
 
@@ -121,8 +121,8 @@ def test_may_send_so_that_the_mode_can_be_entered_but_not_after() -> None:
 def test_while_engaging_the_way_follows_the_facts_up_again() -> None:
     guard = Guard(CONFIG, ControlMode.ATTITUDE)
     unmeasured = but(following=False, engaging=True, rtt_p95_s=None, delay_p95_s=None)
-    assert guard.check(unmeasured, 0.0).way is ControlMode.VELOCITY
-    assert guard.check(but(following=False, engaging=True), 0.5).way is ControlMode.ATTITUDE
+    assert guard.check(unmeasured, 0.0).control_mode is ControlMode.VELOCITY
+    assert guard.check(but(following=False, engaging=True), 0.5).control_mode is ControlMode.ATTITUDE
     assert guard.check(WELL, 1.0) == Verdict("send", ControlMode.ATTITUDE, (), changed=False)
 
 
@@ -184,17 +184,17 @@ UNFIT = [
 ]
 
 
-@pytest.mark.parametrize(("changes", "way", "kind", "words"), UNFIT)
+@pytest.mark.parametrize(("changes", "control_mode", "kind", "words"), UNFIT)
 def test_falls_at_once_to_the_highest_way_that_bears_it(
-    changes: dict[str, Any], way: ControlMode, kind: str, words: str
+    changes: dict[str, Any], control_mode: ControlMode, kind: str, words: str
 ) -> None:
     verdict = checked(but(**changes))
-    assert (verdict.action, verdict.way, verdict.changed) == ("send", way, True)
+    assert (verdict.action, verdict.control_mode, verdict.changed) == ("send", control_mode, True)
     assert words in verdict.reasons[verdict.kinds.index(kind)]
 
 
-@pytest.mark.parametrize(("changes", "way", "kind", "words"), UNFIT)
-def test_position_bears_all_of_it(changes: dict[str, Any], way: ControlMode, kind: str, words: str) -> None:
+@pytest.mark.parametrize(("changes", "control_mode", "kind", "words"), UNFIT)
+def test_position_bears_all_of_it(changes: dict[str, Any], control_mode: ControlMode, kind: str, words: str) -> None:
     assert checked(but(**changes), ControlMode.POSITION) == Verdict("send", ControlMode.POSITION, (), changed=False)
 
 
@@ -220,9 +220,9 @@ def test_an_end_is_final_and_told_once_with_its_first_reason() -> None:
     first = guard.check(but(battery_percent=10.0), 0.0)
     for n, facts in enumerate([WELL, but(armed=False), but(battery_percent=5.0), WELL] * 50):
         assert guard.check(facts, float(n)) == replace(first, changed=False)
-        assert guard.way is None
+        assert guard.control_mode is None
     guard.reset(ControlMode.VELOCITY)
-    assert guard.way is ControlMode.VELOCITY
+    assert guard.control_mode is ControlMode.VELOCITY
     assert guard.check(WELL, 1000.0) == Verdict("send", ControlMode.VELOCITY, (), changed=False)
 
 
@@ -230,7 +230,7 @@ def test_stays_down_by_itself_and_says_what_to_do() -> None:
     guard = Guard(CONFIG, ControlMode.ATTITUDE)
     assert guard.check(but(delay_p95_s=0.2), 0.0).changed
     verdicts = [guard.check(WELL, n * 0.02) for n in range(1, 5000)]
-    assert {(v.action, v.way, v.changed) for v in verdicts} == {("send", ControlMode.VELOCITY, False)}
+    assert {(v.action, v.control_mode, v.changed) for v in verdicts} == {("send", ControlMode.VELOCITY, False)}
     assert verdicts[-1].kinds == ("attitude_delay",)
     assert verdicts[-1].reasons[-1] == (
         "attitude has been possible again for 100.0 s; it does not return by itself, order attitude again"
@@ -241,9 +241,9 @@ def test_returns_after_all_was_well_for_so_long_without_a_break() -> None:
     guard = Guard(RETURNING, ControlMode.ATTITUDE)
     guard.check(but(delay_p95_s=0.2), 0.0)
     assert guard.check(WELL, 1.0).reasons[-1] == ("attitude has been possible again for 0.0 s; it returns after 5 s")
-    assert guard.check(but(rate_hz=10.0), 5.9).way is ControlMode.VELOCITY
-    assert guard.check(WELL, 6.0).way is ControlMode.VELOCITY
-    assert guard.check(WELL, 10.9).way is ControlMode.VELOCITY
+    assert guard.check(but(rate_hz=10.0), 5.9).control_mode is ControlMode.VELOCITY
+    assert guard.check(WELL, 6.0).control_mode is ControlMode.VELOCITY
+    assert guard.check(WELL, 10.9).control_mode is ControlMode.VELOCITY
     assert guard.check(WELL, 11.0) == Verdict("send", ControlMode.ATTITUDE, (), changed=True)
     assert not guard.check(WELL, 11.02).changed
 
@@ -251,20 +251,20 @@ def test_returns_after_all_was_well_for_so_long_without_a_break() -> None:
 def test_climbs_as_far_as_it_may() -> None:
     guard = Guard(RETURNING, ControlMode.ATTITUDE)
     guard.check(but(state_age_s=0.6), 0.0)
-    assert guard.way is ControlMode.POSITION
+    assert guard.control_mode is ControlMode.POSITION
     slow = but(delay_p95_s=0.2)
-    assert guard.check(slow, 1.0).way is ControlMode.POSITION
+    assert guard.check(slow, 1.0).control_mode is ControlMode.POSITION
     climbed = guard.check(slow, 6.0)
-    assert (climbed.way, climbed.changed, climbed.kinds) == (ControlMode.VELOCITY, True, ("attitude_delay",))
+    assert (climbed.control_mode, climbed.changed, climbed.kinds) == (ControlMode.VELOCITY, True, ("attitude_delay",))
 
 
 def test_time_that_runs_backwards_proves_no_recovery() -> None:
     guard = Guard(RETURNING, ControlMode.ATTITUDE)
     guard.check(but(delay_p95_s=0.2), 1000.0)
     guard.check(WELL, 1000.0)
-    assert guard.check(WELL, 10.0).way is ControlMode.VELOCITY
-    assert guard.check(WELL, 14.9).way is ControlMode.VELOCITY
-    assert guard.check(WELL, 15.0).way is ControlMode.ATTITUDE
+    assert guard.check(WELL, 10.0).control_mode is ControlMode.VELOCITY
+    assert guard.check(WELL, 14.9).control_mode is ControlMode.VELOCITY
+    assert guard.check(WELL, 15.0).control_mode is ControlMode.ATTITUDE
 
 
 def test_a_new_kind_of_reason_is_told_once_and_flicker_is_not() -> None:
@@ -280,7 +280,7 @@ def test_what_was_told_before_a_return_is_told_again_after_the_next_fall() -> No
     guard = Guard(RETURNING, ControlMode.ATTITUDE)
     slow, thin = but(delay_p95_s=0.2), but(delay_p95_s=0.2, rate_hz=10.0)
     assert [guard.check(facts, 0.0).changed for facts in (slow, thin, slow, thin)] == [True, True, False, False]
-    assert [guard.check(WELL, at).way for at in (1.0, 6.0)] == [ControlMode.VELOCITY, ControlMode.ATTITUDE]
+    assert [guard.check(WELL, at).control_mode for at in (1.0, 6.0)] == [ControlMode.VELOCITY, ControlMode.ATTITUDE]
     assert [guard.check(facts, 7.0).changed for facts in (slow, thin, slow, thin)] == [True, True, False, False]
 
 
@@ -371,6 +371,7 @@ def bears_attitude(facts: Facts) -> bool:
         and facts.armed
         and (facts.following or facts.engaging)
         and not facts.rebooted
+        and not facts.two_senders
         and facts.airborne is not False
         and facts.finite
         and facts.fix_ok
@@ -396,14 +397,14 @@ def test_never_sends_attitude_unless_every_condition_of_it_holds(
     config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     for facts, verdict in run(config, wanted, sequence):
-        if verdict.action == "send" and verdict.way is ControlMode.ATTITUDE:
+        if verdict.action == "send" and verdict.control_mode is ControlMode.ATTITUDE:
             assert bears_attitude(facts)
 
 
 @given(any_facts)
 def test_sends_attitude_wherever_every_condition_of_it_holds(facts: Facts) -> None:
     verdict = checked(facts)
-    assert (verdict.way is ControlMode.ATTITUDE) is bears_attitude(facts)
+    assert (verdict.control_mode is ControlMode.ATTITUDE) is bears_attitude(facts)
 
 
 @given(configs, ways, sequences)
@@ -411,9 +412,9 @@ def test_never_goes_above_what_was_wanted(
     config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     for _, verdict in run(config, wanted, sequence):
-        assert (verdict.way is None) is (verdict.action != "send")
-        if verdict.way is not None:
-            assert CONTROL_MODES.index(verdict.way) >= CONTROL_MODES.index(wanted)
+        assert (verdict.control_mode is None) is (verdict.action != "send")
+        if verdict.control_mode is not None:
+            assert CONTROL_MODES.index(verdict.control_mode) >= CONTROL_MODES.index(wanted)
 
 
 @given(configs, ways, sequences)
@@ -423,7 +424,7 @@ def test_tells_every_change_once_and_nothing_that_is_no_change(
     before: tuple[str, ControlMode | None] = ("send", wanted)
     told: set[str] = set()
     for _, verdict in run(config, wanted, sequence):
-        what = (verdict.action, verdict.way)
+        what = (verdict.action, verdict.control_mode)
         if what != before:
             told = set()
         assert verdict.changed is (what != before or not told.issuperset(verdict.kinds))
@@ -435,9 +436,9 @@ def test_tells_every_change_once_and_nothing_that_is_no_change(
 def test_never_climbs_by_itself_unless_configured(wanted: ControlMode, sequence: list[tuple[Facts, float]]) -> None:
     lowest = CONTROL_MODES.index(wanted)
     for facts, verdict in run(CONFIG, wanted, sequence):
-        if verdict.way is not None:
-            assert facts.engaging or CONTROL_MODES.index(verdict.way) >= lowest
-            lowest = CONTROL_MODES.index(verdict.way)
+        if verdict.control_mode is not None:
+            assert facts.engaging or CONTROL_MODES.index(verdict.control_mode) >= lowest
+            lowest = CONTROL_MODES.index(verdict.control_mode)
 
 
 @given(ways, sequences)
@@ -445,14 +446,14 @@ def test_never_climbs_earlier_than_configured(wanted: ControlMode, sequence: lis
     guard, now, lower_since, before = Guard(RETURNING, wanted), 0.0, 0.0, wanted
     for facts, pause in sequence:
         now += pause
-        way = guard.check(facts, now).way
-        if way is None:
+        control_mode = guard.check(facts, now).control_mode
+        if control_mode is None:
             return
-        if CONTROL_MODES.index(way) < CONTROL_MODES.index(before) and not facts.engaging:
+        if CONTROL_MODES.index(control_mode) < CONTROL_MODES.index(before) and not facts.engaging:
             assert now - lower_since >= 5.0 - 1e-9
-        if way is not before:
-            lower_since = lower_since if CONTROL_MODES.index(way) < CONTROL_MODES.index(before) else now
-        before = way
+        if control_mode is not before:
+            lower_since = lower_since if CONTROL_MODES.index(control_mode) < CONTROL_MODES.index(before) else now
+        before = control_mode
 
 
 @given(configs, ways, sequences)
@@ -473,7 +474,7 @@ def test_says_why_whenever_it_is_not_what_was_wanted(
     config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     for _, verdict in run(config, wanted, sequence):
-        assert bool(verdict.reasons) is (verdict.way is not wanted)
+        assert bool(verdict.reasons) is (verdict.control_mode is not wanted)
         assert len(set(verdict.kinds)) == len(verdict.kinds)
 
 
@@ -517,7 +518,9 @@ def test_all_is_well_where_no_row_of_the_table_says_anything(
     config: GuardConfig, wanted: ControlMode, facts: Facts
 ) -> None:
     below = CONTROL_MODES[CONTROL_MODES.index(wanted) :]
-    assert all_well(config, facts, wanted) is not any(Guard(config, way).why_not(facts) for way in below)
+    assert all_well(config, facts, wanted) is not any(
+        Guard(config, control_mode).why_not(facts) for control_mode in below
+    )
 
 
 @given(

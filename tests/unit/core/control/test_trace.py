@@ -44,7 +44,7 @@ rows = st.builds(
     TraceRow,
     t_s=numbers,
     dt_s=numbers,
-    way=st.none() | st.sampled_from(CONTROL_MODES),
+    control_mode=st.none() | st.sampled_from(CONTROL_MODES),
     following=st.booleans(),
     reference=st.none() | references,
     estimate=st.none() | st.builds(Estimate, vectors, vectors),
@@ -64,17 +64,17 @@ def flight(steps: int = 60) -> list[str]:
     position, velocity = [0.0, 0.0, 5.0], [0.0, 0.0, 0.0]
     for n in range(steps):
         config = CONFIG if n < steps // 3 else FASTER
-        way = ("attitude", "velocity", None, "attitude")[n * 4 // steps]
+        control_mode = ("attitude", "velocity", None, "attitude")[n * 4 // steps]
         if n == steps * 3 // 4:
             memory = Memory()
         reference = Reference((3.0, -1.0, 6.0), yaw_rad=0.3 + n, acc_enu_mps2=(0.1, 0.0, -0.2))
         estimate = Estimate((position[0], position[1], position[2]), (velocity[0], velocity[1], velocity[2]))
-        row = TraceRow(n * 0.02, 0.02 + 1e-4 * (n % 7), way, n != 5, reference, estimate, 0.03)
+        row = TraceRow(n * 0.02, 0.02 + 1e-4 * (n % 7), control_mode, n != 5, reference, estimate, 0.03)
         after = memory
-        if way == "attitude":
+        if control_mode == "attitude":
             output, after = step(config, memory, estimate, reference, row.dt_s, following=row.following)
             row = row.with_output(output, after)
-        elif way == "velocity":
+        elif control_mode == "velocity":
             row = row.with_velocity(velocity_setpoint(config, estimate, reference))
         text += writer.lines(row, config, memory, after)
         memory = after
@@ -113,7 +113,10 @@ def test_odd_numbers_come_back(number: float) -> None:
 
 def test_a_flight_runs_again_without_a_difference() -> None:
     lines = flight()
-    assert [sum(e.row.way == way for e in entries(lines)) for way in ("attitude", "velocity", None)] == [30, 15, 15]
+    assert [
+        sum(e.row.control_mode == control_mode for e in entries(lines))
+        for control_mode in ("attitude", "velocity", None)
+    ] == [30, 15, 15]
     assert list(rerun(entries(lines))) == []
 
 
@@ -208,7 +211,7 @@ def test_a_line_that_is_none_is_an_error_with_its_number(line: str, reason: str)
     [
         ("t_s", "x"),
         ("t_s", ""),
-        ("way", "walk"),
+        ("control_mode", "walk"),
         ("following", "yes"),
         ("y_m", ""),
         ("ref_y_m", ""),

@@ -90,16 +90,16 @@ class Flight:
             self.vehicle.on_frame(slot.frame, self.now)
         return self.pilot.tick(self.now)
 
-    def fly(self, way: ControlMode = ControlMode.ATTITUDE, fence: Fence | None = FENCE) -> Flight:
+    def fly(self, control_mode: ControlMode = ControlMode.ATTITUDE, fence: Fence | None = FENCE) -> Flight:
         """Up to the state "flying" by this way."""
-        self.pilot.engage(way, fence)
+        self.pilot.engage(control_mode, fence)
         self.tick()
         self.pinged()
         self.tick(0.15)
         self.beat(self.obeying)
         self.pilot.entered()
         self.tick()
-        assert (self.pilot.state, self.pilot.way) == (OffboardState.FLYING, way)
+        assert (self.pilot.state, self.pilot.control_mode) == (OffboardState.FLYING, control_mode)
         return self
 
     def reference_enu_m(self) -> tuple[float, ...]:
@@ -129,19 +129,19 @@ def test_without_a_position_it_is_not_taken_over() -> None:
     assert flight.pilot.state is OffboardState.OFF
 
 
-@pytest.mark.parametrize("way", ControlMode)
-def test_engaging_streams_stay_where_you_are_wherever_that_is(way: ControlMode) -> None:
+@pytest.mark.parametrize("control_mode", ControlMode)
+def test_engaging_streams_stay_where_you_are_wherever_that_is(control_mode: ControlMode) -> None:
     flight = Flight()
-    flight.pilot.engage(way, FENCE)
+    flight.pilot.engage(control_mode, FENCE)
     flight.tick()
     flight.pinged()
     flight.at(3.0, -2.0, 11.0)
     tick = [flight.tick(0.02) for _ in range(10)][-1]
-    assert tick.message is not None and tick.message[0] == MESSAGES[way]
+    assert tick.message is not None and tick.message[0] == MESSAGES[control_mode]
     values = tick.message[1]
-    if way is ControlMode.VELOCITY:
+    if control_mode is ControlMode.VELOCITY:
         assert [values[k] for k in ("vx", "vy", "vz")] == pytest.approx([0.0, 0.0, 0.0])
-    elif way is ControlMode.POSITION:
+    elif control_mode is ControlMode.POSITION:
         there = place(3.0, -2.0, 11.0)
         assert (values["lat_int"], values["lon_int"]) == (round(there.lat_deg * 1e7), round(there.lon_deg * 1e7))
         assert values["alt"] == pytest.approx(there.alt_amsl_m, abs=2e-3)
@@ -158,7 +158,7 @@ def test_while_engaging_nothing_is_integrated() -> None:
     for _ in range(20):
         flight.vehicle.on_frame(flight.voice.position(*HOME[:2], HOME[2] + 10, 10, velocity=(100, 0, 0)), flight.now)
         flight.tick(fresh=False)
-    assert flight.pilot.way is ControlMode.ATTITUDE
+    assert flight.pilot.control_mode is ControlMode.ATTITUDE
     assert flight.pilot.memory.integral_enu == (0.0, 0.0, 0.0)
 
 
@@ -188,7 +188,7 @@ def test_release_ends_it_at_once_and_says_why_once(engaging: bool) -> None:
         flight.fly(ControlMode.VELOCITY)
     ended = flight.pilot.release("land was ordered")
     assert texts(ended) == "control ended: land was ordered" and not ended.hold and ended.message is None
-    assert ended.events[0].data == {"state": "off", "way": None, "reasons": ["land was ordered"]}
+    assert ended.events[0].data == {"state": "off", "control_mode": None, "reasons": ["land was ordered"]}
     assert flight.pilot.state is OffboardState.OFF and flight.tick() == Tick()
     assert flight.pilot.release("again") == Tick()
 
@@ -287,12 +287,12 @@ def test_what_is_held_may_be_engaged_again_or_released() -> None:
 
 
 @pytest.mark.parametrize("autopilot", [PX4, ARDUPILOT])
-@pytest.mark.parametrize("way", ControlMode)
-def test_the_message_is_that_of_the_way_and_the_pace_too(way: ControlMode, autopilot: int) -> None:
-    flight = Flight(autopilot).fly(way)
+@pytest.mark.parametrize("control_mode", ControlMode)
+def test_the_message_is_that_of_the_way_and_the_pace_too(control_mode: ControlMode, autopilot: int) -> None:
+    flight = Flight(autopilot).fly(control_mode)
     tick = flight.tick()
-    assert tick.message is not None and tick.message[0] == MESSAGES[way]
-    assert flight.pilot.period_s == pytest.approx({"attitude": 0.02, "velocity": 0.1, "position": 0.2}[way])
+    assert tick.message is not None and tick.message[0] == MESSAGES[control_mode]
+    assert flight.pilot.period_s == pytest.approx({"attitude": 0.02, "velocity": 0.1, "position": 0.2}[control_mode])
 
 
 def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown() -> None:
@@ -300,7 +300,7 @@ def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown() -> None:
     told = flight.tick(0.51, fresh=False)
     assert told.message is not None and told.message[0] == MESSAGES[ControlMode.POSITION]
     assert "flown by position setpoints" in texts(told) and "0.5" in texts(told)
-    assert told.events[0].data["way"] == "position"
+    assert told.events[0].data["control_mode"] == "position"
     assert not flight.tick().events
     assert flight.pilot.status(flight.now)["reasons"]
 
@@ -308,7 +308,7 @@ def test_a_worse_way_is_taken_at_once_told_once_and_its_reason_shown() -> None:
 def test_that_a_better_way_is_possible_again_is_shown_though_not_told() -> None:
     flight = Flight().fly(ControlMode.VELOCITY)
     flight.tick(0.51, fresh=False)
-    assert flight.pilot.way is ControlMode.POSITION
+    assert flight.pilot.control_mode is ControlMode.POSITION
     for _ in range(30):
         assert not flight.tick(0.2).events
     assert any("order velocity again" in reason for reason in flight.pilot.reasons), flight.pilot.reasons
@@ -319,7 +319,7 @@ def test_the_wanted_way_is_tried_again_when_it_is_ordered_again() -> None:
     flight.tick(0.6, fresh=False)
     for _ in range(20):
         flight.tick(0.2)
-    assert flight.pilot.way is ControlMode.POSITION
+    assert flight.pilot.control_mode is ControlMode.POSITION
     flight.pilot.want(ControlMode.VELOCITY)
     assert flight.pilot.reasons == ()
     tick = flight.tick()
@@ -448,9 +448,11 @@ def test_a_stream_leads_it_until_its_deadline_and_then_it_stays_where_it_is() ->
     assert ended.message is not None and ended.message[1]["vy"] == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("way", [ControlMode.VELOCITY, ControlMode.POSITION])
-def test_axes_without_a_position_are_flown_by_velocity_also_where_the_way_is_position(way: ControlMode) -> None:
-    flight = Flight().fly(way)
+@pytest.mark.parametrize("control_mode", [ControlMode.VELOCITY, ControlMode.POSITION])
+def test_axes_without_a_position_are_flown_by_velocity_also_where_the_way_is_position(
+    control_mode: ControlMode,
+) -> None:
+    flight = Flight().fly(control_mode)
     flight.pilot.follow(Setpoint(None, (1.0, 0.0, -0.5), free_xy=True, free_z=True), flight.now + 1)
     tick = flight.tick()
     assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY]
@@ -494,7 +496,7 @@ def test_the_state_tells_what_is_flown() -> None:
     flight.pilot.fly_to(place(3.0, -4.0, 10.0), None)
     flight.tick()
     status = flight.pilot.status(flight.now)
-    assert (status["mode"], status["way"], status["state"]) == ("attitude", "attitude", "flying")
+    assert (status["mode"], status["control_mode"], status["state"]) == ("attitude", "attitude", "flying")
     assert status["error_enu_m"] == pytest.approx([3.0, -4.0, 0.0], abs=0.02)
     assert status["error_m"] == pytest.approx(5.0, abs=0.02)
     assert status["rate_hz"] == pytest.approx(50) and status["rtt_s"] == pytest.approx(0.004)
@@ -524,14 +526,14 @@ class Happening:
     do: Callable[[Flight], object]
 
 
-def _engage(way: ControlMode) -> Happening:
+def _engage(control_mode: ControlMode) -> Happening:
     def do(flight: Flight) -> None:
         try:
-            flight.pilot.engage(way, FENCE)
+            flight.pilot.engage(control_mode, FENCE)
         except RefusedError:
             return
 
-    return Happening(f"engage {way}", do)
+    return Happening(f"engage {control_mode}", do)
 
 
 def _follow(flight: Flight, wanted: Setpoint) -> None:
@@ -547,9 +549,14 @@ def _go(flight: Flight, there: GeodeticPosition) -> None:
 numbers = st.floats(-100, 100)
 vectors = st.tuples(numbers, numbers, numbers)
 happenings = st.one_of(
-    st.sampled_from([_engage(way) for way in ControlMode]),
+    st.sampled_from([_engage(control_mode) for control_mode in ControlMode]),
     st.just(Happening("entered", lambda f: f.pilot.entered())),
-    st.sampled_from([Happening(f"want {way}", lambda f, way=way: f.pilot.want(way)) for way in ControlMode]),
+    st.sampled_from(
+        [
+            Happening(f"want {control_mode}", lambda f, control_mode=control_mode: f.pilot.want(control_mode))
+            for control_mode in ControlMode
+        ]
+    ),
     st.just(Happening("release", lambda f: f.pilot.release("asked"))),
     st.just(Happening("obeys", lambda f: f.beat(f.obeying))),
     st.sampled_from([PX4_LOITER, PX4_RTL]).map(lambda mode: Happening(f"mode {mode}", lambda f: f.beat(mode))),
@@ -604,13 +611,15 @@ def test_whatever_happens_it_never_raises_and_never_sends_what_it_must_not(
             if tick.message is None:
                 continue
             assert not tick.hold and pilot.active and flight.vehicle.armed and flight.vehicle.connected
-            assert pilot.way is not None
+            assert pilot.control_mode is not None
             mixed = pilot.reference is not None and (
                 pilot.reference.velocity_only_xy or pilot.reference.velocity_only_z
             )
-            way = ControlMode.VELOCITY if mixed and pilot.way is ControlMode.POSITION else pilot.way
+            control_mode = (
+                ControlMode.VELOCITY if mixed and pilot.control_mode is ControlMode.POSITION else pilot.control_mode
+            )
             name, values = tick.message
-            assert name == MESSAGES[way]
+            assert name == MESSAGES[control_mode]
             info = flight_dialect().by_name[name]
             info.pack(values)  # raises for what does not fit
             if name == "SET_ATTITUDE_TARGET":
@@ -622,17 +631,17 @@ def test_whatever_happens_it_never_raises_and_never_sends_what_it_must_not(
 
 
 @pytest.mark.parametrize(("lat_deg", "lon_deg"), [(0.0, 8.5), (47.4, 0.0)])
-@pytest.mark.parametrize("way", ControlMode)
+@pytest.mark.parametrize("control_mode", ControlMode)
 def test_the_equator_and_the_first_meridian_are_places_like_any_other(
-    lat_deg: float, lon_deg: float, way: ControlMode
+    lat_deg: float, lon_deg: float, control_mode: ControlMode
 ) -> None:
     flight = Flight()
     here = Origin(lat_deg, lon_deg, 100.0)
     frame = flight.voice.position(lat_deg, lon_deg, 110.0, 10.0)
     flight.vehicle.on_frame(frame, flight.now)
-    flight.fly(way, Fence(here))
+    flight.fly(control_mode, Fence(here))
     tick = flight.tick()
-    assert tick.message is not None and tick.message[0] == MESSAGES[way]
+    assert tick.message is not None and tick.message[0] == MESSAGES[control_mode]
 
 
 def test_a_new_hover_thrust_makes_no_step_in_the_thrust() -> None:
