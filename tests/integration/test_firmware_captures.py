@@ -20,7 +20,19 @@ from skygcs.tlog.reading import LogReader
 
 DATA = Path(__file__).parents[1] / "data"
 SPEED = 1.0
-CUTS = ("px4-plan-transfer", "px4-mission-flight", "px4-telemetry-cut", "px4-battery-low", "copter-forged-positions")
+CUTS = (
+    "px4-plan-transfer",
+    "px4-mission-flight",
+    "px4-telemetry-cut",
+    "px4-battery-low",
+    "copter-forged-positions",
+    "copter-signed-flight",
+    "copter-companion",
+    "copter-radio-flight",
+)
+SIGNED = 0x01
+"""MAVLINK_IFLAG_SIGNED."""
+
 NAMES = {
     "LOITER": "AUTO.LOITER",
     "MISSION": "AUTO.MISSION",
@@ -40,6 +52,10 @@ class Truth:
         self.messages: Counter[str] = Counter()
         self.modes: dict[int, list[str]] = {}
         self.seconds = 0.0
+        self.signed = 0
+        self.lost: Counter[int] = Counter()
+        """Gaps in the sequence numbers of each system's autopilot."""
+        last: dict[int, int] = {}
         log = mavutil.mavlink_connection(str(DATA / f"{name}.tlog"))
         first = None
         while (message := log.recv_match()) is not None:
@@ -49,6 +65,11 @@ class Truth:
                 continue
             self.sources[message.get_srcSystem(), message.get_srcComponent()] += 1
             self.messages[message.get_type()] += 1
+            self.signed += bool(message.get_header().incompat_flags & SIGNED)
+            if message.get_srcComponent() == 1:
+                sysid, seq = message.get_srcSystem(), message.get_seq()
+                self.lost[sysid] += (seq - last.get(sysid, seq - 1) - 1) % 256
+                last[sysid] = seq
             if message.get_type() == "HEARTBEAT" and message.get_srcComponent() == 1:
                 modes = self.modes.setdefault(message.get_srcSystem(), [])
                 mode = mavutil.mode_string_v10(message)
@@ -141,3 +162,33 @@ async def test_forged_positions_are_reported(tmp_path: Path) -> None:
     found = await replay("copter-forged-positions", tmp_path)
     assert [e for e in found.events if e["kind"] == "duplicate" and e["sysid"] == 21]
     assert not [e for e in found.events if e["kind"] == "duplicate" and e["sysid"] == 22]
+
+
+def test_signed_frames_are_counted_as_signed() -> None:
+    truth = Truth("copter-signed-flight")
+    reader = LogReader((DATA / "copter-signed-flight.tlog").read_bytes(), load_dialect(FleetConfig().dialect), "tlog")
+    frames = [entry.frame for entry in reader if entry.frame is not None]
+    assert sum(frame.signed for frame in frames) == truth.signed == truth.messages.total() > 600
+
+
+@pytest.mark.looptime
+async def test_a_companion_is_a_component_of_its_vehicle(tmp_path: Path) -> None:
+    truth = Truth("copter-companion")
+    found = await replay("copter-companion", tmp_path)
+    assert truth.sources[21, 191] > 20
+    listed = {c["compid"]: (c["autopilot"], c["type"]) for c in found.state[21]["components"]}
+    assert listed == {1: (True, "QUADROTOR"), 191: (False, "ONBOARD_CONTROLLER")}
+    assert [c["compid"] for c in found.state[22]["components"]] == [1]
+    said = {(e["sysid"], e["text"]) for e in found.events if e["kind"] == "statustext" and e["data"]["compid"] == 191}
+    assert said == {(21, f"{found.state[21]['name']}/191: camera ready")}
+    assert found.state[21]["autopilot"] == "ardupilot" and found.state[21]["type"] == "QUADROTOR"
+
+
+@pytest.mark.looptime
+async def test_what_a_radio_lost_is_counted_as_pymavlink_counts_it(tmp_path: Path) -> None:
+    truth = Truth("copter-radio-flight")
+    found = await replay("copter-radio-flight", tmp_path)
+    assert truth.messages["RADIO_STATUS"] > 20
+    assert sum(truth.lost.values()) > 5
+    lost = {sysid: sum(link["lost"] for link in state["links"].values()) for sysid, state in found.state.items()}
+    assert lost == dict(truth.lost)

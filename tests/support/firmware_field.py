@@ -394,9 +394,9 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
             if math.dist(self.enu(name)[:2], self.stand(name)) > 2:
                 self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
         self.wait(
-            lambda: all(math.dist(self.enu(n)[:2], self.stand(n)) < 3 for n in names),
+            lambda: all(math.dist(self.enu(n)[:2], self.stand(n)) < 3 and self.steady(n) for n in names),
             60,
-            f"{names} are at their places",
+            f"{names} stand at their places",
         )
         return up_s
 
