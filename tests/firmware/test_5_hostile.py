@@ -66,7 +66,7 @@ def test_one_forged_disarmed_heartbeat_under_control(air: Field, figures: dict[s
             low, far = min(low, up), max(far, abs(x), abs(y))
             time.sleep(0.05)
         figures["lowest m"], figures["farthest m"] = low, far
-        figures["way after"] = air.control(air.one)["control_mode"]
+        figures["control mode after"] = air.control(air.one)["control_mode"]
         figures["armed"] = air.state(air.one)["armed"]
         figures["events"] = [e["text"][:80] for e in air.watcher.events_since(began, "duplicate", "control")][:4]
         assert air.truth(air.one).armed

@@ -28,7 +28,6 @@ CUTS = (
     "copter-forged-positions",
     "copter-signed-flight",
     "copter-companion",
-    "copter-radio-flight",
 )
 SIGNED = 0x01
 """MAVLINK_IFLAG_SIGNED."""
@@ -182,13 +181,3 @@ async def test_a_companion_is_a_component_of_its_vehicle(tmp_path: Path) -> None
     said = {(e["sysid"], e["text"]) for e in found.events if e["kind"] == "statustext" and e["data"]["compid"] == 191}
     assert said == {(21, f"{found.state[21]['name']}/191: camera ready")}
     assert found.state[21]["autopilot"] == "ardupilot" and found.state[21]["type"] == "QUADROTOR"
-
-
-@pytest.mark.looptime
-async def test_what_a_radio_lost_is_counted_as_pymavlink_counts_it(tmp_path: Path) -> None:
-    truth = Truth("copter-radio-flight")
-    found = await replay("copter-radio-flight", tmp_path)
-    assert truth.messages["RADIO_STATUS"] > 20
-    assert sum(truth.lost.values()) > 5
-    lost = {sysid: sum(link["lost"] for link in state["links"].values()) for sysid, state in found.state.items()}
-    assert lost == dict(truth.lost)
