@@ -145,14 +145,14 @@ async def test_flight_control_gets_its_position_as_fast_as_the_plan_has_room(tmp
     async with on_air(tmp_path, px4=5, ardupilot=5, **NAV) as air:
         await air.settled(10)
         actor = air.daemon.fleet.find("1")
-        assert actor.planned.want_position(50.0)
+        assert actor.streams.want_position(50.0)
         await asyncio.sleep(20)
         told = air.air()
         assert told["down"]["planned_bytes_per_s"] <= told["down"]["budget_bytes_per_s"]
         mine = air.vehicle(1)
         assert mine["weight"] == 4.0 and mine["planned_bytes_per_s"] <= told["down"]["per_vehicle_bytes_per_s"]
         assert 2.0 < air.rates(1)[POSITION] < 10.0
-        assert actor.planned.want_position(None)
+        assert actor.streams.want_position(None)
         await asyncio.sleep(20)
         assert air.rates(1)[POSITION] == 2.0
 
@@ -192,7 +192,7 @@ async def test_a_link_that_is_no_radio_is_neither_planned_nor_paced(tmp_path: Pa
         await asyncio.sleep(30)
         assert air.daemon.air_status() == [] and air.channel.air is None
         assert "VFR_HUD" in air.rates(1), "what comes by itself goes on"
-        assert not air.daemon.fleet.find("1").planned.active
+        assert not air.daemon.fleet.find("1").streams.planned
 
 
 async def test_a_stream_that_will_not_stop_is_told_with_what_to_do(tmp_path: Path) -> None:
@@ -230,7 +230,7 @@ async def test_what_the_radio_cannot_carry_is_refused_with_the_figures_and_what_
         (told,) = (await air.daemon.fleet.command_all("1", VehicleActor.control, mode="position")).values()
         assert told.result == "refused"
         assert "every 0.91 s; PX4 wants setpoints at 2 Hz" in told.message and "goto" in told.message
-        assert not air.daemon.fleet.find("1").planned.position_hz
+        assert not air.daemon.fleet.find("1").streams.position_hz
 
 
 async def test_how_many_are_flown_decides_whether_a_further_one_can_be(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
 from skygcs.config.signing import SigningSettings
 from skygcs.core.geo import EAST_DEG
-from skygcs.core.radio_link.requested_streams import DEFAULT_RATES_HZ
+from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.tlog.timeline import speed_problem
 
 Sysid = Annotated[int, Field(ge=1, le=255)]

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from skygcs.core.radio_link.pacing import RadioRates
-from skygcs.core.radio_link.requested_streams import rate_problem
+from skygcs.core.radio_link.stream_rates import rate_problem
 
 Profile = Literal["monitor", "nav", "control", "full", "custom"]
 Nodes = Annotated[int, Field(ge=2, le=64)]

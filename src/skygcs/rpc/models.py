@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, WithJsonSchema, model_validator
 
-from skygcs.core.radio_link.requested_streams import LEAST_RATE_HZ, MAX_RATE_HZ, rate_problem
+from skygcs.core.radio_link.stream_rates import LEAST_RATE_HZ, MAX_RATE_HZ, rate_problem
 
 MAX_TELEMETRY_HZ = 20.0
 """Telemetry goes out on a 50 ms grid; autopilots send position at 4 to 10 Hz, over a radio slower still."""

@@ -96,8 +96,8 @@ class AirPlanner:
             planned |= radio.demands.keys()
             self._judge(radio, members, now)
         for key, actor in self._fleet.vehicles.items():
-            if key not in planned and actor.planned.active and not self._is_silent(actor, now):
-                actor.planned.plan(None, self._bytes)  # it is reached another way now
+            if key not in planned and actor.streams.planned and not self._is_silent(actor, now):
+                actor.streams.plan(None, self._bytes)  # it is reached another way now
                 actor.commands.min_retry_s = 0.0
 
     def step(self, now: float) -> None:
@@ -108,7 +108,7 @@ class AirPlanner:
                 if radio.air.queue.waiting(Priority.PROTOCOL) >= WAITING_AT_ONCE:
                     break
                 actor = self._fleet.vehicles.get(keys[(radio.turn + offset) % len(keys)])
-                if actor is not None and actor.planned.ask(now, self._sender(number)):
+                if actor is not None and actor.streams.planned and actor.streams.ask(now, self._sender(number)):
                     radio.turn = (radio.turn + offset + 1) % len(keys)
                     break
 
@@ -145,7 +145,7 @@ class AirPlanner:
         for actor in members.values():
             actor.commands.min_retry_s = 0.0 if round_s is None else PATIENCE_ROUNDS * round_s + ANSWER_S
         report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
-        if not all(actor.planned.settled for actor in members.values()):
+        if not all(actor.streams.settled for actor in members.values()):
             radio.unsettled_at = now
         settled = now - radio.unsettled_at > LOSS_WINDOW_S
         free = None if report is None else report.txbuf_free
@@ -158,7 +158,7 @@ class AirPlanner:
         radio.demands, radio.budget = demands, budget
         radio.planned = fit(demands, *budget, self._bytes)
         for key, rates in radio.planned.items():
-            members[key].planned.plan(rates, self._bytes)
+            members[key].streams.plan(rates, self._bytes)
 
     def _budget(self, radio: _Radio) -> tuple[float, float]:
         keys, pacer = radio.channel.config, radio.air.pacer
@@ -176,9 +176,9 @@ class AirPlanner:
         if not rates:
             return None
         rates = {n: hz for n, hz in rates.items() if hz > 0 and n in self._bytes and self._has(actor, n)}
-        if actor.planned.position_hz is not None:
-            rates[POSITION] = max(rates.get(POSITION, 0.0), actor.planned.position_hz)
-        if actor.flight.pilot.active or actor.planned.position_hz is not None:
+        if actor.streams.position_hz is not None:
+            rates[POSITION] = max(rates.get(POSITION, 0.0), actor.streams.position_hz)
+        if actor.flight.pilot.active or actor.streams.position_hz is not None:
             return RateDemand(rates, CONTROLLED)
         return RateDemand(rates, SELECTED if key in self.selected else NORMAL)
 
@@ -225,7 +225,7 @@ class AirPlanner:
 
     def _hint(self, radio: _Radio, key: int, actor: VehicleActor) -> None:
         """What a vehicle will not stop by request, a person has to stop in its parameters."""
-        unresponsive = actor.planned.keeper.unresponsive() if key not in radio.hinted else []
+        unresponsive = actor.streams.controller.unresponsive() if key not in radio.hinted else []
         if not unresponsive:
             return
         radio.hinted.add(key)
@@ -249,7 +249,7 @@ class AirPlanner:
             if actor is None:
                 continue
             stats = sources.get(key)
-            trip = actor.planned.round_trip_s()
+            trip = actor.streams.round_trip_s()
             vehicles.append(
                 {
                     "name": actor.name,
@@ -259,9 +259,9 @@ class AirPlanner:
                     "measured_bytes_per_s": None if stats is None else round(stats.bytes_per_s, 1),
                     "loss": self._loss_of(radio, key, now),
                     "round_trip_s": None if trip is None else round(trip, 3),
-                    "settled": actor.planned.settled,
+                    "settled": actor.streams.settled,
                     "scaled": any(hz > rates.get(n, 0.0) for n, hz in radio.demands[key].rates_hz.items()),
-                    "streams": actor.planned.status(),
+                    "streams": actor.streams.status(),
                 }
             )
         measured = sum(s.bytes_per_s for s in sources.values())

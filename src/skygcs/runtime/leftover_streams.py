@@ -121,7 +121,7 @@ class LeftoverStreams:
 
     def _is_kept(self, actor: VehicleActor) -> bool:
         """Whether its streams are seen to here."""
-        return not actor.vehicle.replayed and not actor.planned.active and bool(actor.config.streams)
+        return not actor.vehicle.replayed and not actor.streams.planned and bool(actor.config.streams)
 
     def _is_connected(self, program: Program) -> bool:
         channel_id, key = program
@@ -141,9 +141,9 @@ class LeftoverStreams:
         for stream, task in list(tasks.items()):
             if now < task.next_at:
                 continue
-            wanted_hz = {n: hz for n, hz in actor.config.streams.items() if hz > 0 and not actor.is_left(n)}
+            wanted_hz = {n: hz for n, hz in actor.config.streams.items() if hz > 0 and not actor.streams.is_left(n)}
             requests = restoring(task.leftover, rates_hz, wanted_hz)
-            requests = [r for r in requests if r.stream.message is None or not actor.is_left(r.stream.message)]
+            requests = [r for r in requests if r.stream.message is None or not actor.streams.is_left(r.stream.message)]
             if not requests or task.attempts >= ATTEMPTS:
                 del tasks[stream]
                 if requests and stream.group is not None:  # a message's default may be another rate than before

@@ -37,7 +37,6 @@ from skygcs.runtime.order_runner import OrderRunner
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
-from skygcs.runtime.rate_controller import PlannedStreams
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.undo_journal import UndoJournal
 
@@ -89,7 +88,7 @@ class LiveVehicle:
         self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
-        self.planned = PlannedStreams(vehicle, self.commands, dialect, own)
+        self.streams = StreamRequester(vehicle, self.commands, dialect, config.streams)
         self._orders = OrderRunner(
             vehicle, self.commands, dialect, loop, on_event, release=lambda reason: self.flight.release(reason)
         )
@@ -102,7 +101,7 @@ class LiveVehicle:
             execute=self._orders.plans.execute,
             attempt=self._orders.attempt_kept,
             position_hz=config.streams.get("GLOBAL_POSITION_INT"),
-            plan_position=self.planned.want_position,
+            plan_position=self.streams.want_position,
             on_event=on_event,
             log_dir=log_dir,
             uplink_bytes_per_s=uplink_bytes_per_s,
@@ -137,9 +136,6 @@ class LiveVehicle:
             valid_s=preflight_valid_s,
             links=heard,
         )
-        self._stream_requester = StreamRequester(
-            vehicle, self.commands, dialect, config.streams, self._orders.attempt, self._on_fault, loop
-        )
         self.uplink = UplinkWatch(time.time_ns() >> 10)
         self._probes = probes and "TIMESYNC" in dialect.by_name
         self._thin: Callable[[], bool] = lambda: math.isfinite(uplink_bytes_per_s())
@@ -172,8 +168,7 @@ class LiveVehicle:
         state = dict(self.vehicle.snapshot(now, time.time()))
         if self.flight.pilot.state is not OffboardState.OFF:
             state["control"] = self.control_state(now)
-        if self.planned.active:
-            self.planned.add_to(state)
+        self.streams.add_to(state)
         if self._probes and self.uplink.answered_at is not None:
             trip_s = self.uplink.trip_s
             state["uplink"] = {
@@ -244,7 +239,7 @@ class LiveVehicle:
             if self.vehicle.last_ack.is_for(*self.commands.own) and self.uplink.answered_at is not None:
                 self._on_uplink(self.uplink.heard(now))
             self.commands.on_ack(self.vehicle.last_ack, now)
-            self.planned.on_ack(self.vehicle.last_ack, now)
+            self.streams.on_ack(self.vehicle.last_ack, now)
 
     def state_update_only(self, frame: Frame, channel: str) -> StateUpdate | None:
         """The state update for frames like this one; None: each must be given to `on_frame`."""
@@ -270,8 +265,7 @@ class LiveVehicle:
         events = self.vehicle.tick(now)
         if events:
             self._publish(events, now)
-        self._stream_requester.planned, self._stream_requester.busy = self.planned.active, not self.planned.settled
-        self._stream_requester.tick(now)
+        self.streams.tick(now)
         if self.flight.pilot.active:
             self.flight.refresh_budget()
         if self._probes and self.vehicle.connected and not self.vehicle.replayed:
@@ -324,7 +318,6 @@ class LiveVehicle:
         self.flight.close()
         self.missions.close()
         self.params.close()
-        self._stream_requester.close()
         self.commands.close()
 
     def control_state(self, now: float) -> dict[str, Any]:
@@ -352,9 +345,5 @@ class LiveVehicle:
                 self.uplink.forget()
                 self.flight.release("the vehicle rebooted")
                 self.preflight.forget()
-                self._stream_requester.restart(now)
-                self.planned.restart()
+                self.streams.restart(now)
             self._on_event(event)
-
-    def _on_fault(self, text: str) -> None:
-        self._on_event(Event("fault", self.name, self.sysid, text, {}))

@@ -1,85 +1,167 @@
-"""What a vehicle is asked for without an order: who it is, where its home is, and the messages the picture needs.
+"""Requests to one vehicle without an order: its version, its home, and the messages at the wanted rates.
 
-Nothing of it is urgent: it goes out behind orders, a few times, and again after a reboot.
+Nothing here is urgent: single frames behind orders, for which nobody waits, verified by what arrives, and sent again
+after a reboot. On a radio the air planner sets the rates and gives the turns; elsewhere the configured rates hold.
 """
 
 from __future__ import annotations
 
-import asyncio
+from collections import deque
 from collections.abc import Callable, Mapping
+from typing import Any
 
-from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.radio_link.requested_streams import STREAM_GROUPS, StreamRequests
+from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.protocols.command import RESULT_NAMES, Ack
+from skygcs.core.radio_link.rate_controller import RateController, RateRequest
+from skygcs.core.radio_link.stream_rates import POSITION
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.command_client import CommandClient
-from skygcs.runtime.plan_runner import Attempt
-from skygcs.runtime.task_set import fault
+
+GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL = 510, 511
 
 IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
-"""When, after it was met or rebooted, a vehicle is asked for what nobody streams: its version and its home."""
-
-SLOWER = 1.5
-"""A message that is streamed with up to this much of the wanted interval is not asked for: as of a radio's plan."""
+"""When, after it was met or rebooted, a vehicle is asked for what it does not stream: its version and its home."""
 
 IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
 
+ROUND_TRIPS = 20
+"""Kept, of the last requests that were acknowledged."""
+
+ANSWER_WITHIN_S = 5.0
+"""An acknowledgement that arrives later belongs to another request."""
+
+Send = Callable[[MessageInfo, Mapping[str, Any]], bool]
+
 
 class StreamRequester:
-    """`tick` once to ten times a second; ``attempt`` carries out a plan, ``on_fault`` is told of a fault of ours."""
+    """One vehicle's. `tick` once to ten times a second; with a radio's plan, `ask` whenever it has the turn."""
 
     def __init__(
-        self,
-        vehicle: Vehicle,
-        commands: CommandClient,
-        dialect: Dialect,
-        rates_hz: Mapping[str, float],
-        attempt: Attempt,
-        on_fault: Callable[[str], None],
-        loop: asyncio.AbstractEventLoop,
+        self, vehicle: Vehicle, commands: CommandClient, dialect: Dialect, rates_hz: Mapping[str, float]
     ) -> None:
+        """``rates_hz``: what is wanted where no radio's plan is in force."""
+        self.position_hz: float | None = None
+        """What flight control needs; None: nothing (not flown by setpoints, or the autopilot closes the loops)."""
+        self.controller = RateController()
         self._vehicle = vehicle
         self._commands = commands
         self._dialect = dialect
-        self._attempt = attempt
-        self._on_fault = on_fault
-        self._loop = loop
-        self._keeper = StreamRequests({n: r for n, r in rates_hz.items() if n in dialect.by_name})
-        self._asking: asyncio.Task[None] | None = None
+        self._own_rates_hz = {n: hz for n, hz in rates_hz.items() if hz > 0 and n in dialect.by_name}
+        self.controller.plan(self._own_rates_hz, planned=False)
+        self._bytes: Mapping[str, int] = {}
+        self._requested: tuple[str, float] | None = None
+        """The message of the last SET_MESSAGE_INTERVAL that was not acknowledged yet, and when it was sent."""
+        self._intervals_read = 0
+        self._round_trips: deque[float] = deque(maxlen=ROUND_TRIPS)
         self._identified = 0
         self._identify_from: float | None = None
-        self.planned = False
-        """Whether a radio's plan sees to its streams."""
-        self.busy = False
-        """Whether that plan still has something to ask for, before which the rest can wait."""
+
+    # -- a radio's plan
+
+    @property
+    def planned(self) -> bool:
+        """Whether a radio's plan sets its rates."""
+        return self.controller.planned
+
+    @property
+    def settled(self) -> bool:
+        """Whether a radio's plan has nothing more to request."""
+        return not self.planned or self.controller.settled
+
+    def plan(self, rates_hz: Mapping[str, float] | None, frame_bytes: Mapping[str, int]) -> None:
+        """Set the rates of a radio's plan; None: it is in no plan any more, and the configured rates hold."""
+        self._bytes = frame_bytes
+        self.controller.plan(self._own_rates_hz if rates_hz is None else rates_hz, planned=rates_hz is not None)
+
+    def want_position(self, rate_hz: float | None) -> bool:
+        """Flight control needs its position that often (None: no more). Whether the plan provides it."""
+        self.position_hz = rate_hz
+        return self.planned
+
+    def ask(self, now: float, send: Send) -> bool:
+        """Send the next request, if one is due; whether something was sent."""
+        if not self._vehicle.connected or self._commands.in_flight(SET_MESSAGE_INTERVAL):
+            return False
+        counts = {slot.name: slot.count for slot in self._vehicle.slots.values()}
+        ardupilot = self._vehicle.family == "ardupilot"
+        request = self.controller.due(counts, now, ardupilot=ardupilot, frame_bytes=self._bytes)
+        message = None if request is None else self._message(request)
+        if request is None or message is None:
+            return False
+        if request.message is not None:
+            command = GET_MESSAGE_INTERVAL if request.read else SET_MESSAGE_INTERVAL
+            self._commands.expect_stray_ack(command, now)
+            if not request.read:
+                self._requested = request.message, now
+        return send(*message)
+
+    # -- any link
 
     def tick(self, now: float) -> None:
         if not self._vehicle.connected or self._vehicle.replayed:
             return
-        if self._identified < len(IDENTIFY_AT_S) and not self.busy:
+        if self._identified < len(IDENTIFY_AT_S) and self.settled:
             self._identify(now)
-        if self._asking is None and not self.planned:
-            self._keep_streams(now)
+        if not self.planned:
+            self._read_intervals(now)
+            if self._requested is None or now > self._requested[1] + ANSWER_WITHIN_S:
+                self.ask(now, lambda info, values: self._commands.transmit(info.name, values, Priority.PROTOCOL))
 
     def restart(self, now: float) -> None:
-        """The vehicle rebooted: what it was asked for is forgotten there."""
+        """The vehicle rebooted: it has forgotten every request."""
         self._identified = 0
         self._identify_from = now
-        self._keeper.restart()
+        self._requested = None
+        self.controller.restart()
 
     def leave(self, message: str) -> None:
-        """A person took the rate of this message in hand."""
-        self._keeper.refuse(message)
+        """An operator set the rate of this message."""
+        self.controller.leave(message)
 
     def is_left(self, message: str) -> bool:
-        """Whether this message's rate is not asked for: a person has it in hand, or the vehicle refused."""
-        return self._keeper.is_refused(message)
+        """Whether this message's rate is not requested: an operator set it, or the vehicle refused."""
+        return self.controller.is_left(message)
 
-    def close(self) -> None:
-        if self._asking is not None:
-            self._asking.cancel()
+    def on_ack(self, ack: Ack, now: float) -> None:
+        """A COMMAND_ACK of this vehicle."""
+        if ack.command != SET_MESSAGE_INTERVAL or not ack.is_for(*self._commands.own) or self._requested is None:
+            return
+        (message, sent_at), self._requested = self._requested, None
+        if now - sent_at > ANSWER_WITHIN_S:
+            return
+        self._round_trips.append(now - sent_at)
+        result = RESULT_NAMES.get(ack.result)
+        if result == "unsupported":
+            self.controller.old = True
+        # without a plan one request is under way at a time, so that it is known which one was refused
+        can_have_group = result == "unsupported" and self._vehicle.family == "ardupilot"
+        if not self.planned and result in ("unsupported", "denied", "failed") and not can_have_group:
+            self.controller.leave(message)
+
+    def round_trip_s(self) -> float | None:
+        """Median of the last requests, their wait for the air included."""
+        ordered = sorted(self._round_trips)
+        return ordered[len(ordered) // 2] if ordered else None
+
+    def status(self) -> dict[str, dict[str, float]]:
+        """By message: planned and measured Hz, of all that is planned or arrives."""
+        rates = {slot.name: slot.rate_hz for slot in self._vehicle.slots.values()}
+        planned = self.controller.rates_hz
+        names = sorted({*planned, *(n for n, hz in rates.items() if hz > 0)}, key=lambda n: (n != POSITION, n))
+        return {
+            name: {"planned_hz": planned.get(name, 0.0), "measured_hz": round(rates.get(name, 0.0), 2)}
+            for name in names
+        }
+
+    def add_to(self, state: dict[str, Any]) -> None:
+        """With a radio's plan, add the planned rate of each message to a vehicle's state."""
+        if self.planned:
+            for name, message in state["messages"].items():
+                message["planned_hz"] = self.controller.rates_hz.get(name, 0.0)
+
+    # -- the inside
 
     def _identify(self, now: float) -> None:
         """Fire and forget, and never beside an order of that kind: its ack could pass for the order's."""
@@ -96,50 +178,30 @@ class StreamRequester:
                 values = {"command": REQUEST_MESSAGE, "param1": float(info.msgid)}
                 self._commands.transmit("COMMAND_LONG", values, Priority.PROTOCOL)
 
-    def _keep_streams(self, now: float) -> None:
-        """Ask for the next wanted message that does not come, in a task of its own: the answer takes a while."""
-        due = self._keeper.due(now, self._last_at, ardupilot=self._vehicle.family == "ardupilot")
-        if due is not None:
-            name = f"asking {self._vehicle.name} for {due[0]}"
-            self._asking = self._loop.create_task(self._ask_for(*due), name=name)
-            self._asking.add_done_callback(self._asked)
-
-    def _asked(self, task: asyncio.Task[None]) -> None:
-        self._asking = None
-        if (text := fault(task)) is not None:
-            self._on_fault(text)
-
-    async def _ask_for(self, message: str, rate_hz: float) -> None:
-        if self._vehicle.family != "ardupilot" and await self._will_come(message, rate_hz):
-            return
-        outcome = await self._attempt(
-            lambda now: orders.message_interval(self._vehicle, now, self._dialect, message, rate_hz)
-        )
-        if outcome.result not in ("unsupported", "denied", "failed"):
-            return
-        self._keeper.refuse(message)
-        group = STREAM_GROUPS.get(message)
-        if outcome.result == "unsupported" and group is not None and self._vehicle.family == "ardupilot":
-            whole_hz = max(1.0, rate_hz)  # REQUEST_DATA_STREAM knows no fractions
-            await self._attempt(lambda now: orders.request_stream(self._vehicle, now, self._dialect, group, whole_hz))
-
-    async def _will_come(self, message: str, rate_hz: float) -> bool:
-        """Whether the vehicle streams it already and only has nothing to send yet.
-
-        A PX4 without a position sends none, at any rate. To ask it for 2 Hz then leaves it at 2 Hz when it has one,
-        instead of its own 5, for every program on the link.
-        """
-        if "MESSAGE_INTERVAL" not in self._dialect.by_name:
-            return False
-        before = self._vehicle.count("MESSAGE_INTERVAL")
-        outcome = await self._attempt(lambda now: orders.read_interval(self._vehicle, now, self._dialect, message))
+    def _read_intervals(self, now: float) -> None:
+        """Give the controller the newest MESSAGE_INTERVAL."""
         slot = self._vehicle.slot("MESSAGE_INTERVAL")
-        if not outcome.ok or slot is None or slot.frame is None or slot.count == before:
-            return False  # it cannot say
+        if slot is None or slot.frame is None or slot.count == self._intervals_read:
+            return
+        self._intervals_read = slot.count
         answer = slot.frame.fields()
-        known = answer.get("message_id") == self._dialect.by_name[message].msgid
-        return known and 0 < answer.get("interval_us", -1) <= SLOWER * 1e6 / rate_hz
+        streamed = self._dialect.messages.get(int(answer.get("message_id", -1)))
+        if streamed is not None:
+            self.controller.on_interval(streamed.name, float(answer.get("interval_us", -1)), now)
 
-    def _last_at(self, message: str) -> float | None:
-        slot = self._vehicle.slot(message)
-        return None if slot is None else slot.at
+    def _message(self, request: RateRequest) -> tuple[MessageInfo, dict[str, Any]] | None:
+        """None for a message the dialect lacks."""
+        target = {"target_system": self._vehicle.sysid, "target_component": self._vehicle.compid}
+        if request.stream is not None:
+            info = self._dialect.by_name.get("REQUEST_DATA_STREAM")
+            rate = {"req_message_rate": round(request.rate_hz), "start_stop": int(request.rate_hz > 0)}
+            return None if info is None else (info, {**target, "req_stream_id": request.stream, **rate})
+        info = self._dialect.by_name.get("COMMAND_LONG")
+        streamed = self._dialect.by_name.get(request.message or "")
+        if info is None or streamed is None:
+            return None
+        command: dict[str, Any] = {"command": GET_MESSAGE_INTERVAL, "param1": float(streamed.msgid)}
+        if not request.read:
+            interval_us = round(1e6 / request.rate_hz) if request.rate_hz > 0 else -1
+            command |= {"command": SET_MESSAGE_INTERVAL, "param2": float(interval_us)}
+        return info, {**target, **command}

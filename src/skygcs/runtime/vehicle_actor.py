@@ -140,15 +140,10 @@ class VehicleActor(LiveVehicle):
         """0 turns it off, None goes back to the vehicle's own rate. From then on the rate is the caller's to keep."""
         with contextlib.suppress(RefusedError):
             name = orders.find_message(self._dialect, message)[1]
-            self._stream_requester.leave(name)
-            self.planned.leave(name)
+            self.streams.leave(name)
         return await self._orders.run(
             "interval", lambda now: orders.message_interval(self.vehicle, now, self._dialect, message, rate_hz)
         )
-
-    def is_left(self, message: str) -> bool:
-        """Whether skygcs does not see to the rate of this message (any more)."""
-        return self._stream_requester.is_left(message)
 
     async def request_message(self, message: str | int) -> Outcome:
         """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""

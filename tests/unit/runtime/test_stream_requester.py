@@ -32,7 +32,7 @@ async def test_only_what_does_not_come_is_asked_for_at_its_rate() -> None:
 
         def stream(v: ScriptedVehicle, sent: Sent) -> None:
             accept_everything(v, sent)
-            for n in range(100):
+            for n in range(100 if sent.name == "COMMAND_LONG" and sent.command == INTERVAL else 0):
                 v.tell(v.say(frame.attitude_encode(n, 0, 0, 0, 0, 0, 0)), 0.5 * n)
 
         vehicle.script = stream
@@ -40,14 +40,15 @@ async def test_only_what_does_not_come_is_asked_for_at_its_rate() -> None:
         assert asked(ground) == [(ATTITUDE, 500_000.0)]
 
 
-async def test_old_firmware_is_asked_the_old_way_once() -> None:
+async def test_old_firmware_is_asked_the_old_way() -> None:
     async with Ground(wanting(ATTITUDE=0.5)) as ground:
         vehicle = ScriptedVehicle(ground, 1, ARDUPILOT)
         vehicle.script = lambda v, sent: v.reply(sent, 3) if sent.name == "COMMAND_LONG" else None
         await asyncio.sleep(120)
         assert len(asked(ground)) == 1
-        (request,) = [s for s in ground.sent if s.name == "REQUEST_DATA_STREAM"]
-        assert (request.req_stream_id, request.req_message_rate, request.start_stop) == (10, 1, 1)
+        requests = [s for s in ground.sent if s.name == "REQUEST_DATA_STREAM"]
+        assert 2 <= len(requests) <= 6, "ever more rarely, for none comes"
+        assert {(s.req_stream_id, s.req_message_rate, s.start_stop) for s in requests} == {(10, 1, 1)}
 
 
 async def test_a_message_the_vehicle_refuses_is_not_asked_for_again_until_it_reboots() -> None:

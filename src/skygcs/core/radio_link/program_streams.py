@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from skygcs.core.radio_link.stream_rates import ARDUPILOT_GROUPS
+
 Program = tuple[int, int]
 """Channel id and sysid << 8 | compid."""
 
@@ -21,17 +23,6 @@ MOST_PROGRAMS = 16
 """Programs noted for one stream."""
 
 ALL_GROUPS = 0
-
-GROUPS: Mapping[int, tuple[str, ...]] = {
-    1: ("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3", "SCALED_PRESSURE", "SCALED_PRESSURE2"),
-    2: ("SYS_STATUS", "POWER_STATUS", "MEMINFO", "GPS_RAW_INT", "NAV_CONTROLLER_OUTPUT", "FENCE_STATUS"),
-    3: ("SERVO_OUTPUT_RAW", "RC_CHANNELS", "RC_CHANNELS_RAW"),
-    6: ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"),
-    10: ("ATTITUDE", "AHRS2", "SIMSTATE", "PID_TUNING"),
-    11: ("VFR_HUD",),
-    12: ("AHRS", "SYSTEM_TIME", "BATTERY_STATUS", "EKF_STATUS_REPORT", "VIBRATION", "WIND", "TERRAIN_REPORT"),
-}
-"""MAV_DATA_STREAM on ArduPilot and messages by which each is seen (the stream tables of GCS_MAVLink_Copter.cpp)."""
 
 SAME = 1.5
 """A stream is as it was if it comes no more than so much faster or slower: radios lose, firmwares round."""
@@ -110,7 +101,7 @@ class ProgramStreams:
 
 
 def _groups(stream: Stream) -> list[Stream]:
-    return [Stream(group, None) for group in GROUPS] if stream.group == ALL_GROUPS else [stream]
+    return [Stream(group, None) for group in ARDUPILOT_GROUPS] if stream.group == ALL_GROUPS else [stream]
 
 
 class Request(NamedTuple):
@@ -131,9 +122,9 @@ def restoring(leftover: Leftover, rates_hz: Mapping[str, float], wanted_hz: Mapp
         if _is_same(rates_hz.get(message, 0.0), before_hz.get(message, 0.0), own_hz):
             return []
         return [Request(leftover.stream, own_hz)]
-    if group is None or group not in GROUPS:
+    if group is None or group not in ARDUPILOT_GROUPS:
         return []
-    names = GROUPS[group]
+    names = ARDUPILOT_GROUPS[group]
     own = {name: hz for name in names if (hz := _own_rate(name, before_hz, wanted_hz)) is not None}
     if all(_is_same(rates_hz.get(n, 0.0), before_hz.get(n, 0.0), own.get(n)) for n in names):
         return []

@@ -14,7 +14,7 @@ from typing import TypedDict, Unpack
 from skygcs.core.geo import distance_m, geodetic_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Location
-from skygcs.core.radio_link.requested_streams import MAX_RATE_HZ, rate_problem
+from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
 from skygcs.core.vehicle.autopilot import GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, Destination
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle

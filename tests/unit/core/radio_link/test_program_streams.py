@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.radio_link.program_streams import (
     ALL_GROUPS,
-    GROUPS,
+    ARDUPILOT_GROUPS,
     MOST_ITEMS,
     MOST_PROGRAMS,
     Leftover,
@@ -45,7 +45,7 @@ def test_all_streams_are_each_of_the_groups() -> None:
     requests = ProgramStreams()
     requests.on_request(1, MAVPROXY, Stream(ALL_GROUPS, None), lambda: {})
     requests.on_request(1, QGC, POSITION, lambda: {})
-    assert left(requests, QGC) == {1: {Stream(group, None) for group in GROUPS} - {POSITION}}
+    assert left(requests, QGC) == {1: {Stream(group, None) for group in ARDUPILOT_GROUPS} - {POSITION}}
 
 
 def test_a_rebooted_vehicle_knows_of_no_request() -> None:
@@ -97,10 +97,12 @@ def test_a_message_goes_back_to_the_vehicles_default_or_to_what_we_ask_for() -> 
     assert restoring(Leftover(ATTITUDE, {"ATTITUDE": 20.0}), {"ATTITUDE": 19.0}, WANTED) == []
 
 
-RATES = st.dictionaries(st.sampled_from(sorted({n for names in GROUPS.values() for n in names})), st.floats(0, 100))
+RATES = st.dictionaries(
+    st.sampled_from(sorted({n for names in ARDUPILOT_GROUPS.values() for n in names})), st.floats(0, 100)
+)
 
 
-@given(st.sampled_from(sorted(GROUPS)), RATES, RATES)
+@given(st.sampled_from(sorted(ARDUPILOT_GROUPS)), RATES, RATES)
 def test_what_is_as_before_is_left_alone_and_nothing_of_ours_is_turned_off(
     group: int, before_hz: dict[str, float], now_hz: dict[str, float]
 ) -> None:
@@ -109,4 +111,6 @@ def test_what_is_as_before_is_left_alone_and_nothing_of_ours_is_turned_off(
     requests = restoring(leftover, now_hz, WANTED)
     if requests and requests[0].rate_hz == 0.0:
         asked = {request.stream.message for request in requests[1:]}
-        assert {name for name in GROUPS[group] if name in WANTED and before_hz.get(name, 0.0) <= WANTED[name]} <= asked
+        assert {
+            name for name in ARDUPILOT_GROUPS[group] if name in WANTED and before_hz.get(name, 0.0) <= WANTED[name]
+        } <= asked
