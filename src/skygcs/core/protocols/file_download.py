@@ -30,8 +30,6 @@ number, so that what is late from the last one is not taken for this one's.
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
 
@@ -46,7 +44,7 @@ from skygcs.core.mavlink.ftp_payload import (
     error_text,
 )
 from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Send
-from skygcs.core.protocols.reply_time import ReplyWait
+from skygcs.core.protocols.sliding_window import SlidingWindow
 
 WINDOW = 4
 """Reads under way. ArduPilot queues 5 requests and forgets what does not fit."""
@@ -109,13 +107,6 @@ class FileState(Enum):
     DONE = auto()
 
 
-@dataclass(slots=True)
-class _Read:
-    at: float
-    due: float
-    first: bool
-
-
 class FileDownload(ProtocolMachine):
     """See the table at the top. Only replies of this vehicle to us may be handed in.
 
@@ -146,16 +137,16 @@ class FileDownload(ProtocolMachine):
         self._max_blocks = -(-max_bytes // MAX_DATA_BYTES)
         self._max_bytes = max_bytes
         self._bursts = burst
-        self._window = window
-        self._spacing_s = 0.0 if bytes_per_s is None else FRAME_BYTES / bytes_per_s
+        spacing_s = 0.0 if bytes_per_s is None else FRAME_BYTES / bytes_per_s
+        self._reads = SlidingWindow(
+            self._next_unread, self._is_missing, size=window, spacing_s=spacing_s, max_tries=MAX_TRIES
+        )
         self._started = 0.0
         self._heard = 0.0
         self._seq = 0
         self._sessions = 0
-        self._next_send = -math.inf
         self._percent = -1
         self._size: int | None = None
-        self._wait = ReplyWait()
         self._forget()
 
     def _forget(self) -> None:
@@ -167,11 +158,9 @@ class FileDownload(ProtocolMachine):
         """Number of blocks, an empty one behind full ones not counted; None while not known."""
         self._highest = -1
         self._burst_from = 0
-        self._under_way: dict[int, _Read] = {}
+        self._reads.clear()
         self._block_of: dict[int, int] = {}
         """By the sequence number of each read."""
-        self._tries: dict[int, int] = {}
-        self._again: deque[int] = deque()
         self._next_block = 0
 
     @property
@@ -233,7 +222,7 @@ class FileDownload(ProtocolMachine):
 
     def _ask_to_open(self, now: float) -> tuple[Effect, ...]:
         """With the same sequence number each time: ArduPilot gives the same answer again then."""
-        self.deadline = now + min(self._wait.seconds * (1 + self._opens), MOST_OPEN_WAIT_S)
+        self.deadline = now + min(self._reads.timeout.seconds * (1 + self._opens), MOST_OPEN_WAIT_S)
         self._opens += 1
         return (self._send(Packet(self._open_seq, self.session, Op.OPEN_FILE_RO, self._path)),)
 
@@ -286,9 +275,7 @@ class FileDownload(ProtocolMachine):
             return self._finish(now, "too_large", f"it is larger than {self._max_bytes} bytes")
         self._heard = now
         self._seq = self._later(reply.seq)
-        request = self._under_way.pop(block, None)
-        if request is not None and request.first and reply.req_opcode == Op.READ_FILE:
-            self._wait.measured(now - request.at)
+        self._reads.answered(block, now, measure=reply.req_opcode == Op.READ_FILE)
         new = block not in self._blocks
         self._blocks[block] = reply.data
         self._highest = max(self._highest, block)
@@ -316,9 +303,9 @@ class FileDownload(ProtocolMachine):
         if block is None:
             return ()
         if reply.error != Error.END_OF_FILE:
-            return self._reopen(reply, now) if block in self._under_way else ()
+            return self._reopen(reply, now) if block in self._reads else ()
         self._heard = now
-        self._under_way.pop(block, None)
+        self._reads.answered(block, now, measure=False)
         self._ends_after(block)
         return self._complete(now) if self._whole else self._fill(now)
 
@@ -340,47 +327,25 @@ class FileDownload(ProtocolMachine):
         """Read what is missing, as many blocks as may be under way, in their turns; sets the deadline."""
         if now >= self._heard + SILENCE_S:  # as the deadline is reckoned: a rounding must not ask for it again
             return self._finish(now, "timeout", f"nothing more of it came for {SILENCE_S:.0f} s")
-        for block in [b for b, r in self._under_way.items() if now >= r.due]:
-            self._wait.overdue(now)
-            del self._under_way[block]
-            if self._tries[block] == MAX_TRIES:
-                return self._finish(now, "incomplete", f"incomplete after {MAX_TRIES} reads of one part")
-            self._again.append(block)
-        effects: list[Effect] = []
-        due = math.inf
-        while len(self._under_way) < self._window:
-            if now < self._next_send:
-                due = self._next_send
-                break
-            missing = self._next_missing()
-            if missing is None:
-                break
-            effects.append(self._read(missing, now))
-        due = min([due, *(r.due for r in self._under_way.values())])
-        self.deadline = min(due, self._heard + SILENCE_S)
-        return tuple(effects)
+        blocks = self._reads.advance(now)
+        if self._reads.given_up:
+            return self._finish(now, "incomplete", f"incomplete after {MAX_TRIES} reads of one part")
+        self.deadline = min(self._reads.due, self._heard + SILENCE_S)
+        return tuple(self._read(block) for block in blocks)
 
-    def _next_missing(self) -> int | None:
-        """A block that is to be read next; one behind the highest that came, if the end is not known."""
-        while self._again:
-            block = self._again.popleft()
-            if self._wanted(block):
-                return block
+    def _next_unread(self) -> int | None:
+        """The next block that was not read yet; one behind the highest that came, if the end is not known."""
         while self._next_block in self._blocks:
             self._next_block += 1
-        if not self._wanted(self._next_block) or self._next_block >= self._max_blocks + 1:
+        if not self._is_missing(self._next_block) or self._next_block >= self._max_blocks + 1:
             return None
         self._next_block += 1
         return self._next_block - 1
 
-    def _wanted(self, block: int) -> bool:
+    def _is_missing(self, block: int) -> bool:
         return block not in self._blocks and (self._end is None or block < self._end)
 
-    def _read(self, block: int, now: float) -> Send:
-        tries = self._tries.get(block, 0)
-        self._tries[block] = tries + 1
-        self._under_way[block] = _Read(now, now + self._wait.seconds, tries == 0)
-        self._next_send = now + self._spacing_s
+    def _read(self, block: int) -> Send:
         self._seq = (self._seq + 1) & 0xFFFF
         self._block_of[self._seq] = block
         offset = block * MAX_DATA_BYTES

@@ -29,14 +29,13 @@ leaves count and indices as they are is seen by PX4's hash only (`HASH_NAME`), b
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, ParamType, ParamValue
 from skygcs.core.protocols.base import Effect, Finish, ProtocolMachine, Report, Send
 from skygcs.core.protocols.parameter import LATE_VALUE_S
-from skygcs.core.protocols.reply_time import ReplyWait
+from skygcs.core.protocols.sliding_window import SlidingWindow
 
 VALUE_BYTES = 37
 """PARAM_VALUE as a whole MAVLink 2 frame, which is what a request brings down."""
@@ -99,13 +98,6 @@ class ListState(Enum):
     DONE = auto()
 
 
-@dataclass(slots=True)
-class _Request:
-    at: float
-    due: float
-    first: bool
-
-
 class ParamList(ProtocolMachine):
     """See the table at the top. Only PARAM_VALUEs of this vehicle may be handed in.
 
@@ -128,23 +120,22 @@ class ParamList(ProtocolMachine):
         """Messages sent: at most 1 + (MAX_RESTARTS + 1) * MAX_TRIES for each parameter."""
         self._burst = burst
         self._stops_burst = stops_burst
-        self._window = window
-        self._spacing_s = 0.0 if bytes_per_s is None else VALUE_BYTES / bytes_per_s
+        spacing_s = 0.0 if bytes_per_s is None else VALUE_BYTES / bytes_per_s
+        self._requests = SlidingWindow(
+            self._next_index, self._is_missing, size=window, spacing_s=spacing_s, max_tries=MAX_TRIES
+        )
         self._started = 0.0
         self._began = 0.0
         self._heard = 0.0
         self._matched = 0.0
         self._strangers = 0
         self._restarts = 0
-        self._next_send = -math.inf
         self._percent = -1
-        self._wait = ReplyWait()
         self._names: dict[int, str] = {}
         self._params: dict[str, Param] = {}
         self._index_of: dict[str, int] = {}
-        self._under_way: dict[int, _Request] = {}
-        self._tries: dict[int, int] = {}
-        self._todo: deque[int] = deque((0,))
+        self._requested = 0
+        """Indices below this were requested, or came."""
 
     @property
     def done(self) -> bool:
@@ -179,16 +170,13 @@ class ParamList(ProtocolMachine):
         self._heard = now
         if self.count is None:
             self.count = value.count
-            self._todo.extend(range(1, self.count))
         if value.count != self.count or self._contradicts(index, param.name):
             self._strangers += 1
             late = now - self._matched >= LATE_VALUE_S
             return self._restart(now) if late and self._strangers > 1 else ()
         self._matched = now
         self._strangers = 0
-        request = self._under_way.pop(index, None)
-        if request is not None and request.first:
-            self._wait.measured(now - request.at)
+        self._requests.answered(index, now)
         new = index not in self._names
         self._names[index] = param.name
         self._index_of[param.name] = index
@@ -234,9 +222,10 @@ class ParamList(ProtocolMachine):
         self.count = None
         self._strangers = 0
         self._percent = -1
-        for table in (self._names, self._params, self._index_of, self._under_way, self._tries):
+        for table in (self._names, self._params, self._index_of):
             table.clear()
-        self._todo = deque((0,))
+        self._requests.clear()
+        self._requested = 0
         return ()
 
     def _fill(self, now: float) -> tuple[Effect, ...]:
@@ -244,31 +233,24 @@ class ParamList(ProtocolMachine):
         if now >= self._heard + SILENCE_S:  # as the deadline is reckoned: a rounding must not ask for it again
             text = f"nothing more of its parameters came for {SILENCE_S:.0f} s{self._missing()}"
             return self._finish(now, "incomplete" if self._names else "timeout", text)
-        for index in [i for i, r in self._under_way.items() if now >= r.due]:
-            self._wait.overdue(now)
-            del self._under_way[index]
-            if self._tries[index] < MAX_TRIES:
-                self._todo.append(index)
-        effects: list[Effect] = []
-        while self._todo and len(self._under_way) < self._window and now >= self._next_send:
-            index = self._todo.popleft()
-            if index not in self._names:
-                effects.append(self._ask(index, now))
-        if not self._todo and not self._under_way:
+        indices = self._requests.advance(now)
+        if self._requests.due == math.inf:
             return self._finish(now, "incomplete", f"incomplete after {MAX_TRIES} requests each{self._missing()}")
-        self.deadline = min([r.due for r in self._under_way.values()], default=math.inf)
-        if self._todo and len(self._under_way) < self._window:
-            self.deadline = min(self.deadline, self._next_send)
-        self.deadline = min(self.deadline, self._heard + SILENCE_S)
-        return tuple(effects)
+        self.deadline = min(self._requests.due, self._heard + SILENCE_S)
+        self.sent += len(indices)
+        return tuple(Send("PARAM_REQUEST_READ", {"param_id": "", "param_index": index}) for index in indices)
 
-    def _ask(self, index: int, now: float) -> Send:
-        tries = self._tries.get(index, 0)
-        self._tries[index] = tries + 1
-        self._under_way[index] = _Request(now, now + self._wait.seconds, tries == 0)
-        self._next_send = now + self._spacing_s
-        self.sent += 1
-        return Send("PARAM_REQUEST_READ", {"param_id": "", "param_index": index})
+    def _next_index(self) -> int | None:
+        """The next index that was not requested yet; only 0 while it is not known how many there are."""
+        while self._requested in self._names:
+            self._requested += 1
+        if self._requested >= (self.count or 1):
+            return None
+        self._requested += 1
+        return self._requested - 1
+
+    def _is_missing(self, index: int) -> bool:
+        return index not in self._names
 
     def _report(self) -> tuple[Effect, ...]:
         assert self.count is not None
