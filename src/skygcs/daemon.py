@@ -24,7 +24,7 @@ from skygcs.config.regular_file import open_regular
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT
+from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RouteNote
 from skygcs.core.routing.table_room import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
@@ -40,7 +40,7 @@ from skygcs.runtime.correction_feed import CorrectionFeed
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
-from skygcs.runtime.link_watch import RADIO, RADIO_STATUS, LinkWatch
+from skygcs.runtime.link_watch import LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog

@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink
 from skygcs.daemon import Daemon
-from skygcs.tlog.flight import Flight
+from skygcs.tlog.flight import RecordedFlight
 from skygcs.tlog.flight_table import FlightTables
 from skygcs.tlog.reading import LogReader
 
@@ -83,7 +83,7 @@ async def test_the_vehicle_keeps_its_state_and_the_rival_is_reported(tmp_path: P
 @RIVALS
 def test_plots_and_tables_show_the_same(name: str, sysid: int) -> None:
     dialect = load_dialect(FleetConfig().dialect)
-    flight, tables = Flight(dialect), FlightTables(dialect)
+    flight, tables = RecordedFlight(dialect), FlightTables(dialect)
     modes: list[str] = []
     for entry in LogReader((DATA / f"{name}.tlog").read_bytes(), dialect, "tlog"):
         flight.add(entry)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.core.control.trace import Entry, Trace, decode, rerun
+from skygcs.core.control.trace import Trace, TraceEntry, decode, rerun
 from skygcs.runtime.trace_file import TraceFile
 from support.flown import flown
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.looptime
 KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
 
 
-def read(path: Path) -> tuple[Trace, list[Entry]]:
+def read(path: Path) -> tuple[Trace, list[TraceEntry]]:
     with path.open(encoding="ascii") as lines:
         trace = decode(lines)
         return trace, list(trace)

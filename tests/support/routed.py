@@ -8,7 +8,7 @@ from typing import Any
 from skygcs.config.dialects import load_dialect
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing.decision import Decision, Verdict
+from skygcs.core.routing.decision import Decision, RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy
 from skygcs.core.routing.router import Router
 
@@ -64,7 +64,7 @@ class RoutedNet:
         for frame in frames:
             decision = self.router.decide(self.ids[name], frame, self.now)
             if frame.sysid << 8 | frame.compid in self.router.state_sources:
-                copy = decision.verdict is Verdict.DUPLICATE
+                copy = decision.verdict is RoutingVerdict.DUPLICATE
                 self.counted.append((name, self.router.supplies(self.ids[name], frame, self.now, copy=copy)))
             self.decisions.append(decision)
             for channel_id in decision.destinations:

@@ -157,14 +157,14 @@ def replay(
 
     def command() -> int:
         from skygcs.cli.trace_file import read_trace
-        from skygcs.core.control.trace import ATTITUDE, VELOCITY, Entry, Mismatch, rerun
+        from skygcs.core.control.trace import ATTITUDE, VELOCITY, Mismatch, TraceEntry, rerun
 
         steps = 0
         mismatches: list[Mismatch] = []
         count = 0
         with read_trace(file) as trace:
 
-            def counted() -> Iterator[Entry]:
+            def counted() -> Iterator[TraceEntry]:
                 nonlocal steps
                 for entry in trace:
                     steps += entry.row.control_mode in (ATTITUDE, VELOCITY)

@@ -12,9 +12,9 @@ from typing import Any
 from skygcs.config.dialects import load_dialect, offline_dialect
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
-from skygcs.tlog.faults import Faults
+from skygcs.tlog.faults import LogFaults
 from skygcs.tlog.format import ByteSource, sniff
-from skygcs.tlog.reading import Entry, LogKind, LogReader
+from skygcs.tlog.reading import LogEntry, LogKind, LogReader
 
 PROGRESS_FROM_BYTES = 20 << 20
 """Some 2 s of work; below this a bar would only flash up."""
@@ -64,7 +64,7 @@ class LogFile:
     def __init__(self, path: Path, data: ByteSource, dialect: Dialect) -> None:
         self.path = path
         self.dialect = dialect
-        self.faults = Faults()
+        self.faults = LogFaults()
         self.size = len(data)
         kind: LogKind | None = sniff(data, dialect) or ("tlog" if path.suffix.lower() == ".tlog" and data else None)
         if kind is None:
@@ -77,7 +77,7 @@ class LogFile:
         """What names of files made from it begin with."""
         return self.path.stem
 
-    def entries(self) -> Iterator[Entry]:
+    def entries(self) -> Iterator[LogEntry]:
         """Raises SkygcsError at the end if there was no MAVLink in it."""
         reader = LogReader(self._data, self.dialect, self.kind)
         progress = Progress(self._data)

@@ -11,7 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from skygcs.core.mavlink.dialect import Dialect
-    from skygcs.tlog.selection import Selection, Source
+    from skygcs.tlog.selection import Selection, SourceFilter
 
 LogPath = Annotated[
     Path, typer.Argument(metavar="FILE", help="A tlog, or bytes as they came from a link.", show_default=False)
@@ -100,9 +100,9 @@ def moment(text: str, option: str) -> float | int:
     return round(when.timestamp() * 1e6)
 
 
-def sources(text: str, names: dict[str, int]) -> frozenset[Source]:
+def sources(text: str, names: dict[str, int]) -> frozenset[SourceFilter]:
     """System ids, ranges, components and names, with commas between. Raises BadParameter."""
-    found: set[Source] = set()
+    found: set[SourceFilter] = set()
     for part in (part.strip() for part in text.split(",")):
         single, span = _SOURCE.fullmatch(part), _RANGE.fullmatch(part)
         if part in names:

@@ -12,12 +12,13 @@ from typing import Any
 from skygcs.cli.log_file import KIND_NAMES, dialect_named, opened_log
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, TYPE_GENERIC, HeartbeatChecks
+from skygcs.core.mavlink.heartbeat import TYPE_GENERIC, HeartbeatChecks
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
+from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.errors import SkygcsError
-from skygcs.tlog.faults import Faults
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.faults import LogFaults
+from skygcs.tlog.reading import LogEntry
 
 MOST_KINDS = 8
 """Different (autopilot, type) of one source's heartbeats that are told apart; more are an attack."""
@@ -108,7 +109,7 @@ class Census:
         self._vehicles: dict[int, SeenVehicle] = {}
         self._heartbeats = HeartbeatChecks()
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: LogEntry) -> None:
         """The next entry, in the file's order."""
         self.verdicts[entry.verdict] += 1
         elapsed_s = None if entry.unix_us is None else entry.at_s
@@ -135,7 +136,7 @@ class Census:
                     vehicle = self._vehicles[key] = SeenVehicle(frame.sysid, frame.compid, elapsed_s)
                 vehicle.on_heartbeat(frame, elapsed_s)
 
-    def as_dict(self, faults: Faults) -> dict[str, Any]:
+    def as_dict(self, faults: LogFaults) -> dict[str, Any]:
         """``faults`` as the reader of the entries counted them."""
         counts = sorted(((s.count, k) for k, s in self._sources.items() if s.count), key=lambda found: -found[0])
         bad_crc = faults.bad_crc.count

@@ -16,7 +16,7 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.errors import SkygcsError
 from skygcs.tlog.flight import MOST_VEHICLES
 from skygcs.tlog.format import encode_record
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.reading import LogEntry
 from skygcs.tlog.selection import Selection
 
 REST = "rest"
@@ -109,7 +109,7 @@ def split_log(path: Path, folder: Path, dialect: Dialect, force: bool) -> list[s
     return [f"{names[part]}: {counts[part]:,} {_units(log)}" for part in order]
 
 
-def write_entry(file: IO[bytes], entry: Entry) -> None:
+def write_entry(file: IO[bytes], entry: LogEntry) -> None:
     """As a record, or as it is if it has no time."""
     file.write(entry.raw if entry.unix_us is None else encode_record(entry.unix_us, entry.raw))
 
@@ -129,7 +129,7 @@ class _Parts:
         for key in sorted(vehicles, reverse=True):
             self._first[key[0]] = key
 
-    def of(self, entry: Entry) -> VehicleKey | None:
+    def of(self, entry: LogEntry) -> VehicleKey | None:
         frame = entry.frame
         if frame is None:
             return None
@@ -155,7 +155,7 @@ def _suffix(log: LogFile) -> str:
     return suffix or TLOG_SUFFIX
 
 
-def _time_us(entry: Entry) -> int:
+def _time_us(entry: LogEntry) -> int:
     return entry.unix_us or 0
 
 
@@ -163,7 +163,7 @@ def _units(log: LogFile) -> str:
     return "records" if log.kind == "tlog" else "frames"
 
 
-def selected(log: LogFile, selection: Selection) -> Iterator[Entry]:
+def selected(log: LogFile, selection: Selection) -> Iterator[LogEntry]:
     """The entries that are selected."""
     check_times(log, selection)
     return (entry for entry in log.entries() if selection.takes(entry))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from skygcs.cli.figure import svg
 from skygcs.cli.tlog_panels import HEADS, gid, summary_row
-from skygcs.tlog.flight import Flight, VehicleFlight
+from skygcs.tlog.flight import RecordedFlight, VehicleFlight
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ document.getElementById("none").addEventListener("click", () => boxes.forEach((b
 """
 
 
-def page(figure: Figure, flight: Flight, name: str, faults: Sequence[str]) -> str:
+def page(figure: Figure, flight: RecordedFlight, name: str, faults: Sequence[str]) -> str:
     """The whole document. Texts of the vehicles are shown as text, whatever they hold."""
     vehicles = sorted(flight.vehicles.values(), key=lambda v: (v.sysid, v.compid))
     return "\n".join(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from skygcs.tlog.curves import Curve
-from skygcs.tlog.flight import Flight, VehicleFlight
+from skygcs.tlog.flight import RecordedFlight, VehicleFlight
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +63,7 @@ def gid(vehicle: VehicleFlight, what: str) -> str:
 # --- the map ---------------------------------------------------------------------------------------------------------
 
 
-def draw_map(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]) -> None:
+def draw_map(panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]) -> None:
     """The vehicles that told a position; there is one at least."""
     placed = [v for v in vehicles if v.track.ends is not None]
     for vehicle in placed:
@@ -103,7 +103,7 @@ def _widen(panel: Axes, placed: Sequence[VehicleFlight]) -> None:
     panel.autoscale_view()
 
 
-def _map_title(flight: Flight, placed: Sequence[VehicleFlight]) -> str:
+def _map_title(flight: RecordedFlight, placed: Sequence[VehicleFlight]) -> str:
     own = [v.name for v in placed if v.place == "LOCAL_POSITION_NED"]
     text = "○ first, ■ last position"
     if flight.origin is not None and len(own) < len(placed):
@@ -228,7 +228,7 @@ def draw_lines(
 
 
 def draw_rows(
-    panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight], styles: dict[str, Style], what: str
+    panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleFlight], styles: dict[str, Style], what: str
 ) -> None:
     """One row for each vehicle, the first on top: its modes, or what its link lost."""
     if what == "modes":
@@ -245,7 +245,7 @@ def draw_rows(
     panel.set_ylabel(what)
 
 
-def _draw_modes(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) -> None:
+def _draw_modes(panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleFlight]) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -328,7 +328,7 @@ def _armed(vehicle: VehicleFlight) -> list[tuple[float, float]]:
     return times
 
 
-def _draw_links(panel: Axes, flight: Flight, vehicles: Sequence[VehicleFlight]) -> None:
+def _draw_links(panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleFlight]) -> None:
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.patches import Patch
 

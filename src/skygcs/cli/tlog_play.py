@@ -15,7 +15,7 @@ from skygcs.cli.tlog_cut import check_times
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
 from skygcs.tlog.played import Told
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.reading import LogEntry
 from skygcs.tlog.selection import Selection
 from skygcs.tlog.timeline import Pace
 
@@ -86,7 +86,7 @@ class Player:
             self._progress(log, entry)
         return sent
 
-    def _chosen(self, log: LogFile, selection: Selection) -> Iterator[Entry]:
+    def _chosen(self, log: LogFile, selection: Selection) -> Iterator[LogEntry]:
         told = Told()
         for entry in log.entries():
             passes = self._everything and entry.frame is not None
@@ -106,7 +106,7 @@ class Player:
         except OSError as error:
             raise SkygcsError(f"{self._address[0]}:{self._address[1]}: {error.strerror or error}") from None
 
-    def _progress(self, log: LogFile, entry: Entry) -> None:
+    def _progress(self, log: LogFile, entry: LogEntry) -> None:
         now = self._clock()
         if now - self._shown_at >= SHOWN_EVERY_S:
             self._shown_at = now

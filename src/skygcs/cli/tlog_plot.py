@@ -15,7 +15,7 @@ from skygcs.cli.tlog_panels import Style, draw_lines, draw_map, draw_rows, draw_
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
-from skygcs.tlog.flight import Flight, VehicleFlight
+from skygcs.tlog.flight import RecordedFlight, VehicleFlight
 from skygcs.tlog.selection import Selection
 
 if TYPE_CHECKING:
@@ -42,11 +42,13 @@ LINE_STYLES = ("-", "--", ":", "-.")
 MOST_DRAWN = len(LINE_STYLES) * (len(COLOURS) + len(MORE_COLOURS))
 
 
-def read_flight(path: Path, selection: Selection, origin: Origin | None, dialect: Dialect) -> tuple[Flight, list[str]]:
+def read_flight(
+    path: Path, selection: Selection, origin: Origin | None, dialect: Dialect
+) -> tuple[RecordedFlight, list[str]]:
     """What the selected part of a log tells, and the log's faults. Raises SkygcsError if it has no vehicle."""
     with opened_log(path, dialect) as log:
         check_times(log, selection)
-        flight = Flight(dialect, origin)
+        flight = RecordedFlight(dialect, origin)
         for entry in log.entries():
             if selection.in_time(entry):
                 if selection.takes_frame(entry):
@@ -81,14 +83,14 @@ def plot_log(path: Path, out: Path, selection: Selection, place: tuple[float, fl
     return f"{out}: {told(flight)}"
 
 
-def told(flight: Flight) -> str:
+def told(flight: RecordedFlight) -> str:
     """The flight in one line."""
     vehicles = len(flight.vehicles)
     span_s = flight.end_s - (flight.begin_s or 0.0)
     return f"{vehicles} vehicle{'s' * (vehicles > 1)}, {span_s:.1f} s"
 
 
-def flight_figure(flight: Flight, name: str) -> Figure:
+def flight_figure(flight: RecordedFlight, name: str) -> Figure:
     """Map and table on top, below it one panel for each quantity over one axis of time."""
     vehicles = sorted(flight.vehicles.values(), key=lambda v: (v.sysid, v.compid))
     styles = _styles(vehicles)
@@ -133,7 +135,7 @@ def _styles(vehicles: Sequence[VehicleFlight]) -> dict[str, Style]:
     }
 
 
-def _time_label(flight: Flight) -> str:
+def _time_label(flight: RecordedFlight) -> str:
     if flight.begin_us is None:
         return "seconds, by the vehicles' own clocks"
     begin_us = flight.begin_us - round((flight.begin_s or 0.0) * 1e6)

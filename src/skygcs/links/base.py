@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 from skygcs.config.models import LinkConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, encode_payload
+from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import Endpoint

@@ -10,17 +10,17 @@ from typing import Any
 from skygcs.config.radio import ThirdPartyKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.header import CRC_BYTES, HEADER_V2_BYTES, SIGNATURE_BYTES
+from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, AdmissionDecision, ThirdPartyRules, ThirdPartyTraffic
-from skygcs.core.radio_link.admission_frames import FILE_TRANSFER_PROTOCOL, PARAM_VALUE, is_emergency, is_order, parse
+from skygcs.core.radio_link.admission_frames import is_emergency, is_order, parse
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.core.radio_link.pacing import Pacer, RadioRates, report_of
 from skygcs.core.radio_link.transmit_queue import ByteBudget, Priority, TxQueue
 from skygcs.links.base import Outgoing, OwnMessage
 
-FRAME_OVERHEAD_BYTES = 12
+FRAME_OVERHEAD_BYTES = HEADER_V2_BYTES + CRC_BYTES
 """Of MAVLink 2, unsigned."""
-
-SIGNATURE_BYTES = 13
 
 RADIO_SOURCE = (51, 68)
 """SiK's and RFD900x' own frames."""

@@ -7,7 +7,7 @@ import select
 from collections.abc import Callable
 
 
-class Readiness:
+class DescriptorWatcher:
     """Calls ``on_ready`` while ``fd`` can be read, has hung up, or (after `want_write`) can be written.
 
     The descriptor stands in an epoll of its own and the loop watches that epoll. Reason: libuv (uvloop) stops watching

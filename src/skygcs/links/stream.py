@@ -15,7 +15,7 @@ from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.links.base import Channel, Link, Outgoing
 from skygcs.links.queued import QueuedChannel
-from skygcs.links.readiness import Readiness
+from skygcs.links.readiness import DescriptorWatcher
 
 RESCUE_AFTER_S = 0.1
 """Silence after which what the parser holds back is searched for whole frames. The longest frame takes 49 ms at 57600
@@ -122,7 +122,7 @@ class StreamChannel(QueuedChannel):
         self._due: asyncio.TimerHandle | None = None
         self._stuck: asyncio.TimerHandle | None = None
         self._closed = False
-        self._readiness = Readiness(link.loop, fd, self._on_ready)
+        self._readiness = DescriptorWatcher(link.loop, fd, self._on_ready)
         if self.air is not None:
             self.air.on_due = lambda: link.loop.call_soon(self._on_early)  # not amid what came
 

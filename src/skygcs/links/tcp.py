@@ -15,7 +15,7 @@ from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, Link, LinkHost
-from skygcs.links.readiness import Readiness
+from skygcs.links.readiness import DescriptorWatcher
 from skygcs.links.stream import StreamChannel
 
 CONNECT_TIMEOUT_S = 5.0
@@ -60,7 +60,7 @@ class TcpServerLink(Link):
 
     def __init__(self, config: models.TcpServerLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
-        self._listeners: dict[socket.socket, Readiness | None] = {}
+        self._listeners: dict[socket.socket, DescriptorWatcher | None] = {}
         self._clients: dict[StreamChannel, socket.socket] = {}
         self._hosts: dict[StreamChannel, str] = {}
         """Their addresses, without ports."""
@@ -131,7 +131,9 @@ class TcpServerLink(Link):
         self._watch(listener)
 
     def _watch(self, listener: socket.socket) -> None:
-        self._listeners[listener] = Readiness(self.loop, listener.fileno(), lambda: self._on_connecting(listener))
+        self._listeners[listener] = DescriptorWatcher(
+            self.loop, listener.fileno(), lambda: self._on_connecting(listener)
+        )
 
     def _on_connecting(self, listener: socket.socket) -> None:
         for _ in range(ACCEPTS_PER_WAKEUP):

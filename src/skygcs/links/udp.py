@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.config import models
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
+from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.peer_places import Peer

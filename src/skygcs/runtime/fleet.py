@@ -11,7 +11,8 @@ from skygcs.config.models import FleetConfig, VehicleConfig
 from skygcs.core.geo import Origin, world_from_enu
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
+from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority

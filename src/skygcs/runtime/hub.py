@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
+from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.msgids import HEARTBEAT, SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.mavlink.signing import SETUP_SIGNING
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.decision import RouteNote, Verdict
+from skygcs.core.routing.decision import RouteNote, RoutingVerdict
 from skygcs.core.routing.router import Router
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import Endpoint
@@ -55,7 +55,7 @@ A peer that keeps changing its address gets there in hours."""
 WHOLE_DATAGRAM_BYTES = 1472
 """Frames that came in one datagram are sent on in one up to this size, what one Ethernet packet carries."""
 
-_DROPPED = (Verdict.DUPLICATE, Verdict.CONFLICT, Verdict.FILTERED_IN, Verdict.OUT_OF_BOUNDS)
+_DROPPED = (RoutingVerdict.DUPLICATE, RoutingVerdict.CONFLICT, RoutingVerdict.FILTERED_IN, RoutingVerdict.OUT_OF_BOUNDS)
 
 
 class Hub:
@@ -251,10 +251,10 @@ class Hub:
         if self.router.notes:
             self._drain_notes()
 
-    def _counts(self, channel: Channel, frame: Frame, verdict: Verdict, now: float) -> bool:
+    def _counts(self, channel: Channel, frame: Frame, verdict: RoutingVerdict, now: float) -> bool:
         """Whether a frame of a vehicle that is heard on several channels counts for its state. A copy that does is
         shown here: the frame that came first did not count."""
-        copy = verdict is Verdict.DUPLICATE
+        copy = verdict is RoutingVerdict.DUPLICATE
         if verdict in _DROPPED and not copy:
             return False
         counts = self.router.supplies(channel.id, frame, now, copy=copy)
@@ -299,9 +299,9 @@ class Hub:
             return
         forwarded, local, records, count = self.fast_path.take()
         if forwarded:
-            self.router.counters[Verdict.FORWARDED] += forwarded
+            self.router.counters[RoutingVerdict.FORWARDED] += forwarded
         if local:
-            self.router.counters[Verdict.LOCAL] += local
+            self.router.counters[RoutingVerdict.LOCAL] += local
         if count and self._record_many is not None:
             self._record_many(records, count)
 

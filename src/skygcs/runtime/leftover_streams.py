@@ -9,7 +9,8 @@ from functools import partial
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.radio_link.admission_frames import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM, SET_MESSAGE_INTERVAL
+from skygcs.core.mavlink.msgids import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM
+from skygcs.core.radio_link.admission_frames import SET_MESSAGE_INTERVAL
 from skygcs.core.radio_link.program_streams import Leftover, Program, ProgramStreams, Request, Stream, restoring
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.events import Event

@@ -10,7 +10,6 @@ from skygcs.core.preflight.losses import LossWindow
 from skygcs.links.base import Channel
 from skygcs.runtime.hub import Hub
 
-RADIO_STATUS, RADIO = 109, 166
 """The same fields; SiK sends the former, RFD900x firmware both."""
 
 DB_PER_COUNT = 1 / 1.9

@@ -16,6 +16,7 @@ from skygcs.config.models import VehicleConfig
 from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import orders
@@ -39,10 +40,6 @@ from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.undo_journal import UndoJournal
-
-HEARTBEAT = 0
-COMMAND_ACK = 77
-TIMESYNC = 111
 
 ENDING = "skygcs is shutting down"
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from skygcs.core.mavlink.dialect import ABSENT, MessageInfo
-from skygcs.core.mavlink.signing import SETUP_SIGNING
+from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.unguarded import message_way
 from skygcs.core.vehicle.vehicle import Vehicle

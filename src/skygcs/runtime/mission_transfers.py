@@ -13,6 +13,8 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.msgids import EVENT as EVENT_ID
+from skygcs.core.mavlink.msgids import MISSION_CURRENT, MISSION_ITEM_REACHED
 from skygcs.core.mission.firmware_items import Change, grouped
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
@@ -45,8 +47,6 @@ NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_R
           "MISSION_ACK")  # fmt: skip
 """Messages without which a dialect cannot carry a mission."""
 
-MISSION_CURRENT, MISSION_ITEM_REACHED = 42, 46
-EVENT_ID = 410
 MESSAGES = frozenset({40, MISSION_CURRENT, 44, MISSION_ITEM_REACHED, 47, 51, 73, EVENT_ID})
 """Ids of what `on_frame` wants to see."""
 

@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.ftp_payload import MSGID as FILE_TRANSFER
 from skygcs.core.mavlink.ftp_payload import decode
+from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
 from skygcs.core.params.names import other_name
 from skygcs.core.protocols.base import Effect, ProtocolMachine, Report, Send
@@ -38,7 +38,6 @@ from skygcs.runtime.param_book import ParamBook
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.task_set import fault
 
-PARAM_VALUE = 22
 NEEDED = ("PARAM_VALUE", "PARAM_SET", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST")
 
 MAX_EXCHANGES = 16
@@ -154,7 +153,7 @@ class VehicleParams:
             for protocol in list(self._running):
                 if isinstance(protocol, ParameterProtocol):
                     self._apply(protocol, protocol.on_error(name, code, now))
-        elif frame.msgid == FILE_TRANSFER and self._running:
+        elif frame.msgid == FILE_TRANSFER_PROTOCOL and self._running:
             self._on_file_reply(frame, now)
         else:
             return
@@ -169,7 +168,7 @@ class VehicleParams:
     @property
     def messages(self) -> frozenset[int]:
         """Ids of the messages that `on_frame` is to be given."""
-        return frozenset({PARAM_VALUE, FILE_TRANSFER, self._error_id})
+        return frozenset({PARAM_VALUE, FILE_TRANSFER_PROTOCOL, self._error_id})
 
     def on_text(self, text: str) -> None:
         if "constrained" in text and text not in self._texts and len(self._texts) < MAX_TEXTS:

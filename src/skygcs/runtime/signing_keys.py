@@ -22,9 +22,9 @@ from skygcs.core.mavlink.signing import (
     MAX_AHEAD_S,
     TICKS_PER_S,
     Gate,
+    SignatureStreams,
+    SignatureVerdict,
     SigningClock,
-    Streams,
-    Verdict,
     is_signed_with,
     key_id,
     sign,
@@ -44,21 +44,29 @@ SAVE_EVERY_S = 10.0
 """At the latest a clock is on disk after this time; the guide asks for once a minute."""
 
 _KEPT_OUT = {
-    Verdict.UNSIGNED: "is not signed: give its sender the key (skygcs-cli signing setup, over a cable) or name the "
-    "message in accept_unsigned",
-    Verdict.FORGED: "is signed with another key than this link's, or was changed on its way",
-    Verdict.REPLAYED: "is not newer than the one before of its sender: a copy, a replay, or overtaken by a later one; "
-    "links that carry the same vehicles belong in one group",
-    Verdict.STALE: "is {behind_s:.0f} s older than what others signed: played from a recording, or its sender's clock "
-    "is behind and will follow ours as soon as it hears us",
-    Verdict.AHEAD: "is stamped {ahead} ahead of this computer's clock ({now}), and nothing follows it: set this "
-    "computer's clock if that is wrong (a computer without a battery for its clock starts with an old time); else the "
-    "sender's is: give a vehicle its key again over a cable (skygcs-cli signing setup), set another station's clock; "
-    "links.{link}.signing.max_ahead_s allows for more",
-    Verdict.CROWDED: "comes from one sender too many",
+    SignatureVerdict.UNSIGNED: (
+        "is not signed: give its sender the key (skygcs-cli signing setup, over a cable) or name the message in "
+        "accept_unsigned"
+    ),
+    SignatureVerdict.FORGED: ("is signed with another key than this link's, or was changed on its way"),
+    SignatureVerdict.REPLAYED: (
+        "is not newer than the one before of its sender: a copy, a replay, or overtaken by a later one; links "
+        "that carry the same vehicles belong in one group"
+    ),
+    SignatureVerdict.STALE: (
+        "is {behind_s:.0f} s older than what others signed: played from a recording, or its sender's clock is "
+        "behind and will follow ours as soon as it hears us"
+    ),
+    SignatureVerdict.AHEAD: (
+        "is stamped {ahead} ahead of this computer's clock ({now}), and nothing follows it: set this computer's "
+        "clock if that is wrong (a computer without a battery for its clock starts with an old time); else the "
+        "sender's is: give a vehicle its key again over a cable (skygcs-cli signing setup), set another "
+        "station's clock; links.{link}.signing.max_ahead_s allows for more"
+    ),
+    SignatureVerdict.CROWDED: ("comes from one sender too many"),
 }
 
-OnRefused = Callable[[Frame, Verdict], None]
+OnRefused = Callable[[Frame, SignatureVerdict], None]
 
 
 @dataclass(slots=True)
@@ -84,16 +92,18 @@ class LinkSigning:
         self.key = key
         self.gate = gate
         self.wall = wall
-        self.told: set[tuple[Verdict, int]] = set()
+        self.told: set[tuple[SignatureVerdict, int]] = set()
 
 
 class _ChannelSigning:
     """Fulfils `links.base.ChannelSigning` for one channel."""
 
-    def __init__(self, link: LinkSigning, on_refused: Callable[[LinkSigning, Channel, Frame, Verdict], None]) -> None:
+    def __init__(
+        self, link: LinkSigning, on_refused: Callable[[LinkSigning, Channel, Frame, SignatureVerdict], None]
+    ) -> None:
         self._link = link
         self._on_refused = on_refused
-        self._counts = dict.fromkeys(Verdict, 0)
+        self._counts = dict.fromkeys(SignatureVerdict, 0)
         self._sent = 0
 
     def admit(self, channel: Channel, frames: list[Frame]) -> list[Frame]:
@@ -104,7 +114,7 @@ class _ChannelSigning:
         for frame in frames:
             verdict = check(frame, wall)
             counts[verdict] += 1
-            if verdict is Verdict.SIGNED or verdict is Verdict.ALLOWED:
+            if verdict is SignatureVerdict.SIGNED or verdict is SignatureVerdict.ALLOWED:
                 admitted.append(frame)
             else:
                 self._on_refused(self._link, channel, frame, verdict)
@@ -152,7 +162,7 @@ class Signing:
         self._unix_s = unix_s
         self._keys: dict[bytes, _Key] = {}
         self._links: dict[str, LinkSigning] = {}
-        self._streams: dict[tuple[bytes, str | None], Streams] = {}
+        self._streams: dict[tuple[bytes, str | None], SignatureStreams] = {}
         self._watchers: list[OnRefused] = []
         self._store_failed = ""
 
@@ -169,7 +179,7 @@ class Signing:
             raise KeyFileError(error.path, f"{error.reason} (links.{config.name}.signing)") from None
         self._require_own_link_id(config, key)
         scope = config.name if config.group is not None else None
-        streams = self._streams.setdefault((key.secret, scope), Streams(key.clock))
+        streams = self._streams.setdefault((key.secret, scope), SignatureStreams(key.clock))
         allowed = self._allowed(config.signing.accept_unsigned)
         gate = Gate(key.secret, key.clock, streams, allowed, config.signing.max_ahead_s)
         self._links[config.name] = LinkSigning(config, key, gate, self._wall)
@@ -288,7 +298,7 @@ class Signing:
 
     # -- what is told
 
-    def _refused(self, link: LinkSigning, channel: Channel, frame: Frame, verdict: Verdict) -> None:
+    def _refused(self, link: LinkSigning, channel: Channel, frame: Frame, verdict: SignatureVerdict) -> None:
         for watcher in self._watchers:
             watcher(frame, verdict)
         source = frame.sysid << 8 | frame.compid

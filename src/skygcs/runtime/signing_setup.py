@@ -14,7 +14,8 @@ from pathlib import Path
 from skygcs.config.models import SerialLink, TcpClientLink, TcpServerLink, UdpClientLink, UdpServerLink
 from skygcs.config.signing import read_key
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.signing import KEY_BYTES, SETUP_SIGNING, is_signed_with, key_id
+from skygcs.core.mavlink.msgids import SETUP_SIGNING, STATUSTEXT
+from skygcs.core.mavlink.signing import KEY_BYTES, is_signed_with, key_id
 from skygcs.core.protocols.command import MAX_TEXTS, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.flight_evidence import why_not_idle
@@ -31,7 +32,6 @@ TRIES = 3
 WAIT_S = 2.5
 """After each transmission: two heartbeats, and the answer of a slow radio."""
 
-STATUSTEXT = 253
 
 ONLY_DISARMED = "a key is changed on the ground, disarmed"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from skygcs.core.mavlink.frame import SIGNATURE_BYTES
+from skygcs.core.mavlink.header import SIGNATURE_BYTES
 from skygcs.core.radio_link.capacity import FRAME_BYTES, OFFBOARD_LOSS_S, OFFBOARD_MIN_HZ
 from skygcs.links.serial import SerialLink
 from skygcs.runtime.fleet import Fleet

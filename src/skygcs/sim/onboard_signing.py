@@ -10,9 +10,8 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.signing import TICKS_PER_S, Gate, SigningClock, Streams, Verdict, sign
-
-RADIO, RADIO_STATUS = 166, 109
+from skygcs.core.mavlink.msgids import RADIO, RADIO_STATUS
+from skygcs.core.mavlink.signing import TICKS_PER_S, Gate, SignatureStreams, SignatureVerdict, SigningClock, sign
 
 AHEAD_TICKS = 60 * TICKS_PER_S
 """ArduPilot goes on a minute after the time it was told (GCS_Signing.cpp), so that what was heard before is old."""
@@ -34,11 +33,11 @@ class BoardSigning:
             return
         self.key = key
         self.clock = SigningClock(timestamp + AHEAD_TICKS)
-        self._gate = Gate(key, self.clock, Streams(self.clock), frozenset({RADIO, RADIO_STATUS}))
+        self._gate = Gate(key, self.clock, SignatureStreams(self.clock), frozenset({RADIO, RADIO_STATUS}))
 
     def hears(self, frame: Frame) -> bool:
         """Whether a received frame may count."""
-        return self._gate is None or self._gate.check(frame, 0) in (Verdict.SIGNED, Verdict.ALLOWED)
+        return self._gate is None or self._gate.check(frame, 0) in (SignatureVerdict.SIGNED, SignatureVerdict.ALLOWED)
 
     def signed(self, raw: bytes, info: MessageInfo) -> bytes:
         """A frame of its own as it is sent."""

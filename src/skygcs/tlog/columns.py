@@ -6,7 +6,7 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import FieldInfo, MessageInfo
 from skygcs.core.mavlink.frame import Frame
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.reading import LogEntry
 
 LONGEST_SPLIT = 32
 """A longer array of bytes is data (of a file, a log, a serial port) and one cell in hexadecimal."""
@@ -34,7 +34,7 @@ class MessageColumns:
             columns += [(_free(name, taken), kind) for name, kind in _columns_of(field)]
         self.columns = tuple(columns)
 
-    def row(self, entry: Entry, frame: Frame) -> list[Any]:
+    def row(self, entry: LogEntry, frame: Frame) -> list[Any]:
         """A time in microseconds since 1970 or None, numbers as decoded, text."""
         row: list[Any] = [entry.unix_us, frame.sysid, frame.compid]
         values = frame.fields()

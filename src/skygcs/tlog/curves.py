@@ -22,7 +22,7 @@ MOST_SPANS = 1000
 """Mode changes or silences; beyond them they are only counted."""
 
 
-class _Bucket:
+class _CurveBucket:
     """What a curve did within a time: where it began, its ends, and how low and high it went."""
 
     __slots__ = ("begin", "broken", "end", "high", "low")
@@ -38,7 +38,7 @@ class _Bucket:
         if point[1] > self.high[1]:
             self.high = point
 
-    def swallow(self, later: _Bucket) -> None:
+    def swallow(self, later: _CurveBucket) -> None:
         self.add(later.low)
         self.add(later.high)
         self.end = later.end
@@ -50,7 +50,7 @@ class Curve:
     __slots__ = ("_buckets", "_most", "_width_s")
 
     def __init__(self, most: int = MOST_BUCKETS) -> None:
-        self._buckets: list[_Bucket] = []
+        self._buckets: list[_CurveBucket] = []
         self._width_s = FIRST_WIDTH_S
         self._most = most
 
@@ -66,7 +66,7 @@ class Curve:
         if last is not None and not broken and self._index(time_s) == self._index(last.begin[0]):
             last.add((time_s, value))
             return
-        self._buckets.append(_Bucket(time_s, value, broken))
+        self._buckets.append(_CurveBucket(time_s, value, broken))
         while len(self._buckets) > self._most:
             self._coarsen()
 
@@ -95,7 +95,7 @@ class Curve:
     def _coarsen(self) -> None:
         """Twice the width. A break that is no longer than a bucket is not seen any more."""
         self._width_s *= 2
-        kept: list[_Bucket] = []
+        kept: list[_CurveBucket] = []
         for bucket in self._buckets:
             last = kept[-1] if kept else None
             fits = last is not None and self._index(bucket.begin[0]) == self._index(last.begin[0])

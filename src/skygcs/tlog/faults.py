@@ -35,7 +35,7 @@ class Places:
         return f"{self._where} {named}{' …' if self.count > len(self.first) else ''}"
 
 
-class Faults:
+class LogFaults:
     """Faults of one log; ``where``: what the byte is that is told of each."""
 
     def __init__(self, where: str = "at byte") -> None:

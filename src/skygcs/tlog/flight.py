@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from skygcs.core.geo import EnuFrame, Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatChecks
+from skygcs.core.mavlink.heartbeat import HeartbeatChecks
 from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
+from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
@@ -17,7 +18,7 @@ from skygcs.core.vehicle.decoding import TelemetryGroup, fold_battery, fold_gps,
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.tlog.curves import MOST_SPANS, Curve, LossCurve, Track
 from skygcs.tlog.flight_table import VehicleKey
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.reading import LogEntry
 
 FIX_3D = 3
 """GPS_FIX_TYPE: before it a receiver guesses."""
@@ -51,7 +52,7 @@ class Text:
 
 @dataclass
 class VehicleFlight:
-    """One vehicle's flight. Times in seconds of the log (`Entry.at_s`)."""
+    """One vehicle's flight. Times in seconds of the log (`LogEntry.at_s`)."""
 
     sysid: int
     compid: int
@@ -95,7 +96,7 @@ class VehicleFlight:
         return self.stats.loss_ratio
 
 
-class Flight:
+class RecordedFlight:
     """Fed with a log's entries, holds what is to be drawn of them, however long the log is."""
 
     def __init__(self, dialect: Dialect, origin: Origin | None = None) -> None:
@@ -116,7 +117,7 @@ class Flight:
         self._folding: dict[VehicleKey, _Folding] = {}
         self._heartbeats = HeartbeatChecks()
 
-    def discover(self, entry: Entry) -> None:
+    def discover(self, entry: LogEntry) -> None:
         """See who is a vehicle and in which mode: for what lies before the time that is asked for."""
         frame = entry.frame
         if frame is not None and self._heartbeats.own(frame, entry.at_s):
@@ -126,7 +127,7 @@ class Flight:
                 vehicle.modes.clear()
                 self._on_heartbeat(vehicle, frame, entry.at_s)
 
-    def add(self, entry: Entry) -> None:
+    def add(self, entry: LogEntry) -> None:
         frame, now = entry.frame, entry.at_s
         if self.begin_s is None:
             self.begin_s, self.begin_us = now, entry.unix_us

@@ -6,12 +6,13 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatChecks
+from skygcs.core.mavlink.heartbeat import HeartbeatChecks
 from skygcs.core.mavlink.modes import mode_name
+from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup, fold_attitude, fold_position
 from skygcs.tlog.columns import NUMBER, TEXT, TIME, Kind
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.reading import LogEntry
 
 COLUMNS: tuple[tuple[str, Kind], ...] = (
     ("time", TIME),
@@ -44,7 +45,7 @@ class FlightTables:
         self._heartbeats = HeartbeatChecks()
         self._vehicles: dict[VehicleKey, _Newest] = {}
 
-    def row(self, entry: Entry) -> tuple[VehicleKey, list[Any]] | None:
+    def row(self, entry: LogEntry) -> tuple[VehicleKey, list[Any]] | None:
         """The vehicle and its next row, if this entry makes one. In a raw capture ``time`` is `at_s`."""
         frame = entry.frame
         if frame is None or frame.info is None:

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from typing import Literal, Protocol, overload
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import HEADER_V2_BYTES, MAGIC_V1, MAGIC_V2, Frame, Verdict, check, frame_size
+from skygcs.core.mavlink.frame import Frame, FrameVerdict, check
+from skygcs.core.mavlink.header import HEADER_V2_BYTES, MAGIC_V1, MAGIC_V2, frame_size
 from skygcs.core.mavlink.parser import FrameParser
 
 TIME_BYTES = 8
@@ -63,13 +64,13 @@ class Record:
     __slots__ = ("elapsed_s", "frame", "offset", "raw", "unix_us", "verdict")
 
     def __init__(
-        self, unix_us: int, elapsed_s: float, raw: bytes, frame: Frame | None, verdict: Verdict, offset: int
+        self, unix_us: int, elapsed_s: float, raw: bytes, frame: Frame | None, verdict: FrameVerdict, offset: int
     ) -> None:
         self.unix_us = unix_us
         self.elapsed_s = elapsed_s
         self.raw = raw
         self.frame = frame
-        self.verdict: Verdict = verdict
+        self.verdict: FrameVerdict = verdict
         self.offset = offset
 
     def __repr__(self) -> str:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
+from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.routing.source_statistics import RADIO_SOURCE
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.reading import LogEntry
 
 GROUND_STATION_COMPIDS = frozenset({190})
 """MAV_COMP_ID_MISSIONPLANNER: ground stations relay under a vehicle's own system id with it."""
@@ -31,7 +32,7 @@ class Told:
         self._systems: set[int] = set()
         self._ground_stations: set[tuple[int, int]] = set()
 
-    def passes(self, entry: Entry) -> bool:
+    def passes(self, entry: LogEntry) -> bool:
         frame = entry.frame
         if frame is None:
             return False

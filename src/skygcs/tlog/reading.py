@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import Literal
 
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.frame import Frame, Verdict
+from skygcs.core.mavlink.frame import Frame, FrameVerdict
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.tlog.faults import Faults
+from skygcs.tlog.faults import LogFaults
 from skygcs.tlog.format import CLOCK_STEP_US, TIME_BYTES, ByteSource, RecordReader
 from skygcs.tlog.timeline import REORDERED_S, Timeline
 
@@ -20,7 +20,7 @@ PIECE_BYTES = 4096
 BOOT_FIELD = "time_boot_ms"
 
 
-class Entry:
+class LogEntry:
     """One record of a tlog, or one frame of a raw capture.
 
     ``frame`` is None for a wrong CRC only, and its ``info`` for an unknown id. ``unix_us`` is the time as written, None
@@ -31,11 +31,11 @@ class Entry:
     __slots__ = ("at_s", "frame", "offset", "raw", "unix_us", "verdict")
 
     def __init__(
-        self, raw: bytes, frame: Frame | None, verdict: Verdict, unix_us: int | None, at_s: float, offset: int
+        self, raw: bytes, frame: Frame | None, verdict: FrameVerdict, unix_us: int | None, at_s: float, offset: int
     ) -> None:
         self.raw = raw
         self.frame = frame
-        self.verdict: Verdict = verdict
+        self.verdict: FrameVerdict = verdict
         self.unix_us = unix_us
         self.at_s = at_s
         self.offset = offset
@@ -45,15 +45,15 @@ class LogReader:
     """Iterator over the entries of a log in the file's order; ``faults`` are final when it ends. Never raises."""
 
     def __init__(self, data: ByteSource, dialect: Dialect, kind: LogKind) -> None:
-        self.faults = Faults() if kind == "tlog" else Faults("in the 4 kB from byte")
+        self.faults = LogFaults() if kind == "tlog" else LogFaults("in the 4 kB from byte")
         self._data = data
         self._dialect = dialect
         self._entries = self._tlog() if kind == "tlog" else self._raw()
 
-    def __iter__(self) -> Iterator[Entry]:
+    def __iter__(self) -> Iterator[LogEntry]:
         return self._entries
 
-    def _tlog(self) -> Iterator[Entry]:
+    def _tlog(self) -> Iterator[LogEntry]:
         faults, timeline = self.faults, Timeline()
         end = 0
         before_us: int | None = None
@@ -69,7 +69,7 @@ class LogReader:
                 faults.bad_crc.note(offset)
             elif verdict == "unknown" and record.frame is not None:
                 faults.note_unknown(offset, record.frame.msgid)
-            yield Entry(record.raw, record.frame, verdict, unix_us, timeline.at(record.elapsed_s), offset)
+            yield LogEntry(record.raw, record.frame, verdict, unix_us, timeline.at(record.elapsed_s), offset)
         if end < len(self._data):
             faults.note_skipped(end, len(self._data) - end, end=True)
 
@@ -79,7 +79,7 @@ class LogReader:
         else:
             self.faults.note_backwards(offset, -step_us)
 
-    def _raw(self) -> Iterator[Entry]:
+    def _raw(self) -> Iterator[LogEntry]:
         parser = FrameParser(self._dialect)
         clocks = OwnClocks()
         size = len(self._data)
@@ -89,10 +89,10 @@ class LogReader:
             if offset + PIECE_BYTES >= size:
                 frames += parser.finish()
             for frame in frames:
-                verdict: Verdict = "ok" if frame.info is not None else "unknown"
+                verdict: FrameVerdict = "ok" if frame.info is not None else "unknown"
                 if verdict == "unknown":
                     self.faults.note_unknown(offset, frame.msgid)
-                yield Entry(frame.raw, frame, verdict, None, clocks.at_s(frame), offset)
+                yield LogEntry(frame.raw, frame, verdict, None, clocks.at_s(frame), offset)
             self._note_raw(offset, parser.stats.skipped_bytes - before[0], parser.stats.bad_crc - before[1])
 
     def _note_raw(self, offset: int, skipped: int, bad_crc: int) -> None:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skygcs.tlog.reading import Entry
+from skygcs.tlog.reading import LogEntry
 
-Source = tuple[int, int | None]
+SourceFilter = tuple[int, int | None]
 """System and component; None: any component."""
 
 
@@ -21,7 +21,7 @@ class Selection:
 
     begin: float | int | None = None
     end: float | int | None = None
-    sources: frozenset[Source] = frozenset()
+    sources: frozenset[SourceFilter] = frozenset()
     messages: frozenset[int] = frozenset()
     without: frozenset[int] = frozenset()
     addressed: bool = False
@@ -35,10 +35,10 @@ class Selection:
     def timed(self) -> bool:
         return self.begin is not None or self.end is not None
 
-    def takes(self, entry: Entry) -> bool:
+    def takes(self, entry: LogEntry) -> bool:
         return self.in_time(entry) and self.takes_frame(entry)
 
-    def in_time(self, entry: Entry) -> bool:
+    def in_time(self, entry: LogEntry) -> bool:
         """Entries without a time of day are not taken if one is asked for."""
         begin, end = self.begin, self.end
         if begin is not None:
@@ -51,7 +51,7 @@ class Selection:
                 return False
         return True
 
-    def takes_frame(self, entry: Entry) -> bool:
+    def takes_frame(self, entry: LogEntry) -> bool:
         frame = entry.frame
         if frame is None:
             return not (self.sources or self.messages)

@@ -8,8 +8,9 @@ from typing import Any
 import pytest
 
 from skygcs.core.mavlink.frame import Frame, encode
+from skygcs.core.mavlink.msgids import RADIO_STATUS
 from skygcs.core.routing.source_statistics import SourceStats
-from skygcs.runtime.link_watch import RADIO_STATUS, LinkWatch
+from skygcs.runtime.link_watch import LinkWatch
 from support.vehicles import flight_dialect
 
 KEY = 1 << 8 | 1

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from skygcs.core.geo import Origin
-from skygcs.tlog.flight import Flight
+from skygcs.tlog.flight import RecordedFlight
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.played import Told
 from skygcs.tlog.reading import LogReader
@@ -16,8 +16,8 @@ from support.frames import dialect, frame, heartbeat, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, own_capture, vehicles_of
 
 
-def flown(data: bytes, origin: Origin | None = None, kind: str = "tlog") -> Flight:
-    flight = Flight(offline(), origin)
+def flown(data: bytes, origin: Origin | None = None, kind: str = "tlog") -> RecordedFlight:
+    flight = RecordedFlight(offline(), origin)
     for entry in LogReader(data, offline(), "raw" if kind == "raw" else "tlog"):
         flight.add(entry)
     flight.finish()

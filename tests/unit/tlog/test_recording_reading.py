@@ -9,14 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.tlog.format import encode_record
-from skygcs.tlog.reading import Entry, LogKind, LogReader
+from skygcs.tlog.reading import LogEntry, LogKind, LogReader
 from skygcs.tlog.timeline import LONGEST_GAP_S, REORDERED_S, Pace, Timeline
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, noise, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, own_capture
 
 
-def read(data: bytes, kind: LogKind = "tlog") -> tuple[list[Entry], LogReader]:
+def read(data: bytes, kind: LogKind = "tlog") -> tuple[list[LogEntry], LogReader]:
     reader = LogReader(data, offline(), kind)
     return list(reader), reader
 

@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from skygcs.tlog.format import encode_record
-from skygcs.tlog.reading import Entry, LogReader
+from skygcs.tlog.reading import LogEntry, LogReader
 from skygcs.tlog.selection import Selection
 from support.flight_log import T0_US
 from support.frames import dialect, frame, heartbeat, unknown_frame
@@ -15,7 +15,7 @@ from support.frames import dialect, frame, heartbeat, unknown_frame
 ATTITUDE = 30
 
 
-def entries() -> list[Entry]:
+def entries() -> list[LogEntry]:
     """Nine entries, one a second."""
     bad = bytearray(heartbeat(1))
     bad[-1] ^= 1

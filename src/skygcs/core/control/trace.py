@@ -42,9 +42,9 @@ __all__ = [
     "CONTROL_MODES",
     "POSITION",
     "VELOCITY",
-    "Entry",
     "Mismatch",
     "Trace",
+    "TraceEntry",
     "TraceHead",
     "TraceRow",
     "TraceWriter",
@@ -71,7 +71,7 @@ class TraceHead:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class TraceEntry:
     """A row as it was read, with what it needs to be run again."""
 
     line: int
@@ -137,7 +137,7 @@ class Trace:
         """The last line, if it was never finished; known at the end."""
         self._numbered = numbered
 
-    def __iter__(self) -> Iterator[Entry]:
+    def __iter__(self) -> Iterator[TraceEntry]:
         config: ControlConfig | None = None
         memory: Memory | None = None
         for number, line in self._numbered:
@@ -156,7 +156,7 @@ class Trace:
                 continue
             if config is None:
                 raise TraceError(number, "a row before the remark 'config'")
-            yield Entry(number, decode_row(number, whole), config, memory)
+            yield TraceEntry(number, decode_row(number, whole), config, memory)
             memory = None
 
 
@@ -179,7 +179,7 @@ def decode(lines: Iterable[str]) -> Trace:
     raise TraceError(1, "no line of columns: not a control trace, or one that was cut before its first row")
 
 
-def rerun(entries: Iterable[Entry]) -> Iterator[Mismatch]:
+def rerun(entries: Iterable[TraceEntry]) -> Iterator[Mismatch]:
     """Run the law over what was recorded; gives every cell that does not come out bit for bit as it was recorded.
 
     Rows of ``position``, and those in which nothing was sent, have nothing of ours to compare. After a mismatch the

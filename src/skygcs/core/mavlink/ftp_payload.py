@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 MESSAGE = "FILE_TRANSFER_PROTOCOL"
-MSGID = 110
 
 CAPABILITY_FTP = 1 << 5
 """MAV_PROTOCOL_CAPABILITY_FTP of AUTOPILOT_VERSION."""

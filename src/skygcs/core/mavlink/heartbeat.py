@@ -20,10 +20,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V2, Frame
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.header import HEADER_BYTES
 from skygcs.core.mavlink.modes import SAFETY_ARMED
-
-HEARTBEAT = 0
+from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT
 
 AUTOPILOT_GENERIC = 0
 AUTOPILOT_INVALID = 8
@@ -61,7 +61,6 @@ STATE_COMMANDS = frozenset({11, 20, 21, 22, 24, 176, 192, 252, 300, 400})
 NAV_RETURN_TO_LAUNCH, NAV_LAND, NAV_TAKEOFF, NAV_TAKEOFF_LOCAL, DO_SET_MODE, DO_REPOSITION, OVERRIDE_GOTO,
 MISSION_START, COMPONENT_ARM_DISARM."""
 
-COMMAND_ACK = 77
 MAV_RESULT_ACCEPTED = 0
 
 ALTERNATION_OVER_S = 4.0
@@ -108,7 +107,7 @@ def heartbeat_fields(frame: Frame) -> tuple[int, int, int, int]:
 def shown_by(heartbeat: Frame) -> bytes:
     """Custom mode, type, autopilot and base mode: the first seven bytes of the payload."""
     raw = heartbeat.raw
-    at = HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES
+    at = HEADER_BYTES[raw[0]]
     shown = raw[at : at + min(raw[1], 7)]
     return shown if len(shown) == 7 else shown.ljust(7, b"\0")
 

@@ -19,14 +19,16 @@ from dataclasses import dataclass
 from fastcrc.crc16 import mcrf4xx
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import (
+from skygcs.core.mavlink.frame import Frame, check
+from skygcs.core.mavlink.header import (
     HEADER_V1_BYTES,
     HEADER_V2_BYTES,
     INCOMPAT_SIGNED,
     MAGIC_V1,
     MAGIC_V2,
-    Frame,
-    check,
+    Header,
+    crc_offset,
+    decode_header,
     frame_size,
 )
 
@@ -147,39 +149,30 @@ class FrameParser:
 
     def _frame_at(self, buffer: bytes, at: int, end: int, *, final: bool, count: bool) -> tuple[Frame | None, int]:
         """(frame, its size) at a magic byte, or (None, NEED_MORE or NOT_A_FRAME)."""
-        if buffer[at] == MAGIC_V2:
-            if end - at < HEADER_V2_BYTES:
-                return None, NEED_MORE
-            length = buffer[at + 1]
-            incompat = buffer[at + 2]
-            if incompat > INCOMPAT_SIGNED:
-                return None, NOT_A_FRAME  # flags nobody defined: cannot be parsed (serialization guide)
-            seq, sysid, compid = buffer[at + 4], buffer[at + 5], buffer[at + 6]
-            msgid = buffer[at + 7] | buffer[at + 8] << 8 | buffer[at + 9] << 16
-            info = self._messages.get(msgid)
-            crc_at = at + 10 + length
-            size = length + 25 if incompat else length + 12
-            plain = buffer[at + 3] == 0
-        else:
-            if end - at < HEADER_V1_BYTES:
-                return None, NEED_MORE
-            length, seq, sysid, compid, msgid = buffer[at + 1 : at + 6]
-            info = self._messages.get(msgid)
-            if info is not None and not info.min_length <= length <= info.length:
-                return None, NOT_A_FRAME  # up to info.length, as pymavlink sends extensions in MAVLink 1 too
-            crc_at = at + 6 + length
-            size = length + 8
-            plain = True
+        header = decode_header(buffer, at)
+        if header is None:
+            return None, NEED_MORE
+        # what the header alone rules out
+        length, incompat, compat, seq, sysid, compid, msgid, size = header
+        if incompat > INCOMPAT_SIGNED:
+            return None, NOT_A_FRAME  # undefined flags: cannot be parsed (serialization guide)
+        info = self._messages.get(msgid)
+        first_version = buffer[at] == MAGIC_V1
+        if first_version and info is not None and not info.min_length <= length <= info.length:
+            return None, NOT_A_FRAME  # up to info.length, as pymavlink sends extensions in MAVLink 1 too
         source = sysid << 8 | compid
+        # an unknown id has no CRC_EXTRA: it is taken from verified sources only
         if info is None:
-            if not plain or source not in self.verified:
+            if compat or source not in self.verified:
                 self.stats.unverified += count
                 return None, NOT_A_FRAME  # at once: it never makes good frames wait for its length
             if at + size > end:
                 return None, NEED_MORE
-            return self._unknown_at(buffer, at, size, end, (seq, sysid, compid, msgid), final=final, count=count)
+            return self._unknown_at(buffer, at, end, header, final=final, count=count)
         if at + size > end:
             return None, NEED_MORE
+        # the CRC decides
+        crc_at = at + (HEADER_V1_BYTES if first_version else HEADER_V2_BYTES) + length
         crc = mcrf4xx(buffer[at + 1 : crc_at] + info.crc_extra_byte)
         if buffer[crc_at] == crc & 0xFF and buffer[crc_at + 1] == crc >> 8:
             if count:
@@ -187,9 +180,8 @@ class FrameParser:
                 if source not in self.verified and len(self.verified) < MAX_VERIFIED_SOURCES:
                     self.verified.add(source)
             return Frame(buffer[at : at + size], seq, sysid, compid, msgid, info), size
-        if self._pass_bad_crc and plain and source in self.verified:
-            header = (seq, sysid, compid, msgid)
-            frame, step = self._unknown_at(buffer, at, size, end, header, final=final, count=False)
+        if self._pass_bad_crc and not compat and source in self.verified:
+            frame, step = self._unknown_at(buffer, at, end, header, final=final, count=False)
             if step != NEED_MORE:
                 self.stats.bad_crc += count
             return frame, step
@@ -197,17 +189,10 @@ class FrameParser:
         return None, NOT_A_FRAME
 
     def _unknown_at(
-        self,
-        buffer: bytes,
-        at: int,
-        size: int,
-        end: int,
-        header: tuple[int, int, int, int],
-        *,
-        final: bool,
-        count: bool,
+        self, buffer: bytes, at: int, end: int, header: Header, *, final: bool, count: bool
     ) -> tuple[Frame | None, int]:
-        """A complete frame that no CRC can vouch for: see the rules above."""
+        """A complete frame whose CRC cannot be checked, or is wrong: see the rules above."""
+        _, _, _, seq, sysid, compid, msgid, size = header
         after = at + size
         raw = buffer[at:after]
         if after == end and not final:
@@ -217,7 +202,6 @@ class FrameParser:
         if self._good_from(raw, 1) >= 0 and not _some_extra_fits(raw):
             return None, NOT_A_FRAME  # a false start would swallow the good one; an intact tunnel may carry it
         self.stats.unknown += count
-        seq, sysid, compid, msgid = header
         return Frame(raw, seq, sysid, compid, msgid, None), size
 
     def _good_from(self, buffer: bytes, at: int) -> int:
@@ -234,7 +218,7 @@ class FrameParser:
 
 def _some_extra_fits(raw: bytes) -> bool:
     """Whether any CRC_EXTRA makes the CRC of this frame right: true for every intact frame, for 1 of 256 others."""
-    crc_at = raw[1] + (HEADER_V2_BYTES if raw[0] == MAGIC_V2 else HEADER_V1_BYTES)
+    crc_at = crc_offset(raw)
     before_extra = mcrf4xx(raw[1:crc_at])
     sent = raw[crc_at] | raw[crc_at + 1] << 8
     return (sent ^ before_extra >> 8) in _LAST_STEPS

@@ -17,14 +17,8 @@ from enum import StrEnum
 
 from fastcrc.crc16 import mcrf4xx
 
-from skygcs.core.mavlink.frame import (
-    CRC_BYTES,
-    HEADER_V2_BYTES,
-    INCOMPAT_SIGNED,
-    MAGIC_V2,
-    SIGNATURE_BYTES,
-    Frame,
-)
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.header import CRC_BYTES, INCOMPAT_SIGNED, MAGIC_V2, SIGNATURE_BYTES, decode_header
 
 KEY_BYTES = 32
 DIGEST_BYTES = 6
@@ -52,11 +46,8 @@ each start, and a computer whose clock was set to local time is up to 14 h off."
 MAX_STREAMS = 512
 """As many sources as one channel's table of counters holds. Only who has the key can make one."""
 
-SETUP_SIGNING = 256
-"""The message that carries a key. The guide: never broadcast, never forwarded, never logged."""
 
-
-class Verdict(StrEnum):
+class SignatureVerdict(StrEnum):
     """What becomes of a received frame on a link that checks signatures. All but the first two are dropped."""
 
     SIGNED = "signed"
@@ -96,7 +87,8 @@ def key_id(key: bytes) -> str:
 
 def sign(raw: bytes, crc_extra: bytes, key: bytes, link_id: int, timestamp: int) -> bytes:
     """The signed frame of a complete unsigned MAVLink 2 frame. Raises ValueError for any other."""
-    if raw[0] != MAGIC_V2 or raw[2] or len(raw) != HEADER_V2_BYTES + raw[1] + CRC_BYTES:
+    header = decode_header(raw)
+    if header is None or raw[0] != MAGIC_V2 or header[1] or len(raw) != header[-1]:
         raise ValueError("only a whole unsigned MAVLink 2 frame can be signed")
     body = raw[1:2] + bytes((INCOMPAT_SIGNED,)) + raw[3:-CRC_BYTES]
     crc = mcrf4xx(body + crc_extra)
@@ -153,7 +145,7 @@ class SigningClock:
         return self.timestamp
 
 
-class Streams:
+class SignatureStreams:
     """The last timestamp of each stream, and whether the next one is newer. Bounded."""
 
     __slots__ = ("_clock", "_last")
@@ -165,20 +157,20 @@ class Streams:
     def __len__(self) -> int:
         return len(self._last)
 
-    def check(self, link_id: int, sysid: int, compid: int, timestamp: int) -> Verdict:
+    def check(self, link_id: int, sysid: int, compid: int, timestamp: int) -> SignatureVerdict:
         """Whether a frame that is rightly signed may count; if so (SIGNED), it is remembered and our clock follows."""
         stream = (link_id, sysid, compid)
         last = self._last.get(stream)
         if last is not None:
             if timestamp <= last:
-                return Verdict.REPLAYED
+                return SignatureVerdict.REPLAYED
         elif timestamp + NEW_STREAM_TICKS < self._clock.timestamp:
-            return Verdict.STALE
+            return SignatureVerdict.STALE
         elif len(self._last) >= MAX_STREAMS and not self._make_room():
-            return Verdict.CROWDED
+            return SignatureVerdict.CROWDED
         self._last[stream] = timestamp
         self._clock.advance(timestamp)
-        return Verdict.SIGNED
+        return SignatureVerdict.SIGNED
 
     def reset(self) -> None:
         """Forget streams that are ahead of our clock, which was set back: what their senders sign next is new."""
@@ -204,7 +196,7 @@ class Gate:
         self,
         key: bytes,
         clock: SigningClock,
-        streams: Streams,
+        streams: SignatureStreams,
         allowed: frozenset[int] | None,
         max_ahead_s: float | None = None,
     ) -> None:
@@ -214,16 +206,16 @@ class Gate:
         self._streams = streams
         self._allowed = allowed
 
-    def check(self, frame: Frame, wall: int) -> Verdict:
+    def check(self, frame: Frame, wall: int) -> SignatureVerdict:
         """What becomes of a frame received at ``wall`` (`timestamp_at`)."""
         if not frame.signed:
             allowed = self._allowed
-            return Verdict.ALLOWED if allowed is None or frame.msgid in allowed else Verdict.UNSIGNED
+            return SignatureVerdict.ALLOWED if allowed is None or frame.msgid in allowed else SignatureVerdict.UNSIGNED
         raw = frame.raw
         if not is_signed_with(raw, self._key):
-            return Verdict.FORGED
+            return SignatureVerdict.FORGED
         self._clock.see_wall(wall)
         timestamp = timestamp_of(raw)
         if timestamp > self._clock.wall + self._max_ahead:
-            return Verdict.AHEAD
+            return SignatureVerdict.AHEAD
         return self._streams.check(link_id_of(raw), frame.sysid, frame.compid, timestamp)

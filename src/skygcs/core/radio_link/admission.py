@@ -15,13 +15,10 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from skygcs.core.mavlink.dialect import MessageInfo
+from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, GPS_RTCM_DATA, HEARTBEAT, PARAM_REQUEST_LIST
 from skygcs.core.radio_link.admission_frames import (
-    FILE_TRANSFER_PROTOCOL,
-    GPS_RTCM_DATA,
-    HEARTBEAT,
     LOGS,
     NEWEST_ONLY,
-    PARAM_REQUEST_LIST,
     RateClass,
     ThirdPartyFrame,
     asks_for_streams,

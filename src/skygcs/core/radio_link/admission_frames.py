@@ -9,21 +9,19 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.core.mavlink.frame import HEADER_V1_BYTES, HEADER_V2_BYTES, MAGIC_V1, MAGIC_V2
-
-HEARTBEAT = 0
-SET_MODE = 11
-PARAM_REQUEST_LIST = 21
-PARAM_VALUE = 22
-PARAM_SET = 23
-MISSION_SET_CURRENT = 41
-REQUEST_DATA_STREAM = 66
-COMMAND_INT = 75
-COMMAND_LONG = 76
-FILE_TRANSFER_PROTOCOL = 110
-GPS_RTCM_DATA = 233
-MESSAGE_INTERVAL = 244
-PARAM_EXT_SET = 323
+from skygcs.core.mavlink.header import CRC_BYTES, crc_offset, decode_header, payload_of
+from skygcs.core.mavlink.msgids import (
+    COMMAND_INT,
+    COMMAND_LONG,
+    FILE_TRANSFER_PROTOCOL,
+    HEARTBEAT,
+    MESSAGE_INTERVAL,
+    MISSION_SET_CURRENT,
+    PARAM_EXT_SET,
+    PARAM_SET,
+    REQUEST_DATA_STREAM,
+    SET_MODE,
+)
 
 LOGS = frozenset({117, 119, 121})
 """LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_ERASE. LOG_REQUEST_END only ends something."""
@@ -136,21 +134,12 @@ class ThirdPartyFrame(NamedTuple):
 
 def parse(raw: bytes, messages: Mapping[int, MessageInfo]) -> ThirdPartyFrame | None:
     """None for what is no whole frame. An id that the dialect does not have is for everybody."""
-    if len(raw) < HEADER_V1_BYTES + 2:
+    header = decode_header(raw)
+    if header is None or len(raw) < crc_offset(raw) + CRC_BYTES:
         return None
-    if raw[0] == MAGIC_V2:
-        base = HEADER_V2_BYTES
-        if len(raw) < base + raw[1] + 2:
-            return None
-        msgid, source = raw[7] | raw[8] << 8 | raw[9] << 16, raw[5] << 8 | raw[6]
-    elif raw[0] == MAGIC_V1:
-        base = HEADER_V1_BYTES
-        if len(raw) < base + raw[1] + 2:
-            return None
-        msgid, source = raw[5], raw[3] << 8 | raw[4]
-    else:
-        return None
-    payload = raw[base : base + raw[1]]
+    _, _, _, _, sysid, compid, msgid, _ = header
+    source = sysid << 8 | compid
+    payload = payload_of(raw)
     info = messages.get(msgid)
     target = component = 0
     if info is not None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class RoutingVerdict(StrEnum):
     """What became of a frame. Values are the names of the counters. (A plain Enum works its hash out in Python.)"""
 
     FORWARDED = "forwarded"
@@ -24,7 +24,7 @@ class Verdict(StrEnum):
 class Decision:
     """``destinations``: channel ids. ``local``: it is for us too (to us, or to all)."""
 
-    verdict: Verdict
+    verdict: RoutingVerdict
     destinations: tuple[int, ...] = ()
     local: bool = False
 

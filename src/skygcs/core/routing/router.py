@@ -42,17 +42,14 @@ from collections import deque
 from collections.abc import Callable, Collection
 
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers
+from skygcs.core.mavlink.heartbeat import discovers
+from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS, SYSTEM_TIME
 from skygcs.core.routing.channel import KIND_BITS, OF_RADIO, TELEMETRY, UNKNOWN_ID, Port
-from skygcs.core.routing.decision import Decision, ForwardingEntry, RouteNote, Verdict
+from skygcs.core.routing.decision import Decision, ForwardingEntry, RouteNote, RoutingVerdict
 from skygcs.core.routing.duplicates import SILENT_S, DuplicateFilter, FirstHeard, ParallelChannels
 from skygcs.core.routing.filters import ChannelPolicy
-from skygcs.core.routing.state_source import DEFAULT_LOST_S, Known, Report, StateSource
+from skygcs.core.routing.state_source import DEFAULT_LOST_S, Known, SourceReport, StateSource
 from skygcs.core.routing.table_room import RouteRoom
-
-SYSTEM_TIME = 2
-RADIO_STATUS = 109
-RADIO = 166
 
 FORGOTTEN_S = 10.0
 """A vehicle is on one channel again when no other one has had a frame with its ids for so long."""
@@ -70,12 +67,12 @@ HEARD_NOW_S = 2.0
 JUST_BOOTED_MS = 10_000
 """... unless it shows a system that has only just started."""
 
-_DUPLICATE = Decision(Verdict.DUPLICATE)
-_CONFLICT = Decision(Verdict.CONFLICT)
-_FILTERED_IN = Decision(Verdict.FILTERED_IN)
-_UNKNOWN_TARGET = Decision(Verdict.UNKNOWN_TARGET)
-_NOBODY = Decision(Verdict.NOBODY)
-_OUT_OF_BOUNDS = Decision(Verdict.OUT_OF_BOUNDS)
+_DUPLICATE = Decision(RoutingVerdict.DUPLICATE)
+_CONFLICT = Decision(RoutingVerdict.CONFLICT)
+_FILTERED_IN = Decision(RoutingVerdict.FILTERED_IN)
+_UNKNOWN_TARGET = Decision(RoutingVerdict.UNKNOWN_TARGET)
+_NOBODY = Decision(RoutingVerdict.NOBODY)
+_OUT_OF_BOUNDS = Decision(RoutingVerdict.OUT_OF_BOUNDS)
 
 
 class Router:
@@ -116,7 +113,7 @@ class Router:
         """Called before the first frame counts of another vehicle that has taken a known one's place (or of the same,
         restarted on another channel)."""
         self._room = RouteRoom()
-        self.counters: dict[Verdict, int] = dict.fromkeys(Verdict, 0)
+        self.counters: dict[RoutingVerdict, int] = dict.fromkeys(RoutingVerdict, 0)
         self.unnoted_routes = 0
         """Routes learned or expired that were not noted."""
         self.notes: deque[RouteNote] = deque(maxlen=MAX_NOTES)
@@ -266,7 +263,7 @@ class Router:
     def _broadcast_ports(self, port: Port, kind: int, sysid: int) -> tuple[Decision, tuple[Port, ...]]:
         """The decision for this kind of broadcast of a system, and those of its destinations that filter or limit."""
         ports = [p for p in self._ports.values() if p.may_hear(sysid) and port.takes_broadcast(p, kind)]
-        verdict = Verdict.FORWARDED if ports else Verdict.LOCAL
+        verdict = RoutingVerdict.FORWARDED if ports else RoutingVerdict.LOCAL
         decision = Decision(verdict, tuple(p.id for p in ports), local=True)
         return decision, tuple(p for p in ports if p.restricts_out)
 
@@ -284,13 +281,13 @@ class Router:
         else:
             ports = (component and self._by_source.get(system << 8 | component)) or self._by_system.get(system)
         if not ports:
-            return Decision(Verdict.LOCAL, (), local=True) if local else _UNKNOWN_TARGET
+            return Decision(RoutingVerdict.LOCAL, (), local=True) if local else _UNKNOWN_TARGET
         if len(ports) > 1 and system in self._parallel:
             ports = self._preferred(ports, system, now)
         ids = tuple(p.id for p in ports if port.may_forward(p) and p.may_hear(frame.sysid))
         if not ids:
-            return Decision(Verdict.LOCAL, (), local=True) if local else _NOBODY
-        decision = Decision(Verdict.FORWARDED, ids, local)
+            return Decision(RoutingVerdict.LOCAL, (), local=True) if local else _NOBODY
+        decision = Decision(RoutingVerdict.FORWARDED, ids, local)
         if any(p.restricts_out for p in ports):
             return self._restricted(decision, frame, frame.sysid << 8 | frame.compid, True, now)
         return decision
@@ -311,8 +308,8 @@ class Router:
         if len(passed) == len(decision.destinations):
             return decision
         if passed:
-            return Decision(Verdict.FORWARDED, tuple(passed), decision.local)
-        return Decision(Verdict.LOCAL if decision.local else Verdict.NOBODY, (), decision.local)
+            return Decision(RoutingVerdict.FORWARDED, tuple(passed), decision.local)
+        return Decision(RoutingVerdict.LOCAL if decision.local else RoutingVerdict.NOBODY, (), decision.local)
 
     def _preferred(self, ports: list[Port], system: int, now: float) -> list[Port]:
         """Of parallel channels the one that supplies the vehicle's state, or the better one; channels that are not
@@ -463,7 +460,7 @@ class Router:
             if report.kind == "replaced":
                 self.on_replaced(source)
 
-    def _note_report(self, source: int, report: Report) -> None:
+    def _note_report(self, source: int, report: SourceReport) -> None:
         channel_id, present_id = report.channel_id or 0, report.present_id or 0
         note = RouteNote(
             report.kind,

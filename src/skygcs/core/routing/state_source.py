@@ -34,8 +34,9 @@ from typing import Literal
 
 from skygcs.core.geo import distance_m
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, discovers, heartbeat_fields
+from skygcs.core.mavlink.heartbeat import discovers, heartbeat_fields
 from skygcs.core.mavlink.modes import SAFETY_ARMED
+from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, HEARTBEAT, HIGH_LATENCY2, SYSTEM_TIME
 
 SILENT_S = 2.5
 """Two heartbeats may be lost; a channel that is silent for longer does not hear the vehicle now."""
@@ -92,12 +93,9 @@ MAX_CHANNELS = 16
 
 MAX_STATES = 8
 
-SYSTEM_TIME = 2
-GLOBAL_POSITION_INT = 33
 BOOT_MS_AT = {SYSTEM_TIME: 8, 30: 0, 31: 0, 32: 0, GLOBAL_POSITION_INT: 0}
 """Where time_boot_ms stands: SYSTEM_TIME, ATTITUDE, ATTITUDE_QUATERNION, LOCAL_POSITION_NED, GLOBAL_POSITION_INT."""
 
-HIGH_LATENCY2 = 235
 
 KNOWN_BY = (HEARTBEAT, HIGH_LATENCY2, *BOOT_MS_AT)
 
@@ -108,7 +106,7 @@ PARAM_EXT_VALUE, PARAM_EXT_ACK."""
 
 _WRAP_S = 2**32 / 1000
 
-Kind = Literal["boot time", "position", "mode", "firmware", "link"]
+Contradiction = Literal["boot time", "position", "mode", "firmware", "link"]
 ReportKind = Literal["duplicate", "duplicate_over", "switched", "replaced", "ignored"]
 
 
@@ -130,7 +128,7 @@ it is heard again. (`KNOWN_BY` lists the messages.)"""
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class SourceReport:
     """``channel_id`` is the other channel (of switched and replaced: the new one), ``present_id`` the present one (of
     switched and replaced: the one before); None: closed. ``why``: what contradicted, in words."""
 
@@ -173,7 +171,7 @@ class _Heard:
         self.shown: tuple[bool, int] | None = None
         self.high_latency = False
         self.only_copies = 0
-        self.contradicted: dict[Kind, tuple[float, float, int]] = {}
+        self.contradicted: dict[Contradiction, tuple[float, float, int]] = {}
         """Since when, when last, how often."""
         self.ignored = 0
         self.reported_at = -math.inf
@@ -219,7 +217,7 @@ class StateSource:
         """``present_id``: the channel on which it was heard until now, on that link; None: that one is closed."""
         self.present_id = present_id
         self.duplicate = False
-        self.reports: list[Report] = []
+        self.reports: list[SourceReport] = []
         self._lost_s = lost_s
         self._heard: dict[int | None, _Heard] = {present_id: _Heard(link, now)}
         self._present = self._heard[present_id]
@@ -304,7 +302,7 @@ class StateSource:
                         self._report_ignored(channel_id, heard, kind, now)
         if self.duplicate and not any(h.contradicted and self._last(h) > now - OVER_S for _, h in others):
             self.duplicate = False
-            self.reports.append(Report("duplicate_over", None, self.present_id))
+            self.reports.append(SourceReport("duplicate_over", None, self.present_id))
         if now - self._window >= WINDOW_S:
             self._end_window(now)
 
@@ -386,17 +384,17 @@ class StateSource:
         self._states.clear()
         if heard.shown is not None:
             self._note_state(heard.shown, now)
-        self.reports.append(Report("switched" if same else "replaced", channel_id, before_id))
+        self.reports.append(SourceReport("switched" if same else "replaced", channel_id, before_id))
         if self.duplicate:
             self.duplicate = False
-            self.reports.append(Report("duplicate_over", None, channel_id))
+            self.reports.append(SourceReport("duplicate_over", None, channel_id))
 
     def _prove(self, heard: _Heard) -> None:
         """The present channel took over unseen, and now shows a clock."""
         before, self._unproven = self._unproven, None
         assert before is not None and before.booted_at is not None and heard.booted_at is not None
         if not _same_boot(heard.booted_at, before.booted_at):
-            self.reports.append(Report("replaced", self.present_id, None))
+            self.reports.append(SourceReport("replaced", self.present_id, None))
 
     def _give_way(self) -> None:
         """One channel is forgotten."""
@@ -443,7 +441,7 @@ class StateSource:
         """Neither clock nor place of this channel is known: nothing shows that it is one vehicle."""
         return heard.booted_at is None and heard.place is None
 
-    def _contradicted(self, heard: _Heard, kind: Kind, now: float) -> None:
+    def _contradicted(self, heard: _Heard, kind: Contradiction, now: float) -> None:
         since, last, count = heard.contradicted.get(kind, (now, now, 0))
         if now - last > CONTRADICTED_S:
             since, count = now, 0
@@ -451,7 +449,7 @@ class StateSource:
         if not self.duplicate and self._is_duplicate(since, now, count + 1):
             self.duplicate = True
             channel_id = self._id_of(heard)
-            self.reports.append(Report("duplicate", channel_id, self.present_id, self._why(heard), heard.ignored))
+            self.reports.append(SourceReport("duplicate", channel_id, self.present_id, self._why(heard), heard.ignored))
 
     def _id_of(self, heard: _Heard) -> int | None:
         return next(c for c, h in self._heard.items() if h is heard)
@@ -469,13 +467,13 @@ class StateSource:
         kinds = sorted(kind for kind in heard.contradicted if kind != "link")
         return f"{' and '.join(kinds)} differ" if kinds else "nothing shows that both are one"
 
-    def _report_ignored(self, channel_id: int | None, heard: _Heard, kind: Kind, now: float) -> None:
+    def _report_ignored(self, channel_id: int | None, heard: _Heard, kind: Contradiction, now: float) -> None:
         """Frames that contradicted for a moment: of a mode that the vehicle showed as well, it was a delay."""
         explained = kind == "link" or (kind == "mode" and heard.shown in self._states)
         if explained or now - heard.reported_at < REPORT_AGAIN_S:
             return
         heard.reported_at = now
-        self.reports.append(Report("ignored", channel_id, self.present_id, kind, heard.ignored))
+        self.reports.append(SourceReport("ignored", channel_id, self.present_id, kind, heard.ignored))
 
     def _note_state(self, shown: tuple[bool, int], now: float) -> None:
         if shown not in self._states and len(self._states) >= MAX_STATES:

@@ -18,13 +18,8 @@ from collections.abc import Collection
 
 from fastcrc.crc16 import mcrf4xx
 
-from skygcs.core.mavlink.frame import (
-    HEADER_V1_BYTES,
-    HEADER_V2_BYTES,
-    INCOMPAT_SIGNED,
-    MAGIC_V2,
-    Frame,
-)
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.header import decode_header, encode_header
 
 
 class Endpoint:
@@ -98,18 +93,14 @@ def readdressed(frame: Frame, sysid: int, target: int) -> Frame:
     moved = at >= 0 and target not in (0, frame.target()[0])
     if sysid == frame.sysid and not moved:
         return frame
-    raw = frame.raw
-    second = raw[0] == MAGIC_V2
-    header = bytearray(raw[: HEADER_V2_BYTES if second else HEADER_V1_BYTES])
     payload = bytearray(frame.payload)
     if moved:
         payload += bytes(max(at + 1 - len(payload), 0))  # it was trimmed away while it was 0
         payload[at] = target
-    header[1] = len(payload)
-    header[5 if second else 3] = sysid
-    if second:
-        header[2] &= ~INCOMPAT_SIGNED
-    body = bytes(header + payload)
+    header = decode_header(frame.raw)
+    assert header is not None
+    _, _, compat, seq, _, compid, msgid, _ = header
+    body = encode_header(frame.version, len(payload), seq, sysid, compid, msgid, compat) + bytes(payload)
     crc = mcrf4xx(body[1:] + info.crc_extra_byte)
     return Frame(body + crc.to_bytes(2, "little"), frame.seq, sysid, frame.compid, frame.msgid, info)
 

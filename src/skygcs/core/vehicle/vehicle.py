@@ -11,7 +11,8 @@ from skygcs.core.geo import Origin, enu_from_geodetic
 from skygcs.core.mavlink import modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import HEARTBEAT, HeartbeatCheck, HeartbeatOrigin
+from skygcs.core.mavlink.heartbeat import HeartbeatCheck, HeartbeatOrigin
+from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.protocols.command import Ack
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder

@@ -22,7 +22,7 @@ from skygcs.core.control import (
 from skygcs.core.control.trace import (
     COLUMNS,
     CONTROL_MODES,
-    Entry,
+    TraceEntry,
     TraceHead,
     TraceRow,
     TraceWriter,
@@ -83,7 +83,7 @@ def flight(steps: int = 60) -> list[str]:
     return text.splitlines(keepends=True)
 
 
-def entries(lines: Iterable[str]) -> list[Entry]:
+def entries(lines: Iterable[str]) -> list[TraceEntry]:
     return list(decode(lines))
 
 
@@ -99,7 +99,7 @@ def test_a_row_comes_back_bit_for_bit(row: TraceRow, before: Memory) -> None:
     trace = decode(lines)
     assert trace.head == HEAD
     (entry,) = trace
-    assert entry == Entry(len(lines), row, FASTER, entry.memory)
+    assert entry == TraceEntry(len(lines), row, FASTER, entry.memory)
     assert encode(entry.row) == encode(row)  # tells 0.0 from -0.0, too
     assert entry.memory == before
 

@@ -21,9 +21,9 @@ from skygcs.core.mavlink.signing import (
     NEW_STREAM_TICKS,
     TICKS_PER_S,
     Gate,
+    SignatureStreams,
+    SignatureVerdict,
     SigningClock,
-    Streams,
-    Verdict,
     is_signed_with,
     key_from_passphrase,
     key_id,
@@ -81,7 +81,7 @@ def ours(timestamp: int, *, key: bytes = KEY, link_id: int = 0, sysid: int = 7, 
 
 def gate(*, clock: SigningClock | None = None, allowed: frozenset[int] | None = frozenset()) -> Gate:
     clock = clock or SigningClock()
-    return Gate(KEY, clock, Streams(clock), allowed)
+    return Gate(KEY, clock, SignatureStreams(clock), allowed)
 
 
 # -- what others signed
@@ -158,13 +158,16 @@ def test_what_pymavlink_signs_is_taken_here_in_order() -> None:
     end, check = pymav(), gate().check
     for n in range(20):
         frame = one(packed(end, mav.MAVLink_attitude_message(n, 0.1, 0.2, 0.3, 0, 0, 0)))
-        assert check(frame, NOW) is Verdict.SIGNED
-        assert check(frame, NOW) is Verdict.REPLAYED
+        assert check(frame, NOW) is SignatureVerdict.SIGNED
+        assert check(frame, NOW) is SignatureVerdict.REPLAYED
 
 
 def test_pymavlink_with_another_key_is_refused_and_refuses() -> None:
     stranger = pymav(bytes(31) + b"\1")
-    assert gate().check(one(packed(stranger, mav.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3))), NOW) is Verdict.FORGED
+    assert (
+        gate().check(one(packed(stranger, mav.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3))), NOW)
+        is SignatureVerdict.FORGED
+    )
     [message] = stranger.parse_buffer(ours(NOW + 5).raw)
     assert message.get_type() == "BAD_DATA"
 
@@ -181,7 +184,7 @@ def test_any_flipped_bit_is_refused(data: st.DataObject) -> None:
     raw = bytearray(frame.raw)
     raw[bit // 8] ^= 1 << bit % 8
     changed = Frame(bytes(raw), frame.seq, frame.sysid, frame.compid, frame.msgid, frame.info)
-    assert gate().check(changed, NOW) in (Verdict.FORGED, Verdict.UNSIGNED)
+    assert gate().check(changed, NOW) in (SignatureVerdict.FORGED, SignatureVerdict.UNSIGNED)
 
 
 @given(st.binary(min_size=32, max_size=32))
@@ -214,35 +217,35 @@ def test_a_stream_only_ever_rises(times: list[int]) -> None:
     for at in times:
         verdict = check(ours(at), 0)
         if last is None:
-            assert verdict is (Verdict.SIGNED if at + NEW_STREAM_TICKS >= NOW else Verdict.STALE)
+            assert verdict is (SignatureVerdict.SIGNED if at + NEW_STREAM_TICKS >= NOW else SignatureVerdict.STALE)
         else:
-            assert verdict is (Verdict.SIGNED if at > last else Verdict.REPLAYED)
-        if verdict is Verdict.SIGNED:
+            assert verdict is (SignatureVerdict.SIGNED if at > last else SignatureVerdict.REPLAYED)
+        if verdict is SignatureVerdict.SIGNED:
             last = at
         assert clock.timestamp == max(NOW, last or 0)
 
 
 def test_streams_are_told_apart_by_link_id_system_and_component() -> None:
     check = gate().check
-    assert check(ours(NOW), NOW) is Verdict.SIGNED
-    assert check(ours(NOW, link_id=1), NOW) is Verdict.SIGNED
-    assert check(ours(NOW, sysid=8), NOW) is Verdict.SIGNED
-    assert check(ours(NOW), NOW) is Verdict.REPLAYED
+    assert check(ours(NOW), NOW) is SignatureVerdict.SIGNED
+    assert check(ours(NOW, link_id=1), NOW) is SignatureVerdict.SIGNED
+    assert check(ours(NOW, sysid=8), NOW) is SignatureVerdict.SIGNED
+    assert check(ours(NOW), NOW) is SignatureVerdict.REPLAYED
 
 
 def test_our_own_clock_follows_the_furthest_and_refuses_new_streams_behind_it() -> None:
     clock = SigningClock()
     check = gate(clock=clock).check
     ahead = NOW + 3600 * TICKS_PER_S
-    assert check(ours(ahead), NOW) is Verdict.SIGNED
+    assert check(ours(ahead), NOW) is SignatureVerdict.SIGNED
     assert clock.stamp(NOW) == ahead + 1
-    assert check(ours(NOW, sysid=8), NOW) is Verdict.STALE
-    assert check(ours(ahead - NEW_STREAM_TICKS // 2, sysid=8), NOW) is Verdict.SIGNED
+    assert check(ours(NOW, sysid=8), NOW) is SignatureVerdict.STALE
+    assert check(ours(ahead - NEW_STREAM_TICKS // 2, sysid=8), NOW) is SignatureVerdict.SIGNED
 
 
 def test_a_wrong_signature_moves_no_clock() -> None:
     clock = SigningClock(NOW)
-    assert gate(clock=clock).check(ours(MAX_TIMESTAMP, key=bytes(32)), NOW) is Verdict.FORGED
+    assert gate(clock=clock).check(ours(MAX_TIMESTAMP, key=bytes(32)), NOW) is SignatureVerdict.FORGED
     assert clock.timestamp == NOW
 
 
@@ -256,29 +259,29 @@ def test_our_timestamps_rise_whatever_the_wall_clock_does(walls: list[int]) -> N
 
 def test_unsigned_frames_pass_by_their_id_only() -> None:
     frame = one(heartbeat(7))
-    assert gate().check(frame, NOW) is Verdict.UNSIGNED
-    assert gate(allowed=frozenset({0})).check(frame, NOW) is Verdict.ALLOWED
-    assert gate(allowed=None).check(frame, NOW) is Verdict.ALLOWED
-    assert gate(allowed=None).check(ours(NOW, key=bytes(32)), NOW) is Verdict.FORGED
+    assert gate().check(frame, NOW) is SignatureVerdict.UNSIGNED
+    assert gate(allowed=frozenset({0})).check(frame, NOW) is SignatureVerdict.ALLOWED
+    assert gate(allowed=None).check(frame, NOW) is SignatureVerdict.ALLOWED
+    assert gate(allowed=None).check(ours(NOW, key=bytes(32)), NOW) is SignatureVerdict.FORGED
 
 
 def test_an_unknown_message_is_checked_as_any_other() -> None:
     known = ours(NOW)
     unknown = Frame(known.raw, known.seq, known.sysid, known.compid, known.msgid, None)
-    assert gate().check(unknown, NOW) is Verdict.SIGNED
+    assert gate().check(unknown, NOW) is SignatureVerdict.SIGNED
 
 
 def test_the_table_of_streams_is_bounded_and_loses_nothing_that_protects() -> None:
     clock = SigningClock(NOW)
-    streams = Streams(clock)
+    streams = SignatureStreams(clock)
     for n in range(MAX_STREAMS):
-        assert streams.check(n % 256, n // 256 + 1, 1, NOW + n) is Verdict.SIGNED
-    assert streams.check(0, 99, 1, NOW + MAX_STREAMS) is Verdict.CROWDED
+        assert streams.check(n % 256, n // 256 + 1, 1, NOW + n) is SignatureVerdict.SIGNED
+    assert streams.check(0, 99, 1, NOW + MAX_STREAMS) is SignatureVerdict.CROWDED
     later = NOW + MAX_STREAMS + 2 * NEW_STREAM_TICKS
-    assert streams.check(0, 1, 1, later) is Verdict.SIGNED
-    assert streams.check(0, 99, 1, later) is Verdict.SIGNED
+    assert streams.check(0, 1, 1, later) is SignatureVerdict.SIGNED
+    assert streams.check(0, 99, 1, later) is SignatureVerdict.SIGNED
     assert len(streams) == 2
-    assert streams.check(5, 1, 1, NOW + 5) is Verdict.STALE  # forgotten, and refused all the same
+    assert streams.check(5, 1, 1, NOW + 5) is SignatureVerdict.STALE  # forgotten, and refused all the same
 
 
 # -- a stamp from the future
@@ -297,70 +300,70 @@ def signed_at(timestamp: int, *, link_id: int = 3, sysid: int = 7) -> Frame:
 @pytest.mark.parametrize(
     ("ahead_s", "verdict"),
     [
-        (0, Verdict.SIGNED),
-        (60, Verdict.SIGNED),
-        (14 * 3600, Verdict.SIGNED),
-        (LIMIT_S - 1, Verdict.SIGNED),
-        (LIMIT_S + 1, Verdict.AHEAD),
-        (365 * 86400, Verdict.AHEAD),
+        (0, SignatureVerdict.SIGNED),
+        (60, SignatureVerdict.SIGNED),
+        (14 * 3600, SignatureVerdict.SIGNED),
+        (LIMIT_S - 1, SignatureVerdict.SIGNED),
+        (LIMIT_S + 1, SignatureVerdict.AHEAD),
+        (365 * 86400, SignatureVerdict.AHEAD),
     ],
 )
-def test_a_stamp_far_ahead_of_the_computers_clock_is_not_believed(ahead_s: float, verdict: Verdict) -> None:
+def test_a_stamp_far_ahead_of_the_computers_clock_is_not_believed(ahead_s: float, verdict: SignatureVerdict) -> None:
     clock = SigningClock()
-    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
+    gate = Gate(KEY, clock, SignatureStreams(clock), frozenset(), LIMIT_S)
     assert gate.check(signed_at(NOW + int(ahead_s * TICKS_PER_S)), NOW) is verdict
     moved = clock.timestamp - NOW
-    assert moved <= (ahead_s * TICKS_PER_S + 1 if verdict is Verdict.SIGNED else 0)
+    assert moved <= (ahead_s * TICKS_PER_S + 1 if verdict is SignatureVerdict.SIGNED else 0)
 
 
 def test_a_stamp_of_the_year_2104_pins_no_clock_and_the_next_honest_frame_counts() -> None:
     clock = SigningClock()
-    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
-    assert gate.check(signed_at(MAX_TIMESTAMP - 1), NOW) is Verdict.AHEAD
+    gate = Gate(KEY, clock, SignatureStreams(clock), frozenset(), LIMIT_S)
+    assert gate.check(signed_at(MAX_TIMESTAMP - 1), NOW) is SignatureVerdict.AHEAD
     assert clock.timestamp == NOW
-    assert gate.check(signed_at(NOW + 5), NOW) is Verdict.SIGNED
-    assert gate.check(signed_at(NOW - 5, sysid=8), NOW) is Verdict.SIGNED
+    assert gate.check(signed_at(NOW + 5), NOW) is SignatureVerdict.SIGNED
+    assert gate.check(signed_at(NOW - 5, sysid=8), NOW) is SignatureVerdict.SIGNED
     assert clock.stamp(NOW) < NOW + TICKS_PER_S
 
 
 def test_small_steps_walk_no_further_than_one_large_one() -> None:
     clock = SigningClock()
-    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
+    gate = Gate(KEY, clock, SignatureStreams(clock), frozenset(), LIMIT_S)
     verdicts = [gate.check(signed_at(NOW + int(step * LIMIT_S / 2 * TICKS_PER_S)), NOW) for step in range(5)]
-    assert verdicts[:2] == [Verdict.SIGNED] * 2
-    assert verdicts[3:] == [Verdict.AHEAD] * 2
+    assert verdicts[:2] == [SignatureVerdict.SIGNED] * 2
+    assert verdicts[3:] == [SignatureVerdict.AHEAD] * 2
     assert clock.timestamp <= NOW + LIMIT_S * TICKS_PER_S
 
 
 def test_a_computer_that_starts_with_an_old_time_goes_by_what_it_showed_before() -> None:
     clock = SigningClock(NOW, wall=NOW)
-    gate = Gate(KEY, clock, Streams(clock), frozenset(), LIMIT_S)
+    gate = Gate(KEY, clock, SignatureStreams(clock), frozenset(), LIMIT_S)
     old = NOW - 30 * 86400 * TICKS_PER_S
-    assert gate.check(signed_at(NOW + 60 * TICKS_PER_S), old) is Verdict.SIGNED
-    assert gate.check(signed_at(MAX_TIMESTAMP - 1), old) is Verdict.AHEAD
+    assert gate.check(signed_at(NOW + 60 * TICKS_PER_S), old) is SignatureVerdict.SIGNED
+    assert gate.check(signed_at(MAX_TIMESTAMP - 1), old) is SignatureVerdict.AHEAD
 
 
 def test_a_clock_that_was_set_back_takes_the_streams_that_ran_ahead_anew() -> None:
     clock = SigningClock()
-    streams = Streams(clock)
+    streams = SignatureStreams(clock)
     gate = Gate(KEY, clock, streams, frozenset())
-    assert gate.check(signed_at(MAX_TIMESTAMP - 9), NOW) is Verdict.SIGNED
+    assert gate.check(signed_at(MAX_TIMESTAMP - 9), NOW) is SignatureVerdict.SIGNED
     honest = NOW + 100
-    assert gate.check(signed_at(honest), NOW) is Verdict.REPLAYED
-    assert gate.check(signed_at(honest, sysid=8), NOW) is Verdict.STALE
+    assert gate.check(signed_at(honest), NOW) is SignatureVerdict.REPLAYED
+    assert gate.check(signed_at(honest, sysid=8), NOW) is SignatureVerdict.STALE
     clock.reset(NOW)
     streams.reset()
-    assert gate.check(signed_at(honest), NOW) is Verdict.SIGNED
-    assert gate.check(signed_at(honest, sysid=8), NOW) is Verdict.SIGNED
-    assert gate.check(signed_at(honest), NOW) is Verdict.REPLAYED
+    assert gate.check(signed_at(honest), NOW) is SignatureVerdict.SIGNED
+    assert gate.check(signed_at(honest, sysid=8), NOW) is SignatureVerdict.SIGNED
+    assert gate.check(signed_at(honest), NOW) is SignatureVerdict.REPLAYED
 
 
 def test_streams_that_are_not_ahead_are_remembered_when_the_clock_is_set_back() -> None:
     clock = SigningClock()
-    streams = Streams(clock)
+    streams = SignatureStreams(clock)
     gate = Gate(KEY, clock, streams, frozenset())
     frame = signed_at(NOW - 100, sysid=9)
-    assert gate.check(frame, NOW) is Verdict.SIGNED
+    assert gate.check(frame, NOW) is SignatureVerdict.SIGNED
     clock.reset(NOW)
     streams.reset()
-    assert gate.check(frame, NOW) is Verdict.REPLAYED
+    assert gate.check(frame, NOW) is SignatureVerdict.REPLAYED

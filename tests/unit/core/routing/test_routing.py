@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.routing.decision import Verdict
+from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
 from support.routed import RoutedNet, five_ports, heartbeat, message
 
@@ -58,7 +58,7 @@ def test_our_own_id_from_outside_is_a_conflict_noted_once_and_not_learned() -> N
         net.datagram("G0", heartbeat(255, 25, seq, gcs=True))
     assert net.reached() == set()
     assert [n.kind for n in net.router.notes] == ["conflict"]
-    assert net.router.counters[Verdict.CONFLICT] == 3
+    assert net.router.counters[RoutingVerdict.CONFLICT] == 3
     net.clear()
     net.datagram("V0", message("COMMAND_ACK", 1, 1, 3, command=400, target_system=255, target_component=25))
     assert net.reached() == set()
@@ -153,7 +153,7 @@ def test_a_frame_heard_over_two_links_is_forwarded_once() -> None:
         net.datagram("a", frame)
         net.datagram("b", frame)
     assert len(net.got["gcs"]) == 20
-    assert net.router.counters[Verdict.DUPLICATE] == 20
+    assert net.router.counters[RoutingVerdict.DUPLICATE] == 20
 
 
 def test_a_repeated_frame_on_the_same_link_is_no_copy() -> None:
@@ -378,7 +378,7 @@ def test_a_closed_channel_takes_its_routes_with_it() -> None:
     net.close("V1")
     net.datagram("G0", to(2))
     assert net.reached() == set()
-    assert net.decisions[-1].verdict is Verdict.UNKNOWN_TARGET
+    assert net.decisions[-1].verdict is RoutingVerdict.UNKNOWN_TARGET
 
 
 def test_component_heard_elsewhere_is_reached_there_and_not_at_the_autopilot() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from skygcs.core.routing.decision import Verdict
+from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
 from support.frames import unknown_frame
 from support.routed import RoutedNet, heartbeat, message
@@ -97,9 +97,9 @@ def test_it_reaches_nobody_else_and_not_us(target: int) -> None:
     net = one_radio()
     net.router.notes.clear()
     assert sent(net, "P1", order(target)) == set()
-    assert net.decisions[0].verdict is Verdict.OUT_OF_BOUNDS
+    assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS
     assert not net.decisions[0].local
-    assert net.router.counters[Verdict.OUT_OF_BOUNDS] == 1
+    assert net.router.counters[RoutingVerdict.OUT_OF_BOUNDS] == 1
     net.datagram("P1", order(target, seq=1))
     assert net.router.port_counters(net.ids["P1"])["out_of_bounds"] == 2
     noted = [(n.kind, n.sysid, n.compid, n.channel_id, n.target) for n in net.router.notes]
@@ -109,7 +109,7 @@ def test_it_reaches_nobody_else_and_not_us(target: int) -> None:
 def test_a_parameter_set_at_us_is_not_set() -> None:
     net = one_radio()
     assert sent(net, "P1", message("PARAM_SET", *PROGRAM, target_system=255, target_component=25)) == set()
-    assert net.decisions[0].verdict is Verdict.OUT_OF_BOUNDS
+    assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS
 
 
 @pytest.mark.parametrize("name", ["COMMAND_LONG", "MANUAL_CONTROL", "PARAM_REQUEST_LIST", "COMMAND_ACK"])
@@ -117,7 +117,7 @@ def test_a_parameter_set_at_us_is_not_set() -> None:
 def test_what_is_for_all_is_for_none_of_several(name: str, version: int) -> None:
     net = one_radio()
     assert sent(net, "P12", message(name, *PROGRAM, version=version)) == set()
-    assert net.decisions[0].verdict is Verdict.OUT_OF_BOUNDS
+    assert net.decisions[0].verdict is RoutingVerdict.OUT_OF_BOUNDS
 
 
 def test_manual_control_names_its_target_too() -> None:
@@ -164,7 +164,7 @@ def test_an_autopilot_behind_a_bound_channel_is_an_echo() -> None:
     net.router.notes.clear()
     assert sent(net, "P1", heartbeat(1)) == set()
     assert sent(net, "P1", heartbeat(77)) == set(), "also of one that nobody hears"
-    assert net.router.counters[Verdict.DUPLICATE] == 2
+    assert net.router.counters[RoutingVerdict.DUPLICATE] == 2
     assert [n.kind for n in net.router.notes] == ["echo", "echo"]
     assert net.router.channels_of(77 << 8 | 1) == ()
 
@@ -172,7 +172,7 @@ def test_an_autopilot_behind_a_bound_channel_is_an_echo() -> None:
 def test_our_own_id_is_a_conflict_there_as_everywhere() -> None:
     net = one_radio()
     assert sent(net, "P1", message("COMMAND_LONG", 255, 25, target_system=1)) == set()
-    assert net.decisions[0].verdict is Verdict.CONFLICT
+    assert net.decisions[0].verdict is RoutingVerdict.CONFLICT
 
 
 # -- programs that are alike
@@ -184,13 +184,13 @@ def test_equal_frames_of_alike_programs_are_no_copies() -> None:
     assert sent(net, "P1", twice) == {"radio"}
     assert sent(net, "P12", twice) == {"radio"}
     assert sent(net, "qgc", twice) == {"radio"}, "nor is that of one that is not bound"
-    assert net.router.counters[Verdict.DUPLICATE] == 0
+    assert net.router.counters[RoutingVerdict.DUPLICATE] == 0
     beat = heartbeat(*PROGRAM, 6, gcs=True)
     for name in ("P1", "P3", "P4", "P12", "qgc"):
         net.clear()
         net.datagram(name, beat)
         assert net.decisions[0].local, name
-    assert net.router.counters[Verdict.DUPLICATE] == 0
+    assert net.router.counters[RoutingVerdict.DUPLICATE] == 0
 
 
 def test_an_answer_goes_to_the_programs_of_who_answers() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing.state_source import KNOWN_BY, MAX_CHANNELS, Report, StateSource
+from skygcs.core.routing.state_source import KNOWN_BY, MAX_CHANNELS, SourceReport, StateSource
 from support.routed import DIALECT, message
 
 AIR, WIFI, PEER = 1, 2, 3
@@ -66,7 +66,7 @@ class Net:
         self.state = StateSource(AIR, "air", source.pop("known", None), self.now, **source)
         self.links = {AIR: "air", WIFI: "wifi", PEER: "udp"}
         self.counted: list[int] = []
-        self.reports: list[Report] = []
+        self.reports: list[SourceReport] = []
 
     def hear(self, channel_id: int, frame: Frame, of: int | None = None) -> bool:
         counts = self.state.accepts(channel_id, self.links[channel_id], frame, self.now, of=of)

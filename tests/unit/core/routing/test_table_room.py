@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from skygcs.core.routing.decision import Verdict
+from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.filters import ChannelPolicy
 from skygcs.core.routing.table_room import KEPT_ROUTES, MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES, ROUTE_NOTES
 from support.routed import RoutedNet, heartbeat, message
@@ -254,4 +254,4 @@ def test_a_source_without_a_route_is_still_forwarded_and_answered_by_nobody() ->
     net.datagram("hostile", heartbeat(200, 7, gcs=True))
     assert net.reached() == {"gcs"}
     net.datagram("gcs", command(200))
-    assert net.decisions[-1].verdict is Verdict.UNKNOWN_TARGET
+    assert net.decisions[-1].verdict is RoutingVerdict.UNKNOWN_TARGET

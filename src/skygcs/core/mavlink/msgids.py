@@ -1,0 +1,34 @@
+"""Message ids that the code compares with (common.xml, ardupilotmega.xml), each defined once.
+
+What encodes or decodes a message goes by its name and the dialect; these are for decisions about frames whose payload
+need not be decoded.
+"""
+
+from __future__ import annotations
+
+HEARTBEAT = 0
+SYSTEM_TIME = 2
+SET_MODE = 11
+PARAM_REQUEST_LIST = 21
+PARAM_VALUE = 22
+PARAM_SET = 23
+GLOBAL_POSITION_INT = 33
+MISSION_SET_CURRENT = 41
+MISSION_CURRENT = 42
+MISSION_ITEM_REACHED = 46
+REQUEST_DATA_STREAM = 66
+COMMAND_INT = 75
+COMMAND_LONG = 76
+COMMAND_ACK = 77
+RADIO_STATUS = 109
+FILE_TRANSFER_PROTOCOL = 110
+TIMESYNC = 111
+RADIO = 166
+GPS_RTCM_DATA = 233
+HIGH_LATENCY2 = 235
+MESSAGE_INTERVAL = 244
+STATUSTEXT = 253
+SETUP_SIGNING = 256
+"""Carries a key. The signing guide: never broadcast, never forwarded, never logged."""
+PARAM_EXT_SET = 323
+EVENT = 410
