@@ -6,6 +6,7 @@ scheduling: good for what is lost or misdelivered at 10,000/s, not for costs.
 
 from __future__ import annotations
 
+import itertools
 import json
 import select
 import socket
@@ -17,6 +18,9 @@ from fastcrc.crc16 import mcrf4xx
 
 ATTITUDE, COMMAND, HEARTBEAT = (30, 39), (76, 152), (0, 50)
 GCS_SYSID = 240
+ROUTER_HEARD_S = 30.0
+"""How long the load waits for the router's first datagram to each ground station."""
+
 BEAT = bytes((4, 0, 0, 0, 2, 3, 81, 4, 3))
 
 
@@ -113,9 +117,12 @@ class Load:
             self.sent[stream] += step
 
     def warm_up(self) -> None:
-        for turn in range(2):
+        turns = itertools.count()
+        heard_until = time.monotonic() + ROUTER_HEARD_S
+        # Until each ground station has heard the router: on a loaded machine that may take longer than two turns.
+        while (turn := next(turns)) < 2 or (len(self.router_at) < len(self.gcs) and time.monotonic() < heard_until):
             for v in range(self.vehicles):
-                self.radio[v if self.own else 0].sendto(encode(HEARTBEAT, v + 1, 1, turn, BEAT), self.to)
+                self.radio[v if self.own else 0].sendto(encode(HEARTBEAT, v + 1, 1, turn % 256, BEAT), self.to)
             until = time.monotonic() + 0.15
             while time.monotonic() < until:
                 self.receive(0.02)

@@ -91,9 +91,12 @@ def test_8160_sources_of_one_peer_keep_no_order_from_a_vehicle(tmp_path: Path, a
             )
         assert sent == 8160
         counters = daemon.call("router.stats")
-        assert counters["refused_routes"] == 8160 - 1024
+        held, refused = len(counters["routes"]), counters["refused_routes"]
+        assert held <= 1024
+        # On a loaded machine the flood outlasts its first routes, which then make room for later ones.
+        assert 8160 - 1024 - counters["evicted_routes"] <= refused <= 8160 - 1024
         (channel,) = link(daemon, "net")["channels"]
-        assert channel["routes_refused"] == 8160 - 1024
+        assert channel["routes_refused"] == refused
         (event,) = [e for e in events(daemon, "warning") if e["data"]["change"] == "crowded"]
         assert f"127.0.0.1:{hostile.getsockname()[1]}" in event["text"]
         vehicle = Vehicle(77, 1, field_port)
