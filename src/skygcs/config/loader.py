@@ -61,7 +61,7 @@ _EXPECTED = {
 }
 """pydantic's error type -> what was wanted, after "must be"."""
 
-RENAMED_KEYS = {"foreign": "third_party"}
+RENAMED_KEYS = {"foreign": "third_party", "control_way": "control_mode"}
 """Keys of fleet files written for an earlier version: old -> new, wherever the new one is known."""
 
 _BOUNDS = {

@@ -81,7 +81,7 @@ def test_a_control_table_means_attitude_unless_said_otherwise(tmp_path: Path) ->
     assert not vehicle(tmp_path, "[types.t]").control_planned
     config = vehicle(tmp_path, "[types.t.control]")
     assert config.control_planned and expected(config.preflight, control=True).control == "attitude"
-    settings = vehicle(tmp_path, '[types.t]\ncontrol = {}\npreflight = {control_way = "none"}').preflight
+    settings = vehicle(tmp_path, '[types.t]\ncontrol = {}\npreflight = {control_mode = "none"}').preflight
     assert expected(settings, control=True).control is None
 
 
@@ -112,7 +112,7 @@ def test_a_pass_may_be_required_of_all_or_of_some(tmp_path: Path) -> None:
         ('gps_fix_min = "4d"', "must be one of no_gps"),
         ("rtl_height_m = [30, 3]", "the first is above the second"),
         ("battery_min_percent = 130", "at most 100"),
-        ('control_way = "atitude"', "attitude"),
+        ('control_mode = "atitude"', "attitude"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, line: str, says: str) -> None:

@@ -257,7 +257,7 @@ def thrust(facts: Facts, wanted: Expectations) -> Finding:
     value = facts.value(name)
     if facts.answer("GUID_OPTIONS").absent:
         text = "it has no GUID_OPTIONS: the thrust of attitude setpoints would be taken for a climb rate"
-        return failed(text, "fly it by velocity (control_way), or update it: ArduCopter has had the option since 4.1")
+        return failed(text, "fly it by velocity (control_mode), or update it: ArduCopter has had the option since 4.1")
     if value is None:
         return _not_known(facts, name)
     if facts.family == "px4":

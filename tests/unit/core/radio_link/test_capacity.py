@@ -59,7 +59,7 @@ def test_ten_vehicles_at_64_kbit_fit_with_their_positions_and_single_orders() ->
     plan = plan_link(demand(10))
     assert plan.fits
     assert plan.rates_hz == PROFILES["nav"]
-    up = next(way for way in plan.ways if way.name == "up, the ground's slot")
+    up = next(way for way in plan.directions if way.name == "up, the ground's slot")
     assert up.capacity == pytest.approx(550, rel=0.01)
 
 
@@ -152,7 +152,7 @@ def test_what_each_vehicle_gets_fits_but_for_heartbeats(
     assert all(plan.rates_hz[name] <= rate for name, rate in PROFILES[profile].items())
     assert plan.rates_hz["HEARTBEAT"] == 1
     got = profile_bytes_per_s(plan.rates_hz)
-    for way in plan.ways:
+    for way in plan.directions:
         assert (way.needed <= way.usable + 1e-6) == way.fits
         if way.name.startswith("down"):
             one = way.usable / (vehicles if "serial" in way.name else 1)
