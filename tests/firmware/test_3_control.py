@@ -75,7 +75,8 @@ def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> 
         with Stream(air.daemon.socket, air.one, circle, RATE_HZ) as stream:
             time.sleep(CIRCLE_S)
             status = air.control(air.one)
-        fell_back = [e["text"] for e in air.watcher.events_since(since, "control", vehicle=air.one)]
+        reports = [e["text"] for e in air.watcher.events_since(since, "control", vehicle=air.one)]
+        fell_back = [text for text in reports if text.startswith(("flown by", "holding"))]
         if fell_back:
             pytest.skip(f"this computer is too busy for it: {fell_back[0]}")
         assert not stream.refused, stream.refused[:2]

@@ -27,6 +27,9 @@ SPACING_M = 10.0
 START_S = 150.0
 """For an ArduCopter's estimator on a loaded machine; it takes 42 s of its own."""
 
+NEAR_STAND_M = 1.5
+"""How far from its place a vehicle may be when a scenario begins: the noise of PX4's simulated GPS is half of it."""
+
 TELEMETRY_HZ = 10
 RECENTLY_S = 3.5
 """Longer than skygcs takes a vehicle for armed that was armed."""
@@ -378,6 +381,7 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
                 self.order("vehicles.hold", name)  # also takes it over from a failsafe of its own
                 if not self.px4:
                     self.order("vehicles.mode", name, mode="GUIDED")
+                self.wait(lambda n=name: not self.state(n)["failsafe"], 20, f"{name}'s failsafe is over")  # type: ignore[misc]
                 self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
             else:
                 self.order("vehicles.takeoff", name, height_m=height_m, wait_s=60)
@@ -391,10 +395,10 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         )  # a PX4 goes from TAKEOFF to LOITER by itself
         up_s = time.monotonic() - began
         for name in names:
-            if math.dist(self.enu(name)[:2], self.stand(name)) > 2:
+            if math.dist(self.enu(name)[:2], self.stand(name)) > NEAR_STAND_M:
                 self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
         self.wait(
-            lambda: all(math.dist(self.enu(n)[:2], self.stand(n)) < 3 and self.steady(n) for n in names),
+            lambda: all(math.dist(self.enu(n)[:2], self.stand(n)) < NEAR_STAND_M and self.steady(n) for n in names),
             60,
             f"{names} stand at their places",
         )
