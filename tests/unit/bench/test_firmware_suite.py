@@ -52,12 +52,13 @@ def test_the_report_is_json_and_a_table(tmp_path: Path) -> None:
     )
     report.add(row)
     report.add(Row("test_y", "failed", 1.0, reason="it fell"))
-    whole = json.loads(report.stem.with_suffix(".json").read_text())
+    whole = json.loads(report.file("json").read_text())
     assert [r["outcome"] for r in whole["rows"]] == ["passed", "failed"]
     assert whole["rows"][0]["figures"]["RMS m"] == 0.12345
-    table = report.stem.with_suffix(".txt").read_text()
+    table = report.file("txt").read_text()
     assert "RMS m 0.123, Hz {a 5}" in table
     assert "px11: LOITER > RTL" in table
+    assert report.file("json").name.endswith("-px4-1.16.1-short.json")
     assert "px12" not in table
     assert "1 failed, 1 passed" in table
 
