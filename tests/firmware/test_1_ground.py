@@ -20,13 +20,17 @@ SETTLE_S = 8.0
 """Until rates are those that were asked for."""
 
 
-def rates(field: Field, name: str, seconds: float) -> dict[str, float]:
-    """Hz of each message as it leaves the vehicle."""
-    before = dict(field.truth(name).counts)
+def rates(field: Field, seconds: float) -> dict[str, dict[str, float]]:
+    """Hz of each message as it leaves each vehicle."""
+    before = {name: dict(field.truth(name).counts) for name in field.names}
     began = time.monotonic()
     time.sleep(seconds)
     passed_s = time.monotonic() - began
-    return {m: round((field.truth(name).counts[m] - before.get(m, 0)) / passed_s, 2) for m in NAV}
+
+    def rate(name: str, message: str) -> float:
+        return round((field.truth(name).counts[message] - before[name].get(message, 0)) / passed_s, 2)
+
+    return {name: {message: rate(name, message) for message in NAV} for name in field.names}
 
 
 def lost(field: Field) -> dict[str, Any]:
@@ -43,8 +47,7 @@ def test_discovery_and_streams(ground: Field, figures: dict[str, Any]) -> None:
     assert {s["autopilot"] for s in states.values()} == {"px4" if ground.px4 else "ardupilot"}
     assert all(s["firmware"] for s in states.values())
     time.sleep(SETTLE_S)
-    for name in ground.names:
-        measured = rates(ground, name, 5)
+    for name, measured in rates(ground, 5).items():
         figures[f"{name} Hz"] = measured
         assert all(rate > 0.3 for rate in measured.values()), measured
         assert measured["GLOBAL_POSITION_INT"] > 1.5
@@ -63,10 +66,10 @@ def test_nothing_is_lost_on_loopback(ground: Field, figures: dict[str, Any]) -> 
 
 
 def test_stream_rates_are_the_same_after_a_restart(ground: Field, figures: dict[str, Any]) -> None:
-    before = rates(ground, ground.one, 6)
+    before = rates(ground, 6)[ground.one]
     ground.restart_daemon()
     time.sleep(SETTLE_S)
-    after = rates(ground, ground.one, 6)
+    after = rates(ground, 6)[ground.one]
     figures.update(before=before, after=after)
     for name, rate in before.items():
         assert after[name] > 0.75 * rate, (name, before, after)

@@ -61,6 +61,7 @@ def test_one_returns(ground: Field, figures: dict[str, Any]) -> None:
     assert ground.truth(ground.two).alt_rel_m < 1
 
 
+@pytest.mark.minutes
 def test_all_take_off_go_return_and_land(ground: Field, figures: dict[str, Any]) -> None:
     homes = {name: ground.enu(name)[:2] for name in ground.names}
     figures["takeoff s"] = ground.takeoff()

@@ -26,7 +26,7 @@ SAFE_M = 3.0
 
 def first_report(field: Field, since: float, *kinds: str) -> dict[str, Any]:
     """When the first event of these kinds came, and what it said."""
-    wanted = kinds or ("control", "warning", "link_degraded", "vehicle_lost")
+    wanted = kinds or ("control", "warning", "link_degraded", "vehicle_lost", "uplink_lost")
     for when, event in list(field.watcher.events):
         if when > since and event["kind"] in wanted and event["vehicle"] in (field.one, None):
             return {"after s": round(when - since, 2), "text": event["text"][:90]}
@@ -58,6 +58,7 @@ def test_telemetry_is_cut(air: Field, figures: dict[str, Any], mode: str) -> Non
         assert figures["farthest m"] < SAFE_M
         assert figures["lowest m"] > HEIGHT_M - 3
         assert figures["report"]
+        assert figures["mode then"] == ("LOITER" if air.px4 else "GUIDED")  # where its own failsafes act
     air.wait(air.connected, 20, "both are heard again")
 
 

@@ -6,6 +6,8 @@ import re
 import time
 from typing import Any
 
+import pytest
+
 from support.firmware_air import EmulatedAir
 from support.firmware_field import HEIGHT_M, Field
 
@@ -20,6 +22,7 @@ def radio_toml(field: Field, device: str) -> str:
     return re.sub(r"\[links\.vehicles\]\n.*?(?=\[links\.gcs\])", link, field.toml(), flags=re.DOTALL)
 
 
+@pytest.mark.minutes
 def test_the_fleet_flies_behind_the_radio(ground: Field, figures: dict[str, Any]) -> None:
     air = EmulatedAir(ground.sysids, air_kbps=AIR_KBPS, baud=BAUD, loss=LOSS)
     ground.relay.air = air

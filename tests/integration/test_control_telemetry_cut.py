@@ -145,3 +145,18 @@ async def test_a_daemon_that_dies_leaves_the_autopilot_to_its_own_failsafe(
         await asyncio.sleep(60)
         assert gcs.is_safe(), gcs.truth[1][-1]
         assert gcs.farthest_m(died, of=start) < 16.0
+
+
+async def test_a_copter_whose_answers_are_lost_holds_where_its_own_failsafe_acts(tmp_path: Path) -> None:
+    """BRAKE is not left by the failsafe for a lost ground station (FS_OPTIONS, bit 4): what comes after it must be sent
+    although nothing answers."""
+    async with flown(tmp_path, px4=0, ardupilot=1, params={"FS_GCS_ENABLE": 1}) as gcs:
+        await gcs.fly("velocity")
+        cut = gcs.now
+        gcs.sim().faults.mute = True
+        await asyncio.sleep(8.0)
+        assert CopterMode.BRAKE in {t.mode for t in gcs.truth[1] if t.at > cut}
+        assert gcs.sim().mode == CopterMode.GUIDED
+        gcs.cut = True
+        await asyncio.sleep(8.0)
+        assert gcs.sim().mode == CopterMode.RTL

@@ -61,6 +61,8 @@ MAX_WAITING = 8
 """Commands of one id waiting for their turn; further ones are refused."""
 
 Check = Callable[[], bool]
+Follower = tuple[str, Mapping[str, Any]]
+"""A message and its fields, without its target."""
 
 
 class BroadcastCommand:
@@ -86,7 +88,17 @@ class _Line:
 
 
 class _Running:
-    __slots__ = ("done", "everywhere", "moving", "not_taken", "on_report", "priority", "protocol", "satisfied")
+    __slots__ = (
+        "done",
+        "everywhere",
+        "moving",
+        "not_taken",
+        "on_report",
+        "priority",
+        "protocol",
+        "satisfied",
+        "with_repeats",
+    )
 
     def __init__(
         self,
@@ -98,6 +110,7 @@ class _Running:
         *,
         everywhere: bool,
         moving: bool,
+        with_repeats: Follower | None,
     ) -> None:
         self.protocol = protocol
         self.done = done
@@ -106,6 +119,7 @@ class _Running:
         self.on_report = on_report
         self.everywhere = everywhere
         self.moving = moving
+        self.with_repeats = with_repeats
         self.not_taken = 0
 
 
@@ -162,6 +176,7 @@ class CommandClient:
         on_report: Callable[[int | None], None] | None = None,
         everywhere: bool = False,
         wanted: Check | None = None,
+        with_repeats: Follower | None = None,
     ) -> Outcome:
         """Send it and wait for its outcome. ``satisfied`` tells whether the state shows already what is wanted: then
         a lost ack does not matter. Cancelling forgets the command; what was sent cannot be unsent.
@@ -169,6 +184,7 @@ class CommandClient:
         The first transmission takes the best link, repeats take every one that leads to the vehicle: the best may be
         the very one that loses them. ``everywhere``: the first one as well. ``wanted``: it moves the vehicle, and a
         newer order may take its place (`supersede`); asked when its turn has come. An emergency's turn is at once.
+        ``with_repeats``: a message that goes out right after each repeat, the same ways (`Step.with_repeats`).
         """
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
             return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
@@ -188,6 +204,7 @@ class CommandClient:
                 on_report,
                 everywhere=True,
                 moving=wanted is not None,
+                with_repeats=with_repeats,
             )
         if line.waiting >= MAX_WAITING:
             return Outcome(False, "refused", f"{line.waiting} commands of the same kind are waiting already")
@@ -216,6 +233,7 @@ class CommandClient:
                 on_report,
                 everywhere=everywhere,
                 moving=wanted is not None,
+                with_repeats=with_repeats,
             )
         finally:
             line.lock.release()
@@ -332,12 +350,22 @@ class CommandClient:
         *,
         everywhere: bool,
         moving: bool,
+        with_repeats: Follower | None,
     ) -> Outcome:
         protocol = CommandProtocol(spec, timers)
         if satisfied is not None and satisfied():
             satisfied = None  # it tells nothing about this command
         done: asyncio.Future[Outcome] = self._loop.create_future()
-        running = _Running(protocol, done, priority, satisfied, on_report, everywhere=everywhere, moving=moving)
+        running = _Running(
+            protocol,
+            done,
+            priority,
+            satisfied,
+            on_report,
+            everywhere=everywhere,
+            moving=moving,
+            with_repeats=with_repeats,
+        )
         self._running[spec.command] = running
         now = self._loop.time()
         carried = self.broadcast is not None and not self.broadcast.sent and self.broadcast.spec == spec
@@ -366,6 +394,11 @@ class CommandClient:
                 everywhere = {"everywhere": True} if running.everywhere or effect.attempt else {}
                 if not self._send(info, values, *self.target, running.priority, **everywhere):
                     running.not_taken += 1
+                if effect.attempt and running.with_repeats is not None:
+                    name, fields = running.with_repeats
+                    if (follower := self._dialect.by_name.get(name)) is not None:
+                        addressed = {**fields, **self._address(follower)}
+                        self._send(follower, addressed, *self.target, running.priority, everywhere=True)
             elif isinstance(effect, Report):
                 if running.on_report is not None:
                     running.on_report(effect.percent)

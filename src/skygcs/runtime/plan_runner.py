@@ -210,6 +210,7 @@ class PlanRunner:
             on_report=lambda percent: self._report(plan.order, percent),
             everywhere=plan.order in EVERYWHERE,
             wanted=wanted if plan.order in MOVING and not plan.final else None,
+            with_repeats=step.with_repeats,
         )
         if not outcome.ok or met is None or expect is None or step.expect_s == 0:
             return outcome

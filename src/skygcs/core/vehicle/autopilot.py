@@ -24,6 +24,8 @@ What each order is made of, and why:
   from another mode begins with velocity 0 and holds where it stops (ModeGuided::init). BRAKE comes first: a vehicle
   that is in GUIDED already takes no notice of GUIDED (Copter::set_mode) and would fly on to its target. A position
   target is not used: what is known here of its position may be a second old, or of another vehicle with the same id.
+  Where telemetry is lost and orders still arrive, nothing answers BRAKE and it would stay there (seen in flight): each
+  repeat of it is followed by SET_MODE GUIDED.
   `stop` stays in BRAKE: nobody's setpoints move it then.
 - PX4 holds in AUTO.LOITER; NAV_DLL_ACT acts there after COM_DL_LOSS_T unless COM_DLL_EXCEPT names that mode.
 - PX4 flies a goto in AUTO.LOITER, and that mode ordered once more changes nothing: it would fly on (1.16.1, seen in
@@ -156,7 +158,11 @@ def hold(vehicle: Vehicle) -> Plan:
     (first,) = braked.steps
     guided = modes.mode_number(vehicle.autopilot, vehicle.type, "GUIDED")
     stays = mode_step(vehicle, guided, or_disarmed=True)
-    steps = (replace(first, expect_s=0, refused=NO_HOLD), replace(stays, refused=f"{IN_BRAKE}: {BRAKE_NOTE}"))
+    unheard = ("SET_MODE", {"base_mode": modes.CUSTOM_MODE_ENABLED, "custom_mode": guided})
+    steps = (
+        replace(first, expect_s=0, refused=NO_HOLD, with_repeats=unheard),
+        replace(stays, refused=f"{IN_BRAKE}: {BRAKE_NOTE}"),
+    )
     return Plan("hold", steps, "holding in GUIDED", despite_duplicate=True)
 
 

@@ -167,6 +167,8 @@ class Step:
     ``skip_if_met``: nothing is sent if the state is as wanted already. ``undo`` is carried out if a later step fails.
     ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` is what its
     refusal means, for a vehicle that gives no reason itself. An ``optional`` step may fail: the plan goes on.
+    ``with_repeats`` is a message sent right after each repeat of the command: what the vehicle is to do should it hear
+    us while its answers are lost, so that the next step never begins.
     """
 
     name: str
@@ -179,6 +181,7 @@ class Step:
     instead: tuple[Step, ...] = ()
     refused: str = ""
     optional: bool = False
+    with_repeats: tuple[str, Mapping[str, Any]] | None = None
 
 
 @dataclass(frozen=True, slots=True)
