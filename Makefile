@@ -11,10 +11,10 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/pytest -n auto --dist worksteal
 
-# MAVSDK (gRPC), DroneKit and pymavlink themselves, each in an environment of its own under build/clients
+# MAVSDK (3 over gRPC, and 4), DroneKit, MAVProxy and pymavlink themselves, each in an environment of its own
 test-clients: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m clients.environments
-	$(BIN)/pytest tests/clients -n 4
+	$(BIN)/pytest tests/clients -n 8 --dist worksteal
 
 # Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
 test-firmware: $(STAMP)

@@ -54,16 +54,20 @@ def download(vehicle):
     return list(vehicle.commands)
 
 
-def upload(vehicle, items):
+def upload(vehicle, items, home):
+    """Up and down again. What DroneKit has first in a mission it calls home and does not show (`Commands.__len__`,
+    `__getitem__`): that is there with ``home``, else the first item.
+    """
     commands = vehicle.commands
     commands.clear()
     for item in items:
         commands.add(item)
     commands.upload(timeout=120)
     back = download(vehicle)
-    off = [distance_m((a.x, a.y), (b.x, b.y)) for a, b in zip(items, back, strict=False)]
-    same = [item.command for item in items] == [item.command for item in back]
-    saw("mission", sent=len(items), back=len(back), same_commands=same, worst_m=max(off, default=-1.0))
+    kept = items if home else items[1:]
+    off = [distance_m((a.x, a.y), (b.x, b.y)) for a, b in zip(kept, back, strict=False)]
+    same = [item.command for item in kept] == [item.command for item in back]
+    saw("mission", sent=len(items), shown=len(back), same_commands=same, worst_m=max(off, default=-1.0))
 
 
 def waypoint(command, lat, lon, height_m):
@@ -137,7 +141,7 @@ def copter(vehicle):
     items = [waypoint(m.MAV_CMD_NAV_TAKEOFF, 0, 0, 10)]
     items += [waypoint(m.MAV_CMD_NAV_WAYPOINT, *leg, 11) for leg in legs]
     items.append(waypoint(m.MAV_CMD_NAV_WAYPOINT, *legs[-1], 11))  # a dummy, as in the example
-    upload(vehicle, items)
+    upload(vehicle, items, home=True)
     vehicle.commands.next = 0
     set_mode(vehicle, "AUTO")
     saw("flown", items=progress(vehicle, len(items)))
@@ -153,7 +157,7 @@ def px4(vehicle):
     items = [waypoint(m.MAV_CMD_NAV_TAKEOFF, lat, lon, 10)]
     items += [waypoint(m.MAV_CMD_NAV_WAYPOINT, *leg, 10) for leg in legs]
     items.append(waypoint(m.MAV_CMD_NAV_LAND, *legs[-1], 0))
-    upload(vehicle, items)
+    upload(vehicle, items, home=False)
     master = vehicle._master
 
     def mission_mode():

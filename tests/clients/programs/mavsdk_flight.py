@@ -181,6 +181,7 @@ async def fly_on(system):
 
     await first(telemetry.subscribe_position(), there)
     saw("there")
+    await telemetry.set_rate_position_velocity_ned(4.0)  # an ArduCopter sends what it is asked for
     await offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -10.0, 0.0))
     await offboard.start()
     saw("offboard", active=await offboard.is_active())
