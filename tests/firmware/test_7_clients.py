@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import os
 import socket
-import subprocess
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from clients.environments import CLIENTS
+from clients.flights import PROGRAM_OF, fly
 from support.firmware_field import Field
-from support.process import ROOT, free_port
+from support.process import free_port
 
-PROGRAMS = ROOT / "tests" / "clients" / "programs"
-FLIGHT_LIMIT_S = 420.0
 PROGRAM_PARAMS = {"px4": {"RTL_RETURN_ALT": 25}, "ardupilot": {"RTL_ALT": 2500, "WPNAV_SPEED": 1000}}
 """What the programs set, as it was."""
 
@@ -70,65 +65,24 @@ def test_pymavlink_flies_its_vehicle_as_system_1(ground: Field, figures: dict[st
     ground.land()
 
 
-def fly(field: Field, program: str, *words: str) -> dict[str, dict[str, Any]]:
-    """A program of `make test-clients` on the first vehicle, to its end: what it saw, by step."""
-    client = CLIENTS[program]
-    missing = client.install()
-    if missing:
-        pytest.skip(f"{missing.splitlines()[0][:120]} (make test-clients makes its environment)")
-    script = PROGRAMS / f"{program.replace('-', '_')}_flight.py"
-    environment = {**os.environ, "MAVLINK20": "1", "PYTHONUNBUFFERED": "1"}
-    log = field.folder / f"{program}.log"
-    command = [str(client.python), str(script), *words]
-    with log.open("wb") as stderr:
-        try:
-            done = subprocess.run(
-                command,
-                stdout=subprocess.PIPE,
-                stderr=stderr,
-                timeout=FLIGHT_LIMIT_S,
-                check=False,
-                cwd=field.folder,
-                env=environment,
-            )
-            output, code = done.stdout, done.returncode
-        except subprocess.TimeoutExpired as late:
-            output, code = late.stdout or b"", -1
-    lines = [json.loads(line) for line in output.decode().splitlines() if line.startswith('{"step"')]
-    field.order("params.set", field.one, params=PROGRAM_PARAMS[field.firmware])
-    assert code == 0 and lines[-1]["step"] == "done", f"{lines[-3:]} {last_lines(log)}"
-    assert not field.truth(field.two).armed
-    return {line.pop("step"): line for line in lines}
-
-
-def last_lines(log: Path) -> list[str]:
-    return log.read_text(errors="replace").strip().splitlines()[-3:]
-
-
 @pytest.mark.minutes
-@pytest.mark.only("ardupilot")  # DroneKit takes the first item of a mission for home
-def test_dronekit_flies_its_vehicle(ground: Field, figures: dict[str, Any]) -> None:
-    flight = fly(ground, "dronekit", f"tcp:127.0.0.1:{ground.bound_tcp_port}", "ardupilot")
-    assert flight["connected"] == {"system": 1, "firmware": 3}
-    mission = flight["mission"]
-    figures["mission"], figures["items flown"] = mission, flight["flown"]["items"]
-    figures["steps"] = list(flight)
-    assert mission["back"] == mission["sent"] and mission["same_commands"] and mission["worst_m"] < 2
-    assert "there" in flight and "velocity" in flight
-    assert abs(flight["landed"]["height_m"]) < 1
-
-
-@pytest.mark.minutes
-@pytest.mark.only("px4")  # MAVSDK takes the home item of an ArduCopter's mission for one that it does not support
-def test_mavsdk_flies_its_vehicle(ground: Field, figures: dict[str, Any]) -> None:
-    server = str(free_port(socket.SOCK_STREAM))
-    flight = fly(ground, "mavsdk-grpc", f"udpin://127.0.0.1:{ground.program_port}", "px4", server)
-    figures["version"], figures["mission"] = flight["state"]["version"], flight["mission"]
-    figures["steps"] = list(flight)
-    assert flight["mission"]["back"] == flight["mission"]["sent"] and flight["mission"]["worst_m"] < 0.1
-    assert flight["flown"]["finished"]
-    assert flight["offboard"]["active"] and flight["offboard stopped"]["mode"] == "HOLD"
-    assert "landed" in flight
+@pytest.mark.parametrize("client", PROGRAM_OF)
+def test_a_program_flies_its_vehicle(ground: Field, figures: dict[str, Any], client: str) -> None:
+    """Those of `make test-clients`, on the first vehicle."""
+    if not CLIENTS[client].is_installed:
+        pytest.skip(f"{client} is not installed: `make test-clients` does that")
+    program = PROGRAM_OF[client]
+    port = {"udp_server": ground.bound_port, "tcp_server": ground.bound_tcp_port, "udp_client": ground.program_port}
+    words = [program.connect.format(port=port[program.link]), ground.firmware]
+    if program.needs_server_port:
+        words.append(str(free_port(socket.SOCK_STREAM)))
+    try:
+        flight = fly(client, words, ground.folder)
+    finally:
+        ground.order("params.set", ground.one, params=PROGRAM_PARAMS[ground.firmware])
+    figures["steps"], figures["mission"] = flight.order, flight.steps.get("mission")
+    program.check(flight, ground.firmware)
+    assert not ground.truth(ground.two).armed
 
 
 COMPANION = 191
