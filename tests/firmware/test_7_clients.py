@@ -76,6 +76,8 @@ def test_a_program_flies_its_vehicle(ground: Field, figures: dict[str, Any], cli
     words = [program.connect.format(port=port[program.link]), ground.firmware]
     if program.needs_server_port:
         words.append(str(free_port(socket.SOCK_STREAM)))
+    if not ground.px4:  # from LAND, MAVSDK takes BRAKE before it arms, in which no ArduCopter arms
+        ground.order("vehicles.mode", ground.one, mode="GUIDED")
     try:
         flight = fly(client, words, ground.folder)
     finally:
