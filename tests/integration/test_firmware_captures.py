@@ -28,6 +28,7 @@ CUTS = (
     "copter-forged-positions",
     "copter-signed-flight",
     "copter-companion",
+    "copter-radio-flight",
 )
 SIGNED = 0x01
 """MAVLINK_IFLAG_SIGNED."""
@@ -86,6 +87,7 @@ class Replayed:
         self.events: list[dict[str, Any]] = []
         self.modes: dict[int, list[str]] = {}
         self.state: dict[int, dict[str, Any]] = {}
+        self.lost: dict[int, int] = {}
         self.counters: dict[str, int] = {}
         self.faults = 0
 
@@ -102,7 +104,9 @@ async def replay(name: str, tmp_path: Path) -> Replayed:
     await daemon.ready.wait()
     for _ in range(10_000):
         await asyncio.sleep(0.05)
-        for actor in daemon.fleet.vehicles.values():
+        for key, actor in daemon.fleet.vehicles.items():
+            if (quality := daemon.link_quality(key).get("capture")) is not None:
+                found.lost[actor.sysid] = quality["lost"]
             found.state[actor.sysid] = state = actor.state(daemon.now())
             modes = found.modes.setdefault(actor.sysid, [])
             if modes[-1:] != [state["mode"]]:
@@ -181,3 +185,12 @@ async def test_a_companion_is_a_component_of_its_vehicle(tmp_path: Path) -> None
     said = {(e["sysid"], e["text"]) for e in found.events if e["kind"] == "statustext" and e["data"]["compid"] == 191}
     assert said == {(21, f"{found.state[21]['name']}/191: camera ready")}
     assert found.state[21]["autopilot"] == "ardupilot" and found.state[21]["type"] == "QUADROTOR"
+
+
+@pytest.mark.looptime
+async def test_what_a_radio_lost_is_counted_as_pymavlink_counts_it(tmp_path: Path) -> None:
+    truth = Truth("copter-radio-flight")
+    found = await replay("copter-radio-flight", tmp_path)
+    assert truth.messages["RADIO_STATUS"] > 20
+    assert sum(truth.lost.values()) > 5
+    assert found.lost == dict(truth.lost)
