@@ -11,8 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.core.radio_link.transmit_queue import TxQueue
-from skygcs.sim.copter_setup import CopterMode
-from skygcs.sim.px4_setup import Px4Mode
+from skygcs.sim.behaviours import CopterMode, Px4Mode
 from support.flown import HOLDING, Flown, flown
 
 pytestmark = pytest.mark.looptime

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.sim.copter_setup import CopterMode
-from skygcs.sim.px4_setup import Px4Mode
+from skygcs.sim.behaviours import CopterMode, Px4Mode
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime

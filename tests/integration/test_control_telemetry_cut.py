@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.copter_setup import CopterMode
-from skygcs.sim.px4_setup import Px4Mode
+from skygcs.sim.behaviours import CopterMode, Px4Mode
 from support.flown import HOLDING, flown
 
 pytestmark = pytest.mark.looptime

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.behaviours import CopterMode
 from support.flown import flown
 
 pytestmark = pytest.mark.looptime

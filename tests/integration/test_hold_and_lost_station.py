@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.behaviours import CopterMode
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime

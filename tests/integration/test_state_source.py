@@ -18,8 +18,7 @@ from skygcs.core.mavlink.frame import encode_payload
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import RefusedError
 from skygcs.links.memory import MemoryLink
-from skygcs.sim.copter_setup import CopterMode
-from skygcs.sim.px4_setup import Px4Mode
+from skygcs.sim.behaviours import CopterMode, Px4Mode
 from support.flown import FIELD, Flown, flown
 from support.pymav import PymavPeer
 

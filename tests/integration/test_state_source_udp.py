@@ -23,7 +23,7 @@ from skygcs.core.mavlink.signing import sign, timestamp_at
 from skygcs.daemon import Daemon
 from skygcs.links.udp import UdpServerLink
 from skygcs.rpc.methods import METHODS
-from skygcs.sim.copter_setup import CopterMode
+from skygcs.sim.behaviours import CopterMode
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import TICK_S
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles

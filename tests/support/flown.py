@@ -25,10 +25,9 @@ from skygcs.links.base import Channel, OwnMessage
 from skygcs.links.memory import MemoryLink
 from skygcs.rpc.methods import METHODS
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.conditions import CALM, Conditions
-from skygcs.sim.copter_setup import CopterMode
 from skygcs.sim.kinematics import LocalFrame
-from skygcs.sim.px4_setup import Px4Mode
 from skygcs.sim.vehicle import TICK_S, SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from support.pymav import PymavPeer

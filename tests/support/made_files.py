@@ -13,8 +13,7 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from skygcs.sim.copter_setup import copter_params
-from skygcs.sim.px4_setup import px4_params
+from skygcs.sim.firmware_params import copter_params, px4_params
 
 LAT, LON = 43.7806, -79.4653
 REAL32, INT32 = 9, 6

@@ -1,4 +1,5 @@
-"""ArduCopter as a ground station sees it (4.5): modes, arming checks, refusals, GUIDED, streams by SRx groups.
+"""ArduCopter as a ground station sees it (4.6): modes, arming checks, refusals, GUIDED, streams by SRx groups. Values:
+`behaviours`.
 
 disarmed --arm--> armed on ground --GUIDED + NAV_TAKEOFF--> in air --LAND/RTL--> touch --2 s--> disarmed
 armed on ground for DISARM_DELAY: disarmed
@@ -7,28 +8,24 @@ GUIDED: flies to the last position target; a velocity target lasts GUID_TIMEOUT,
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
-from math import isfinite, radians
+from math import hypot, isfinite, radians
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
 from skygcs.core.mission.item import MissionItem
-from skygcs.sim import copter_failsafe, copter_guided, copter_mission
+from skygcs.sim import copter_guided, copter_mission, failsafe
 from skygcs.sim import protocol as m
+from skygcs.sim.behaviours import COPTER, CopterMode, Reaction
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import CALM, Conditions
 from skygcs.sim.copter_files import FileServer
 from skygcs.sim.copter_lists import CopterLists
 from skygcs.sim.copter_mission import CopterRun
-from skygcs.sim.copter_setup import (
-    GUIDED_FLAG_MODES,
-    NEEDS_POSITION,
-    NO_ARMING_MODES,
-    STREAM_GROUPS,
-    CopterMode,
-    copter_params,
-)
+from skygcs.sim.firmware_params import STREAM_GROUPS, copter_params
 from skygcs.sim.kinematics import Limits, LocalFrame
 from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
@@ -40,11 +37,27 @@ from skygcs.sim.vehicle import Home, SimVehicle
 FORCE = 21196
 """Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
 
+LEAST_CONE_SLOPE = 0.5
+"""RTL_MIN_CONE_SLOPE (ArduCopter/config.h)."""
+
 PREARM_EVERY_S = 30.0
 """Failing pre-arm checks are told this often."""
 
-BOOT_TEXTS = ("ArduCopter V4.5.7 (skygcs01)", "Frame: QUAD/X", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
+BOOT_TEXTS = ("ArduCopter V4.6.3 (skygcs01)", "Frame: QUAD/X", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
 """Ground stations read the firmware and its version from the first."""
+
+BREACH_TEXTS = {
+    "height": "Max Alt fence breached",
+    "distance": "Circle fence breached",
+    "polygon": "Polygon fence breached",
+}
+
+_REACTION_MODES: Mapping[Reaction, CopterMode] = {
+    Reaction.BRAKE: CopterMode.BRAKE,
+    Reaction.RETURN: CopterMode.RTL,
+    Reaction.SMART_RETURN: CopterMode.SMART_RTL,
+    Reaction.LAND: CopterMode.LAND,
+}
 
 
 class CopterVehicle(SimVehicle):
@@ -52,19 +65,15 @@ class CopterVehicle(SimVehicle):
 
     autopilot = m.MAV_AUTOPILOT_ARDUPILOTMEGA
     vtol_state = m.MAV_VTOL_STATE_MC
-    ready_after_s = 7.0
-    landed_after_s = 2.0
-    spool_up_s = 2.0
+    firmware = COPTER
     default_rates_hz = {"HEARTBEAT": 1.0}  # noqa: RUF012  a constant; the SR1_ parameters say the rest
     sysid_param = "SYSID_THISMAV"
-    unknown_message_result = m.MAV_RESULT_FAILED
-    armed_reboot_result = m.MAV_RESULT_FAILED
     can_sign = True
     named_param_index = 65535
     renumbers_at_once = False
     """Whether a new system id takes effect when it is set: GCS::update_send from 4.7 on; before, GCS::init reads it."""
-    attitude_timeout_s: float | None = 1.0
-    """GUIDED_ATTITUDE_TIMEOUT_MS of ArduCopter up to 4.0. None: GUID_TIMEOUT (3 s), as from 4.1 on."""
+    attitude_timeout_s: float | None = COPTER.attitude_timeout_s.simulated
+    """None: GUID_TIMEOUT (3 s), as from 4.1 on; before, GUIDED_ATTITUDE_TIMEOUT_MS: 1 s."""
 
     def __init__(
         self,
@@ -103,7 +112,7 @@ class CopterVehicle(SimVehicle):
             | m.MAV_MODE_FLAG_STABILIZE_ENABLED
             | m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
         )
-        if self.mode in GUIDED_FLAG_MODES:
+        if self.mode_rule.guided:
             flags |= m.MAV_MODE_FLAG_GUIDED_ENABLED
         return flags | (m.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
 
@@ -125,7 +134,7 @@ class CopterVehicle(SimVehicle):
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
             | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
-            "flight_sw_version": 4 << 24 | 5 << 16 | 7 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "flight_sw_version": 4 << 24 | 6 << 16 | 3 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
             "board_version": 140 << 16,
             "flight_custom_version": list(b"skygcs01"),
             "uid": 0x4150430000000000 | self.sysid,
@@ -133,21 +142,54 @@ class CopterVehicle(SimVehicle):
 
     def limits(self) -> Limits:
         p = self.params
+        braking, _, _ = self.firmware.brake.simulated
         return Limits(
             speed_mps=self.speed_mps or p["WPNAV_SPEED"] / 100,
-            accel_mps2=p["WPNAV_ACCEL"] / 100,
+            accel_mps2=braking if self.mode == CopterMode.BRAKE else p["WPNAV_ACCEL"] / 100,
             climb_mps=p["WPNAV_SPEED_UP"] / 100,
             descent_mps=p["WPNAV_SPEED_DN"] / 100,
             yaw_rate_radps=radians(60),
+            climb_accel_mps2=p["WPNAV_ACCEL_Z"] / 100,
         ).bounded()
 
     def arming_refusal(self) -> str | None:
-        """Why it would not arm now, None if it would."""
+        """Why it would not arm now, None if it would. A missing position is no check that ARMING_CHECK turns off."""
         if self.faults.refuse_arming:
             return self.faults.refuse_arming
-        if self.params["ARMING_CHECK"] and not self.position_ok:
-            return "Need Position Estimate"
-        return None
+        p = self.params
+        if not self.position_ok:
+            if self.mode_rule.position or self.firmware.arming_needs_position.simulated:
+                return "Need Position Estimate"
+            if p["FENCE_ENABLE"] and int(p["FENCE_TYPE"]) & (failsafe.FENCE_CIRCLE | failsafe.FENCE_POLYGON):
+                return "Fence enabled, need position estimate"
+        if not p["ARMING_CHECK"]:
+            return None
+        if self.motion.lean_deg > p["ANGLE_MAX"] / 100:
+            return "Leaning"
+        low, critical, _ = self.battery_levels()
+        return "Battery 1 low capacity failsafe" if low or critical else None
+
+    def battery_levels(self) -> tuple[bool, bool, bool]:
+        left_mah = self.battery.capacity_mah - self.battery.used_mah
+        low, critical = self.params["BATT_LOW_MAH"], self.params["BATT_CRT_MAH"]
+        return 0 < low >= left_mah, 0 < critical >= left_mah, False
+
+    @property
+    def setpoints_expected(self) -> bool:
+        return False  # in GUIDED a stream that ceases ends in a stop, without a failsafe
+
+    @property
+    def needs_position(self) -> bool:
+        return self.mode_rule.position
+
+    def breach(self, east_m: float, north_m: float, up_m: float) -> str:
+        return failsafe.copter_breach(self, east_m, north_m, up_m)
+
+    def too_far_beyond(self, breach: str) -> bool:
+        home = self.home
+        if home is None or breach == "height":
+            return False
+        return self.estimated.distance_m(*home.pos_enu_m) > self.params["FENCE_RADIUS"] + failsafe.GIVE_UP_M
 
     @property
     def fence_flags(self) -> tuple[bool, bool, bool]:
@@ -167,7 +209,7 @@ class CopterVehicle(SimVehicle):
         self.files = FileServer()
         self.failsafe = False
         self.speed_mps = 0.0
-        self.target_at = now
+        self.setpoint_at = now
         self.velocity_target = False
         self._prearm_at = now + 3.0
         for stream, (param, _) in STREAM_GROUPS.items():
@@ -196,8 +238,9 @@ class CopterVehicle(SimVehicle):
         if self.mode == CopterMode.AUTO and self.armed:
             self.run.step(self, now)
         copter_guided.watch(self, now)
-        copter_failsafe.watch(self, now)
-        delay = self.params["DISARM_DELAY"]
+        failsafe.watch(self, now)
+        name, more_s = self.firmware.idle_disarm.simulated
+        delay = self.params[name] + more_s
         if self.armed and self.landed and not self.taking_off and delay > 0:
             since = max(self.armed_at, self.landed_at)
             if now - since >= delay:
@@ -208,11 +251,49 @@ class CopterVehicle(SimVehicle):
         if refusal is not None:
             self.tx.say(m.MAV_SEVERITY_CRITICAL, f"PreArm: {refusal}")
 
-    def switch_off(self) -> None:
-        """Disarm and say so."""
+    def switch_off(self, reason: str = "") -> None:
         self.disarm()
         self.failsafe = False
         self.tx.say(m.MAV_SEVERITY_INFO, "Disarming motors")
+
+    # -- failsafes
+
+    def say_failsafe(self, reason: str, reaction: Reaction) -> None:
+        if reason == "position lost":
+            self.tx.say(m.MAV_SEVERITY_CRITICAL, "EKF Failsafe: changed to LAND Mode")
+        elif "battery" in reason:
+            self.tx.say(m.MAV_SEVERITY_WARNING, "Battery Failsafe")
+
+    def say_battery(self, level: str) -> None:
+        battery, word = self.battery, "low" if level == "low battery" else "critical"
+        text = f"Battery 1 is {word} {battery.volts:.1f}V used {battery.used_mah:.0f} mAh"
+        self.tx.say(m.MAV_SEVERITY_WARNING, text)
+
+    def say_breach(self, breach: str) -> None:
+        if not self.landed:
+            self.tx.say(m.MAV_SEVERITY_WARNING, BREACH_TEXTS[breach])
+
+    def say_gcs_is_back(self) -> None:
+        self.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe Cleared")
+
+    def carry_out(self, reaction: Reaction, now: float) -> None:
+        """Change to the mode, to LAND where it is impossible; on the ground: disarm."""
+        if reaction is Reaction.WARN:
+            return
+        if self.landed or reaction is Reaction.STOP:
+            self.switch_off()
+            return
+        mode = _REACTION_MODES[reaction]
+        if self.firmware.modes.simulated[mode].position and not self.position_ok:
+            mode = CopterMode.LAND
+        if self.mode == CopterMode.LAND and self.failsafe:
+            return  # a landing that a failsafe has begun goes on
+        self.enter(mode, now)
+        leg = self.plan.leg
+        pause_s = self.firmware.failsafe_land_pause_s.simulated
+        if mode == CopterMode.LAND and isinstance(leg, Land) and pause_s > 0.0:
+            self.plan.fly(replace(leg, not_before=now + pause_s))
+        self.failsafe = True
 
     def on_takeoff(self, now: float) -> None:
         return  # ArduCopter says nothing
@@ -230,15 +311,18 @@ class CopterVehicle(SimVehicle):
 
     def try_mode(self, number: int, now: float) -> bool:
         """Change the mode if ArduCopter would; a disarmed vehicle takes any mode it has."""
-        if number not in CopterMode._value2member_map_:
+        if number not in self.firmware.modes.simulated:
             self.tx.say(m.MAV_SEVERITY_WARNING, f"No such mode {number}")
             return False
         mode = CopterMode(number)
         reason = self.faults.refuse_mode
         if not reason and self.armed and mode == CopterMode.AUTO and mode != self.mode:
             reason = copter_mission.why_not_auto(self)
-        if not reason and self.armed and mode != self.mode and mode in NEEDS_POSITION and not self.position_ok:
+        rule = self.firmware.modes.simulated[mode]
+        if not reason and self.armed and mode != self.mode and rule.position and not self.position_ok:
             reason = "requires position"
+        if not reason and not rule.by_command:
+            reason = "init failed"
         if reason:
             self.tx.say(m.MAV_SEVERITY_WARNING, f"Mode change to {mode.name} failed: {reason}")
             return False
@@ -259,7 +343,8 @@ class CopterVehicle(SimVehicle):
         motion = self.estimated
         if mode == CopterMode.LAND:
             speed = self.params["LAND_SPEED"] / 100
-            self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
+            here = self.land_at(motion.east_m, motion.north_m, speed)
+            self.plan.fly(here if self.position_ok else Descend(speed))
         elif mode in (CopterMode.RTL, CopterMode.SMART_RTL) and not self.landed and self.home is not None:
             self.fly_home()
         elif mode == CopterMode.AUTO and self.armed:
@@ -270,14 +355,17 @@ class CopterVehicle(SimVehicle):
     def fly_home(self) -> None:
         """Climb, go there, wait, and down as far as RTL_ALT_FINAL says."""
         motion, home, p = self.estimated, self.home or Home(*self.estimated.pos_enu_m), self.params
-        up = max(motion.up_m, home.up_m + p["RTL_ALT"] / 100)
+        up = max(home.up_m + p["RTL_ALT"] / 100, motion.up_m)
+        if p["RTL_CONE_SLOPE"] >= LEAST_CONE_SLOPE:  # ModeRTL::compute_return_target: close to home it climbs less
+            away = hypot(motion.east_m - home.east_m, motion.north_m - home.north_m)
+            up = min(up, max(home.up_m + away * p["RTL_CONE_SLOPE"], motion.up_m))
         legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up), GoTo(home.east_m, home.north_m, up)]
         legs.append(Wait(p["RTL_LOIT_TIME"] / 1000))
         final = p["RTL_ALT_FINAL"] / 100
         if final > 0:
             legs.append(GoTo(home.east_m, home.north_m, home.up_m + final))
         else:
-            legs.append(Land(home.east_m, home.north_m, p["LAND_SPEED"] / 100))
+            legs.append(self.land_at(home.east_m, home.north_m, p["LAND_SPEED"] / 100))
         self.plan.fly(*legs)
 
     def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
@@ -333,7 +421,7 @@ class CopterVehicle(SimVehicle):
                 if self.armed:
                     return m.MAV_RESULT_TEMPORARILY_REJECTED
                 self._tell_prearm()
-                return m.MAV_RESULT_ACCEPTED
+                return self.firmware.answers.simulated.prearm_checks
             case m.MAV_CMD_DO_SEND_BANNER:
                 self._tell_banner(now)
                 return m.MAV_RESULT_ACCEPTED
@@ -348,9 +436,9 @@ class CopterVehicle(SimVehicle):
     def _accepted_if(ok: bool) -> int:
         return m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_FAILED
 
-    def _command_arm(self, c: Command, now: float) -> int:
+    def _command_arm(self, c: Command, now: float) -> int | None:
         if c.p1 not in (0.0, 1.0):
-            return m.MAV_RESULT_UNSUPPORTED
+            return self.firmware.answers.simulated.arm_neither
         forced = round(c.p2) == FORCE if isfinite(c.p2) else False
         if c.p1 == 0.0:
             if self.armed and not self.landed and not forced:
@@ -369,8 +457,8 @@ class CopterVehicle(SimVehicle):
         return m.MAV_RESULT_ACCEPTED
 
     def _mode_refusal(self) -> str | None:
-        auto = self.mode == CopterMode.AUTO and not int(self.params["AUTO_OPTIONS"]) & COPTER_AUTO_ARMABLE
-        return f"{CopterMode(self.mode).name} mode not armable" if auto or self.mode in NO_ARMING_MODES else None
+        auto = self.mode == CopterMode.AUTO and int(self.params["AUTO_OPTIONS"]) & COPTER_AUTO_ARMABLE
+        return None if auto or self.mode_rule.arms else f"{CopterMode(self.mode).name} mode not armable"
 
     def _command_takeoff(self, c: Command) -> int:
         if c.frame not in (None, m.MAV_FRAME_GLOBAL_RELATIVE_ALT):
@@ -384,15 +472,16 @@ class CopterVehicle(SimVehicle):
         return m.MAV_RESULT_ACCEPTED
 
     def _command_reposition(self, c: Command, now: float) -> int:
+        if c.frame is None:  # mav_frame_for_command_long knows no frame of it
+            return m.MAV_RESULT_UNSUPPORTED
         change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
         if self.mode != CopterMode.GUIDED and not change_mode:
             return m.MAV_RESULT_DENIED
-        # a COMMAND_LONG has no frame: heights are above home
-        up = up_of(self, m.MAV_FRAME_GLOBAL_RELATIVE_ALT if c.frame is None else c.frame, c.p7)
+        up = up_of(self, c.frame, c.p7)
         if up is None or not is_position(c.lat_deg, c.lon_deg):
             return m.MAV_RESULT_DENIED
         east, north = self.where.to_local(c.lat_deg, c.lon_deg)
-        if not copter_failsafe.inside_fence(self, east, north, up):
+        if not self.inside_fence(east, north, up):
             return m.MAV_RESULT_FAILED
         if self.mode != CopterMode.GUIDED and not self.try_mode(CopterMode.GUIDED, now):
             return m.MAV_RESULT_FAILED
@@ -401,13 +490,17 @@ class CopterVehicle(SimVehicle):
             self.plan.fly(GoTo(east, north, up))
         return m.MAV_RESULT_ACCEPTED
 
+    def inside_fence(self, east_m: float, north_m: float, up_m: float) -> bool:
+        """Whether GUIDED takes a target there; without a fence, everywhere."""
+        return self.breach(east_m, north_m, up_m) == ""
+
     def guided_waypoint(self, item: MissionItem) -> bool:
         """ModeAuto::do_guided: a waypoint outside a mission is a target, in GUIDED only; whether it is taken."""
         up = up_of(self, item.frame, item.z or 0.0)
         if self.mode != CopterMode.GUIDED or up is None or item.position is None:
             return False
         east, north = self.where.to_local(*item.position)
-        if not copter_failsafe.inside_fence(self, east, north, up):
+        if not self.inside_fence(east, north, up):
             return False
         if not self.landed:
             self.taking_off = self.velocity_target = False
@@ -426,7 +519,8 @@ class CopterVehicle(SimVehicle):
         return m.MAV_RESULT_ACCEPTED
 
     def _command_home(self, c: Command) -> int:
-        if c.p1 == 1 or (c.p5 == 0 and c.p6 == 0 and c.p7 == 0):
+        nowhere = all(value == 0 or not isfinite(value) for value in (c.p5, c.p6))
+        if c.p1 == 1 or nowhere:  # handle_command_do_set_home
             if not self.position_ok:
                 return m.MAV_RESULT_FAILED
             self.set_home_here()

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from skygcs.sim.attitude_targets import Refusal, copter_attitude
+from skygcs.sim.behaviours import CopterMode
 from skygcs.sim.body import AttitudeSetpoint
-from skygcs.sim.copter_failsafe import inside_fence
-from skygcs.sim.copter_setup import CopterMode
 from skygcs.sim.kinematics import Setpoint
 from skygcs.sim.legs import Follow
 from skygcs.sim.position_targets import setpoint_of
@@ -41,7 +40,7 @@ def take(v: CopterVehicle, name: str, fields: dict[str, Any], now: float) -> Non
             return
     if setpoint is None or (v.landed and not lifts):
         return
-    v.target_at = now
+    v.setpoint_at = now
     v.velocity_target = isinstance(setpoint, Setpoint) and setpoint.pos_enu_m[0] is None
     v.plan.fly(Follow(setpoint))
 
@@ -53,8 +52,8 @@ def watch(v: CopterVehicle, now: float) -> None:
     """
     if v.mode != CopterMode.GUIDED:
         return
-    age, leg = now - v.target_at, v.plan.leg
-    longest = max(SHORTEST_TIMEOUT_S, v.params["GUID_TIMEOUT"])
+    age, leg = now - v.setpoint_at, v.plan.leg
+    longest = max(SHORTEST_TIMEOUT_S, v.params[v.firmware.setpoint_timeout.simulated])
     if v.velocity_target and age > longest:
         _stop(v)
     elif isinstance(leg, Follow) and isinstance(leg.setpoint, AttitudeSetpoint):
@@ -82,4 +81,4 @@ def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Re
 
 def _within_fence(v: CopterVehicle, setpoint: Setpoint) -> bool:
     east, north, up = setpoint.pos_enu_m
-    return east is None or north is None or up is None or inside_fence(v, east, north, up)
+    return east is None or north is None or up is None or v.inside_fence(east, north, up)

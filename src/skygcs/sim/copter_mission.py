@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from skygcs.sim import protocol as m
+from skygcs.sim.behaviours import CopterMode
 from skygcs.sim.command_message import Command
-from skygcs.sim.copter_setup import CopterMode
 from skygcs.sim.mission_run import MissionRun
 
 if TYPE_CHECKING:
@@ -70,17 +70,15 @@ def why_not_auto(v: CopterVehicle) -> str:
 
 
 def start(v: CopterVehicle, now: float) -> int:
-    """MAV_CMD_MISSION_START: only with the motors on."""
-    if v.armed and v.try_mode(CopterMode.AUTO, now):
+    """MAV_CMD_MISSION_START: AUTO, which a disarmed vehicle always enters."""
+    if v.try_mode(CopterMode.AUTO, now):
         return m.MAV_RESULT_ACCEPTED
     return m.MAV_RESULT_FAILED
 
 
 def set_current(v: CopterVehicle, c: Command, now: float) -> int:
     """MAV_CMD_DO_SET_MISSION_CURRENT."""
-    if not 0 <= c.p1 <= 0xFFFF:
-        return m.MAV_RESULT_DENIED
-    if not v.run.set_current(v, int(c.p1), now):
-        return m.MAV_RESULT_FAILED
+    if not 0 <= c.p1 <= 0xFFFF or not v.run.set_current(v, int(c.p1), now):
+        return v.firmware.answers.simulated.mission_current_beyond
     v.send_soon("MISSION_CURRENT")
     return m.MAV_RESULT_ACCEPTED

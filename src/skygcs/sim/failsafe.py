@@ -1,6 +1,7 @@
-"""When a simulated vehicle's failsafes go off. What they do is in `px4_failsafe` and `copter_failsafe`.
+"""A simulated vehicle's failsafes: when they go off, and what they do. The firmwares differ in `behaviours`.
 
-Each goes off once when its trouble begins, and again only after the trouble has ended.
+Each goes off once when its trouble begins, and again only after the trouble has ended. A vehicle in the air without GPS
+loses its estimate after a while; without a transmitter no pilot takes over.
 """
 
 from __future__ import annotations
@@ -9,12 +10,23 @@ from math import hypot
 from typing import TYPE_CHECKING
 
 from skygcs.sim import protocol as m
+from skygcs.sim.behaviours import Reaction
+from skygcs.sim.fence_shapes import within
 
 if TYPE_CHECKING:
     from skygcs.sim.vehicle import SimVehicle
 
-GPS_FAILSAFE_S = 5.0
-"""In the air without GPS for longer than this: the estimate has drifted too far to go on."""
+FENCE_HEIGHT = 1
+FENCE_CIRCLE = 2
+FENCE_POLYGON = 4
+"""Bits of ArduCopter's FENCE_TYPE; the last one is for polygons and circles of the fence list."""
+
+GIVE_UP_M = 100.0
+"""AC_FENCE_GIVE_UP_DISTANCE: this far outside, a return has failed and it lands."""
+
+PILOT_GOES_ON = 16
+"""Bit of FS_OPTIONS (Copter.h, GCS_CONTINUE_IF_PILOT_CONTROL), set by default: a lost ground station means nothing in
+a mode that is flown by a pilot."""
 
 
 class ConditionTimer:
@@ -46,7 +58,17 @@ class ConditionTimer:
 class Failsafes:
     """The alarms of one vehicle; anew with every boot."""
 
-    __slots__ = ("battery_critical", "battery_emergency", "battery_low", "fence", "gcs", "gcs_heard_at", "position")
+    __slots__ = (
+        "battery_critical",
+        "battery_emergency",
+        "battery_low",
+        "crash",
+        "fence",
+        "gcs",
+        "gcs_heard_at",
+        "position",
+        "setpoints",
+    )
 
     def __init__(self) -> None:
         self.position = ConditionTimer()
@@ -55,17 +77,112 @@ class Failsafes:
         self.battery_emergency = ConditionTimer()
         self.gcs = ConditionTimer()
         self.fence = ConditionTimer()
+        self.crash = ConditionTimer()
+        self.setpoints = ConditionTimer()
         self.gcs_heard_at: float | None = None
-        """None: never; who has never had a ground station does not miss it."""
+        """None: never; a vehicle that has never had a ground station does not miss it."""
 
     def gcs_lost(self, now: float, timeout_s: float) -> bool:
         """True at the moment the ground station has been silent for too long."""
         heard = self.gcs_heard_at
         return self.gcs.check(heard is not None and now - heard > timeout_s, now)
 
-    def position_lost(self, v: SimVehicle, now: float) -> bool:
-        """True at the moment the vehicle, in the air, has been without GPS for too long."""
-        return self.position.check(not v.position_ok and not v.landed, now, GPS_FAILSAFE_S)
+
+def watch(v: SimVehicle, now: float) -> None:
+    """One tick's look at everything."""
+    firmware, alarms = v.firmware, v.failsafes
+    silent = v.setpoints_expected and now - v.setpoint_at > v.params[firmware.setpoint_timeout.simulated]
+    if alarms.setpoints.check(silent, now):
+        _react(v, firmware.setpoints_lost.simulated.of(v.params["COM_OBL_RC_ACT"]), "no offboard signal", now)
+    without = not v.position_ok and not v.landed
+    if alarms.position.check(without, now, firmware.position_lost_s.simulated) and v.needs_position:
+        _react(v, Reaction.LAND, "position lost", now)
+    _watch_battery(v, now)
+    _watch_gcs(v, now)
+    _watch_fence(v, now)
+    _watch_crash(v, now)
+
+
+def _watch_battery(v: SimVehicle, now: float) -> None:
+    """The worst level that was newly reached counts."""
+    firmware, alarms = v.firmware, v.failsafes
+    low, critical, emergency = v.battery_levels()
+    for alarm, reached, facts, name in (
+        (alarms.battery_low, low, firmware.battery_low, "low battery"),
+        (alarms.battery_critical, critical, firmware.battery_critical, "critical battery"),
+        (alarms.battery_emergency, emergency, firmware.battery_emergency, "battery emergency"),
+    ):
+        if alarm.check(reached, now):
+            v.say_battery(name)
+            reactions = facts.simulated
+            _react(v, reactions.of(v.params[reactions.param]), name, now, delayed=True)
+
+
+def _watch_gcs(v: SimVehicle, now: float) -> None:
+    firmware, alarms = v.firmware, v.failsafes
+    reactions = firmware.gcs.simulated
+    reaction = reactions.of(v.params[reactions.param])
+    before = alarms.gcs.raised
+    lost = alarms.gcs_lost(now, v.params[firmware.gcs_timeout.simulated])
+    rule = v.mode_rule
+    if lost and reaction is not Reaction.NONE and v.armed:
+        options = v.params.get("FS_OPTIONS")
+        if options is None:
+            if not rule.lands:
+                _react(v, reaction, "GCS lost", now, delayed=True)
+        elif not v.landed and int(options) & PILOT_GOES_ON and not rule.autopilot:
+            v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe - Continuing Pilot Control")
+        else:
+            v.tx.say(m.MAV_SEVERITY_WARNING, "GCS Failsafe")
+            _react(v, reaction, "", now)
+    elif before and not alarms.gcs.raised and reaction is not Reaction.NONE:
+        v.say_gcs_is_back()
+
+
+def _watch_fence(v: SimVehicle, now: float) -> None:
+    """ArduCopter knows of a breach on the ground, too; it acts on it only with the motors on, and there by switching
+    them off."""
+    breach = v.breach(*v.estimated.pos_enu_m)
+    _tell_breach(v, breach)
+    if not v.failsafes.fence.check(breach != "" and v.armed, now):
+        return
+    reactions = v.firmware.fence.simulated
+    reaction = reactions.of(v.params[reactions.param])
+    v.say_breach(breach)
+    if v.too_far_beyond(breach) and reaction is not Reaction.WARN:
+        reaction = Reaction.LAND
+    if reaction is Reaction.HOLD:
+        v.hold_here()  # Navigator::geofence_breach_check moves the place it holds, in LOITER as well
+    _react(v, reaction, f"fence {breach}", now, delayed=True)
+
+
+def _watch_crash(v: SimVehicle, now: float) -> None:
+    lean_deg, error_deg, accel_mps2, time_s = v.firmware.crash.simulated
+    if time_s <= 0.0:
+        return
+    motion = v.motion
+    crashed = v.armed and not v.landed and motion.lean_deg > lean_deg and v.attitude_error_deg > error_deg
+    still = hypot(*motion.accel_enu_mps2) < accel_mps2
+    if v.failsafes.crash.check(crashed and still, now, time_s):
+        text = f"Crash: Disarming: AngErr={v.attitude_error_deg:.0f}>{error_deg:.0f}, Accel=0.0<{accel_mps2:.1f}"
+        v.tx.say(m.MAV_SEVERITY_EMERGENCY, text)
+        v.switch_off("crash")
+
+
+def _react(v: SimVehicle, reaction: Reaction, reason: str, now: float, *, delayed: bool = False) -> None:
+    """Do it, or hold first (``delayed``, where the firmware does). ``reason`` is for its text; "": it has said it."""
+    if not v.armed or reaction is Reaction.NONE:
+        return
+    if reason and not (reaction is Reaction.WARN and "battery" in reason):
+        v.say_failsafe(reason, reaction)
+    hold = v.firmware.failsafe_hold.simulated
+    delay_s = v.params[hold] if hold and delayed and reaction in (Reaction.RETURN, Reaction.LAND) else 0.0
+    if delay_s <= 0.0 or v.failsafe or not v.position_ok:
+        v.carry_out(reaction, now)
+        return
+    v.tx.say(m.MAV_SEVERITY_CRITICAL, f"Failsafe activated: entering Hold for {delay_s:.0f} seconds\t")
+    v.carry_out(Reaction.HOLD, now)
+    v.later(now + delay_s, lambda: v.carry_out(reaction, now + delay_s) if v.armed and v.failsafe else None)
 
 
 def outside(v: SimVehicle, east_m: float, north_m: float, up_m: float, *, radius_m: float, height_m: float) -> str:
@@ -78,8 +195,30 @@ def outside(v: SimVehicle, east_m: float, north_m: float, up_m: float, *, radius
     return "height" if height_m > 0 and up_m - home.up_m > height_m else ""
 
 
-def tell_breach(v: SimVehicle, breach: str) -> None:
-    """Keep in mind, for telemetry, which side of its fence it is beyond: as `outside` says, or "polygon"."""
+def copter_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> str:
+    """ArduCopter: within all inclusions, and of the fences that FENCE_TYPE names."""
+    p = v.params
+    if not p["FENCE_ENABLE"]:
+        return ""
+    kinds = int(p["FENCE_TYPE"])
+    if kinds & FENCE_POLYGON and not within(v.lists.fence, v.where, east_m, north_m, every=True):
+        return "polygon"
+    radius = p["FENCE_RADIUS"] if kinds & FENCE_CIRCLE else 0.0
+    height = p["FENCE_ALT_MAX"] if kinds & FENCE_HEIGHT else 0.0
+    return outside(v, east_m, north_m, up_m, radius_m=radius, height_m=height)
+
+
+def px4_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> str:
+    """PX4: within one of the inclusions."""
+    p = v.params
+    breach = outside(v, east_m, north_m, up_m, radius_m=p["GF_MAX_HOR_DIST"], height_m=p["GF_MAX_VER_DIST"])
+    if not breach and not within(v.lists.fence, v.where, east_m, north_m, every=False):
+        return "polygon"
+    return breach
+
+
+def _tell_breach(v: SimVehicle, breach: str) -> None:
+    """Keep in mind, for telemetry, which side of its fence it is beyond."""
     kind = m.FENCE_BREACH_NONE
     if breach:
         kind = m.FENCE_BREACH_MAXALT if breach == "height" else m.FENCE_BREACH_BOUNDARY

@@ -24,7 +24,7 @@ def step(v: SimVehicle, now: float, dt_s: float) -> None:
         v.sensors.step()
         return
     setpoint, limits = v.plan.step(v.estimated, v.limits(), now)
-    lifts = v.armed and setpoint is not None and now - v.armed_at >= v.spool_up_s
+    lifts = v.armed and setpoint is not None and now - v.armed_at >= v.firmware.spool_up_s.simulated
     if v.landed and v.plan.landing:
         lifts = False
     if isinstance(motion, Quad):
@@ -43,11 +43,11 @@ def _watch_ground(v: SimVehicle, now: float) -> None:
             v.flown_since_arming = True
             v.touched_at = None
             v.on_takeoff(now)
-    elif not v.motion.on_ground:
-        v.touched_at = None
+    elif not v.motion.on_ground or (v.armed and v.motion.crashed and v.firmware.crash.simulated[3] > 0.0):
+        v.touched_at = None  # ArduCopter's land detector takes no landing with such an error of the attitude
     elif v.touched_at is None:
         v.touched_at = now
-    elif now - v.touched_at >= v.landed_after_s:
+    elif now - v.touched_at >= v.firmware.landed_after_s.simulated:
         v.landed = True
         v.landed_at = now
         v.on_landed(now)

@@ -7,15 +7,12 @@ autopilot makes them move. ENU metres about the point where the vehicle was firs
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, copysign, cos, hypot, pi, radians, remainder, sin, sqrt
+from math import atan2, copysign, cos, hypot, inf, pi, radians, remainder, sin, sqrt
 
 from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, wrap_pi
 
 POSITION_GAIN_PER_S = 1.0
 """Speed per metre of distance close to the target (PX4's MPC_XY_P 0.95, ArduCopter's PSC_POSXY_P 1.0)."""
-
-ACCEL_UP_MPS2 = 2.5
-"""ArduCopter's WPNAV_ACCEL_Z 1.0 and PX4's MPC_ACC_UP_MAX 4.0 have this between them."""
 
 TOP_SPEED_MPS = 30.0
 SLOWEST = 0.05
@@ -64,6 +61,9 @@ class Limits:
     climb_mps: float
     descent_mps: float
     yaw_rate_radps: float = radians(60)
+    climb_accel_mps2: float = 2.5
+    jerk_mps3: float = inf
+    """Change of the acceleration with which it slows down towards a position; infinite: at once."""
 
     def bounded(self) -> Limits:
         """No parameter makes it faster than the airframe, nor unable to move."""
@@ -73,12 +73,15 @@ class Limits:
             min(max(self.climb_mps, SLOWEST), TOP_SPEED_MPS),
             min(max(self.descent_mps, SLOWEST), TOP_SPEED_MPS),
             min(max(self.yaw_rate_radps, SLOWEST), pi),
+            min(max(self.climb_accel_mps2, SLOWEST), GRAVITY_MPS2),
+            max(self.jerk_mps3, SLOWEST),
         )
 
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Where to be (``pos_enu_m``) or, on an axis whose position is None, how fast to move; None there as well: stop.
+    """Where to be (``pos_enu_m``) and how fast that place moves (``vel_enu_mps``), or, on an axis whose position is None,
+    how fast to move; None there as well: stop.
 
     East and north go together: both have a position or neither has. ``yaw_rad`` is ENU-independent compass yaw
     (0 north, clockwise); None keeps it, or turns with ``yaw_rate_radps``.
@@ -90,12 +93,27 @@ class Setpoint:
     yaw_rate_radps: float = 0.0
 
 
-def approach_speed(distance_m: float, accel_mps2: float, top_mps: float) -> float:
-    """The speed from which one can still stop at the target with ``accel_mps2``; proportional when close."""
+def approach_speed(distance_m: float, accel_mps2: float, top_mps: float, jerk_mps3: float = inf) -> float:
+    """The speed from which one can still stop at the target with ``accel_mps2``, which itself changes with
+    ``jerk_mps3``; proportional when close."""
     near = accel_mps2 / POSITION_GAIN_PER_S**2
-    if distance_m <= near:
-        return min(POSITION_GAIN_PER_S * distance_m, top_mps)
-    return min(sqrt(2 * accel_mps2 * (distance_m - near / 2)), top_mps)
+    most = POSITION_GAIN_PER_S * distance_m
+    if distance_m > near:
+        most = sqrt(2 * accel_mps2 * (distance_m - near / 2))
+    if jerk_mps3 < inf:
+        # PX4's TrajectoryConstraints: computeMaxSpeedFromDistance
+        b = 4 * accel_mps2 * accel_mps2 / jerk_mps3
+        most = min(most, 0.5 * (sqrt(b * b + 8 * accel_mps2 * distance_m) - b))
+    return min(most, top_mps)
+
+
+def stopping_distance(speed_mps: float, accel_mps2: float, jerk_mps3: float, lag_s: float) -> float:
+    """How far it goes while it stops: the acceleration grows with the jerk to its most, and the body lags behind."""
+    if speed_mps * jerk_mps3 < accel_mps2**2:  # the most is not reached
+        slowing = speed_mps * sqrt(speed_mps / jerk_mps3)
+    else:
+        slowing = speed_mps / 2 * (speed_mps / accel_mps2 + accel_mps2 / jerk_mps3)
+    return slowing + lag_s * speed_mps
 
 
 class Motion(Body):
@@ -112,7 +130,7 @@ class Motion(Body):
         if isinstance(setpoint, AttitudeSetpoint):
             setpoint = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
         before = (self.vel_e_mps, self.vel_n_mps, self.vel_u_mps)
-        if setpoint is None:
+        if setpoint is None or self.crashed:
             self.yaw_rate_radps = 0.0
             if self.on_ground:
                 self.rest()
@@ -125,7 +143,7 @@ class Motion(Body):
         if self.up_m <= self.floor_m:
             self.up_m = self.floor_m
             if self.vel_u_mps <= 0.0:
-                self.rest()
+                self.touch()
                 return
         self.east_m += self.vel_e_mps * dt_s
         self.north_m += self.vel_n_mps * dt_s
@@ -142,25 +160,24 @@ class Motion(Body):
         if east is not None and north is not None:
             de, dn = east - self.east_m, north - self.north_m
             distance = hypot(de, dn)
-            speed = approach_speed(distance, limits.accel_mps2, limits.speed_mps)
-            want_e, want_n = (de / distance * speed, dn / distance * speed) if distance > 1e-9 else (0.0, 0.0)
-        else:
-            too_fast = hypot(want_e, want_n) / limits.speed_mps
-            if too_fast > 1.0:
-                want_e, want_n = want_e / too_fast, want_n / too_fast
+            speed = approach_speed(distance, limits.accel_mps2, limits.speed_mps, limits.jerk_mps3)
+            if distance > 1e-9:
+                want_e, want_n = want_e + de / distance * speed, want_n + dn / distance * speed
+        too_fast = hypot(want_e, want_n) / limits.speed_mps
+        if too_fast > 1.0:
+            want_e, want_n = want_e / too_fast, want_n / too_fast
         if up is not None:
             du = up - self.up_m
             top = limits.climb_mps if du > 0 else limits.descent_mps
-            want_u = copysign(approach_speed(abs(du), ACCEL_UP_MPS2, top), du)
-        else:
-            want_u = max(-limits.descent_mps, min(limits.climb_mps, want_u))
+            want_u += copysign(approach_speed(abs(du), limits.climb_accel_mps2, top), du)
+        want_u = max(-limits.descent_mps, min(limits.climb_mps, want_u))
         dve, dvn = want_e - self.vel_e_mps, want_n - self.vel_n_mps
         change, most = hypot(dve, dvn), limits.accel_mps2 * dt_s
         if change > most:
             dve, dvn = dve * most / change, dvn * most / change
         self.vel_e_mps += dve
         self.vel_n_mps += dvn
-        most = ACCEL_UP_MPS2 * dt_s
+        most = limits.climb_accel_mps2 * dt_s
         self.vel_u_mps += max(-most, min(most, want_u - self.vel_u_mps))
 
     def _turn(self, dt_s: float, setpoint: Setpoint, limits: Limits) -> None:

@@ -11,9 +11,6 @@ from typing import assert_never
 from skygcs.sim.body import AttitudeSetpoint, Body
 from skygcs.sim.kinematics import Limits, Setpoint
 
-LAND_FAST_ABOVE_M = 10.0
-"""ArduCopter's LAND_ALT_LOW: above it a landing vehicle descends at its normal speed."""
-
 
 @dataclass(frozen=True, slots=True)
 class GoTo:
@@ -47,11 +44,15 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class Land:
-    """Straight down here at ``speed_mps`` (faster high up) until the ground is met."""
+    """Straight down here until the ground is met: at ``speed_mps`` below ``slow_below_m``, at the vehicle's normal speed
+    of descent above ``fast_above_m``. After a failsafe it waits until ``not_before``."""
 
     east_m: float
     north_m: float
     speed_mps: float
+    fast_above_m: float = 10.0
+    slow_below_m: float = 10.0
+    not_before: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +95,7 @@ class Plan:
                 break
             self._legs.pop(0)
         leg = self.leg
-        return (None, limits) if leg is None else _steer(leg, motion, limits)
+        return (None, limits) if leg is None else _steer(leg, motion, limits, now)
 
 
 def _finished(leg: Leg, motion: Body, now: float) -> bool:
@@ -114,7 +115,7 @@ def _finished(leg: Leg, motion: Body, now: float) -> bool:
             assert_never(leg)
 
 
-def _steer(leg: Leg, motion: Body, limits: Limits) -> tuple[Setpoint | AttitudeSetpoint, Limits]:
+def _steer(leg: Leg, motion: Body, limits: Limits, now: float) -> tuple[Setpoint | AttitudeSetpoint, Limits]:
     match leg:
         case GoTo(east_m, north_m, up_m, yaw_rad, climb_mps):
             if climb_mps is not None:
@@ -124,10 +125,22 @@ def _steer(leg: Leg, motion: Body, limits: Limits) -> tuple[Setpoint | AttitudeS
             return setpoint, limits
         case Wait():
             return Setpoint((None, None, None)), limits
-        case Land(east_m, north_m, speed_mps):
-            speed = limits.descent_mps if motion.up_m > LAND_FAST_ABOVE_M else speed_mps
-            return Setpoint((east_m, north_m, None), (None, None, -speed)), limits
+        case Land():
+            return Setpoint(
+                (leg.east_m, leg.north_m, None), (None, None, -_landing_speed(leg, motion, limits, now))
+            ), limits
         case Descend(speed_mps):
             return AttitudeSetpoint(None, climb_mps=-speed_mps), limits
         case _:
             assert_never(leg)
+
+
+def _landing_speed(leg: Land, motion: Body, limits: Limits, now: float) -> float:
+    if now < leg.not_before:
+        return 0.0
+    if motion.up_m > leg.fast_above_m:
+        return max(leg.speed_mps, limits.descent_mps)
+    if motion.up_m <= leg.slow_below_m:
+        return leg.speed_mps
+    share = (motion.up_m - leg.slow_below_m) / (leg.fast_above_m - leg.slow_below_m)
+    return leg.speed_mps + share * (max(leg.speed_mps, limits.descent_mps) - leg.speed_mps)

@@ -10,9 +10,8 @@ from skygcs.core.params.names import sort_of
 from skygcs.core.params.param_file import Entry, ParamFile
 from skygcs.errors import ConfigError
 from skygcs.sim import protocol as m
-from skygcs.sim.copter_setup import copter_params
+from skygcs.sim.firmware_params import copter_params, px4_params
 from skygcs.sim.param_table import INTEGER_RANGE, Param
-from skygcs.sim.px4_setup import px4_params
 
 Family = Literal["px4", "ardupilot"]
 

@@ -51,6 +51,11 @@ class Params:
     def __getitem__(self, name: str) -> float:
         return self._all[self._index[name]].value
 
+    def get(self, name: str) -> float | None:
+        """None: it has no such parameter."""
+        found = self.find(name)
+        return None if found is None else found[1].value
+
     def find(self, name: str) -> tuple[int, Param] | None:
         index = self._index.get(name)
         return None if index is None else (index, self._all[index])

@@ -1,31 +1,32 @@
-"""PX4 as a ground station sees it (1.16 multicopter): navigation modes, arming rules, refusals, failsafes.
+"""PX4 as a ground station sees it (1.16 multicopter): navigation modes, arming rules, refusals. Values: `behaviours`.
 
-disarmed --arm--> armed on ground --TAKEOFF/OFFBOARD--> in air --LAND/RTL/touch--> landed --2 s--> disarmed
-armed on ground, not taken off for COM_DISARM_PRFLT: disarmed
-OFFBOARD: entered with one setpoint younger than COM_OF_LOSS_T (offboardCheck.cpp: no warm-up); without one for so long:
-LOITER, failsafe
+disarmed --arm--> armed on ground --TAKEOFF/OFFBOARD--> in air --LAND/RTL/touch--> landed --COM_DISARM_LAND--> disarmed
+armed on ground and not taken off: disarmed after COM_DISARM_PRFLT
+disarmed: any mode. Armed: OFFBOARD with one setpoint younger than COM_OF_LOSS_T (no warm-up), a mode for sticks never
 TAKEOFF at its height, or disarmed after landing: LOITER
 """
 
 from __future__ import annotations
 
-from math import isfinite, radians
+from collections.abc import Mapping
+from math import hypot, inf, isfinite, radians, tan
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
+from skygcs.sim import failsafe, px4_mission
 from skygcs.sim import protocol as m
-from skygcs.sim import px4_failsafe, px4_mission
 from skygcs.sim.attitude_targets import Refusal, px4_attitude
+from skygcs.sim.behaviours import PX4, Px4Mode, Reaction, px4_mode
 from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import CALM, Conditions
+from skygcs.sim.firmware_params import PX4_RATES_HZ, px4_params
 from skygcs.sim.kinematics import Limits, LocalFrame, Setpoint
 from skygcs.sim.legs import Descend, Follow, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_targets import is_altitude, is_position, setpoint_of
 from skygcs.sim.px4_lists import Px4Lists
 from skygcs.sim.px4_mission import Px4Run
-from skygcs.sim.px4_setup import MANUAL_MODES, NO_ARMING_MODES, PX4_RATES_HZ, Px4Mode, px4_params, wanted_mode
 from skygcs.sim.requests import common_command
 from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import Home, SimVehicle
@@ -33,21 +34,50 @@ from skygcs.sim.vehicle import Home, SimVehicle
 FORCE = 21196
 """Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
 
-RTL_NEAR_M = 10.0
-"""RTL_MIN_DIST: closer to home than this a return climbs no higher than RTL_DESCEND_ALT."""
+_AUTO_MAIN, _POSCTL_MAIN = 4, 3
+
+_REACTION_MODES: Mapping[Reaction, Px4Mode] = {
+    Reaction.POSITION: Px4Mode.POSCTL,
+    Reaction.ALTITUDE: Px4Mode.ALTCTL,
+    Reaction.STABILIZED: Px4Mode.STABILIZED,
+    Reaction.HOLD: Px4Mode.LOITER,
+    Reaction.RETURN: Px4Mode.RTL,
+    Reaction.LAND: Px4Mode.LAND,
+}
+_RANK: Mapping[int, int] = {Px4Mode.LOITER: 1, Px4Mode.RTL: 2, Px4Mode.LAND: 3}
+"""A milder mode does not replace what another failsafe has begun (framework.cpp: the worst action counts)."""
+
+
+def wanted_mode(base_mode: int, main: int, sub: int) -> int | None:
+    """The custom_mode that MAV_CMD_DO_SET_MODE's numbers name (Commander.cpp: handle_command), -1 for a sub mode of AUTO
+    that it does not have, None if they name none, which changes nothing.
+
+    Without MAV_MODE_FLAG_CUSTOM_MODE_ENABLED the base mode counts: DroneKit's PX4 guide enters MISSION so.
+    """
+    if base_mode & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
+        if main == _POSCTL_MAIN:
+            return Px4Mode.POSCTL_SLOW if px4_mode(main, sub) == Px4Mode.POSCTL_SLOW else Px4Mode.POSCTL
+        if main == _AUTO_MAIN:
+            mode = px4_mode(main, sub) if sub else Px4Mode.MISSION
+            return mode if mode in Px4Mode._value2member_map_ else -1
+        mode = px4_mode(main)  # others have no sub modes
+        return mode if mode in Px4Mode._value2member_map_ else None
+    if base_mode & m.MAV_MODE_FLAG_AUTO_ENABLED:
+        return Px4Mode.MISSION
+    if not base_mode & m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED:
+        return None
+    if base_mode & m.MAV_MODE_FLAG_GUIDED_ENABLED:
+        return Px4Mode.POSCTL
+    return Px4Mode.STABILIZED if base_mode & m.MAV_MODE_FLAG_STABILIZE_ENABLED else Px4Mode.MANUAL
 
 
 class Px4Vehicle(SimVehicle):
     """A PX4 quadrotor without a transmitter, as the lab flies it under a ground station."""
 
     autopilot = m.MAV_AUTOPILOT_PX4
-    ready_after_s = 4.0
-    landed_after_s = 1.0
-    spool_up_s = 1.0
+    firmware = PX4
     default_rates_hz = PX4_RATES_HZ
     sysid_param = "MAV_SYS_ID"
-    unknown_message_result = m.MAV_RESULT_DENIED
-    armed_reboot_result = m.MAV_RESULT_DENIED
     named_param_index = None
     hears_broadcast_commands = False
 
@@ -80,11 +110,12 @@ class Px4Vehicle(SimVehicle):
     @property
     def base_mode(self) -> int:
         flags = m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-        if self.mode in MANUAL_MODES:
+        rule = self.mode_rule
+        if rule.sticks:
             flags |= m.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
         if self.mode != Px4Mode.ACRO:
             flags |= m.MAV_MODE_FLAG_STABILIZE_ENABLED
-        if self.mode >> 16 & 0xFF == Px4Mode.LOITER >> 16 & 0xFF:
+        if rule.guided:
             flags |= m.MAV_MODE_FLAG_AUTO_ENABLED | m.MAV_MODE_FLAG_GUIDED_ENABLED
         return flags | (m.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
 
@@ -105,7 +136,7 @@ class Px4Vehicle(SimVehicle):
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
             | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
             | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2,
-            "flight_sw_version": 1 << 24 | 16 << 16 | 0 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
+            "flight_sw_version": 1 << 24 | 16 << 16 | 1 << 8 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
             "os_sw_version": 11 << 24 | m.FIRMWARE_VERSION_TYPE_OFFICIAL,
             "board_version": 0x38,
             "flight_custom_version": list(b"skygcs01"),
@@ -120,6 +151,8 @@ class Px4Vehicle(SimVehicle):
             climb_mps=p["MPC_Z_V_AUTO_UP"],
             descent_mps=p["MPC_Z_V_AUTO_DN"],
             yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
+            climb_accel_mps2=p["MPC_ACC_UP_MAX"],
+            jerk_mps3=inf if self.mode == Px4Mode.OFFBOARD else p["MPC_JERK_AUTO"],
         ).bounded()
 
     @property
@@ -134,15 +167,49 @@ class Px4Vehicle(SimVehicle):
         """Why it would not arm now, None if it would."""
         if self.faults.refuse_arming:
             return self.faults.refuse_arming
-        if not self.position_ok:
+        p, rule = self.params, self.mode_rule
+        if rule.position and not self.position_ok:
             return "Preflight Fail: position estimate not ready"
-        if self.battery.percent <= self.low_battery_percent:
+        least = p["COM_ARM_BAT_MIN"] if p["COM_ARM_BAT_MIN"] >= 0 else p[self.firmware.arming_battery.simulated]
+        if self.battery.percent <= 100 * least:
             return "Preflight Fail: low battery"
-        if self.mode in MANUAL_MODES:
+        if self.motion.crashed:
+            return "Preflight Fail: Attitude failure (roll)"
+        if rule.sticks:
             return "Preflight Fail: no manual control input"
-        if self.mode in NO_ARMING_MODES:
+        if self.mode == Px4Mode.OFFBOARD and not self.setpoints_fresh:
+            return "Preflight Fail: No offboard signal"
+        if self.mode == Px4Mode.MISSION and not self.lists.mission:
+            return "Preflight Fail: No valid mission available"
+        if not rule.arms:
             return "Arming denied: switch to another mode first"
         return None
+
+    def battery_levels(self) -> tuple[bool, bool, bool]:
+        percent, p = self.battery.percent, self.params
+        low, critical, emergency = p["BAT_LOW_THR"], p["BAT_CRIT_THR"], p["BAT_EMERGEN_THR"]
+        return percent <= 100 * low, percent <= 100 * critical, percent <= 100 * emergency
+
+    @property
+    def setpoints_expected(self) -> bool:
+        return self.mode == Px4Mode.OFFBOARD
+
+    @property
+    def setpoints_fresh(self) -> bool:
+        return self._clock - self.setpoint_at < self.params[self.firmware.setpoint_timeout.simulated]
+
+    @property
+    def needs_position(self) -> bool:
+        leg = self.plan.leg
+        if self.mode == Px4Mode.OFFBOARD and isinstance(leg, Follow):
+            return leg.needs_position
+        return True
+
+    def breach(self, east_m: float, north_m: float, up_m: float) -> str:
+        return failsafe.px4_breach(self, east_m, north_m, up_m)
+
+    def too_far_beyond(self, breach: str) -> bool:
+        return False
 
     @property
     def fence_flags(self) -> tuple[bool, bool, bool]:
@@ -176,7 +243,7 @@ class Px4Vehicle(SimVehicle):
             self.taking_off = False
         if self.mode == Px4Mode.MISSION and self.armed:
             self.run.step(self, now)
-        px4_failsafe.watch(self, now)
+        failsafe.watch(self, now)
         if self.armed and self.landed:
             self._auto_disarm(now)
 
@@ -184,18 +251,47 @@ class Px4Vehicle(SimVehicle):
         if self.flown_since_arming:
             delay, since, text = self.params["COM_DISARM_LAND"], self.landed_at, "Disarmed by landing"
         else:
-            delay, since = self.params["COM_DISARM_PRFLT"], self.armed_at
+            name, more_s = self.firmware.idle_disarm.simulated
+            delay, since = self.params[name], self.armed_at + more_s
             text = "Disarmed by auto preflight disarming"
         if delay > 0 and now - since >= delay:
-            self.switch_off(text)
+            self.switch_off(text.removeprefix("Disarmed by "))
 
-    def switch_off(self, text: str) -> None:
-        """Disarm and say why."""
+    def switch_off(self, reason: str) -> None:
         self.disarm()
         self.failsafe = False
-        self.say_event(m.MAV_SEVERITY_INFO, text)
+        self.say_event(m.MAV_SEVERITY_INFO, f"Disarmed by {reason}")
         self.run.leave()
         self.mode = self._mode_after_disarming
+
+    # -- failsafes
+
+    def say_failsafe(self, reason: str, reaction: Reaction) -> None:
+        self.say_event(m.MAV_SEVERITY_CRITICAL, f"Failsafe activated: {reason}, {reaction.value}")
+
+    def say_battery(self, level: str) -> None:
+        if level == "low battery":
+            self.say_event(m.MAV_SEVERITY_WARNING, "Low battery level, return advised")
+
+    def say_breach(self, breach: str) -> None:
+        return  # said with the failsafe
+
+    def say_gcs_is_back(self) -> None:
+        self.say_event(m.MAV_SEVERITY_INFO, "GCS connection regained")
+
+    def carry_out(self, reaction: Reaction, now: float) -> None:
+        if reaction is Reaction.STOP:
+            self.switch_off("failsafe")
+            return
+        if reaction in (Reaction.HOLD, Reaction.RETURN, Reaction.POSITION) and not self.position_ok:
+            reaction = Reaction.LAND
+        if reaction not in _REACTION_MODES:
+            return
+        mode = _REACTION_MODES[reaction]
+        if self.failsafe and _RANK.get(self.mode, 0) >= _RANK.get(mode, 0):
+            return
+        self.enter(mode, now)
+        self.failsafe = True
 
     def on_takeoff(self, now: float) -> None:
         self.say_event(m.MAV_SEVERITY_INFO, "Takeoff detected")
@@ -221,19 +317,22 @@ class Px4Vehicle(SimVehicle):
 
     def intend(self, mode: int) -> None:
         """Somebody wants this mode: the last one in which it may be armed is what it disarms into."""
-        if mode not in NO_ARMING_MODES:
+        rule = self.firmware.modes.simulated.get(mode)
+        if rule is not None and (rule.arms or rule.sticks):
             self._mode_after_disarming = mode
 
     def _may_enter(self, mode: int, now: float) -> bool:
-        if mode not in Px4Mode._value2member_map_ or mode == Px4Mode.READY:
+        """UserModeIntention::change: anything while disarmed, LAND always."""
+        if mode not in self.firmware.modes.simulated:
             return False
+        if not self.armed or mode == Px4Mode.LAND:
+            return True
+        if mode == Px4Mode.OFFBOARD:
+            return self.setpoints_fresh
         if mode == Px4Mode.MISSION and not self.lists.mission:
             return False
-        if mode == Px4Mode.OFFBOARD:
-            return now - self.setpoint_at < self.params["COM_OF_LOSS_T"]
-        if self.armed and mode in MANUAL_MODES:
-            return False  # no transmitter
-        return not self.armed or self.position_ok or mode == Px4Mode.LAND
+        rule = self.firmware.modes.simulated[mode]
+        return not rule.sticks and (self.position_ok or not rule.position)
 
     def enter(self, mode: int, now: float) -> None:
         """Be in this mode and begin what it does."""
@@ -249,7 +348,10 @@ class Px4Vehicle(SimVehicle):
         elif mode in (Px4Mode.LAND, Px4Mode.PRECLAND):
             self.say_event(m.MAV_SEVERITY_INFO, "Landing at current position")
             speed = self.params["MPC_LAND_SPEED"]
-            self.plan.fly(Land(motion.east_m, motion.north_m, speed) if self.position_ok else Descend(speed))
+            here = self.land_at(motion.east_m, motion.north_m, speed)
+            self.plan.fly(here if self.position_ok else Descend(speed))
+        elif self.mode_rule.sticks and not self.landed:
+            self._sink()
         elif mode == Px4Mode.RTL:
             self._return()
         elif mode == Px4Mode.MISSION and self.armed:
@@ -273,20 +375,43 @@ class Px4Vehicle(SimVehicle):
         self.taking_off = True
         self.plan.fly(*legs)
 
+    def _sink(self) -> None:
+        """A mode for sticks without sticks (PX4 1.16 with COM_OBL_RC_ACT 0..2): it stops and goes down (measured: 10 m in
+        12 s, MPC_LAND_SPEED)."""
+        self.hold_here()
+        leg, speed = self.plan.leg, self.params["MPC_LAND_SPEED"]
+        if isinstance(leg, GoTo) and self.position_ok:
+            self.plan.fly(Land(leg.east_m, leg.north_m, speed, fast_above_m=1e9, slow_below_m=1e9))
+        else:
+            self.plan.fly(Descend(speed))
+
+    def return_up_m(self) -> float:
+        """RTL::calculate_return_alt_from_cone_half_angle: how high it returns, in the local frame."""
+        here, home, p = self.estimated, self.home or Home(*self.estimated.pos_enu_m), self.params
+        most = home.up_m + p["RTL_RETURN_ALT"]
+        distance, near = hypot(here.east_m - home.east_m, here.north_m - home.north_m), p["NAV_ACC_RAD"]
+        up = most
+        if p["RTL_CONE_ANG"] > 0 and distance <= near:
+            up = home.up_m + 2 * distance
+        elif p["RTL_CONE_ANG"] > 0:
+            if distance <= p["RTL_MIN_DIST"]:
+                up = min(most, home.up_m + distance / tan(radians(min(89.0, p["RTL_CONE_ANG"]))))
+            up = max(up, home.up_m + 2 * near)
+        return max(here.up_m, min(up, most))
+
     def _return(self) -> None:
         if self.landed or self.home is None:
             return
         motion, home, p = self.estimated, self.home, self.params
-        near = motion.distance_m(home.east_m, home.north_m, motion.up_m) < RTL_NEAR_M
-        return_up = home.up_m + (p["RTL_DESCEND_ALT"] if near else p["RTL_RETURN_ALT"])
-        up = max(motion.up_m, return_up)
+        up = self.return_up_m()
         self.say_event(m.MAV_SEVERITY_INFO, f"RTL: start return at {round(up - home.up_m)} m above home")
-        self.plan.fly(
-            GoTo(motion.east_m, motion.north_m, up),
-            GoTo(home.east_m, home.north_m, up),
-            Wait(max(0.0, p["RTL_LAND_DELAY"])),
-            Land(home.east_m, home.north_m, p["MPC_LAND_SPEED"]),
-        )
+        legs: list[Leg] = [GoTo(motion.east_m, motion.north_m, up), GoTo(home.east_m, home.north_m, up)]
+        wait_s = p["RTL_LAND_DELAY"]
+        if wait_s:  # RtlDirect: down to RTL_DESCEND_ALT, and wait there; below 0 for good
+            legs.append(GoTo(home.east_m, home.north_m, min(up, home.up_m + p["RTL_DESCEND_ALT"])))
+        if wait_s >= 0:
+            legs += [Wait(wait_s), self.land_at(home.east_m, home.north_m, p["MPC_LAND_SPEED"])]
+        self.plan.fly(*legs)
 
     def on_set_mode_message(self, custom_mode: int, sender: tuple[int, int], now: float) -> None:
         ok = self.try_mode(custom_mode, now)
@@ -337,6 +462,8 @@ class Px4Vehicle(SimVehicle):
                 return m.MAV_RESULT_ACCEPTED
             case m.MAV_CMD_DO_SET_HOME:
                 return self._command_home(c)
+            case m.MAV_CMD_RUN_PREARM_CHECKS:
+                return self.firmware.answers.simulated.prearm_checks
             case _:
                 return common_command(self, c, now)
 
@@ -344,18 +471,18 @@ class Px4Vehicle(SimVehicle):
     def _accepted_if(ok: bool) -> int:
         return m.MAV_RESULT_ACCEPTED if ok else m.MAV_RESULT_TEMPORARILY_REJECTED
 
-    def _command_arm(self, c: Command, now: float) -> int:
+    def _command_arm(self, c: Command, now: float) -> int | None:
         if c.p1 not in (0.0, 1.0):
-            return m.MAV_RESULT_UNSUPPORTED
+            return self.firmware.answers.simulated.arm_neither
         forced = round(c.p2) == FORCE if isfinite(c.p2) else False
         if c.p1 == 0.0:
             if self.armed and not self.landed and not forced:
                 self.say_event(m.MAV_SEVERITY_CRITICAL, "Disarming denied: not landed")
                 return m.MAV_RESULT_TEMPORARILY_REJECTED
             if self.armed:
-                self.switch_off("Disarmed by external command")
+                self.switch_off("external command")
             return m.MAV_RESULT_ACCEPTED
-        return self._accepted_if(self.try_arm(now, forced=forced))
+        return self._accepted_if(self.try_arm(now, forced=forced and self.firmware.answers.simulated.forced_arming))
 
     def try_arm(self, now: float, *, forced: bool = False) -> bool:
         """Armed afterwards; why not is said."""
@@ -375,12 +502,15 @@ class Px4Vehicle(SimVehicle):
     def _command_mode(self, c: Command, now: float) -> int:
         if not all(isfinite(p) and 0 <= p < 256 for p in (c.p1, c.p2, c.p3)):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
+        # the receiver has answered before the commander: a real PX4 acknowledges DO_SET_MODE twice, first always ACCEPTED
+        # (mavlink_receiver.cpp: handle_message_command_both)
+        self.tx.acknowledge(c.id, m.MAV_RESULT_ACCEPTED, c.sender)
         mode = wanted_mode(int(c.p1), int(c.p2), int(c.p3))
+        if mode == -1:
+            self.say_event(m.MAV_SEVERITY_CRITICAL, "Unsupported auto mode")
+            return m.MAV_RESULT_TEMPORARILY_REJECTED
         # numbers that name no mode are accepted and change nothing, as its commander does
-        result = m.MAV_RESULT_ACCEPTED if mode is None else self._accepted_if(self.try_mode(mode, now))
-        # commander and navigator both answer: a real PX4 acknowledges DO_SET_MODE twice
-        self.tx.acknowledge(c.id, result, c.sender)
-        return result
+        return m.MAV_RESULT_ACCEPTED if mode is None else self._accepted_if(self.try_mode(mode, now))
 
     def _command_takeoff(self, c: Command, now: float) -> int:
         if not self._may_enter(Px4Mode.TAKEOFF, now):
@@ -394,8 +524,9 @@ class Px4Vehicle(SimVehicle):
         return m.MAV_RESULT_ACCEPTED
 
     def _command_reposition(self, c: Command, now: float) -> int:
-        change_mode = isfinite(c.p2) and int(c.p2) & m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
-        if change_mode and not self.try_mode(Px4Mode.LOITER, now):
+        if not isfinite(c.p2) or int(c.p2) != m.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
+            return m.MAV_RESULT_UNSUPPORTED
+        if not self.try_mode(Px4Mode.LOITER, now):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
         if self.mode == Px4Mode.LOITER and not any(map(isfinite, (c.p4, c.lat_deg, c.lon_deg, c.p7))):
             self.hold_here()  # "pause vehicle"
@@ -405,6 +536,11 @@ class Px4Vehicle(SimVehicle):
             if is_position(c.lat_deg, c.lon_deg):
                 east, north = self.where.to_local(c.lat_deg, c.lon_deg)
             up = c.p7 - self.where.alt_amsl_m if is_altitude(c.p7) else motion.up_m
+            reaction = self.firmware.fence.simulated.of(self.params["GF_ACTION"])
+            if reaction not in (Reaction.NONE, Reaction.WARN) and self.breach(east, north, up):
+                # Navigator::geofence_allows_position; the commander has accepted it all the same
+                self.say_event(m.MAV_SEVERITY_CRITICAL, "Reposition is outside geofence")
+                return m.MAV_RESULT_ACCEPTED
             self.cruise_mps = c.p1 if c.p1 > 0 else 0.0
             self.plan.fly(GoTo(east, north, up, yaw_rad=c.p4 if isfinite(c.p4) else None))
         return m.MAV_RESULT_ACCEPTED

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.core.mission.item import MissionType
 from skygcs.sim import protocol as m
+from skygcs.sim.behaviours import Px4Mode
 from skygcs.sim.command_message import Command
 from skygcs.sim.mission_run import MissionRun
-from skygcs.sim.px4_setup import Px4Mode
 
 if TYPE_CHECKING:
     from skygcs.sim.px4 import Px4Vehicle

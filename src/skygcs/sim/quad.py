@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import asin, atan2, cos, exp, hypot, inf, radians, sin, sqrt
 
-from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, Quaternion, Vector
+from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, Quaternion, Vector, quaternion_of
 from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.steering import Steering
 from skygcs.sim.wind import Wind
@@ -82,6 +82,7 @@ class Quad(Body):
     def place(self, east_m: float, north_m: float, up_m: float) -> None:
         """Put it there, still and level, at hover thrust if that is in the air: where a test begins."""
         self.east_m, self.north_m, self.up_m = east_m, north_m, up_m
+        self.crashed = False
         self.rest()
         self.attitude_ned_frd = level(self.yaw_rad)
         self.thrust = self.airframe.hover_thrust if up_m > 0.0 else 0.0
@@ -111,7 +112,7 @@ class Quad(Body):
         before = (self.vel_e_mps, self.vel_n_mps, self.vel_u_mps)
         for _ in range(SUB_STEPS):
             self.thrust += (wanted - self.thrust) * thrust_share
-            if self.up_m <= 0.0 and self.vel_u_mps <= 0.0 and self.thrust * lift <= GRAVITY_MPS2:
+            if self.up_m <= 0.0 and self.vel_u_mps <= 0.0 and (self.crashed or self.thrust * lift <= GRAVITY_MPS2):
                 self._lie()  # the ground carries it, whatever it wants to lie like
                 before = (0.0, 0.0, 0.0)
                 continue
@@ -127,9 +128,9 @@ class Quad(Body):
 
     def _lie(self) -> None:
         self.up_m = 0.0
-        self.rest()
+        self.touch()
         self.yaw_rate_radps = 0.0
-        self.attitude_ned_frd = level(self.yaw_rad)
+        self.attitude_ned_frd = quaternion_of(self.roll_rad, self.pitch_rad, self.yaw_rad)
 
     def _move(self, h: float, push_mps2: float, wind: Vector) -> None:
         w, x, y, z = self.attitude_ned_frd

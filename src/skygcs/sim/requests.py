@@ -110,7 +110,7 @@ def _message_name(v: SimVehicle, msgid: float) -> str | None:
 def _set_interval(v: SimVehicle, c: Command, now: float) -> int:
     name = _message_name(v, c.p1)
     if name is None or not isfinite(c.p2):
-        return m.MAV_RESULT_FAILED
+        return v.firmware.answers.simulated.unknown_interval
     if c.p2 < 0:
         interval: float | None = NEVER
     else:
@@ -133,7 +133,7 @@ def _get_interval(v: SimVehicle, c: Command, now: float) -> int:
 def _request_message(v: SimVehicle, c: Command, now: float) -> int:
     name = _message_name(v, c.p1)
     if name is None:
-        return v.unknown_message_result
+        return v.firmware.answers.simulated.unknown_message
     v.send_soon(name)
     return m.MAV_RESULT_ACCEPTED
 
@@ -150,7 +150,7 @@ def _request_fixed(name: str) -> Callable[[SimVehicle, Command, float], int]:
 
 def _calibrate(v: SimVehicle, c: Command, now: float) -> int | None:
     if v.armed:
-        return m.MAV_RESULT_DENIED
+        return v.firmware.answers.simulated.calibrate_armed
     if v.calibration is not None:  # asked again because the first answer was lost, or by somebody else
         own = v.calibration.sender == c.sender
         return m.MAV_RESULT_IN_PROGRESS if own else m.MAV_RESULT_TEMPORARILY_REJECTED
@@ -161,13 +161,27 @@ def _calibrate(v: SimVehicle, c: Command, now: float) -> int | None:
 
 
 def _reboot(v: SimVehicle, c: Command, now: float) -> int | None:
+    answers = v.firmware.answers.simulated
+    if c.p1 == 0:
+        return answers.reboot_nothing
     if c.p1 != 1:
         return m.MAV_RESULT_UNSUPPORTED
     if v.armed:
-        return v.armed_reboot_result
+        return answers.reboot_armed
     v.tx.acknowledge(c.id, m.MAV_RESULT_ACCEPTED, c.sender)
     v.reboot(now)
     return None
+
+
+def _terminate(v: SimVehicle, c: Command, now: float) -> int | None:
+    if c.p1 <= 0.5 or not v.armed:
+        return v.firmware.answers.simulated.terminate_not
+    v.switch_off("termination")
+    return m.MAV_RESULT_ACCEPTED
+
+
+def _pause(v: SimVehicle, c: Command, now: float) -> int | None:
+    return v.firmware.answers.simulated.pause
 
 
 _COMMANDS: Mapping[int, Callable[[SimVehicle, Command, float], int | None]] = {
@@ -179,6 +193,8 @@ _COMMANDS: Mapping[int, Callable[[SimVehicle, Command, float], int | None]] = {
     m.MAV_CMD_GET_HOME_POSITION: _request_fixed("HOME_POSITION"),
     m.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
     m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reboot,
+    m.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
+    m.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
 }
 
 

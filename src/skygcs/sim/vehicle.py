@@ -18,13 +18,14 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.sim import flight, requests, telemetry
 from skygcs.sim import protocol as m
 from skygcs.sim.battery import Battery
+from skygcs.sim.behaviours import Firmware, ModeRule, Reaction
 from skygcs.sim.body import Body, Vector
 from skygcs.sim.command_message import Command
 from skygcs.sim.conditions import CALM, Conditions, body_of
 from skygcs.sim.failsafe import Failsafes
 from skygcs.sim.faults import Faults
-from skygcs.sim.kinematics import Limits, LocalFrame
-from skygcs.sim.legs import GoTo, Plan
+from skygcs.sim.kinematics import Limits, LocalFrame, stopping_distance
+from skygcs.sim.legs import GoTo, Land, Plan
 from skygcs.sim.mission_lists import MissionLists
 from skygcs.sim.mission_run import MissionRun
 from skygcs.sim.onboard_signing import BoardSigning
@@ -66,18 +67,11 @@ class SimVehicle(ABC):
     """
 
     autopilot: int
+    firmware: Firmware
+    """What the firmware does, as data."""
     vtol_state: int = m.MAV_VTOL_STATE_UNDEFINED
     default_rates_hz: Mapping[str, float]
     sysid_param: str
-    ready_after_s: float
-    """From boot until the position estimate is good enough to arm."""
-    landed_after_s: float
-    """From touching the ground until the vehicle believes it."""
-    spool_up_s: float
-    """From arming until the motors can lift."""
-    unknown_message_result: int
-    """Answer to REQUEST_MESSAGE for a message it does not have."""
-    armed_reboot_result: int
     named_param_index: int | None
     """param_index of an answer to a request by name; None: the parameter's own."""
     can_sign: bool = False
@@ -94,6 +88,10 @@ class SimVehicle(ABC):
     """FENCE_BREACH: which side of its fence it is beyond, flying or not."""
     fence_breaches: int
     """Since boot."""
+    failsafe: bool
+    """A failsafe has chosen the mode."""
+    setpoint_at: float
+    """When the last setpoint came."""
 
     def __init__(
         self,
@@ -152,6 +150,48 @@ class SimVehicle(ABC):
     @property
     @abstractmethod
     def low_battery_percent(self) -> float: ...
+
+    @abstractmethod
+    def battery_levels(self) -> tuple[bool, bool, bool]:
+        """Whether the charge is low, critical, an emergency."""
+
+    @property
+    @abstractmethod
+    def setpoints_expected(self) -> bool:
+        """A stream of setpoints that ceases is a failsafe in this mode."""
+
+    @property
+    @abstractmethod
+    def needs_position(self) -> bool:
+        """What it does now needs a position estimate."""
+
+    @abstractmethod
+    def breach(self, east_m: float, north_m: float, up_m: float) -> str:
+        """Which side of its fence this place is beyond: "distance", "height", "polygon" or ""."""
+
+    @abstractmethod
+    def too_far_beyond(self, breach: str) -> bool:
+        """It is so far outside that it lands instead of returning."""
+
+    @abstractmethod
+    def carry_out(self, reaction: Reaction, now: float) -> None:
+        """Do what a failsafe wants; the vehicle is armed."""
+
+    @abstractmethod
+    def switch_off(self, reason: str) -> None:
+        """Disarm for this reason and report it."""
+
+    @abstractmethod
+    def say_failsafe(self, reason: str, reaction: Reaction) -> None: ...
+
+    @abstractmethod
+    def say_battery(self, level: str) -> None: ...
+
+    @abstractmethod
+    def say_breach(self, breach: str) -> None: ...
+
+    @abstractmethod
+    def say_gcs_is_back(self) -> None: ...
 
     @abstractmethod
     def limits(self) -> Limits:
@@ -312,6 +352,15 @@ class SimVehicle(ABC):
         return not self.faults.gps_lost and self._clock - self.boot_at >= self._ready_s / 2
 
     @property
+    def mode_rule(self) -> ModeRule:
+        return self.firmware.modes.simulated.get(self.mode) or ModeRule(self.mode)
+
+    @property
+    def attitude_error_deg(self) -> float:
+        """Between where it lies and what its controllers want; in flight the loop is taken as closed."""
+        return self.motion.lean_deg if self.motion.crashed else 0.0
+
+    @property
     def landed_state(self) -> int:
         if self.landed:
             return m.MAV_LANDED_STATE_ON_GROUND
@@ -357,8 +406,16 @@ class SimVehicle(ABC):
             self.plan.fly()
             return
         body = self.estimated
-        slide_s = 0.5 * body.groundspeed_mps / self.limits().accel_mps2
+        speed = body.groundspeed_mps
+        slide_s = stopping_distance(speed, *self.firmware.brake.simulated) / speed if speed > 0.0 else 0.0
         self.plan.fly(GoTo(body.east_m + body.vel_e_mps * slide_s, body.north_m + body.vel_n_mps * slide_s, body.up_m))
+
+    def land_at(self, east_m: float, north_m: float, speed_mps: float, *, not_before: float = 0.0) -> Land:
+        """A landing there as the firmware flies it."""
+        firmware = self.firmware
+        fast, slow = firmware.land_fast_above_m.simulated, firmware.land_slow_below_m.simulated
+        home_up = self.home.up_m if self.home else 0.0
+        return Land(east_m, north_m, speed_mps, home_up + fast, home_up + slow, not_before)
 
     def set_home_here(self) -> None:
         if self.position_ok:
@@ -390,7 +447,7 @@ class SimVehicle(ABC):
         self.tx.restart(self.sysid)
         self._requested: list[str] = []
         self._later: list[tuple[float, Callable[[], None]]] = []
-        self._ready_s = self.ready_after_s * (1 + self.rng.spread(0.2))
+        self._ready_s = self.firmware.ready_after_s.simulated * (1 + self.rng.spread(0.2))
         self._was_ready = False
         self.failsafes = Failsafes()
         self.fence_breach = m.FENCE_BREACH_NONE

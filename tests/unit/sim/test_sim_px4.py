@@ -8,7 +8,8 @@ import pytest
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from skygcs.sim.px4_setup import Px4Mode, wanted_mode
+from skygcs.sim.behaviours import Px4Mode
+from skygcs.sim.px4 import wanted_mode
 from support.sim_pilot import Pilot, px4, px4_mode
 
 REJECTED = mav.MAV_RESULT_TEMPORARILY_REJECTED

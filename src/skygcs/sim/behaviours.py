@@ -1,0 +1,669 @@
+"""What PX4 and ArduCopter do, as data: each value with the place in the firmware's source it was read from.
+
+The models of `skygcs.sim` take their values from here; docs/reference/simulated-firmware.md is this table in words,
+and tests/unit/sim and tests/firmware fly the same scenarios on the simulator and on real firmware against it.
+
+Read from PX4 v1.16.1 (94cb2012) and Copter-4.6.3 (92b0cd78). "measured" beside a source: flown with that firmware's own
+simulator (SIH, SITL), because the source gives a mechanism and not a number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum
+from typing import Final, Generic, TypeVar
+
+from skygcs.core.mission.item import FENCE_COMMANDS, RALLY_POINT
+from skygcs.sim import protocol as m
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Fact(Generic[T]):
+    """One value of a firmware. ``source`` is "path: function, constant or parameter" in its repository.
+
+    ``used`` is what the simulator does instead, with ``why``; None: the same.
+    """
+
+    value: T
+    source: str
+    used: T | None = None
+    why: str = ""
+
+    @property
+    def simulated(self) -> T:
+        """What the simulator does."""
+        return self.value if self.used is None else self.used
+
+
+# -- modes
+
+
+class CopterMode(IntEnum):
+    """HEARTBEAT.custom_mode (ArduCopter/mode.h)."""
+
+    STABILIZE = 0
+    ACRO = 1
+    ALT_HOLD = 2
+    AUTO = 3
+    GUIDED = 4
+    LOITER = 5
+    RTL = 6
+    CIRCLE = 7
+    LAND = 9
+    DRIFT = 11
+    SPORT = 13
+    FLIP = 14
+    AUTOTUNE = 15
+    POSHOLD = 16
+    BRAKE = 17
+    THROW = 18
+    AVOID_ADSB = 19
+    GUIDED_NOGPS = 20
+    SMART_RTL = 21
+    FLOWHOLD = 22
+    FOLLOW = 23
+    ZIGZAG = 24
+    SYSTEMID = 25
+    AUTOROTATE = 26
+    AUTO_RTL = 27
+    TURTLE = 28
+
+
+def px4_mode(main: int, sub: int = 0) -> int:
+    """custom_mode of a main and a sub mode."""
+    return main << 16 | sub << 24
+
+
+class Px4Mode(IntEnum):
+    """HEARTBEAT.custom_mode (src/modules/commander/px4_custom_mode.h)."""
+
+    MANUAL = px4_mode(1)
+    ALTCTL = px4_mode(2)
+    POSCTL = px4_mode(3)
+    ORBIT = px4_mode(3, 1)
+    POSCTL_SLOW = px4_mode(3, 2)
+    TAKEOFF = px4_mode(4, 2)
+    LOITER = px4_mode(4, 3)
+    MISSION = px4_mode(4, 4)
+    RTL = px4_mode(4, 5)
+    LAND = px4_mode(4, 6)
+    FOLLOW_TARGET = px4_mode(4, 8)
+    PRECLAND = px4_mode(4, 9)
+    ACRO = px4_mode(5)
+    OFFBOARD = px4_mode(6)
+    STABILIZED = px4_mode(7)
+
+
+@dataclass(frozen=True, slots=True)
+class ModeRule:
+    """One mode: what it needs, and what may be done in it."""
+
+    number: int
+    arms: bool = True
+    """A ground station may arm in it."""
+    position: bool = False
+    """Needs a position estimate: with the motors on it is not entered without, and nothing arms in it."""
+    sticks: bool = False
+    """Needs manual control, which no simulated vehicle has."""
+    autopilot: bool = False
+    """ArduCopter's is_autopilot(): a lost ground station means something in it, whatever FS_OPTIONS says."""
+    guided: bool = False
+    """HEARTBEAT.base_mode has MAV_MODE_FLAG_GUIDED_ENABLED (and PX4's AUTO_ENABLED)."""
+    lands: bool = False
+    """is_landing(), or PX4's modes in which a lost ground station is ignored."""
+    by_command: bool = True
+    """DO_SET_MODE enters it while disarmed."""
+
+
+def _copter(mode: CopterMode, words: str) -> ModeRule:
+    return ModeRule(
+        mode,
+        arms="arms" in words,
+        position="position" in words,
+        autopilot="autopilot" in words,
+        guided="guided" in words,
+        lands="lands" in words,
+        by_command="never" not in words,
+    )
+
+
+def _px4(mode: Px4Mode, words: str) -> ModeRule:
+    return ModeRule(
+        mode,
+        arms="arms" in words,
+        position="position" in words,
+        sticks="sticks" in words,
+        guided=mode >> 16 & 0xFF == Px4Mode.LOITER >> 16 & 0xFF,
+        lands="lands" in words,
+        by_command="never" not in words,
+    )
+
+
+COPTER_MODES: Final = Fact(
+    {
+        rule.number: rule
+        for rule in (
+            _copter(CopterMode.STABILIZE, "arms"),
+            _copter(CopterMode.ACRO, "arms"),
+            _copter(CopterMode.ALT_HOLD, "arms"),
+            _copter(CopterMode.AUTO, "position autopilot guided"),
+            _copter(CopterMode.GUIDED, "arms position autopilot guided"),
+            _copter(CopterMode.LOITER, "arms position guided"),
+            _copter(CopterMode.RTL, "position autopilot guided"),
+            _copter(CopterMode.CIRCLE, "position autopilot guided"),
+            _copter(CopterMode.LAND, "autopilot guided lands"),
+            _copter(CopterMode.DRIFT, "arms position"),
+            _copter(CopterMode.SPORT, "arms never"),
+            _copter(CopterMode.FLIP, "never"),
+            _copter(CopterMode.AUTOTUNE, "never"),
+            _copter(CopterMode.POSHOLD, "arms position guided"),
+            _copter(CopterMode.BRAKE, "position guided"),
+            _copter(CopterMode.THROW, "arms position"),
+            _copter(CopterMode.AVOID_ADSB, "position autopilot"),
+            _copter(CopterMode.GUIDED_NOGPS, "arms autopilot"),
+            _copter(CopterMode.SMART_RTL, "position autopilot guided"),
+            _copter(CopterMode.FLOWHOLD, "arms never"),
+            _copter(CopterMode.FOLLOW, "position autopilot guided never"),
+            _copter(CopterMode.ZIGZAG, "arms position autopilot"),
+            _copter(CopterMode.SYSTEMID, "never"),
+            _copter(CopterMode.AUTOROTATE, "autopilot never"),
+            _copter(CopterMode.AUTO_RTL, "position autopilot never"),
+            _copter(CopterMode.TURTLE, "arms never"),
+        )
+    },
+    "ArduCopter/mode.h: allows_arming, requires_GPS, is_autopilot, is_landing; mode_auto.cpp: ModeAuto::allows_arming "
+    "(bit 0 of AUTO_OPTIONS); never: the mode's init fails or it is not compiled in (measured)",
+)
+
+PX4_MODES: Final = Fact(
+    {
+        rule.number: rule
+        for rule in (
+            _px4(Px4Mode.MANUAL, "sticks"),
+            _px4(Px4Mode.ALTCTL, "sticks"),
+            _px4(Px4Mode.POSCTL, "sticks position"),
+            _px4(Px4Mode.POSCTL_SLOW, "sticks position"),
+            _px4(Px4Mode.ORBIT, "position never"),
+            _px4(Px4Mode.TAKEOFF, "arms position"),
+            _px4(Px4Mode.LOITER, "arms position"),
+            _px4(Px4Mode.MISSION, "arms position"),
+            _px4(Px4Mode.RTL, "position"),
+            _px4(Px4Mode.LAND, "lands"),
+            _px4(Px4Mode.FOLLOW_TARGET, "position"),
+            _px4(Px4Mode.PRECLAND, "position lands"),
+            _px4(Px4Mode.ACRO, "sticks"),
+            _px4(Px4Mode.OFFBOARD, "arms"),
+            _px4(Px4Mode.STABILIZED, "sticks"),
+        )
+    },
+    "src/modules/commander/ModeUtil/mode_requirements.cpp: getModeRequirements; "
+    "HealthAndArmingChecks/checks/modeCheck.cpp: ModeChecks::checkAndReport; Commander.cpp: handle_command (DO_SET_MODE; "
+    "LAND is always entered)",
+)
+
+
+# -- failsafes
+
+
+class Reaction(Enum):
+    """What a failsafe does, in the word of its text."""
+
+    NONE = "nothing"
+    WARN = "warning only"
+    POSITION = "position mode without sticks"
+    ALTITUDE = "altitude mode without sticks"
+    STABILIZED = "stabilized mode without sticks"
+    BRAKE = "braking"
+    HOLD = "holding"
+    RETURN = "returning"
+    SMART_RETURN = "returning by its own way"
+    LAND = "landing"
+    STOP = "motors off"
+
+
+@dataclass(frozen=True, slots=True)
+class Reactions:
+    """What the values of a parameter do."""
+
+    param: str
+    by_value: Mapping[int, Reaction]
+    otherwise: Reaction
+
+    def of(self, value: float) -> Reaction:
+        return self.by_value.get(int(value), self.otherwise)
+
+
+_COPTER_LINK = {
+    0: Reaction.NONE,
+    1: Reaction.RETURN,
+    2: Reaction.RETURN,
+    3: Reaction.SMART_RETURN,
+    4: Reaction.SMART_RETURN,
+}
+_COPTER_BATTERY = {0: Reaction.NONE, 1: Reaction.LAND, 5: Reaction.STOP, 7: Reaction.BRAKE}
+_PX4_LINK = {
+    0: Reaction.NONE,
+    1: Reaction.HOLD,
+    2: Reaction.RETURN,
+    3: Reaction.LAND,
+    5: Reaction.STOP,
+    6: Reaction.STOP,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MissionRules:
+    """The mission protocol of a firmware; the state machines are in `px4_lists` and `copter_lists`."""
+
+    retry_s: float
+    give_up_s: float
+    missions: int
+    fence: int
+    rally: int
+    with_place: frozenset[int]
+    without_place: frozenset[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """MAV_RESULT of what differs between the firmwares. None: no COMMAND_ACK at all."""
+
+    unknown_message: int
+    """REQUEST_MESSAGE for a message it does not have."""
+    unknown_interval: int
+    """SET_MESSAGE_INTERVAL for one."""
+    reboot_armed: int
+    reboot_nothing: int
+    """PREFLIGHT_REBOOT_SHUTDOWN with param1 0."""
+    arm_neither: int | None
+    """COMPONENT_ARM_DISARM with another number than 0 and 1."""
+    calibrate_armed: int
+    prearm_checks: int | None
+    """RUN_PREARM_CHECKS while disarmed."""
+    terminate_not: int
+    """DO_FLIGHTTERMINATION with param1 0."""
+    pause: int
+    """DO_PAUSE_CONTINUE outside of a mission."""
+    mission_current_beyond: int
+    """DO_SET_MISSION_CURRENT of an item that is not there."""
+    forced_arming: bool
+    """Whether 21196 in param2 passes over the arming checks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Firmware:
+    """One firmware's behaviour. Every field is a `Fact`, but the name and version."""
+
+    name: str
+    version: str
+
+    # start
+    ready_after_s: Fact[float]
+    """From boot until the position estimate is good enough to arm."""
+
+    # modes and arming
+    modes: Fact[dict[int, ModeRule]]
+    arming_needs_position: Fact[bool]
+    """In every mode, not only in those that need a position."""
+    arming_battery: Fact[str]
+    """Parameter of the charge (0..1) below which nothing arms; "": none."""
+    idle_disarm: Fact[tuple[str, float]]
+    """Armed on the ground and not taken off: parameter (s), and what is added to it."""
+    answers: Fact[Answers]
+
+    # flight
+    spool_up_s: Fact[float]
+    """From arming until the motors lift."""
+    climb_accel_mps2: Fact[float]
+    jerk_mps3: Fact[float]
+    """Of a way to a position; infinite: the speed changes at once to what the braking distance allows."""
+    brake: Fact[tuple[float, float, float]]
+    """Stopping where it is: acceleration (m/s²), jerk (m/s³), and time (s) until the body follows."""
+    land_fast_above_m: Fact[float]
+    land_slow_below_m: Fact[float]
+    """A landing goes at its normal speed of descent above the one, at its landing speed below the other height."""
+    landed_after_s: Fact[float]
+    """From touching the ground until the vehicle believes it."""
+    crash: Fact[tuple[float, float, float, float]]
+    """Lean (deg), error of the attitude (deg), acceleration (m/s²) and time (s) from which an armed vehicle takes itself
+    to have crashed and disarms; all 0: it does not."""
+
+    # setpoints
+    setpoint_timeout: Fact[str]
+    """Parameter (s) after which a stream that has ceased has ceased."""
+    attitude_timeout_s: Fact[float | None]
+    """The same for attitudes, where it is another; None: the parameter."""
+
+    # failsafes
+    failsafe_hold: Fact[str]
+    """Parameter (s): so long it holds before it returns or lands; "": at once."""
+    failsafe_land_pause_s: Fact[float]
+    """So long a landing by a failsafe waits before it descends."""
+    gcs_timeout: Fact[str]
+    gcs: Fact[Reactions]
+    setpoints_lost: Fact[Reactions]
+    fence: Fact[Reactions]
+    battery_low: Fact[Reactions]
+    battery_critical: Fact[Reactions]
+    battery_emergency: Fact[Reactions]
+    position_lost_s: Fact[float]
+    """In the air, from the last GPS fix until the estimate is given up."""
+
+    # missions
+    mission: Fact[MissionRules] = field(repr=False)
+    altitude_step_m: Fact[float] = field(repr=False)
+    """Altitudes of items are kept in steps of this; 0: as they came."""
+
+
+_NEVER = Reactions("", {}, Reaction.NONE)
+
+COPTER: Final = Firmware(
+    name="ArduCopter",
+    version="4.6.3",
+    ready_after_s=Fact(
+        42.0,
+        "libraries/AP_NavEKF3/AP_NavEKF3_Control.cpp: setAidingMode, after AP_GPS's fix and the tilt alignment (measured)",
+        used=7.0,
+        why="demos and tests in real time would wait for nothing else",
+    ),
+    modes=COPTER_MODES,
+    arming_needs_position=Fact(False, "ArduCopter/AP_Arming.cpp: AP_Arming_Copter::mandatory_gps_checks"),
+    arming_battery=Fact("", "libraries/AP_Arming/AP_Arming.cpp: battery_checks (BATT_ARM_VOLT 0, BATT_ARM_MAH 0)"),
+    idle_disarm=Fact(("DISARM_DELAY", 0.0), "ArduCopter/motors.cpp: Copter::auto_disarm_check"),
+    answers=Fact(
+        Answers(
+            unknown_message=m.MAV_RESULT_FAILED,
+            unknown_interval=m.MAV_RESULT_DENIED,
+            reboot_armed=m.MAV_RESULT_FAILED,
+            reboot_nothing=m.MAV_RESULT_UNSUPPORTED,
+            arm_neither=m.MAV_RESULT_UNSUPPORTED,
+            calibrate_armed=m.MAV_RESULT_FAILED,
+            prearm_checks=m.MAV_RESULT_ACCEPTED,
+            terminate_not=m.MAV_RESULT_FAILED,
+            pause=m.MAV_RESULT_FAILED,
+            mission_current_beyond=m.MAV_RESULT_DENIED,
+            forced_arming=True,
+        ),
+        "libraries/GCS_MAVLink/GCS_Common.cpp: handle_command_int_packet, set_message_interval, "
+        "handle_command_do_set_mission_current; ArduCopter/GCS_Mavlink.cpp (each measured)",
+    ),
+    spool_up_s=Fact(
+        2.0,
+        "libraries/AP_Motors/AP_MotorsMulticopter.cpp: MOT_SPOOL_TIME, and the arming delay (Copter.h: in_arming_delay)",
+    ),
+    climb_accel_mps2=Fact(1.0, "libraries/AC_WPNav/AC_WPNav.cpp: WPNAV_ACCEL_Z (100 cm/s²)"),
+    jerk_mps3=Fact(
+        float("inf"),
+        "ArduCopter/mode_guided.cpp: pos_control_run (input shaping with PSC_JERK_XY, no S-curve in GUIDED)",
+    ),
+    brake=Fact(
+        (7.5, 5.0, 0.3),
+        "ArduCopter/config.h: BRAKE_MODE_DECEL_RATE; libraries/AC_AttitudeControl/AC_PosControl.cpp: PSC_JERK_XY (measured)",
+    ),
+    land_fast_above_m=Fact(10.0, "ArduCopter/mode.cpp: Mode::land_run_vertical_control (LAND_ALT_LOW)"),
+    land_slow_below_m=Fact(10.0, "ArduCopter/mode.cpp: Mode::land_run_vertical_control (LAND_ALT_LOW)"),
+    landed_after_s=Fact(
+        2.0,
+        "ArduCopter/config.h: LAND_DETECTOR_TRIGGER_SEC, after the 1 Hz filter of the acceleration, and MOT_SPOOL_TIME "
+        "(measured)",
+    ),
+    crash=Fact((15.0, 30.0, 3.0, 2.0), "ArduCopter/crash_check.cpp: Copter::crash_check, CRASH_CHECK_*"),
+    setpoint_timeout=Fact("GUID_TIMEOUT", "ArduCopter/mode_guided.cpp: ModeGuided::get_timeout_ms (at least 0.1 s)"),
+    attitude_timeout_s=Fact(
+        None,
+        "ArduCopter/mode_guided.cpp: ModeGuided::angle_control_run (up to 4.0: GUIDED_ATTITUDE_TIMEOUT_MS, 1 s)",
+    ),
+    failsafe_hold=Fact("", "ArduCopter/events.cpp: Copter::do_failsafe_action"),
+    failsafe_land_pause_s=Fact(4.0, "ArduCopter/config.h: LAND_WITH_DELAY_MS; mode_land.cpp: set_mode_land_with_pause"),
+    gcs_timeout=Fact("FS_GCS_TIMEOUT", "ArduCopter/events.cpp: Copter::failsafe_gcs_check (only SYSID_MYGCS counts)"),
+    gcs=Fact(
+        Reactions(
+            "FS_GCS_ENABLE", _COPTER_LINK | {5: Reaction.LAND, 6: Reaction.RETURN, 7: Reaction.BRAKE}, Reaction.RETURN
+        ),
+        "ArduCopter/events.cpp: Copter::failsafe_gcs_on_event (6: DO_LAND_START, else RTL)",
+    ),
+    setpoints_lost=Fact(
+        _NEVER, "ArduCopter/mode_guided.cpp: velaccel_control_run (a velocity becomes 0, the mode stays)"
+    ),
+    fence=Fact(
+        Reactions(
+            "FENCE_ACTION",
+            {
+                0: Reaction.WARN,
+                1: Reaction.RETURN,
+                2: Reaction.LAND,
+                3: Reaction.SMART_RETURN,
+                4: Reaction.BRAKE,
+                5: Reaction.SMART_RETURN,
+            },
+            Reaction.RETURN,
+        ),
+        "ArduCopter/fence.cpp: Copter::fence_check (more than 100 m beyond: LAND)",
+    ),
+    battery_low=Fact(
+        Reactions(
+            "BATT_FS_LOW_ACT",
+            _COPTER_BATTERY | {2: Reaction.RETURN, 3: Reaction.SMART_RETURN, 4: Reaction.SMART_RETURN},
+            Reaction.RETURN,
+        ),
+        "ArduCopter/Copter.h: FailsafeAction; events.cpp: handle_battery_failsafe (BATT_LOW_MAH at once, BATT_LOW_VOLT after "
+        "BATT_LOW_TIMER)",
+    ),
+    battery_critical=Fact(
+        Reactions(
+            "BATT_FS_CRT_ACT",
+            _COPTER_BATTERY | {2: Reaction.RETURN, 3: Reaction.SMART_RETURN, 4: Reaction.SMART_RETURN},
+            Reaction.RETURN,
+        ),
+        "ArduCopter/events.cpp: handle_battery_failsafe (BATT_CRT_MAH)",
+    ),
+    battery_emergency=Fact(_NEVER, "libraries/AP_BattMonitor/AP_BattMonitor.h: Failsafe (there is no third level)"),
+    position_lost_s=Fact(
+        5.0,
+        "libraries/AP_NavEKF3/AP_NavEKF3.h: posRetryTimeUseVel_ms; ArduCopter/ekf_check.cpp: EKF_CHECK_ITERATIONS_MAX (1 s)",
+    ),
+    mission=Fact(
+        MissionRules(
+            retry_s=1.0,
+            give_up_s=8.0,
+            missions=724,
+            fence=84,
+            rally=20,
+            with_place=frozenset({16, 17, 18, 19, 21, 22, 30, 31, 82, 84, 85, 92, 94, 179, 188, 189, 191, 195, 201})
+            | FENCE_COMMANDS
+            | {RALLY_POINT},
+            without_place=frozenset(
+                {
+                    20,
+                    83,
+                    93,
+                    112,
+                    114,
+                    115,
+                    177,
+                    178,
+                    181,
+                    182,
+                    183,
+                    184,
+                    193,
+                    194,
+                    197,
+                    202,
+                    203,
+                    205,
+                    206,
+                    207,
+                    208,
+                    210,
+                }
+                | {211, 212, 213, 215, 216, 217, 218, 222, 223, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501}
+                | {3000, 42600, 42702, 42703}
+            ),
+        ),
+        "libraries/GCS_MAVLink/MissionItemProtocol.h: upload_timeout_ms; libraries/AP_Mission/AP_Mission.cpp: "
+        "stored_in_location, mavlink_int_to_mission_cmd",
+    ),
+    altitude_step_m=Fact(0.01, "libraries/AP_Common/Location.h: alt in centimetres"),
+)
+
+PX4: Final = Firmware(
+    name="PX4",
+    version="1.16.1",
+    ready_after_s=Fact(
+        4.0, "src/modules/ekf2/EKF/aid_sources/gnss/gnss_checks.cpp: EKF2_REQ_GPS_H (SITL: 0.5 s; measured)"
+    ),
+    modes=PX4_MODES,
+    arming_needs_position=Fact(
+        True,
+        "src/modules/commander/HealthAndArmingChecks/checks/modeCheck.cpp: local and global position in every mode that "
+        "arms but OFFBOARD",
+    ),
+    arming_battery=Fact(
+        "BAT_CRIT_THR", "src/modules/commander/HealthAndArmingChecks/checks/batteryCheck.cpp (COM_ARM_BAT_MIN -1)"
+    ),
+    idle_disarm=Fact(
+        ("COM_DISARM_PRFLT", 1.0), "src/modules/commander/Commander.cpp: handleAutoDisarm (plus COM_SPOOLUP_TIME)"
+    ),
+    answers=Fact(
+        Answers(
+            unknown_message=m.MAV_RESULT_DENIED,
+            unknown_interval=m.MAV_RESULT_FAILED,
+            reboot_armed=m.MAV_RESULT_DENIED,
+            reboot_nothing=m.MAV_RESULT_ACCEPTED,
+            arm_neither=None,
+            calibrate_armed=m.MAV_RESULT_TEMPORARILY_REJECTED,
+            prearm_checks=m.MAV_RESULT_ACCEPTED,
+            terminate_not=m.MAV_RESULT_DENIED,
+            pause=m.MAV_RESULT_UNSUPPORTED,
+            mission_current_beyond=m.MAV_RESULT_UNSUPPORTED,
+            forced_arming=False,
+        ),
+        "src/modules/commander/Commander.cpp: handle_command; src/modules/mavlink/mavlink_receiver.cpp: "
+        "handle_message_command_both (each measured)",
+    ),
+    spool_up_s=Fact(
+        2.5,
+        "src/modules/commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",
+    ),
+    climb_accel_mps2=Fact(
+        4.0, "src/modules/mc_pos_control/multicopter_position_control_limits_params.c: MPC_ACC_UP_MAX"
+    ),
+    jerk_mps3=Fact(4.0, "src/lib/motion_planning/PositionSmoothing.cpp: computeMaxSpeedFromDistance (MPC_JERK_AUTO)"),
+    brake=Fact(
+        (3.0, 4.0, 0.3),
+        "src/modules/navigator/navigator_main.cpp: preproject_stop_point (MPC_ACC_HOR, MPC_JERK_AUTO; measured)",
+    ),
+    land_fast_above_m=Fact(
+        10.0, "src/modules/flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: _prepareLandSetpoints (MPC_LAND_ALT1)"
+    ),
+    land_slow_below_m=Fact(
+        5.0, "src/modules/flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: _prepareLandSetpoints (MPC_LAND_ALT2)"
+    ),
+    landed_after_s=Fact(1.0, "src/modules/land_detector/MulticopterLandDetector.cpp: LNDMC_TRIG_TIME"),
+    crash=Fact(
+        (0.0, 0.0, 0.0, 0.0),
+        "src/modules/commander/failsafe/failsafe.cpp: fd_critical_failure (CBRK_FLIGHTTERM 121212: a warning, but for the "
+        "first COM_LKDOWN_TKO + COM_SPOOLUP_TIME seconds)",
+    ),
+    setpoint_timeout=Fact("COM_OF_LOSS_T", "src/modules/commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
+    attitude_timeout_s=Fact(None, "src/modules/commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
+    failsafe_hold=Fact(
+        "COM_FAIL_ACT_T", "src/modules/commander/failsafe/framework.cpp: FailsafeBase::getSelectedAction"
+    ),
+    failsafe_land_pause_s=Fact(0.0, "src/modules/navigator/land.cpp"),
+    gcs_timeout=Fact("COM_DL_LOSS_T", "src/modules/commander/Commander.cpp: dataLinkCheck (any ground station counts)"),
+    gcs=Fact(
+        Reactions("NAV_DLL_ACT", _PX4_LINK, Reaction.NONE),
+        "src/modules/commander/failsafe/failsafe.cpp: fromNavDllOrRclActParam (ignored in LAND and PRECLAND)",
+    ),
+    setpoints_lost=Fact(
+        Reactions(
+            "COM_OBL_RC_ACT",
+            {
+                0: Reaction.POSITION,
+                1: Reaction.ALTITUDE,
+                2: Reaction.STABILIZED,
+                3: Reaction.RETURN,
+                4: Reaction.LAND,
+                5: Reaction.HOLD,
+                6: Reaction.STOP,
+                7: Reaction.STOP,
+            },
+            Reaction.POSITION,
+        ),
+        "src/modules/commander/failsafe/failsafe.cpp: fromOffboardLossActParam, checkModeFallback; framework.cpp: modeCanRun "
+        "(manual control is not looked at)",
+    ),
+    fence=Fact(
+        Reactions(
+            "GF_ACTION",
+            {
+                0: Reaction.NONE,
+                1: Reaction.WARN,
+                2: Reaction.HOLD,
+                3: Reaction.RETURN,
+                4: Reaction.STOP,
+                5: Reaction.LAND,
+            },
+            Reaction.WARN,
+        ),
+        "src/modules/commander/failsafe/failsafe.cpp: fromGfActParam",
+    ),
+    battery_low=Fact(
+        Reactions("COM_LOW_BAT_ACT", {}, Reaction.WARN),
+        "src/modules/commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
+    ),
+    battery_critical=Fact(
+        Reactions("COM_LOW_BAT_ACT", {1: Reaction.RETURN, 2: Reaction.LAND, 3: Reaction.RETURN}, Reaction.WARN),
+        "src/modules/commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
+    ),
+    battery_emergency=Fact(
+        Reactions("COM_LOW_BAT_ACT", {1: Reaction.RETURN, 2: Reaction.LAND, 3: Reaction.LAND}, Reaction.WARN),
+        "src/modules/commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
+    ),
+    position_lost_s=Fact(5.0, "src/modules/ekf2/module.yaml: EKF2_NOAID_TOUT (5 s)"),
+    mission=Fact(
+        MissionRules(
+            retry_s=0.25,
+            give_up_s=5.0,
+            missions=500,
+            fence=64,
+            rally=32,
+            with_place=frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 4501}) | FENCE_COMMANDS | {RALLY_POINT},
+            without_place=frozenset(
+                {
+                    20,
+                    93,
+                    112,
+                    114,
+                    177,
+                    178,
+                    179,
+                    187,
+                    189,
+                    196,
+                    197,
+                    200,
+                    201,
+                    203,
+                    204,
+                    205,
+                    206,
+                    211,
+                    214,
+                    260,
+                    530,
+                    532,
+                }
+                | {534, 80, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
+            ),
+        ),
+        "src/modules/mavlink/mavlink_mission.h: MAVLINK_MISSION_*_TIMEOUT_DEFAULT; mavlink_mission.cpp: "
+        "parse_mavlink_mission_item",
+    ),
+    altitude_step_m=Fact(0.0, "src/modules/navigator/navigation.h: mission_item_s (float)"),
+)

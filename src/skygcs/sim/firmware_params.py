@@ -1,0 +1,98 @@
+"""The parameters of the simulated firmwares, and how fast they stream what nobody asked for.
+
+Values are the firmwares' own defaults for a quadrotor, unless a comment says why not. Types are MAV_PARAM_TYPE.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from skygcs.sim import protocol as m
+from skygcs.sim.param_table import Param
+
+_TYPES = {
+    "f": m.MAV_PARAM_TYPE_REAL32,
+    "i": m.MAV_PARAM_TYPE_INT32,
+    "h": m.MAV_PARAM_TYPE_INT16,
+    "b": m.MAV_PARAM_TYPE_INT8,
+}
+
+
+def _table(text: str) -> tuple[tuple[str, float, int], ...]:
+    """Words of the form NAME=value:type; a line that begins with # is a comment."""
+    words = " ".join(line for line in text.splitlines() if not line.strip().startswith("#")).split()
+    parts = [(word.partition("=")[0], *word.partition("=")[2].split(":")) for word in words]
+    return tuple((name, float(value), _TYPES[kind]) for name, value, kind in parts)
+
+
+_PX4 = _table("""
+    BAT1_CAPACITY=5200.0:f BAT1_N_CELLS=4:i BAT_CRIT_THR=0.07:f BAT_EMERGEN_THR=0.05:f BAT_LOW_THR=0.15:f
+    COM_ARM_BAT_MIN=-1.0:f COM_ARM_WO_GPS=1:i COM_DISARM_LAND=2.0:f COM_DISARM_PRFLT=10.0:f COM_DL_LOSS_T=10:i COM_FAIL_ACT_T=5.0:f COM_LOW_BAT_ACT=0:i
+    COM_OBL_RC_ACT=0:i COM_OF_LOSS_T=1.0:f COM_RC_IN_MODE=1:i COM_RCL_EXCEPT=4:i GF_ACTION=2:i GF_MAX_HOR_DIST=0.0:f
+    GF_MAX_VER_DIST=0.0:f MAV_0_MODE=0:i MAV_0_RATE=1200:i MAV_COMP_ID=1:i MAV_TYPE=2:i MIS_TAKEOFF_ALT=2.5:f
+    MPC_ACC_DOWN_MAX=3.0:f MPC_ACC_HOR=3.0:f MPC_ACC_UP_MAX=4.0:f MPC_JERK_AUTO=4.0:f MPC_LAND_SPEED=0.7:f MPC_THR_HOVER=0.45:f MPC_TKO_SPEED=1.5:f MPC_XY_CRUISE=5.0:f
+    MPC_XY_VEL_MAX=12.0:f MPC_YAWRAUTO_MAX=60.0:f MPC_Z_V_AUTO_DN=1.5:f MPC_Z_V_AUTO_UP=3.0:f NAV_ACC_RAD=2.0:f NAV_DLL_ACT=0:i
+    NAV_RCL_ACT=2:i RTL_CONE_ANG=45:i RTL_MIN_DIST=10.0:f RTL_DESCEND_ALT=10.0:f RTL_LAND_DELAY=0.0:f RTL_RETURN_ALT=30.0:f SDLOG_MODE=0:i
+    SYS_AUTOSTART=4001:i
+""")
+
+_COPTER = _table("""
+    ANGLE_MAX=3000:h ARMING_CHECK=1:i ATC_ANGLE_BOOST=1:b BATT_CAPACITY=5200:i BATT_CRT_MAH=0.0:f
+    BATT_FS_CRT_ACT=0:b BATT_FS_LOW_ACT=0:b BATT_LOW_MAH=1040.0:f BATT_LOW_VOLT=10.5:f BATT_MONITOR=4:b
+    COMPASS_USE=1:b DISARM_DELAY=10:b FENCE_ACTION=1:b FENCE_ALT_MAX=100.0:f FENCE_ENABLE=0:b FENCE_RADIUS=300.0:f
+    FENCE_TYPE=7:b FRAME_CLASS=1:b FRAME_TYPE=1:b FS_EKF_ACTION=1:b FS_GCS_ENABLE=0:b FS_GCS_TIMEOUT=5.0:f
+    FS_OPTIONS=16:i FS_THR_ENABLE=0:b GPS_TYPE=1:b AUTO_OPTIONS=0:i GUID_OPTIONS=0:i GUID_TIMEOUT=3.0:f
+    LAND_SPEED=50:h LOG_BITMASK=176126:i MOT_THST_HOVER=0.45:f PILOT_TKOFF_ALT=0.0:f RTL_ALT=1500:i RTL_CONE_SLOPE=3.0:f
+    RTL_ALT_FINAL=0:h RTL_LOIT_TIME=5000:i SERIAL1_BAUD=57:i SERIAL1_PROTOCOL=2:b SERIAL2_BAUD=57:i
+    SERIAL2_PROTOCOL=2:b SR1_EXTRA1=2:h SR1_EXTRA2=1:h SR1_EXTRA3=1:h SR1_EXT_STAT=1:h SR1_POSITION=2:h
+    SR1_RAW_SENS=0:h SR1_RC_CHAN=0:h SYSID_ENFORCE=0:b SYSID_MYGCS=255:h WPNAV_ACCEL=250.0:f WPNAV_ACCEL_Z=100.0:f WPNAV_SPEED=1000.0:f
+    WPNAV_SPEED_DN=150.0:f WPNAV_SPEED_UP=250.0:f
+""")
+
+PX4_RATES_HZ: Mapping[str, float] = {
+    "HEARTBEAT": 1,
+    "SYS_STATUS": 1,
+    "GPS_RAW_INT": 1,
+    "ATTITUDE": 4,
+    "GLOBAL_POSITION_INT": 2,
+    "LOCAL_POSITION_NED": 1,
+    "VFR_HUD": 1,
+    "ALTITUDE": 0.5,
+    "BATTERY_STATUS": 0.5,
+    "EXTENDED_SYS_STATE": 1,
+    "ESTIMATOR_STATUS": 0.5,
+    "HOME_POSITION": 0.2,
+    "MISSION_CURRENT": 0.2,
+    "SYSTEM_TIME": 0.5,
+}
+"""What MAV_0_RATE 1200 leaves of the Normal profile: some 650 B/s."""
+
+
+STREAM_GROUPS: Mapping[int, tuple[str, tuple[str, ...]]] = {
+    m.MAV_DATA_STREAM_RAW_SENSORS: ("SR1_RAW_SENS", ("RAW_IMU",)),
+    m.MAV_DATA_STREAM_EXTENDED_STATUS: (
+        "SR1_EXT_STAT",
+        ("SYS_STATUS", "MISSION_CURRENT", "GPS_RAW_INT", "FENCE_STATUS"),
+    ),
+    m.MAV_DATA_STREAM_RC_CHANNELS: ("SR1_RC_CHAN", ("RC_CHANNELS",)),
+    m.MAV_DATA_STREAM_POSITION: ("SR1_POSITION", ("GLOBAL_POSITION_INT", "LOCAL_POSITION_NED")),
+    m.MAV_DATA_STREAM_EXTRA1: ("SR1_EXTRA1", ("ATTITUDE",)),
+    m.MAV_DATA_STREAM_EXTRA2: ("SR1_EXTRA2", ("VFR_HUD",)),
+    m.MAV_DATA_STREAM_EXTRA3: (
+        "SR1_EXTRA3",
+        ("SYSTEM_TIME", "BATTERY_STATUS", "EKF_STATUS_REPORT", "EXTENDED_SYS_STATE"),
+    ),
+}
+"""MAV_DATA_STREAM -> (its rate's parameter, its messages).
+
+EXTENDED_SYS_STATE is in no group of the real firmware, which sends it on request only; here it is, so that a ground
+station that asks for nothing still sees a landing.
+"""
+
+
+def px4_params(sysid: int) -> list[Param]:
+    return [Param(*p) for p in _PX4] + [Param("MAV_SYS_ID", sysid, m.MAV_PARAM_TYPE_INT32)]
+
+
+def copter_params(sysid: int) -> list[Param]:
+    return [Param(*p) for p in _COPTER] + [Param("SYSID_THISMAV", sysid, m.MAV_PARAM_TYPE_INT16)]

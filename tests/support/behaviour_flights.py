@@ -1,0 +1,484 @@
+"""What a vehicle does, measured through a `Rig`: the same for the simulator and for real firmware.
+
+Each flight begins with a vehicle that is disarmed on the ground and ready, and ends so. It returns figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import hypot, nan
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from support.behaviour_rig import Rig, Sample
+from support.sim_pilot import FIELD
+
+Figures = dict[str, Any]
+
+PX4_LOITER, PX4_OFFBOARD, PX4_LAND, PX4_RTL = 0x03040000, 0x00060000, 0x06040000, 0x05040000
+GUIDED, BRAKE, LAND, RTL = 4, 17, 9, 6
+HEIGHT_M = 10.0
+
+VELOCITY_MASK = 0b0000_1101_1100_0111
+"""Velocity only."""
+POSITION_MASK = 0b0000_1101_1111_1000
+POSITION_VELOCITY_MASK = 0b0000_1101_1100_0000
+
+
+def local_target(
+    rig: Rig, mask: int, *, pos: tuple[float, float, float] = (0, 0, 0), vel: tuple[float, float, float] = (0, 0, 0)
+) -> Any:
+    """SET_POSITION_TARGET_LOCAL_NED of ENU numbers."""
+    (e, n, u), (ve, vn, vu) = pos, vel
+    return mav.MAVLink_set_position_target_local_ned_message(
+        0, rig.sysid, 1, 1, mask, n, e, -u, vn, ve, -vu, 0, 0, 0, 0, 0
+    )
+
+
+# -- getting there
+
+
+def get_ready(rig: Rig, limit_s: float = 150.0) -> None:
+    """Streams on, and an arming that is accepted in the mode of this station's flights."""
+    rig.request_streams()
+
+    def armable() -> bool:
+        rig.run(1.0)
+        rig.set_mode(PX4_LOITER if rig.px4 else GUIDED)
+        if rig.arm() != 0:
+            return False
+        return True
+
+    rig.wait(armable, limit_s, "it arms")
+    rig.disarm()
+    rig.wait(lambda: not rig.armed, 5, "it disarms")
+    rig.request_streams()
+
+
+def take_off(rig: Rig, height_m: float = HEIGHT_M) -> float:
+    """Seconds until it is within half a metre of the height."""
+    began = rig.clock()
+    if rig.px4:
+        amsl = FIELD.alt_amsl_m + height_m
+        if "HOME_POSITION" in rig.heard:
+            amsl = rig.heard["HOME_POSITION"].altitude / 1e3 + height_m
+        assert rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, amsl) == 0
+        assert rig.arm() == 0
+    else:
+        assert rig.set_mode(GUIDED) == 0
+        assert rig.arm() == 0
+        assert rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height_m) == 0
+    rig.wait(lambda: rig.here.up_m > height_m - 0.5, 60, "it is at its height")
+    took = rig.clock() - began
+    if rig.px4:
+        rig.wait(lambda: rig.mode == PX4_LOITER, 20, "its take-off has ended")
+    rig.run(3.0)
+    return took
+
+
+def go(rig: Rig, east_m: float, north_m: float, up_m: float) -> int | None:
+    """DO_REPOSITION."""
+    lat, lon = FIELD.to_geodetic(east_m, north_m)
+    if rig.px4:
+        amsl = rig.heard["GLOBAL_POSITION_INT"].alt / 1e3 - rig.here.up_m + up_m
+        return rig.command_int(
+            mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, nan, x=round(lat * 1e7), y=round(lon * 1e7), z=amsl, frame=0
+        )
+    return rig.command_int(
+        mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, 0, x=round(lat * 1e7), y=round(lon * 1e7), z=up_m, frame=3
+    )
+
+
+def at(rig: Rig, east_m: float, north_m: float, up_m: float, near_m: float = 1.0) -> bool:
+    here = rig.here
+    return hypot(here.east_m - east_m, here.north_m - north_m, here.up_m - up_m) < near_m
+
+
+def land(rig: Rig) -> Figures:
+    """Land where it is: seconds to the ground and to disarming, by its own clock."""
+    began, up_m = rig.now, rig.here.up_m
+    assert rig.set_mode(PX4_LAND if rig.px4 else LAND) == 0
+    rig.wait(lambda: not rig.armed, 120, "it has landed and disarmed")
+    down = next((s.t_s for s in rig.track if s.t_s > began and s.up_m < 0.5), nan)
+    return {
+        "from m": round(up_m, 1),
+        "to .5 m s": round(down - began, 1),
+        "to disarmed s": round(rig.disarmed_at - began, 1),
+    }
+
+
+def end(rig: Rig) -> None:
+    """Whatever goes on: on the ground and disarmed, heartbeats and GPS there again."""
+    rig.silent, rig.stream = False, None
+    if rig.armed and rig.here.up_m > 2 and not at(rig, 0, 0, rig.here.up_m, 3.0):
+        if not rig.px4:
+            rig.set_mode(GUIDED)
+        if go(rig, 0, 0, HEIGHT_M) == 0:
+            rig.wait(lambda: at(rig, 0, 0, HEIGHT_M, 2.0), 60)
+    if rig.armed:
+        rig.set_mode(PX4_LAND if rig.px4 else LAND)
+        rig.wait(lambda: not rig.armed, 120, "it has landed")
+    rig.run(2.0)
+    rig.set_mode(PX4_LOITER if rig.px4 else GUIDED)
+
+
+def drift_m(track: list[Sample], a: Sample) -> float:
+    return max((hypot(s.east_m - a.east_m, s.north_m - a.north_m) for s in track), default=0.0)
+
+
+# -- flights
+
+
+def modes_on_the_ground(rig: Rig, numbers: list[int]) -> Figures:
+    """For each mode: MAV_RESULT of entering it disarmed, whether it is in it, and MAV_RESULT of arming there."""
+    seen: Figures = {}
+    for number in numbers:
+        rig.set_mode(PX4_LOITER if rig.px4 else GUIDED)
+        rig.wait(lambda: rig.mode == (PX4_LOITER if rig.px4 else GUIDED), 2)
+        result = rig.set_mode(number)
+        entered = rig.wait(lambda number=number: rig.mode == number, 1.5) is not None
+        armed = rig.arm() if entered else None
+        if armed == 0:
+            rig.disarm()
+            rig.wait(lambda: not rig.armed, 5)
+        seen[f"{number:#x}" if rig.px4 else str(number)] = (result, entered, armed)
+    end(rig)
+    return seen
+
+
+def idle_on_the_ground(rig: Rig) -> Figures:
+    """Armed and left alone."""
+    assert rig.arm() == 0
+    rig.wait(lambda: rig.armed, 3, "it is armed")
+    rig.wait(lambda: not rig.armed, 60, "it disarms itself")
+    return {"s": round(rig.disarmed_at - rig.armed_at, 1)}
+
+
+def up_there_and_down(rig: Rig) -> Figures:
+    figures: Figures = {"takeoff s": round(take_off(rig), 1)}
+    assert go(rig, 0, 15, HEIGHT_M) == 0
+    took = rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
+    figures["15 m s"] = took and round(took, 1)
+    figures["top speed"] = round(max(s.vel_mps for s in rig.track[-200:]), 1)
+    rig.run(4)
+    assert go(rig, 0, -15, HEIGHT_M) == 0
+    rig.wait(lambda: rig.here.north_m < 8 and rig.here.vel_mps > 2, 30, "it is on its way")
+    from_, speed = rig.here, rig.here.vel_mps
+    if rig.px4:
+        assert rig.command(mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, nan, nan, nan, nan) == 0
+    else:
+        assert rig.set_mode(BRAKE) == 0
+    took = rig.wait(lambda: rig.here.vel_mps < 0.3, 30, "it stands")
+    figures["hold from mps"] = round(speed, 1)
+    figures["hold s"] = took and round(took, 1)
+    rig.run(2)
+    figures["hold m"] = round(hypot(rig.here.north_m - from_.north_m, rig.here.east_m - from_.east_m), 1)
+    return figures | {f"land {k}": v for k, v in land(rig).items()}
+
+
+def velocity_then_silence(rig: Rig) -> Figures:
+    """3 m/s north for 5 s at 10 Hz, then nothing."""
+    take_off(rig)
+    rig.stream = lambda t: local_target(rig, VELOCITY_MASK, vel=(0, 3, 0))
+    rig.run(0.3)
+    if rig.px4:
+        assert rig.set_mode(PX4_OFFBOARD) == 0
+    rig.run(5)
+    reached = rig.here.vel_mps
+    rig.stream = None
+    from_, since = rig.here, rig.now
+    stood = rig.wait(lambda: rig.here.vel_mps < 0.3, 30)
+    rig.run(8)
+    later = [s for s in rig.track if s.t_s > since]
+    figures = {
+        "speed": round(reached, 1),
+        "stood after s": stood and round(stood, 1),
+        "went m": round(drift_m(later, from_), 1),
+        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
+        "mode after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        "sank m": round(from_.up_m - rig.here.up_m, 1),
+    }
+    end(rig)
+    return figures
+
+
+def position_and_velocity(rig: Rig) -> Figures:
+    """A target that moves north at 2 m/s, with its velocity and without: how far behind it is after 6 s."""
+    figures: Figures = {}
+    for name, mask in (("with velocity", POSITION_VELOCITY_MASK), ("without", POSITION_MASK)):
+        take_off(rig)
+        begin, north, east = rig.clock(), rig.here.north_m, rig.here.east_m
+
+        def target(t: float, mask: int = mask, begin: float = begin, north: float = north, east: float = east) -> Any:
+            where = (east, north + 2 * (t - begin), HEIGHT_M)
+            return local_target(rig, mask, pos=where, vel=(0, 2, 0))
+
+        rig.stream = target
+        rig.run(0.3)
+        if rig.px4:
+            assert rig.set_mode(PX4_OFFBOARD) == 0
+        rig.run(8)
+        figures[f"behind {name} m"] = round(north + 2 * (rig.clock() - begin) - rig.here.north_m, 1)
+        figures[f"speed {name}"] = round(rig.here.vel_mps, 1)
+        end(rig)
+    return figures
+
+
+def attitude_then_silence(rig: Rig) -> Figures:
+    """Level, at hover: then nothing."""
+    take_off(rig)
+    from math import cos, sin
+
+    tilt = -0.1
+    q = [cos(tilt / 2), 0.0, sin(tilt / 2), 0.0]
+    hover = 0.5
+    rig.stream = lambda t: mav.MAVLink_set_attitude_target_message(0, rig.sysid, 1, 7, q, 0, 0, 0, hover)
+    rig.run(0.3)
+    if rig.px4:
+        assert rig.set_mode(PX4_OFFBOARD) == 0
+    rig.run(2)
+    rig.stream = None
+    since = rig.now
+    rig.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, mav.MAVLINK_MSG_ID_ATTITUDE, 5e4)
+    rig.run(0.2)
+    level = rig.wait(lambda: abs(rig.heard["ATTITUDE"].pitch) < 0.02, 10)
+    rig.run(4)
+    figures = {
+        "level after s": level and round(level + 0.2, 1),
+        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
+        "mode after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+    }
+    end(rig)
+    return figures
+
+
+def offboard_entry(rig: Rig) -> Figures:
+    """PX4: entering OFFBOARD in flight without, with one old and with one fresh setpoint."""
+    take_off(rig)
+    target = local_target(rig, VELOCITY_MASK)
+    rig.run(2)
+    figures: Figures = {"never": rig.set_mode(PX4_OFFBOARD)}
+    rig.send(target)
+    rig.run(0.3)
+    figures["0.3 s old"] = rig.set_mode(PX4_OFFBOARD)
+    rig.run(3)
+    figures["later"] = hex(rig.mode)
+    rig.set_mode(PX4_LOITER)
+    rig.send(target)
+    rig.run(1.6)
+    figures["1.6 s old"] = rig.set_mode(PX4_OFFBOARD)
+    end(rig)
+    return figures
+
+
+def ground_station_lost(rig: Rig) -> Figures:
+    if rig.px4:
+        rig.set_param("NAV_DLL_ACT", 2, integer=True)
+    else:
+        rig.set_param("FS_GCS_ENABLE", 1)
+    take_off(rig)
+    go(rig, 0, 15, HEIGHT_M)
+    rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
+    rig.run(2)
+    rig.silent = True
+    since = rig.now
+    rig.run(22)
+    rig.silent = False
+    figures = {
+        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
+        "after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        "texts": [t for t in rig.texts[-8:]],
+    }
+    rig.run(3)
+    figures["back again"] = hex(rig.mode) if rig.px4 else rig.mode
+    end(rig)
+    if rig.px4:
+        rig.set_param("NAV_DLL_ACT", 0, integer=True)
+    else:
+        rig.set_param("FS_GCS_ENABLE", 0)
+    return figures
+
+
+def battery_critical(rig: Rig) -> Figures:
+    """The threshold is set above the charge, in flight."""
+    if rig.px4:
+        rig.set_param("COM_LOW_BAT_ACT", 3, integer=True)
+    else:
+        rig.set_param("BATT_FS_LOW_ACT", 2)
+    take_off(rig)
+    go(rig, 0, 15, HEIGHT_M)
+    rig.wait(lambda: at(rig, 0, 15, HEIGHT_M), 60, "it is there")
+    rig.run(2)
+    since, heard = rig.now, len(rig.texts)
+    if rig.px4:
+        rig.set_param("BAT_LOW_THR", 0.9999)
+        rig.set_param("BAT_CRIT_THR", 0.999)
+    else:
+        rig.set_param("BATT_LOW_MAH", 100000)
+    rig.run(20)
+    figures = {
+        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
+        "after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        "texts": rig.texts[heard:],
+    }
+    if rig.px4:
+        rig.set_param("BAT_CRIT_THR", 0.07)
+        rig.set_param("BAT_LOW_THR", 0.15)
+        rig.set_param("COM_LOW_BAT_ACT", 0, integer=True)
+    else:
+        rig.set_param("BATT_LOW_MAH", 0)
+        rig.set_param("BATT_FS_LOW_ACT", 0)
+    end(rig)
+    return figures
+
+
+def gps_lost(rig: Rig) -> Figures:
+    take_off(rig)
+    rig.run(2)
+    since, heard, up = rig.now, len(rig.texts), rig.here.up_m
+    rig.gps(there=False)
+    rig.run(25)
+    figures = {
+        "modes": [hex(m) if rig.px4 else m for m in rig.mode_sequence(since)],
+        "after s": [round(t - since, 1) for t, _ in rig.modes if t >= since],
+        "sank m": round(up - rig.here.up_m, 1),
+        "armed": rig.armed,
+        "texts": rig.texts[heard:],
+    }
+    rig.gps(there=True)
+    rig.wait(lambda: not rig.armed, 60)
+    rig.run(15)
+    end(rig)
+    return figures
+
+
+def beyond_the_fence(rig: Rig) -> Figures:
+    if rig.px4:
+        rig.set_param("GF_MAX_HOR_DIST", 20.0)
+    else:
+        rig.set_param("FENCE_RADIUS", 20.0)
+        rig.set_param("FENCE_ENABLE", 1)
+    figures: Figures = {}
+    take_off(rig)
+    since, heard = rig.now, len(rig.texts)
+    figures["goto outside"] = go(rig, 0, 40, HEIGHT_M)
+    rig.run(3)
+    figures["goto flown m"] = round(rig.here.north_m, 1)
+    rig.stream = lambda t: local_target(rig, VELOCITY_MASK, vel=(0, 3, 0))
+    rig.run(0.3)
+    if rig.px4:
+        rig.set_mode(PX4_OFFBOARD)
+    first = len(rig.modes)
+    rig.wait(lambda: rig.here.north_m > 20 or len(rig.modes) > first, 20)
+    rig.run(4)
+    rig.stream = None
+    figures["at m"] = [round(next((s.north_m for s in rig.track if s.t_s >= t), nan), 1) for t, _ in rig.modes[first:]]
+    figures["modes"] = [hex(m) if rig.px4 else m for _, m in rig.modes[first:]]
+    rig.run(12)
+    figures["most m"] = round(max(s.north_m for s in rig.track if s.t_s > since), 1)
+    figures["texts"] = rig.texts[heard:]
+    if rig.px4:
+        rig.set_param("GF_MAX_HOR_DIST", 0.0)
+    else:
+        rig.set_param("FENCE_ENABLE", 0)
+    end(rig)
+    return figures
+
+
+def returns(rig: Rig) -> Figures:
+    """From 20 m and from a metre away: how high it climbs, and where it ends."""
+    figures: Figures = {}
+    for north in (20.0, 6.0, 1.0):
+        take_off(rig)
+        home = rig.heard["HOME_POSITION"] if "HOME_POSITION" in rig.heard else None
+        rig.command(mav.MAV_CMD_REQUEST_MESSAGE, 242)
+        rig.run(0.5)
+        home = rig.heard.get("HOME_POSITION", home)
+        h_n = (home.latitude / 1e7 - FIELD.lat_deg) * 111_320.0
+        h_e = rig.here.east_m
+        go(rig, h_e, h_n + north, HEIGHT_M)
+        rig.wait(lambda n=north, h=h_n, e=h_e: at(rig, e, h + n, HEIGHT_M), 60, "it is there")
+        rig.run(4)
+        since = rig.now
+        assert rig.set_mode(PX4_RTL if rig.px4 else RTL) == 0
+        rig.wait(lambda: not rig.armed, 200, "it has returned")
+        later = [s for s in rig.track if s.t_s > since]
+        figures[f"{north:g} m"] = (
+            round(max(s.up_m for s in later), 1),
+            round(rig.disarmed_at - since, 1),
+            round(abs(rig.here.north_m - h_n), 1),
+        )
+        end(rig)
+    return figures
+
+
+def answers(rig: Rig) -> Figures:
+    """MAV_RESULT of commands on the ground, disarmed."""
+    figures: Figures = {
+        "unknown command": rig.command(31999),
+        "request unknown message": rig.command(mav.MAV_CMD_REQUEST_MESSAGE, 60000),
+        "takeoff disarmed": rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan if rig.px4 else 0, 0, 0, 10),
+        "reposition without flag": rig.command(mav.MAV_CMD_DO_REPOSITION, -1, 0, 0, nan, nan, nan, nan),
+        "pause on ground": rig.command(mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, nan, nan, nan, nan),
+        "arm with 2": rig.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 2),
+        "disarm disarmed": rig.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 0),
+        "no such mode": rig.command(mav.MAV_CMD_DO_SET_MODE, 1, 99, 99),
+        "no such auto mode": rig.command(mav.MAV_CMD_DO_SET_MODE, 1, 4, 99),
+        "land on ground": rig.command(mav.MAV_CMD_NAV_LAND),
+        "return on ground": rig.command(mav.MAV_CMD_NAV_RETURN_TO_LAUNCH),
+        "mission start without": rig.command(mav.MAV_CMD_MISSION_START, 0, 0),
+        "change speed": rig.command(mav.MAV_CMD_DO_CHANGE_SPEED, 1, 5, -1),
+        "get home": rig.command(mav.MAV_CMD_GET_HOME_POSITION),
+        "mission current 5": rig.command(mav.MAV_CMD_DO_SET_MISSION_CURRENT, 5),
+        "reboot 0": rig.command(mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 0),
+        "condition yaw": rig.command(mav.MAV_CMD_CONDITION_YAW, 90, 0, 1, 0),
+        "terminate": rig.command(mav.MAV_CMD_DO_FLIGHTTERMINATION, 0),
+        "pause continue": rig.command(mav.MAV_CMD_DO_PAUSE_CONTINUE, 0),
+        "guided enable": rig.command(mav.MAV_CMD_NAV_GUIDED_ENABLE, 1),
+        "interval of unknown": rig.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, 60000, 1e6),
+        "version": rig.command(mav.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1),
+        "prearm checks": rig.command(mav.MAV_CMD_RUN_PREARM_CHECKS),
+        "set home nan": rig.command(mav.MAV_CMD_DO_SET_HOME, 0, 0, 0, 0, nan, nan, nan),
+    }
+    rig.set_mode(0x05040000 if rig.px4 else 6)
+    rig.run(0.5)
+    figures["forced arm in RTL"] = rig.arm(forced=True)
+    rig.wait(lambda: rig.armed, 2)
+    rig.disarm()
+    end(rig)
+    return figures
+
+
+def answers_in_flight(rig: Rig) -> Figures:
+    take_off(rig)
+    figures: Figures = {
+        "disarm": rig.disarm(forced=False),
+        "arm armed": rig.arm(),
+        "reboot": rig.command(mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1),
+        "manual": rig.set_mode(0x00010000) if rig.px4 else rig.set_mode(2),
+        "takeoff again": rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, 500)
+        if rig.px4
+        else rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 20),
+        "calibrate": rig.command(mav.MAV_CMD_PREFLIGHT_CALIBRATION, 1),
+        "mission start": rig.command(mav.MAV_CMD_MISSION_START, 0, 0),
+        "auto": rig.set_mode(0x04040000 if rig.px4 else 3),
+    }
+    end(rig)
+    return figures
+
+
+FLIGHTS: dict[str, Callable[[Rig], Figures]] = {
+    "idle on the ground": idle_on_the_ground,
+    "answers": answers,
+    "up, there and down": up_there_and_down,
+    "answers in flight": answers_in_flight,
+    "velocity then silence": velocity_then_silence,
+    "attitude then silence": attitude_then_silence,
+    "position and velocity": position_and_velocity,
+    "ground station lost": ground_station_lost,
+    "beyond the fence": beyond_the_fence,
+    "returns": returns,
+    "gps lost": gps_lost,
+    "battery critical": battery_critical,
+}
