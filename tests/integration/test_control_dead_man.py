@@ -51,8 +51,8 @@ async def test_a_request_now_and_then_keeps_it_quiet(tmp_path: Path, kind: dict[
     async with flown(tmp_path, settings=SETTINGS, **kind) as gcs:
         await gcs.fly("attitude")
         since = gcs.now
-        for _ in range(6):
-            await asyncio.sleep(4.0)
+        for _ in range(8):
+            await asyncio.sleep(3.0)
             await gcs("control.status", targets="v1")
         assert gcs.control()["state"] == "flying" and not warnings(gcs, since)
 

@@ -11,13 +11,18 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
+from skygcs.sim.behaviours import COPTER, PX4, Firmware
+from skygcs.sim.kinematics import stopping_distance
 from support.behaviour_rig import Rig, Sample
 from support.sim_pilot import FIELD
 
 Figures = dict[str, Any]
 
 PX4_LOITER, PX4_OFFBOARD, PX4_LAND, PX4_RTL = 0x03040000, 0x00060000, 0x06040000, 0x05040000
+PX4_MISSION, PX4_POSCTL = 0x04040000, 0x00030000
 GUIDED, BRAKE, LAND, RTL = 4, 17, 9, 6
+ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)
+"""MAV_RESULT."""
 HEIGHT_M = 10.0
 
 VELOCITY_MASK = 0b0000_1101_1100_0111
@@ -29,8 +34,8 @@ POSITION_VELOCITY_MASK = 0b0000_1101_1100_0000
 def local_target(
     rig: Rig, mask: int, *, pos: tuple[float, float, float] = (0, 0, 0), vel: tuple[float, float, float] = (0, 0, 0)
 ) -> Any:
-    """SET_POSITION_TARGET_LOCAL_NED of ENU numbers."""
-    (e, n, u), (ve, vn, vu) = pos, vel
+    """SET_POSITION_TARGET_LOCAL_NED of ENU numbers about the place of the take-off."""
+    (e, n, u), (ve, vn, vu) = (pos[0] + rig.base[0], pos[1] + rig.base[1], pos[2]), vel
     return mav.MAVLink_set_position_target_local_ned_message(
         0, rig.sysid, 1, 1, mask, n, e, -u, vn, ve, -vu, 0, 0, 0, 0, 0
     )
@@ -46,9 +51,7 @@ def get_ready(rig: Rig, limit_s: float = 150.0) -> None:
     def armable() -> bool:
         rig.run(1.0)
         rig.set_mode(PX4_LOITER if rig.px4 else GUIDED)
-        if rig.arm() != 0:
-            return False
-        return True
+        return rig.arm() == 0
 
     rig.wait(armable, limit_s, "it arms")
     rig.disarm()
@@ -59,6 +62,7 @@ def get_ready(rig: Rig, limit_s: float = 150.0) -> None:
 def take_off(rig: Rig, height_m: float = HEIGHT_M) -> float:
     """Seconds until it is within half a metre of the height."""
     began = rig.clock()
+    rig.zero_here()
     if rig.px4:
         amsl = FIELD.alt_amsl_m + height_m
         if "HOME_POSITION" in rig.heard:
@@ -78,8 +82,8 @@ def take_off(rig: Rig, height_m: float = HEIGHT_M) -> float:
 
 
 def go(rig: Rig, east_m: float, north_m: float, up_m: float) -> int | None:
-    """DO_REPOSITION."""
-    lat, lon = FIELD.to_geodetic(east_m, north_m)
+    """DO_REPOSITION about the place of the take-off."""
+    lat, lon = FIELD.to_geodetic(rig.base[0] + east_m, rig.base[1] + north_m)
     if rig.px4:
         amsl = rig.heard["GLOBAL_POSITION_INT"].alt / 1e3 - rig.here.up_m + up_m
         return rig.command_int(
@@ -111,11 +115,6 @@ def land(rig: Rig) -> Figures:
 def end(rig: Rig) -> None:
     """Whatever goes on: on the ground and disarmed, heartbeats and GPS there again."""
     rig.silent, rig.stream = False, None
-    if rig.armed and rig.here.up_m > 2 and not at(rig, 0, 0, rig.here.up_m, 3.0):
-        if not rig.px4:
-            rig.set_mode(GUIDED)
-        if go(rig, 0, 0, HEIGHT_M) == 0:
-            rig.wait(lambda: at(rig, 0, 0, HEIGHT_M, 2.0), 60)
     if rig.armed:
         rig.set_mode(PX4_LAND if rig.px4 else LAND)
         rig.wait(lambda: not rig.armed, 120, "it has landed")
@@ -255,6 +254,8 @@ def attitude_then_silence(rig: Rig) -> Figures:
 
 def offboard_entry(rig: Rig) -> Figures:
     """PX4: entering OFFBOARD in flight without, with one old and with one fresh setpoint."""
+    if not rig.px4:
+        return {}
     take_off(rig)
     target = local_target(rig, VELOCITY_MASK)
     rig.run(2)
@@ -387,27 +388,22 @@ def beyond_the_fence(rig: Rig) -> Figures:
 
 
 def returns(rig: Rig) -> Figures:
-    """From 20 m and from a metre away: how high it climbs, and where it ends."""
+    """From 20, 6 and 1 m away: how high it climbs, how long it takes and how far from home it ends."""
     figures: Figures = {}
     for north in (20.0, 6.0, 1.0):
         take_off(rig)
-        home = rig.heard["HOME_POSITION"] if "HOME_POSITION" in rig.heard else None
-        rig.command(mav.MAV_CMD_REQUEST_MESSAGE, 242)
-        rig.run(0.5)
-        home = rig.heard.get("HOME_POSITION", home)
-        h_n = (home.latitude / 1e7 - FIELD.lat_deg) * 111_320.0
-        h_e = rig.here.east_m
-        go(rig, h_e, h_n + north, HEIGHT_M)
-        rig.wait(lambda n=north, h=h_n, e=h_e: at(rig, e, h + n, HEIGHT_M), 60, "it is there")
+        assert go(rig, 0, north, HEIGHT_M) == 0
+        rig.wait(lambda n=north: at(rig, 0, n, HEIGHT_M), 60, "it is there")
         rig.run(4)
         since = rig.now
         assert rig.set_mode(PX4_RTL if rig.px4 else RTL) == 0
         rig.wait(lambda: not rig.armed, 200, "it has returned")
         later = [s for s in rig.track if s.t_s > since]
+        off = hypot(rig.here.east_m, rig.here.north_m)
         figures[f"{north:g} m"] = (
             round(max(s.up_m for s in later), 1),
             round(rig.disarmed_at - since, 1),
-            round(abs(rig.here.north_m - h_n), 1),
+            round(off, 1),
         )
         end(rig)
     return figures
@@ -452,14 +448,13 @@ def answers(rig: Rig) -> Figures:
 
 def answers_in_flight(rig: Rig) -> Figures:
     take_off(rig)
+    again = (0, 0, 0, nan, nan, nan, FIELD.alt_amsl_m + HEIGHT_M) if rig.px4 else (0, 0, 0, 0, 0, 0, 2 * HEIGHT_M)
     figures: Figures = {
         "disarm": rig.disarm(forced=False),
         "arm armed": rig.arm(),
         "reboot": rig.command(mav.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1),
         "manual": rig.set_mode(0x00010000) if rig.px4 else rig.set_mode(2),
-        "takeoff again": rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, nan, nan, nan, 500)
-        if rig.px4
-        else rig.command(mav.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 20),
+        "takeoff again": rig.command(mav.MAV_CMD_NAV_TAKEOFF, *again),
         "calibrate": rig.command(mav.MAV_CMD_PREFLIGHT_CALIBRATION, 1),
         "mission start": rig.command(mav.MAV_CMD_MISSION_START, 0, 0),
         "auto": rig.set_mode(0x04040000 if rig.px4 else 3),
@@ -468,17 +463,204 @@ def answers_in_flight(rig: Rig) -> Figures:
     return figures
 
 
-FLIGHTS: dict[str, Callable[[Rig], Figures]] = {
-    "idle on the ground": idle_on_the_ground,
-    "answers": answers,
-    "up, there and down": up_there_and_down,
-    "answers in flight": answers_in_flight,
-    "velocity then silence": velocity_then_silence,
-    "attitude then silence": attitude_then_silence,
-    "position and velocity": position_and_velocity,
-    "ground station lost": ground_station_lost,
-    "beyond the fence": beyond_the_fence,
-    "returns": returns,
-    "gps lost": gps_lost,
-    "battery critical": battery_critical,
+def modes(rig: Rig) -> Figures:
+    """Every mode of the table, and two that are none."""
+    numbers = sorted(rules(rig).modes.value)
+    return modes_on_the_ground(rig, [*numbers, *((0x01040000, 0x00080000) if rig.px4 else (8, 29))])
+
+
+# -- against the table
+
+
+def rules(rig: Rig) -> Firmware:
+    return PX4 if rig.px4 else COPTER
+
+
+class Findings(list[str]):
+    """What is not as the table says. ``late_s`` is allowed on top of a time: a firmware on a busy machine."""
+
+    def __init__(self, late_s: float) -> None:
+        super().__init__()
+        self.late_s = late_s
+
+    def time(self, what: str, value: float | None, wanted: float, *, early_s: float = 0.3, late_s: float = 0.5) -> None:
+        if value is None or not wanted - early_s <= value <= wanted + late_s + self.late_s:
+            self.append(f"{what}: {value} s, the table says {wanted:g}")
+
+    def share(self, what: str, value: float | None, wanted: float, tolerance: float) -> None:
+        if value is None or not wanted / tolerance <= value <= wanted * tolerance:
+            self.append(f"{what}: {value}, the table says {wanted:g}")
+
+    def same(self, what: str, value: Any, wanted: Any) -> None:
+        if value != wanted:
+            self.append(f"{what}: {value!r}, the table says {wanted!r}")
+
+
+def check_modes(rig: Rig, f: Figures, found: Findings) -> None:
+    for number, rule in rules(rig).modes.value.items():
+        _, entered, armed = f[f"{number:#x}" if rig.px4 else str(number)]
+        found.same(f"mode {number:#x} entered", entered, rule.by_command)
+        arms = rule.arms and not rule.sticks and number not in (PX4_OFFBOARD, PX4_MISSION)  # neither is given anything
+        if rule.by_command:
+            found.same(f"arming in mode {number:#x}", armed == 0, arms)
+    for number in (0x01040000, 0x00080000) if rig.px4 else (8, 29):
+        found.same(f"mode {number:#x} entered", f[f"{number:#x}" if rig.px4 else str(number)][1], False)
+
+
+def check_idle(rig: Rig, f: Figures, found: Findings) -> None:
+    name, more_s = rules(rig).idle_disarm.value
+    found.time("disarmed on the ground", f["s"], {"COM_DISARM_PRFLT": 10.0, "DISARM_DELAY": 10.0}[name] + more_s)
+
+
+def check_answers(rig: Rig, f: Figures, found: Findings) -> None:
+    told = rules(rig).answers.value
+    wanted: Figures = {
+        "unknown command": UNSUPPORTED,
+        "request unknown message": told.unknown_message,
+        "takeoff disarmed": ACCEPTED if rig.px4 else FAILED,
+        "reposition without flag": UNSUPPORTED,
+        "pause on ground": ACCEPTED if rig.px4 else UNSUPPORTED,
+        "arm with 2": told.arm_neither,
+        "disarm disarmed": ACCEPTED,
+        "no such mode": ACCEPTED if rig.px4 else FAILED,
+        "no such auto mode": REJECTED if rig.px4 else ACCEPTED,
+        "land on ground": ACCEPTED,
+        "return on ground": ACCEPTED,
+        "mission start without": DENIED if rig.px4 else ACCEPTED,
+        "change speed": ACCEPTED,
+        "get home": ACCEPTED,
+        "mission current 5": told.mission_current_beyond,
+        "reboot 0": told.reboot_nothing,
+        "terminate": told.terminate_not,
+        "pause continue": told.pause,
+        "interval of unknown": told.unknown_interval,
+        "version": ACCEPTED,
+        "prearm checks": told.prearm_checks,
+        "set home nan": DENIED if rig.px4 else ACCEPTED,
+        "forced arm in RTL": ACCEPTED if told.forced_arming else REJECTED,
+    }
+    for what, result in wanted.items():
+        found.same(what, f[what], result)
+
+
+def check_answers_in_flight(rig: Rig, f: Figures, found: Findings) -> None:
+    told = rules(rig).answers.value
+    refused = REJECTED if rig.px4 else FAILED
+    found.same("disarm", f["disarm"], refused)
+    found.same("arm armed", f["arm armed"], ACCEPTED)
+    found.same("reboot", f["reboot"], told.reboot_armed)
+    found.same("a mode for sticks", f["manual"], REJECTED if rig.px4 else ACCEPTED)
+    found.same("takeoff again", f["takeoff again"], ACCEPTED if rig.px4 else FAILED)
+    found.same("calibrate", f["calibrate"], told.calibrate_armed)
+    found.same("mission start", f["mission start"], DENIED if rig.px4 else FAILED)
+    found.same("a mission's mode without one", f["auto"], refused)
+
+
+def check_up_there_and_down(rig: Rig, f: Figures, found: Findings) -> None:
+    firmware = rules(rig)
+    for what in ("takeoff s", "15 m s", "land to .5 m s", "land to disarmed s"):
+        found.share(what, f[what], firmware.times.value[what], 1.4)
+    wanted = stopping_distance(f["hold from mps"], *firmware.brake.value)
+    found.share("hold m", f["hold m"], wanted, 2.0)
+
+
+def check_velocity_then_silence(rig: Rig, f: Figures, found: Findings) -> None:
+    found.share("speed", f["speed"], 3.0, 1.3)
+    if rig.px4:
+        found.same("modes", f["modes"], [hex(PX4_POSCTL)])
+        found.time("mode after", f["mode after s"][0] if f["mode after s"] else None, 1.0)
+        found.share("sank m", f["sank m"], 6.0, 2.0)
+    else:
+        found.same("modes", f["modes"], [])
+        found.time("stood after", f["stood after s"], 3.0, late_s=3.0)
+
+
+def check_attitude_then_silence(rig: Rig, f: Figures, found: Findings) -> None:
+    if rig.px4:
+        found.same("modes", f["modes"], [hex(PX4_POSCTL)])
+        found.time("mode after", f["mode after s"][0] if f["mode after s"] else None, 1.0)
+    else:
+        found.same("modes", f["modes"], [])
+        found.time("level after", f["level after s"], 3.0)
+
+
+def check_position_and_velocity(rig: Rig, f: Figures, found: Findings) -> None:
+    for name, low, high in (("with velocity", -0.8, 0.8), ("without", 1.0, 3.5)):
+        value = f[f"behind {name} m"]
+        if not low <= value <= high:
+            found.append(f"behind a moving target {name}: {value} m, not {low} to {high}")
+
+
+def check_offboard_entry(rig: Rig, f: Figures, found: Findings) -> None:
+    if rig.px4:
+        wanted = {"never": REJECTED, "0.3 s old": ACCEPTED, "1.6 s old": REJECTED, "later": hex(PX4_POSCTL)}
+        for what, value in wanted.items():
+            found.same(what, f[what], value)
+
+
+def check_ground_station_lost(rig: Rig, f: Figures, found: Findings) -> None:
+    found.same("modes", f["modes"], [hex(PX4_RTL) if rig.px4 else RTL])
+    wanted = 10.0 + 5.0 if rig.px4 else 5.0  # and where a PX4 is, it holds meanwhile
+    found.time("returns after", f["after s"][0] if f["after s"] else None, wanted, early_s=1.3, late_s=1.0)
+
+
+def check_battery_critical(rig: Rig, f: Figures, found: Findings) -> None:
+    found.same("modes", f["modes"], [hex(PX4_RTL) if rig.px4 else RTL])
+    found.time("returns after", f["after s"][0] if f["after s"] else None, 5.0 if rig.px4 else 0.0, late_s=1.0)
+
+
+def check_beyond_the_fence(rig: Rig, f: Figures, found: Findings) -> None:
+    found.same("a goto outside", f["goto outside"], ACCEPTED if rig.px4 else FAILED)
+    if abs(f["goto flown m"]) > 2.5:
+        found.append(f"a goto outside was flown: {f['goto flown m']} m")
+    if rig.px4:
+        found.same("modes", f["modes"], [hex(PX4_LOITER)])
+        found.share("turned at m", f["at m"][0] if f["at m"] else None, 20.0, 1.15)
+    else:
+        found.same("modes", f["modes"], [])
+        found.share("stopped at m", f["most m"], 18.0, 1.08)
+
+
+def check_returns(rig: Rig, f: Figures, found: Findings) -> None:
+    highest = {"20 m": 30.0, "6 m": 10.0, "1 m": 10.0} if rig.px4 else {"20 m": 15.0, "6 m": 15.0, "1 m": 10.0}
+    for name, wanted in highest.items():
+        up, _, off = f[name]
+        if abs(up - wanted) > 1.0:
+            found.append(f"a return from {name} climbs to {up} m, the table says {wanted:g}")
+        if off > 1.5:
+            found.append(f"a return from {name} ends {off} m from home")
+
+
+def check_gps_lost(rig: Rig, f: Figures, found: Findings) -> None:
+    first = f["modes"][0] if f["modes"] else None
+    found.same("first mode", first, hex(PX4_LAND) if rig.px4 else LAND)
+    wanted = rules(rig).position_lost_s.value
+    found.time("given up after", f["after s"][0] if f["after s"] else None, wanted, early_s=1.0, late_s=2.0)
+
+
+CHECKS: dict[str, tuple[Callable[[Rig], Figures], Callable[[Rig, Figures, Findings], None]]] = {
+    "modes on the ground": (modes, check_modes),
+    "idle on the ground": (idle_on_the_ground, check_idle),
+    "answers": (answers, check_answers),
+    "up, there and down": (up_there_and_down, check_up_there_and_down),
+    "answers in flight": (answers_in_flight, check_answers_in_flight),
+    "velocity then silence": (velocity_then_silence, check_velocity_then_silence),
+    "attitude then silence": (attitude_then_silence, check_attitude_then_silence),
+    "position and velocity": (position_and_velocity, check_position_and_velocity),
+    "offboard entry": (offboard_entry, check_offboard_entry),
+    "ground station lost": (ground_station_lost, check_ground_station_lost),
+    "beyond the fence": (beyond_the_fence, check_beyond_the_fence),
+    "returns": (returns, check_returns),
+    "gps lost": (gps_lost, check_gps_lost),
+    # Last: ArduCopter does not arm again after its battery failsafe.
+    "battery critical": (battery_critical, check_battery_critical),
 }
+
+
+def fly(name: str, rig: Rig, *, late_s: float = 0.0) -> tuple[Figures, list[str]]:
+    """The figures of one flight, and what in them is not as the table says."""
+    flight, compare = CHECKS[name]
+    figures = flight(rig)
+    found = Findings(late_s)
+    compare(rig, figures, found)
+    return figures, list(found)

@@ -30,7 +30,6 @@ ACK_S = 3.0
 """A firmware on a loaded machine answers within this; the simulator at once."""
 
 STREAMS_HZ = {"HEARTBEAT": 10, "GLOBAL_POSITION_INT": 20, "EXTENDED_SYS_STATE": 10, "SYS_STATUS": 2}
-METRES_PER_DEGREE = 111_320.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +61,8 @@ class Rig(ABC):
         self.disarmed_at = 0.0
         self.landed_state = 0
         self.heard: dict[str, Any] = {}
+        self.base = (0.0, 0.0)
+        """East and north of FIELD: where the track's zero is, the place of the last take-off."""
         self.now = 0.0
         """Of the vehicle's clock, as far as heard."""
         self._acks: list[tuple[int, int]] = []
@@ -149,11 +150,12 @@ class Rig(ABC):
                 self.modes.append((self.now, message.custom_mode))
         elif name == "GLOBAL_POSITION_INT":
             self.now = max(self.now, message.time_boot_ms / 1e3)
+            east_m, north_m = FIELD.to_local(message.lat / 1e7, message.lon / 1e7)
             self.track.append(
                 Sample(
                     message.time_boot_ms / 1e3,
-                    (message.lon / 1e7 - FIELD.lon_deg) * METRES_PER_DEGREE * math.cos(math.radians(FIELD.lat_deg)),
-                    (message.lat / 1e7 - FIELD.lat_deg) * METRES_PER_DEGREE,
+                    east_m - self.base[0],
+                    north_m - self.base[1],
                     message.relative_alt / 1e3,
                     math.hypot(message.vx, message.vy) / 100,
                 )
@@ -166,6 +168,12 @@ class Rig(ABC):
             self._params[message.param_id] = message.param_value
         elif name == "STATUSTEXT":
             self.texts.append(message.text.rstrip("\t"))
+
+    def zero_here(self) -> None:
+        """The track's zero is where it is now."""
+        self.base = (self.base[0] + self.here.east_m, self.base[1] + self.here.north_m)
+        self.track.clear()
+        self.wait(lambda: self.track, 5, "its position")
 
     # -- what is asked
 
@@ -302,10 +310,9 @@ class FirmwareRig(Rig):
 
     def gps(self, there: bool) -> None:
         if self.px4:
-            unit, kind = 4, 0 if there else 1  # FAILURE_UNIT_SENSOR_GPS, FAILURE_TYPE_OK or _OFF
-            assert self.command(mav.MAV_CMD_INJECT_FAILURE, unit, kind) == 0
+            self.set_param("SIM_GPS_USED", 10 if there else 0, integer=True)
         else:
-            self.set_param("SIM_GPS1_ENABLE", float(there))
+            self.set_param("SIM_GPS_DISABLE", float(not there))
 
     def close(self) -> None:
         self._sitl.send_signal(signal.SIGTERM)

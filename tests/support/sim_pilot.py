@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import struct
 from functools import cache
 from math import nan
 from pathlib import Path
@@ -135,6 +136,12 @@ class Pilot:
         self.get_ready()
         self.take_off(height_m)
         self.forget()
+
+
+def int_param(value: int) -> float:
+    """An integer parameter as PX4 has it in PARAM_SET's float."""
+    wire: float = struct.unpack("<f", struct.pack("<i", value))[0]
+    return wire
 
 
 def px4_mode(pilot: Pilot) -> Px4Mode:

@@ -52,7 +52,7 @@ LATE_ACK_S = 1.5
 """Two rounds of a nine-node multipoint radio at 64 kbit/s; later than that an ack is not expected any more."""
 
 ECHO_ACK_S = 0.05
-"""PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): the second one must not pass for the next
+"""PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): a late second one must not pass for the next
 command's. Where a radio parts the two by more, the mode in the heartbeat decides, as for every mode."""
 
 SUPERSEDED = "a newer order took its place"

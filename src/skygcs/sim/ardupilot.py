@@ -26,7 +26,7 @@ from skygcs.sim.copter_files import FileServer
 from skygcs.sim.copter_lists import CopterLists
 from skygcs.sim.copter_mission import CopterRun
 from skygcs.sim.firmware_params import STREAM_GROUPS, copter_params
-from skygcs.sim.kinematics import Limits, LocalFrame
+from skygcs.sim.kinematics import Limits, LocalFrame, Setpoint
 from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_targets import is_altitude, is_position, up_of
@@ -194,7 +194,7 @@ class CopterVehicle(SimVehicle):
     @property
     def fence_flags(self) -> tuple[bool, bool, bool]:
         # AC_Fence::sys_status_present, _enabled and _failed: one that is off is present and healthy
-        present = copter_failsafe.fence_present(self)
+        present = failsafe.copter_fence_present(self)
         enabled = present and bool(self.params["FENCE_ENABLE"]) and self.params["FENCE_ACTION"] != 0
         return present, enabled, not present or self.fence_breach == m.FENCE_BREACH_NONE
 
@@ -211,6 +211,7 @@ class CopterVehicle(SimVehicle):
         self.speed_mps = 0.0
         self.setpoint_at = now
         self.velocity_target = False
+        self.velocity_wanted = Setpoint((None, None, None))
         self._prearm_at = now + 3.0
         for stream, (param, _) in STREAM_GROUPS.items():
             self._set_group(stream, self.params[param], now)

@@ -3,8 +3,9 @@
 The models of `skygcs.sim` take their values from here; docs/reference/simulated-firmware.md is this table in words,
 and tests/unit/sim and tests/firmware fly the same scenarios on the simulator and on real firmware against it.
 
-Read from PX4 v1.16.1 (94cb2012) and Copter-4.6.3 (92b0cd78). "measured" beside a source: flown with that firmware's own
-simulator (SIH, SITL), because the source gives a mechanism and not a number.
+Read from PX4 v1.16.1 (94cb2012; paths below src/modules, but for src/lib) and Copter-4.6.3 (92b0cd78). "measured"
+beside a source: flown with that firmware's own simulator (SIH, SITL), because the source gives a mechanism and not a
+number.
 """
 
 from __future__ import annotations
@@ -199,8 +200,9 @@ PX4_MODES: Final = Fact(
             _px4(Px4Mode.STABILIZED, "sticks"),
         )
     },
-    "src/modules/commander/ModeUtil/mode_requirements.cpp: getModeRequirements; "
-    "HealthAndArmingChecks/checks/modeCheck.cpp: ModeChecks::checkAndReport; Commander.cpp: handle_command (DO_SET_MODE; "
+    "commander/ModeUtil/mode_requirements.cpp: getModeRequirements; "
+    "HealthAndArmingChecks/checks/modeCheck.cpp: ModeChecks::checkAndReport; Commander.cpp: handle_command "
+    "(DO_SET_MODE; "
     "LAND is always entered)",
 )
 
@@ -243,7 +245,15 @@ _COPTER_LINK = {
     3: Reaction.SMART_RETURN,
     4: Reaction.SMART_RETURN,
 }
-_COPTER_BATTERY = {0: Reaction.NONE, 1: Reaction.LAND, 5: Reaction.STOP, 7: Reaction.BRAKE}
+_COPTER_BATTERY = {
+    0: Reaction.NONE,
+    1: Reaction.LAND,
+    2: Reaction.RETURN,
+    3: Reaction.SMART_RETURN,
+    4: Reaction.SMART_RETURN,
+    5: Reaction.STOP,
+    7: Reaction.BRAKE,
+}
 _PX4_LINK = {
     0: Reaction.NONE,
     1: Reaction.HOLD,
@@ -328,8 +338,11 @@ class Firmware:
     landed_after_s: Fact[float]
     """From touching the ground until the vehicle believes it."""
     crash: Fact[tuple[float, float, float, float]]
-    """Lean (deg), error of the attitude (deg), acceleration (m/s²) and time (s) from which an armed vehicle takes itself
-    to have crashed and disarms; all 0: it does not."""
+    """Lean (deg), error of the attitude (deg), acceleration (m/s²) and time (s) from which an armed vehicle has crashed
+    and disarms; all 0: it does not."""
+
+    times: Fact[dict[str, float]]
+    """To 10 m, 15 m away (from stand to stand, to 1 m), down from 10 m to 0.5 m, and until it disarms (s)."""
 
     # setpoints
     setpoint_timeout: Fact[str]
@@ -365,7 +378,8 @@ COPTER: Final = Firmware(
     version="4.6.3",
     ready_after_s=Fact(
         42.0,
-        "libraries/AP_NavEKF3/AP_NavEKF3_Control.cpp: setAidingMode, after AP_GPS's fix and the tilt alignment (measured)",
+        "libraries/AP_NavEKF3/AP_NavEKF3_Control.cpp: setAidingMode, after AP_GPS's fix and the tilt "
+        "alignment (measured)",
         used=7.0,
         why="demos and tests in real time would wait for nothing else",
     ),
@@ -392,7 +406,8 @@ COPTER: Final = Firmware(
     ),
     spool_up_s=Fact(
         2.0,
-        "libraries/AP_Motors/AP_MotorsMulticopter.cpp: MOT_SPOOL_TIME, and the arming delay (Copter.h: in_arming_delay)",
+        "libraries/AP_Motors/AP_MotorsMulticopter.cpp: MOT_SPOOL_TIME, and the arming delay (Copter.h: "
+        "in_arming_delay)",
     ),
     climb_accel_mps2=Fact(1.0, "libraries/AC_WPNav/AC_WPNav.cpp: WPNAV_ACCEL_Z (100 cm/s²)"),
     jerk_mps3=Fact(
@@ -401,7 +416,8 @@ COPTER: Final = Firmware(
     ),
     brake=Fact(
         (7.5, 5.0, 0.3),
-        "ArduCopter/config.h: BRAKE_MODE_DECEL_RATE; libraries/AC_AttitudeControl/AC_PosControl.cpp: PSC_JERK_XY (measured)",
+        "ArduCopter/config.h: BRAKE_MODE_DECEL_RATE; libraries/AC_AttitudeControl/AC_PosControl.cpp: "
+        "PSC_JERK_XY (measured)",
     ),
     land_fast_above_m=Fact(10.0, "ArduCopter/mode.cpp: Mode::land_run_vertical_control (LAND_ALT_LOW)"),
     land_slow_below_m=Fact(10.0, "ArduCopter/mode.cpp: Mode::land_run_vertical_control (LAND_ALT_LOW)"),
@@ -411,6 +427,10 @@ COPTER: Final = Firmware(
         "(measured)",
     ),
     crash=Fact((15.0, 30.0, 3.0, 2.0), "ArduCopter/crash_check.cpp: Copter::crash_check, CRASH_CHECK_*"),
+    times=Fact(
+        {"takeoff s": 9.5, "15 m s": 4.7, "land to .5 m s": 19.5, "land to disarmed s": 22.6},
+        "ArduCopter/mode_guided.cpp: run; mode_land.cpp: run (measured in SITL, with its default parameters)",
+    ),
     setpoint_timeout=Fact("GUID_TIMEOUT", "ArduCopter/mode_guided.cpp: ModeGuided::get_timeout_ms (at least 0.1 s)"),
     attitude_timeout_s=Fact(
         None,
@@ -420,9 +440,7 @@ COPTER: Final = Firmware(
     failsafe_land_pause_s=Fact(4.0, "ArduCopter/config.h: LAND_WITH_DELAY_MS; mode_land.cpp: set_mode_land_with_pause"),
     gcs_timeout=Fact("FS_GCS_TIMEOUT", "ArduCopter/events.cpp: Copter::failsafe_gcs_check (only SYSID_MYGCS counts)"),
     gcs=Fact(
-        Reactions(
-            "FS_GCS_ENABLE", _COPTER_LINK | {5: Reaction.LAND, 6: Reaction.RETURN, 7: Reaction.BRAKE}, Reaction.RETURN
-        ),
+        Reactions("FS_GCS_ENABLE", _COPTER_LINK, Reaction.RETURN),
         "ArduCopter/events.cpp: Copter::failsafe_gcs_on_event (6: DO_LAND_START, else RTL)",
     ),
     setpoints_lost=Fact(
@@ -446,24 +464,26 @@ COPTER: Final = Firmware(
     battery_low=Fact(
         Reactions(
             "BATT_FS_LOW_ACT",
-            _COPTER_BATTERY | {2: Reaction.RETURN, 3: Reaction.SMART_RETURN, 4: Reaction.SMART_RETURN},
+            _COPTER_BATTERY,
             Reaction.RETURN,
         ),
-        "ArduCopter/Copter.h: FailsafeAction; events.cpp: handle_battery_failsafe (BATT_LOW_MAH at once, BATT_LOW_VOLT after "
+        "ArduCopter/Copter.h: FailsafeAction; events.cpp: handle_battery_failsafe (BATT_LOW_MAH at once, "
+        "BATT_LOW_VOLT after "
         "BATT_LOW_TIMER)",
     ),
     battery_critical=Fact(
         Reactions(
             "BATT_FS_CRT_ACT",
-            _COPTER_BATTERY | {2: Reaction.RETURN, 3: Reaction.SMART_RETURN, 4: Reaction.SMART_RETURN},
+            _COPTER_BATTERY,
             Reaction.RETURN,
         ),
         "ArduCopter/events.cpp: handle_battery_failsafe (BATT_CRT_MAH)",
     ),
     battery_emergency=Fact(_NEVER, "libraries/AP_BattMonitor/AP_BattMonitor.h: Failsafe (there is no third level)"),
     position_lost_s=Fact(
-        5.0,
-        "libraries/AP_NavEKF3/AP_NavEKF3.h: posRetryTimeUseVel_ms; ArduCopter/ekf_check.cpp: EKF_CHECK_ITERATIONS_MAX (1 s)",
+        8.0,
+        "libraries/AP_NavEKF3/AP_NavEKF3.h: posRetryTimeUseVel_ms; ArduCopter/ekf_check.cpp: "
+        "EKF_CHECK_ITERATIONS_MAX (1 s; measured)",
     ),
     mission=Fact(
         MissionRules(
@@ -513,21 +533,15 @@ COPTER: Final = Firmware(
 PX4: Final = Firmware(
     name="PX4",
     version="1.16.1",
-    ready_after_s=Fact(
-        4.0, "src/modules/ekf2/EKF/aid_sources/gnss/gnss_checks.cpp: EKF2_REQ_GPS_H (SITL: 0.5 s; measured)"
-    ),
+    ready_after_s=Fact(4.0, "ekf2/EKF/aid_sources/gnss/gnss_checks.cpp: EKF2_REQ_GPS_H (SITL: 0.5 s; measured)"),
     modes=PX4_MODES,
     arming_needs_position=Fact(
         True,
-        "src/modules/commander/HealthAndArmingChecks/checks/modeCheck.cpp: local and global position in every mode that "
+        "commander/HealthAndArmingChecks/checks/modeCheck.cpp: local and global position in every mode that "
         "arms but OFFBOARD",
     ),
-    arming_battery=Fact(
-        "BAT_CRIT_THR", "src/modules/commander/HealthAndArmingChecks/checks/batteryCheck.cpp (COM_ARM_BAT_MIN -1)"
-    ),
-    idle_disarm=Fact(
-        ("COM_DISARM_PRFLT", 1.0), "src/modules/commander/Commander.cpp: handleAutoDisarm (plus COM_SPOOLUP_TIME)"
-    ),
+    arming_battery=Fact("BAT_CRIT_THR", "commander/HealthAndArmingChecks/checks/batteryCheck.cpp (COM_ARM_BAT_MIN -1)"),
+    idle_disarm=Fact(("COM_DISARM_PRFLT", 1.0), "commander/Commander.cpp: handleAutoDisarm (plus COM_SPOOLUP_TIME)"),
     answers=Fact(
         Answers(
             unknown_message=m.MAV_RESULT_DENIED,
@@ -542,43 +556,47 @@ PX4: Final = Firmware(
             mission_current_beyond=m.MAV_RESULT_UNSUPPORTED,
             forced_arming=False,
         ),
-        "src/modules/commander/Commander.cpp: handle_command; src/modules/mavlink/mavlink_receiver.cpp: "
+        "commander/Commander.cpp: handle_command; mavlink/mavlink_receiver.cpp: "
         "handle_message_command_both (each measured)",
     ),
     spool_up_s=Fact(
         2.5,
-        "src/modules/commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",
+        "commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",
     ),
-    climb_accel_mps2=Fact(
-        4.0, "src/modules/mc_pos_control/multicopter_position_control_limits_params.c: MPC_ACC_UP_MAX"
-    ),
+    climb_accel_mps2=Fact(4.0, "mc_pos_control/multicopter_position_control_limits_params.c: MPC_ACC_UP_MAX"),
     jerk_mps3=Fact(4.0, "src/lib/motion_planning/PositionSmoothing.cpp: computeMaxSpeedFromDistance (MPC_JERK_AUTO)"),
     brake=Fact(
         (3.0, 4.0, 0.3),
-        "src/modules/navigator/navigator_main.cpp: preproject_stop_point (MPC_ACC_HOR, MPC_JERK_AUTO; measured)",
+        "navigator/navigator_main.cpp: preproject_stop_point (MPC_ACC_HOR, MPC_JERK_AUTO; measured)",
     ),
     land_fast_above_m=Fact(
-        10.0, "src/modules/flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: _prepareLandSetpoints (MPC_LAND_ALT1)"
+        10.0, "flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: _prepareLandSetpoints (MPC_LAND_ALT1)"
     ),
     land_slow_below_m=Fact(
-        5.0, "src/modules/flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: _prepareLandSetpoints (MPC_LAND_ALT2)"
+        5.0, "flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: _prepareLandSetpoints (MPC_LAND_ALT2)"
     ),
-    landed_after_s=Fact(1.0, "src/modules/land_detector/MulticopterLandDetector.cpp: LNDMC_TRIG_TIME"),
+    landed_after_s=Fact(
+        4.0,
+        "land_detector/MulticopterLandDetector.cpp: three stages of LNDMC_TRIG_TIME / 3, each once the thrust is "
+        "low (measured)",
+    ),
     crash=Fact(
         (0.0, 0.0, 0.0, 0.0),
-        "src/modules/commander/failsafe/failsafe.cpp: fd_critical_failure (CBRK_FLIGHTTERM 121212: a warning, but for the "
+        "commander/failsafe/failsafe.cpp: fd_critical_failure (CBRK_FLIGHTTERM 121212: a warning, but for the "
         "first COM_LKDOWN_TKO + COM_SPOOLUP_TIME seconds)",
     ),
-    setpoint_timeout=Fact("COM_OF_LOSS_T", "src/modules/commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
-    attitude_timeout_s=Fact(None, "src/modules/commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
-    failsafe_hold=Fact(
-        "COM_FAIL_ACT_T", "src/modules/commander/failsafe/framework.cpp: FailsafeBase::getSelectedAction"
+    times=Fact(
+        {"takeoff s": 11.4, "15 m s": 5.9, "land to .5 m s": 13.5, "land to disarmed s": 20.4},
+        "flight_mode_manager/tasks/Auto/FlightTaskAuto.cpp: update (measured in SIH, with its default parameters)",
     ),
-    failsafe_land_pause_s=Fact(0.0, "src/modules/navigator/land.cpp"),
-    gcs_timeout=Fact("COM_DL_LOSS_T", "src/modules/commander/Commander.cpp: dataLinkCheck (any ground station counts)"),
+    setpoint_timeout=Fact("COM_OF_LOSS_T", "commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
+    attitude_timeout_s=Fact(None, "commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
+    failsafe_hold=Fact("COM_FAIL_ACT_T", "commander/failsafe/framework.cpp: FailsafeBase::getSelectedAction"),
+    failsafe_land_pause_s=Fact(0.0, "navigator/land.cpp"),
+    gcs_timeout=Fact("COM_DL_LOSS_T", "commander/Commander.cpp: dataLinkCheck (any ground station counts)"),
     gcs=Fact(
         Reactions("NAV_DLL_ACT", _PX4_LINK, Reaction.NONE),
-        "src/modules/commander/failsafe/failsafe.cpp: fromNavDllOrRclActParam (ignored in LAND and PRECLAND)",
+        "commander/failsafe/failsafe.cpp: fromNavDllOrRclActParam (ignored in LAND and PRECLAND)",
     ),
     setpoints_lost=Fact(
         Reactions(
@@ -595,7 +613,7 @@ PX4: Final = Firmware(
             },
             Reaction.POSITION,
         ),
-        "src/modules/commander/failsafe/failsafe.cpp: fromOffboardLossActParam, checkModeFallback; framework.cpp: modeCanRun "
+        "commander/failsafe/failsafe.cpp: fromOffboardLossActParam, checkModeFallback; framework.cpp: modeCanRun "
         "(manual control is not looked at)",
     ),
     fence=Fact(
@@ -611,21 +629,21 @@ PX4: Final = Firmware(
             },
             Reaction.WARN,
         ),
-        "src/modules/commander/failsafe/failsafe.cpp: fromGfActParam",
+        "commander/failsafe/failsafe.cpp: fromGfActParam",
     ),
     battery_low=Fact(
         Reactions("COM_LOW_BAT_ACT", {}, Reaction.WARN),
-        "src/modules/commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
+        "commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
     ),
     battery_critical=Fact(
         Reactions("COM_LOW_BAT_ACT", {1: Reaction.RETURN, 2: Reaction.LAND, 3: Reaction.RETURN}, Reaction.WARN),
-        "src/modules/commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
+        "commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
     ),
     battery_emergency=Fact(
         Reactions("COM_LOW_BAT_ACT", {1: Reaction.RETURN, 2: Reaction.LAND, 3: Reaction.LAND}, Reaction.WARN),
-        "src/modules/commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
+        "commander/failsafe/failsafe.cpp: fromBatteryWarningActParam",
     ),
-    position_lost_s=Fact(5.0, "src/modules/ekf2/module.yaml: EKF2_NOAID_TOUT (5 s)"),
+    position_lost_s=Fact(5.0, "ekf2/module.yaml: EKF2_NOAID_TOUT (5 s)"),
     mission=Fact(
         MissionRules(
             retry_s=0.25,
@@ -662,8 +680,7 @@ PX4: Final = Firmware(
                 | {534, 80, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
             ),
         ),
-        "src/modules/mavlink/mavlink_mission.h: MAVLINK_MISSION_*_TIMEOUT_DEFAULT; mavlink_mission.cpp: "
-        "parse_mavlink_mission_item",
+        "mavlink/mavlink_mission.h: MAVLINK_MISSION_*_TIMEOUT_DEFAULT; mavlink_mission.cpp: parse_mavlink_mission_item",
     ),
-    altitude_step_m=Fact(0.0, "src/modules/navigator/navigation.h: mission_item_s (float)"),
+    altitude_step_m=Fact(0.0, "navigator/navigation.h: mission_item_s (float)"),
 )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from math import hypot
 from typing import TYPE_CHECKING, Any
 
 from skygcs.sim.attitude_targets import Refusal, copter_attitude
 from skygcs.sim.behaviours import CopterMode
 from skygcs.sim.body import AttitudeSetpoint
-from skygcs.sim.kinematics import Setpoint
+from skygcs.sim.failsafe import FENCE_CIRCLE
+from skygcs.sim.kinematics import Setpoint, approach_speed
 from skygcs.sim.legs import Follow
 from skygcs.sim.position_targets import setpoint_of
 
@@ -16,6 +19,9 @@ if TYPE_CHECKING:
 
 THRUST_AS_THRUST = 8
 """GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET.thrust is thrust; without it, a climb rate."""
+
+AVOID_FENCE = 1
+"""Bit of AVOID_ENABLE."""
 
 SHORTEST_TIMEOUT_S = 0.1
 """The firmware's lower bound of GUID_TIMEOUT."""
@@ -42,6 +48,9 @@ def take(v: CopterVehicle, name: str, fields: dict[str, Any], now: float) -> Non
         return
     v.setpoint_at = now
     v.velocity_target = isinstance(setpoint, Setpoint) and setpoint.pos_enu_m[0] is None
+    if v.velocity_target and isinstance(setpoint, Setpoint):
+        v.velocity_wanted = setpoint
+        setpoint = _before_the_fence(v, setpoint)
     v.plan.fly(Follow(setpoint))
 
 
@@ -56,11 +65,34 @@ def watch(v: CopterVehicle, now: float) -> None:
     longest = max(SHORTEST_TIMEOUT_S, v.params[v.firmware.setpoint_timeout.simulated])
     if v.velocity_target and age > longest:
         _stop(v)
+    elif v.velocity_target and v.params["FENCE_ENABLE"]:
+        v.plan.fly(Follow(_before_the_fence(v, v.velocity_wanted)))
     elif isinstance(leg, Follow) and isinstance(leg.setpoint, AttitudeSetpoint):
         if v.attitude_timeout_s is not None:
             longest = v.attitude_timeout_s
         if age > longest and leg.setpoint.attitude_ned_frd is not None:
             v.plan.fly(Follow(AttitudeSetpoint(None)))
+
+
+def _before_the_fence(v: CopterVehicle, setpoint: Setpoint) -> Setpoint:
+    """A velocity that goes no faster towards the circle about home than it can still stop FENCE_MARGIN before it
+    (AC_Avoid::adjust_velocity_circle_fence, bit 0 of AVOID_ENABLE)."""
+    p, home, here = v.params, v.home, v.estimated
+    east_mps, north_mps, up_mps = setpoint.vel_enu_mps
+    circle = p["FENCE_ENABLE"] and int(p["FENCE_TYPE"]) & FENCE_CIRCLE and int(p["AVOID_ENABLE"]) & AVOID_FENCE
+    if not circle or home is None or east_mps is None or north_mps is None:
+        return setpoint
+    east_m, north_m = here.east_m - home.east_m, here.north_m - home.north_m
+    away_m = hypot(east_m, north_m)
+    if away_m < 1e-6:
+        return setpoint
+    outward_mps = (east_mps * east_m + north_mps * north_m) / away_m
+    left_m = max(0.0, p["FENCE_RADIUS"] - p["FENCE_MARGIN"] - away_m)
+    excess = outward_mps - approach_speed(left_m, p["WPNAV_ACCEL"] / 100, abs(outward_mps))
+    if excess <= 0.0:
+        return setpoint
+    slower = (east_mps - excess * east_m / away_m, north_mps - excess * north_m / away_m, up_mps)
+    return replace(setpoint, vel_enu_mps=slower)
 
 
 def _stop(v: CopterVehicle) -> None:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 FENCE_HEIGHT = 1
 FENCE_CIRCLE = 2
 FENCE_POLYGON = 4
-"""Bits of ArduCopter's FENCE_TYPE; the last one is for polygons and circles of the fence list."""
+FENCE_FLOOR = 8
+"""Bits of ArduCopter's FENCE_TYPE; that of polygons is for the fence list; no floor is flown."""
 
 GIVE_UP_M = 100.0
 """AC_FENCE_GIVE_UP_DISTANCE: this far outside, a return has failed and it lands."""
@@ -193,6 +194,12 @@ def outside(v: SimVehicle, east_m: float, north_m: float, up_m: float, *, radius
     if radius_m > 0 and hypot(east_m - home.east_m, north_m - home.north_m) > radius_m:
         return "distance"
     return "height" if height_m > 0 and up_m - home.up_m > height_m else ""
+
+
+def copter_fence_present(v: SimVehicle) -> bool:
+    """Whether a fence is set up, enabled or not (AC_Fence::present)."""
+    polygon = FENCE_POLYGON if v.lists.fence else 0
+    return bool(int(v.params["FENCE_TYPE"]) & (FENCE_HEIGHT | FENCE_CIRCLE | FENCE_FLOOR | polygon))
 
 
 def copter_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> str:

@@ -36,8 +36,13 @@ def step(v: SimVehicle, now: float, dt_s: float) -> None:
 
 
 def _watch_ground(v: SimVehicle, now: float) -> None:
-    """Taken off when it is clear of the ground, landed when it has lain there for a while."""
-    if v.landed:
+    """Taken off when it is clear of the ground, landed when it has lain there for a while. Disarmed it is landed for
+    both firmwares, wherever it is (MulticopterLandDetector::_get_landed_state; Copter::update_land_detector)."""
+    if not v.armed:
+        if not v.landed:
+            v.landed, v.landed_at = True, now
+            v.on_landed(now)
+    elif v.landed:
         if v.motion.up_m > FLYING_ABOVE_M:
             v.landed = False
             v.flown_since_arming = True

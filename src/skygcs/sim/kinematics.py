@@ -80,7 +80,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Where to be (``pos_enu_m``) and how fast that place moves (``vel_enu_mps``), or, on an axis whose position is None,
+    """Where to be (``pos_enu_m``) and how fast that place moves (``vel_enu_mps``). On an axis whose position is None:
     how fast to move; None there as well: stop.
 
     East and north go together: both have a position or neither has. ``yaw_rad`` is ENU-independent compass yaw

@@ -44,8 +44,8 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class Land:
-    """Straight down here until the ground is met: at ``speed_mps`` below ``slow_below_m``, at the vehicle's normal speed
-    of descent above ``fast_above_m``. After a failsafe it waits until ``not_before``."""
+    """Straight down here until the ground is met: at ``speed_mps`` below ``slow_below_m``, above ``fast_above_m`` at
+    the vehicle's normal speed of descent. After a failsafe it waits until ``not_before``."""
 
     east_m: float
     north_m: float

@@ -49,8 +49,8 @@ _RANK: Mapping[int, int] = {Px4Mode.LOITER: 1, Px4Mode.RTL: 2, Px4Mode.LAND: 3}
 
 
 def wanted_mode(base_mode: int, main: int, sub: int) -> int | None:
-    """The custom_mode that MAV_CMD_DO_SET_MODE's numbers name (Commander.cpp: handle_command), -1 for a sub mode of AUTO
-    that it does not have, None if they name none, which changes nothing.
+    """The custom_mode that MAV_CMD_DO_SET_MODE's numbers name (Commander.cpp: handle_command). -1 for a sub mode that
+    AUTO does not have; None if they name none, which changes nothing.
 
     Without MAV_MODE_FLAG_CUSTOM_MODE_ENABLED the base mode counts: DroneKit's PX4 guide enters MISSION so.
     """
@@ -376,8 +376,7 @@ class Px4Vehicle(SimVehicle):
         self.plan.fly(*legs)
 
     def _sink(self) -> None:
-        """A mode for sticks without sticks (PX4 1.16 with COM_OBL_RC_ACT 0..2): it stops and goes down (measured: 10 m in
-        12 s, MPC_LAND_SPEED)."""
+        """A mode for sticks without sticks (COM_OBL_RC_ACT 0 to 2): it stops and sinks (with MPC_LAND_SPEED)."""
         self.hold_here()
         leg, speed = self.plan.leg, self.params["MPC_LAND_SPEED"]
         if isinstance(leg, GoTo) and self.position_ok:
@@ -502,8 +501,8 @@ class Px4Vehicle(SimVehicle):
     def _command_mode(self, c: Command, now: float) -> int:
         if not all(isfinite(p) and 0 <= p < 256 for p in (c.p1, c.p2, c.p3)):
             return m.MAV_RESULT_TEMPORARILY_REJECTED
-        # the receiver has answered before the commander: a real PX4 acknowledges DO_SET_MODE twice, first always ACCEPTED
-        # (mavlink_receiver.cpp: handle_message_command_both)
+        # The receiver answers before the commander (mavlink_receiver.cpp: handle_message_command_both): the first
+        # of two acknowledgements is always ACCEPTED.
         self.tx.acknowledge(c.id, m.MAV_RESULT_ACCEPTED, c.sender)
         mode = wanted_mode(int(c.p1), int(c.p2), int(c.p3))
         if mode == -1:

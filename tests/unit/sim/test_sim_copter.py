@@ -51,17 +51,18 @@ def test_its_heartbeats_are_those_of_a_captured_copter() -> None:
 def test_it_says_its_version_and_frame_at_boot_and_on_request() -> None:
     pilot = Pilot(copter())
     pilot.run(3)
-    assert pilot.texts()[0].startswith("ArduCopter V4.5.7") and "Frame: QUAD/X" in pilot.texts()
+    assert pilot.texts()[0].startswith("ArduCopter V4.6.3") and "Frame: QUAD/X" in pilot.texts()
     pilot.forget()
     assert pilot.command(mav.MAV_CMD_DO_SEND_BANNER) == ACCEPTED
     pilot.run(3)
-    assert pilot.texts()[0].startswith("ArduCopter V4.5.7")
+    assert pilot.texts()[0].startswith("ArduCopter V4.6.3")
 
 
 def test_failing_checks_are_told_every_thirty_seconds_until_they_pass() -> None:
     vehicle = copter()
     vehicle.faults.gps_lost = True
     pilot = Pilot(vehicle)
+    pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, COPTER_GUIDED)
     pilot.run(100)
     assert pilot.texts().count("PreArm: Need Position Estimate") == 4
     vehicle.faults.gps_lost = False

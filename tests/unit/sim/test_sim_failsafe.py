@@ -74,7 +74,9 @@ def test_px4_misses_any_ground_station_after_com_dl_loss_t(action: int, mode: Px
     pilot.run(8.5)
     assert "Failsafe activated" not in " ".join(pilot.texts())
     pilot.run(2)
-    assert px4_mode(pilot) == mode
+    assert px4_mode(pilot) == Px4Mode.LOITER
+    pilot.run(5)
+    assert px4_mode(pilot) == mode, "COM_FAIL_ACT_T: it holds for 5 s before it returns or lands"
     told = [text for text in pilot.texts() if "GCS lost" in text]
     assert len(told) == (1 if action else 0)
 
@@ -112,7 +114,9 @@ def test_px4_stops_at_its_fence(action: int, mode: Px4Mode) -> None:
     northward(pilot, 3.0, 4.0)
     assert px4_mode(pilot) == Px4Mode.OFFBOARD
     northward(pilot, 3.0, 3.5)
-    assert px4_mode(pilot) == mode
+    assert px4_mode(pilot) == (Px4Mode.OFFBOARD if action == 1 else Px4Mode.LOITER)
+    northward(pilot, 3.0, 5.0)
+    assert px4_mode(pilot) == mode, "COM_FAIL_ACT_T"
     assert "fence distance" in " ".join(pilot.texts())
     if mode == Px4Mode.LOITER:
         northward(pilot, 3.0, 10.0)
@@ -124,6 +128,7 @@ def test_copter_returns_from_its_fence_and_takes_no_target_beyond_it() -> None:
     set_param(pilot, "FENCE_ENABLE", 1)
     set_param(pilot, "FENCE_RADIUS", 15.0)
     set_param(pilot, "FENCE_ALT_MAX", 20.0)
+    set_param(pilot, "AVOID_ENABLE", 0)  # else a velocity stops before the fence
     pilot.hovering()
     far = [25.0, 0.0, -10.0] + [0.0] * 8
     pilot.send(mav.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0xDF8, *far))
@@ -146,6 +151,14 @@ def test_the_heights_fence_too() -> None:
     pilot.hovering(10.0)
     pilot.command(mav.MAV_CMD_DO_REPOSITION, -1, 1, 0, float("nan"), float("nan"), float("nan"), 200.0)
     pilot.run(10)
+    assert "Reposition is outside geofence" in pilot.texts() and pilot.vehicles[0].motion.up_m < 10.5
+    velocity_only = 0b0000_1101_1100_0111
+    climb = mav.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, velocity_only, *[0.0] * 5, -1.0, *[0.0] * 5)
+    pilot.send(climb)
+    assert set_mode(pilot, 6) == 0
+    for _ in range(80):
+        pilot.send(climb)
+        pilot.run(0.1)
     assert px4_mode(pilot) == Px4Mode.RTL
 
 
@@ -166,8 +179,8 @@ def test_px4_acts_on_its_battery_in_steps(action: int, critical: Px4Mode, emerge
     pilot.hovering()
     for percent, mode in ((14, Px4Mode.LOITER), (6, critical), (4, emergency)):
         pilot.vehicles[0].battery.set_percent(percent)
-        pilot.run(1)
-        assert px4_mode(pilot) == mode
+        pilot.run(6)
+        assert px4_mode(pilot) == mode, "COM_FAIL_ACT_T"
     assert pilot.texts().count("Low battery level, return advised") == 1
 
 
@@ -193,24 +206,43 @@ def test_a_drained_battery_lasts_shorter_and_lifts_less() -> None:
 
 def test_a_milder_failsafe_does_not_stop_what_a_graver_one_began() -> None:
     pilot = Pilot(px4())
-    set_param(pilot, "COM_LOW_BAT_ACT", 2)
+    set_param(pilot, "COM_LOW_BAT_ACT", 3)
     set_param(pilot, "NAV_DLL_ACT", 1)
+    pilot.hovering()
+    beat(pilot, 3)
+    pilot.vehicles[0].battery.set_percent(7)
+    pilot.run(6)
+    assert px4_mode(pilot) == Px4Mode.RTL
+    pilot.run(5)
+    assert "Failsafe activated: GCS lost, holding" in pilot.texts()
+    assert px4_mode(pilot) == Px4Mode.RTL
+
+
+def test_px4_that_lands_does_not_miss_its_ground_station() -> None:
+    """failsafe.cpp: dll_loss_ignored_land."""
+    pilot = Pilot(px4())
+    set_param(pilot, "NAV_DLL_ACT", 2)
     set_param(pilot, "MPC_LAND_SPEED", 0.3)
     pilot.hovering()
     beat(pilot, 3)
-    pilot.vehicles[0].battery.set_percent(6)
-    pilot.run(1)
-    assert px4_mode(pilot) == Px4Mode.LAND
-    pilot.run(10)
-    assert "Failsafe activated: GCS lost, holding" in pilot.texts()
-    assert px4_mode(pilot) == Px4Mode.LAND
+    set_mode(pilot, 4, 6)
+    pilot.run(14)
+    assert px4_mode(pilot) == Px4Mode.LAND and "GCS lost" not in " ".join(pilot.texts())
 
 
 # -- offboard, position, power
 
 
 @pytest.mark.parametrize(
-    ("action", "mode"), [(0, Px4Mode.LOITER), (3, Px4Mode.RTL), (4, Px4Mode.LAND), (5, Px4Mode.LOITER)]
+    ("action", "mode"),
+    [
+        (0, Px4Mode.POSCTL),
+        (1, Px4Mode.ALTCTL),
+        (2, Px4Mode.STABILIZED),
+        (3, Px4Mode.RTL),
+        (4, Px4Mode.LAND),
+        (5, Px4Mode.LOITER),
+    ],
 )
 def test_px4_answers_the_loss_of_offboard_as_com_obl_rc_act_says(action: int, mode: Px4Mode) -> None:
     pilot = Pilot(px4())
@@ -280,9 +312,9 @@ def test_a_reboot_in_flight_stops_the_motors_and_it_falls_on(vehicle: Px4Vehicle
     assert not vehicle.armed and not vehicle.faults.reboot
     assert vehicle.boot_ms == 0
     pilot.run(0.7)
-    assert not vehicle.landed, "it knows that it is in the air"
+    assert vehicle.landed and vehicle.motion.up_m > 10, "disarmed, it takes itself for landed, as both firmwares do"
     pilot.run(15)
-    assert vehicle.landed and vehicle.motion.on_ground
+    assert vehicle.landed and vehicle.motion.on_ground and vehicle.motion.crashed
     assert vehicle.home is not None
 
 

@@ -215,7 +215,7 @@ def test_it_is_carried_along_by_the_wind_and_slowed_by_still_air() -> None:
     assert 14.0 < fast.groundspeed_mps < 16.0
 
 
-def test_without_motors_it_falls_to_a_terminal_speed_and_stays_where_it_hits() -> None:
+def test_without_motors_it_falls_to_a_terminal_speed_and_crashes_where_it_hits() -> None:
     quad = Quad(wind=Wind((6.0, 0.0, 0.0), gust_mps=1.0))
     quad.place(0.0, 0.0, 200.0)
     fastest = 0.0
@@ -228,9 +228,19 @@ def test_without_motors_it_falls_to_a_terminal_speed_and_stays_where_it_hits() -
     for _ in range(500):
         quad.fly(DT, quaternion_of(0.3, 0.2, 1.0), 0.9 * HOVER)
     assert quad.pos_enu_m == where, "it neither slides nor sinks, whatever it leans"
-    assert (quad.roll_rad, quad.pitch_rad) == (0.0, 0.0)
+    assert quad.crashed and quad.lean_deg == pytest.approx(90.0)
+    quad.step(0.5, AttitudeSetpoint(level(quad.yaw_rad), 0.9), LIMITS)
+    assert quad.pos_enu_m == where, "and on its side it stays, whatever its motors do"
+
+
+def test_set_down_gently_it_lies_level_and_more_than_its_weight_lifts_it_again() -> None:
+    quad = Quad()
+    quad.place(0.0, 0.0, 0.5)
+    for _ in range(100):
+        quad.step(DT, None, LIMITS)
+    assert quad.on_ground and not quad.crashed and (quad.roll_rad, quad.pitch_rad) == (0.0, 0.0)
     quad.step(0.5, AttitudeSetpoint(level(quad.yaw_rad), 0.7), LIMITS)
-    assert quad.up_m > 0.0, "and more than its weight lifts it again"
+    assert quad.up_m > 0.0
 
 
 def test_gusts_have_the_strength_asked_for_and_the_same_seed_the_same_gusts() -> None:

@@ -45,6 +45,10 @@ WORKING_SILENCE_S = 10.0
 WORKING_LIMIT_S = 120.0
 """No command skygcs waits for takes longer; a calibration does not, a parachute test does not."""
 
+SECOND_ACK_S = 0.5
+"""For the second answer of a command that is answered twice: 8 to 15 ms later on board (own capture), some tenths of a
+second on a radio. Without it the first one counts, and what shows the change decides."""
+
 SETTLE_S = 0.5
 """ArduPilot sends the STATUSTEXT that explains a refusal 0 to 8 ms after the ACK (own capture); a radio's next slot
 may be some tenths of a second away."""
@@ -119,6 +123,9 @@ class CommandSpec:
     command: int
     params: tuple[float, ...] = ()
     location: Location | None = None
+    answers_twice: bool = False
+    """The first ACCEPTED only says that the command was received; the second answer is the result (PX4's DO_SET_MODE:
+    mavlink_receiver.cpp, handle_message_command_both; then Commander.cpp, handle_command)."""
 
     def __post_init__(self) -> None:
         if len(self.params) > (7 if self.location is None else 4):
@@ -195,6 +202,7 @@ class CommandProtocol(ProtocolMachine):
         self._work_since = 0.0
         self._result = 0
         self._percent: int | None = None
+        self._received = False
         self._texts: list[str] = []
 
     @property
@@ -223,6 +231,10 @@ class CommandProtocol(ProtocolMachine):
         if ack.result == IN_PROGRESS:
             return self._on_progress(ack.progress, now)
         self._result = ack.result
+        if ack.result == 0 and self.spec.answers_twice and not self._received:
+            self._received = True
+            self.deadline = now + SECOND_ACK_S
+            return ()
         if ack.result == 0:
             return self._finish(now, "accepted", "accepted")
         self.state = CommandState.SETTLING
@@ -239,6 +251,8 @@ class CommandProtocol(ProtocolMachine):
     def on_timer(self, now: float) -> tuple[Effect, ...]:
         if self.deadline is None or now < self.deadline:
             return ()
+        if self._received and self.state is CommandState.WAITING:
+            return self._finish(now, "accepted", "accepted")
         if self.state is CommandState.WAITING:
             if self.attempts < len(self._timers):
                 return self._transmit(now)

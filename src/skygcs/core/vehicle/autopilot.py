@@ -255,7 +255,8 @@ def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_
         params = (float(modes.CUSTOM_MODE_ENABLED), float(number), 0.0)
     expect = ModeIn(frozenset({number}), or_disarmed)
     name = f"mode {mode_name(vehicle, number)}"
-    return Step(name, CommandSpec(DO_SET_MODE, params), expect=expect, skip_if_met=skip_if_met)
+    spec = CommandSpec(DO_SET_MODE, params, answers_twice=vehicle.family == "px4")
+    return Step(name, spec, expect=expect, skip_if_met=skip_if_met)
 
 
 def mode_name(vehicle: Vehicle, number: int) -> str:

@@ -49,6 +49,30 @@ def test_an_accepted_command_ends_at_once() -> None:
     assert outcome.elapsed_s == pytest.approx(0.3)
 
 
+TWICE = CommandSpec(176, (1, 6, 0), answers_twice=True)
+
+
+@pytest.mark.parametrize(("second", "result"), [(0, "accepted"), (1, "temporarily_rejected")])
+def test_of_a_command_that_is_answered_twice_the_second_answer_is_the_result(second: int, result: str) -> None:
+    exchange = CommandProtocol(TWICE)
+    exchange.start(100.0)
+    assert exchange.on_ack(Ack(176, 0), 100.1) == () and not exchange.done
+    exchange.on_ack(Ack(176, second), 100.12)
+    exchange.on_text("Switching to Offboard is currently not possible")
+    exchange.on_timer(101.0)
+    outcome = outcome_of(exchange)
+    assert outcome.result == result
+    assert second == 0 or "not possible" in outcome.message
+
+
+def test_if_the_second_answer_is_lost_the_first_one_counts() -> None:
+    exchange = CommandProtocol(TWICE)
+    exchange.start(100.0)
+    exchange.on_ack(Ack(176, 0), 100.1)
+    assert exchange.deadline is not None and exchange.on_timer(exchange.deadline) == (Finish(),)
+    assert outcome_of(exchange).result == "accepted" and exchange.attempts == 1
+
+
 def test_silence_is_repeated_with_the_confirmation_count_and_then_a_timeout() -> None:
     exchange = started()
     now, sent = 100.0, []

@@ -1,0 +1,39 @@
+"""The simulator against `skygcs.sim.behaviours`, flown as tests/firmware/test_0_behaviours.py flies real firmware."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from skygcs.sim.behaviours import COPTER, PX4, Fact, Firmware
+from support.behaviour_flights import CHECKS, fly, get_ready
+from support.behaviour_rig import SimRig
+from support.behaviour_table import table
+
+
+@pytest.mark.parametrize("name", list(CHECKS))
+@pytest.mark.parametrize("firmware", ["px4", "ardupilot"])
+def test_the_simulator_does_what_the_table_says(firmware: str, name: str) -> None:
+    rig = SimRig(firmware)
+    get_ready(rig, 20.0)
+    figures, problems = fly(name, rig)
+    assert not problems, figures
+
+
+@pytest.mark.parametrize("firmware", [PX4, COPTER], ids=["px4", "ardupilot"])
+def test_every_value_names_its_source(firmware: Firmware) -> None:
+    for field in fields(firmware):
+        fact = getattr(firmware, field.name)
+        if field.name in ("name", "version"):
+            continue
+        assert isinstance(fact, Fact)
+        path = fact.source.split(":")[0].split(" ")[0]
+        assert path.endswith((".cpp", ".h", ".hpp", ".c", ".yaml")), f"{field.name}: {fact.source}"
+        assert fact.used is None or fact.why, f"{field.name} differs without a reason"
+
+
+def test_the_page_of_the_table_is_up_to_date() -> None:
+    page = Path(__file__).parents[3] / "docs" / "reference" / "simulated-firmware.md"
+    assert table() in page.read_text(encoding="utf-8"), "PYTHONPATH=tests python -m support.behaviour_table"
