@@ -31,6 +31,7 @@ from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.vehicle import TICK_S, SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
 from support.pymav import PymavPeer
+from support.sim_pilot import int_param
 
 FIELD = LocalFrame(43.7806, -79.4653, 180.0)
 """Where the first vehicle stands and the world's origin is; the others stand 5 m apart to the east of it."""
@@ -318,6 +319,8 @@ async def flown(
         conditions=conditions,
     )
     for sim in sims:
+        if sim.autopilot == mav.MAV_AUTOPILOT_PX4:
+            sim.params.set("COM_OBL_RC_ACT", int_param(5))  # as docs/explanation/flight-control.md asks for
         for name, value in {"GUID_OPTIONS": 8, "GUID_TIMEOUT": 1.0, **(params or {})}.items():
             sim.params.set(name, value)  # a firmware that has none of this name takes no notice
     running = asyncio.create_task(daemon.run(), name="the daemon")

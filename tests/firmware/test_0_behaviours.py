@@ -1,0 +1,70 @@
+"""The firmware against `skygcs.sim.behaviours`: what the simulator's vehicles take for true of it.
+
+The flights are those of tests/unit/sim/test_behaviours.py. They come first: one vehicle of its own, nothing between it
+and the ground station. What differs is a mistake of the table, and so of the simulator.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from firmware.conftest import ROW
+from support.behaviour_flights import CHECKS, fly, get_ready, rules
+from support.behaviour_rig import FirmwareRig
+from support.firmware_field import available
+from support.firmware_report import Report, Row
+
+LATE_S = 1.5
+"""A firmware, its link and the station on one busy machine."""
+
+MINUTES = {
+    "position and velocity",
+    "ground station lost",
+    "beyond the fence",
+    "returns",
+    "gps lost",
+    "battery critical",
+}
+"""Flights of a minute and more."""
+
+
+@pytest.fixture(scope="module")
+def rig(
+    request: pytest.FixtureRequest, report: Report, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[FirmwareRig]:
+    firmware = request.config.getoption("--firmware")
+    if firmware not in available():
+        pytest.skip(f"no binary of {firmware} is named; `make test-firmware` says what to set")
+    folder: Path = tmp_path_factory.mktemp("behaviours")
+    began = time.monotonic()
+    flown = FirmwareRig(firmware, folder)
+    try:
+        get_ready(flown)
+        row = Row("start of the vehicle for the table", "passed", time.monotonic() - began)
+        row.figures = {"ready s": round(flown.now, 1), "the table says s": rules(flown).ready_after_s.value}
+        report.add(row)
+        yield flown
+    finally:
+        flown.close()
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.minutes] if n in MINUTES else [], id=n) for n in CHECKS]
+)
+def test_the_firmware_does_what_the_table_says(
+    name: str, rig: FirmwareRig, report: Report, request: pytest.FixtureRequest
+) -> None:
+    row = Row(request.node.nodeid.rpartition("/")[2])
+    request.node.stash[ROW] = row
+    began = time.monotonic()
+    try:
+        get_ready(rig)
+        row.figures, problems = fly(name, rig, late_s=LATE_S)
+        assert not problems, "; ".join(problems)
+    finally:
+        row.seconds = time.monotonic() - began
+        report.add(row)
