@@ -589,7 +589,7 @@ class Fleet:
         self.on_roster()
         self.world.join(actor)
         actor.on_frame(frame, channel_label, now)
-        kind = vehicle.snapshot(now)["type"]
+        kind = vehicle.enum_name("MAV_TYPE", vehicle.type)
         data = {"compid": frame.compid, "autopilot": vehicle.family, "type": kind, "link": channel_label}
         text = f"{vehicle.family} {kind.lower()}, system {frame.sysid}, {vehicle.mode}, over {channel_label}"
         self._on_event(Event("vehicle_discovered", config.name, frame.sysid, text, data))

@@ -24,7 +24,7 @@ from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.frames import shown
 from skygcs.core.vehicle.offboard_controller import OffboardState
-from skygcs.core.vehicle.snapshot import latest_message
+from skygcs.core.vehicle.snapshot import latest_message, take_snapshot
 from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
@@ -162,7 +162,7 @@ class LiveVehicle:
 
     def state(self, now: float) -> dict[str, Any]:
         """Snapshot for people and programs (`core.vehicle.state`)."""
-        state = dict(self.vehicle.snapshot(now, time.time()))
+        state = dict(take_snapshot(self.vehicle, now, time.time()))
         if self.flight.pilot.state is not OffboardState.OFF:
             state["control"] = self.control_state(now)
         self.streams.add_to(state)

@@ -26,6 +26,7 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.parameter import ParamOutcome
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT
+from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.param_transfers import VehicleParams
 
@@ -167,7 +168,7 @@ class Preflight:
 
     def _facts(self, answers: Mapping[str, Answer]) -> Facts:
         return Facts(
-            state=dict(self._vehicle.snapshot(self._loop.time(), self.wall_clock())),
+            state=dict(take_snapshot(self._vehicle, self._loop.time(), self.wall_clock())),
             gcs_sysid=self._gcs_sysid,
             configured=self._configured,
             expected_autopilot=self._config.autopilot,

@@ -17,6 +17,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.errors import RefusedError, TargetError
 from skygcs.events import Event
 from skygcs.runtime.fleet import MAX_KEPT, MAX_VEHICLES, MAX_VEHICLES_OF_LINK, Fleet, Order
@@ -120,7 +121,7 @@ async def test_the_state_at_the_captures_end_is_that_of_landed_vehicles() -> Non
     listening = await replayed({"origin": {"lat_deg": HOME[0], "lon_deg": HOME[1], "alt_amsl_m": HOME[2]}})
     end = 75.0
     for actor in listening.fleet.resolve("all"):
-        state = actor.vehicle.snapshot(end)
+        state = take_snapshot(actor.vehicle, end)
         assert (state["armed"], state["landed"], state["type"]) == (False, "on_ground", "QUADROTOR")
         position, home, battery = state["position"], state["home"], state["battery"]
         assert position is not None and home is not None and battery is not None
@@ -190,7 +191,7 @@ async def test_in_captures_only_their_autopilots_are_vehicles(name: str) -> None
     found = {f"{a.sysid}/{a.compid}": a.vehicle.family for a in listening.fleet.vehicles.values()}
     assert found == EXPECTED_VEHICLES[name]
     for actor in listening.fleet.vehicles.values():
-        json.dumps(actor.vehicle.snapshot(at), allow_nan=False)
+        json.dumps(take_snapshot(actor.vehicle, at), allow_nan=False)
 
 
 async def test_names_groups_and_origin_come_from_the_fleet_file() -> None:

@@ -1,24 +1,20 @@
-"""Putting the whole state of a vehicle together for somebody to look at."""
+"""The whole state of a vehicle as one dictionary, for RPC and for people."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skygcs.core.geo import world_from_enu, wrap_deg_180
 from skygcs.core.protocols.command import RESULT_NAMES
+from skygcs.core.vehicle.message_cache import Slot
 from skygcs.core.vehicle.state import SEVERITY, SYSTEM_STATUS, Part, VehicleState, name_of
-
-if TYPE_CHECKING:
-    from skygcs.core.vehicle.message_cache import Slot
-    from skygcs.core.vehicle.vehicle import Vehicle
-
-MAX_STATUS_TEXTS = 32
-"""Newest texts kept of one autopilot, and shown of one vehicle."""
+from skygcs.core.vehicle.statustext import MAX_STATUS_TEXTS
+from skygcs.core.vehicle.vehicle import Vehicle
 
 
-def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None) -> VehicleState:
-    """See `Vehicle.snapshot`."""
+def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -> VehicleState:
+    """The whole state at ``now``. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
     sections = vehicle.message_cache.sections(now)
     position = sections["position"]
     if position is not None:
@@ -96,7 +92,7 @@ def _texts(vehicle: Vehicle, now: float) -> list[dict[str, Any]]:
 
 def _in_the_world(vehicle: Vehicle, position: Part) -> Part:
     """What is known of a position only with the fleet's origin, and with the ground the vehicle took off from."""
-    origin, takeoff_amsl_m = vehicle.origin, vehicle.launch.alt_amsl_m
+    origin, takeoff_amsl_m = vehicle.origin, vehicle.takeoff.alt_amsl_m
     velocity = yaw_deg = height_m = None
     if takeoff_amsl_m is not None and position["lat_deg"] is not None:
         height_m = round(position["alt_amsl_m"] - takeoff_amsl_m, 3)

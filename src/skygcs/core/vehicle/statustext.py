@@ -22,6 +22,10 @@ PATIENCE_S = 2.0
 MISSING = "…"
 
 
+MAX_STATUS_TEXTS = 32
+"""Newest texts kept of one autopilot, and shown of one vehicle."""
+
+
 @dataclass(frozen=True, slots=True)
 class StatusText:
     """A whole text; ``at`` is when its last part came, ``severity`` a MAV_SEVERITY (0 emergency .. 7 debug)."""

@@ -19,7 +19,6 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup
 from skygcs.core.vehicle.firmware import firmware_from_banner, firmware_from_version
 from skygcs.core.vehicle.message_cache import MessageCache, Slot
-from skygcs.core.vehicle.snapshot import MAX_STATUS_TEXTS, take_snapshot
 from skygcs.core.vehicle.state import (
     ACTIVE,
     AIRBORNE,
@@ -28,11 +27,10 @@ from skygcs.core.vehicle.state import (
     SEVERITY,
     STANDBY,
     SYSTEM_STATUS,
-    VehicleState,
     name_of,
 )
-from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
-from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude
+from skygcs.core.vehicle.statustext import MAX_STATUS_TEXTS, StatusText, StatusTextAssembler
+from skygcs.core.vehicle.takeoff_altitude import TakeoffAltitude, standing_amsl_m
 from skygcs.core.vehicle.watched_params import Parameters
 from skygcs.events import Event
 
@@ -116,7 +114,7 @@ class Vehicle:
         self.last_ack: Ack | None = None
         self.boot = BootClock()
         self.heartbeats = HeartbeatCheck(compid, timeout_s)
-        self.launch = TakeoffAltitude()
+        self.takeoff = TakeoffAltitude()
         self.parameters = Parameters()
         self.texts: deque[StatusText] = deque(maxlen=MAX_STATUS_TEXTS)
         self._decoder = decoder or Decoder(dialect)
@@ -189,13 +187,18 @@ class Vehicle:
         elif now - self._rates_at >= RATE_PERIOD_S:
             self.message_cache.sample(now - self._rates_at)
             self._rates_at = now
-            self.launch.look(self, now)
+            self._update_takeoff_altitude(now)
             events += self._check_clocks(now)
         elif self.boot.went_back_at is not None:
             events += self._check_clocks(now)
         if self.duplicate_beside:
             events += self._check_beside(now)
         return tuple(events)
+
+    def _update_takeoff_altitude(self, now: float) -> None:
+        at = self.section_at("position")
+        altitude = None if at is None else standing_amsl_m(self.section("position"), now - at)
+        self.takeoff.update(self.silence_s(now), armed=self.armed, in_air=self.in_air(now), standing_amsl_m=altitude)
 
     @property
     def key(self) -> int:
@@ -291,10 +294,6 @@ class Vehicle:
     def param(self, name: str) -> float | None:
         """A parameter of `parameters.WATCHED`; None if nobody has read it since the vehicle started."""
         return self.parameters.value(name)
-
-    def snapshot(self, now: float, unix_now: float | None = None) -> VehicleState:
-        """The whole state. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
-        return take_snapshot(self, now, unix_now)
 
     def clock_offset_s(self, now: float, unix_now: float) -> float | None:
         """The vehicle's clock minus ours, as of the last SYSTEM_TIME; the link's delay makes it look late."""
@@ -423,7 +422,7 @@ class Vehicle:
         if self.armed != armed:
             kind = "armed" if self.armed else "disarmed"
             if self.armed:
-                self.launch.armed(seen=connected)
+                self.takeoff.armed(seen=connected)
             events.append(self._event(kind, kind, {"mode": self.mode}))
         if self.mode != mode:
             events.append(self._event("mode", f"mode {self.mode}, was {mode}", {"mode": self.mode, "was": mode}))
@@ -472,7 +471,7 @@ class Vehicle:
             return ()
         was, self._landed = self._landed, landed
         if landed == "on_ground":
-            self.launch.touched_down()
+            self.takeoff.touched_down()
         if was == "undefined":
             return ()
         return (self._event("landed", landed.replace("_", " "), {"landed": landed, "was": was}),)
@@ -538,7 +537,7 @@ class Vehicle:
         """What was known of the life before, which ended at ``since``, is no longer true, but for the heartbeat."""
         self._known_since = now
         self._landed = "undefined"
-        self.launch.forget()
+        self.takeoff.forget()
         self.parameters.forget()
         self.message_cache.forget_before(since, keep="HEARTBEAT")
         return self._event("reboot", text, {})

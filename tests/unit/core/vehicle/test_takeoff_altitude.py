@@ -8,6 +8,7 @@ import pytest
 
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
+from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from support.vehicles import ARDUPILOT, HOME, PX4, Voice, flight_dialect
 
@@ -49,7 +50,7 @@ class Watched:
 
     @property
     def position(self) -> Any:
-        return self.vehicle.snapshot(self.now)["position"]
+        return take_snapshot(self.vehicle, self.now)["position"]
 
 
 def test_it_is_where_it_stood_when_it_armed() -> None:
@@ -112,9 +113,9 @@ def test_without_a_position_there_is_none_until_one_comes() -> None:
     seen = Watched()
     seen.hear(position=False)
     seen.hear(2, armed=True, position=False)
-    assert seen.vehicle.launch.alt_amsl_m is None
+    assert seen.vehicle.takeoff.alt_amsl_m is None
     seen.hear(2, armed=True)
-    assert seen.vehicle.launch.alt_amsl_m == HOME[2]
+    assert seen.vehicle.takeoff.alt_amsl_m == HOME[2]
 
 
 def test_armed_while_it_was_lost_is_not_where_it_was_last_seen() -> None:
@@ -143,7 +144,7 @@ def test_a_reboot_forgets_it() -> None:
     seen.hear()
     seen.hear(3, armed=True, landed=IN_AIR, up_m=12.0)
     seen.vehicle.on_frame(seen.voice.system_time(500), seen.now + 5)
-    assert seen.vehicle.launch.alt_amsl_m is None
+    assert seen.vehicle.takeoff.alt_amsl_m is None
 
 
 def test_velocity_and_yaw_are_along_the_axes_of_the_world() -> None:

@@ -15,6 +15,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoder import ARRAYS, FIELDS, Decoder
 from skygcs.core.vehicle.decoding import GROUPS
+from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.state import VehicleState
 from skygcs.core.vehicle.vehicle import MAX_STATUS_TEXTS, Vehicle
 from skygcs.events import Event
@@ -32,7 +33,7 @@ def told(vehicle: Vehicle, *frames: Frame, now: float = 10.0) -> Any:
     """The state after these frames, and proof that it is JSON."""
     for frame in frames:
         vehicle.on_frame(frame, now)
-    state = vehicle.snapshot(now)
+    state = take_snapshot(vehicle, now)
     json.dumps(state, allow_nan=False)
     return state
 
@@ -308,10 +309,10 @@ def test_home_and_the_altitude_heights_are_counted_from() -> None:
 def test_system_time_gives_uptime_and_clock_offset() -> None:
     vehicle, voice = new()
     vehicle.on_frame(voice.system_time(120_000, 1_700_000_010_000_000), 50.0)
-    state = vehicle.snapshot(60.0, unix_now=1_700_000_018.0)
+    state = take_snapshot(vehicle, 60.0, unix_now=1_700_000_018.0)
     assert state["uptime_s"] == 130.0
     assert state["clock_offset_s"] == pytest.approx(2.0)
-    assert vehicle.snapshot(60.0)["clock_offset_s"] is None
+    assert take_snapshot(vehicle, 60.0)["clock_offset_s"] is None
 
 
 def test_a_reboot_is_told_once_and_forgets_the_life_before() -> None:
@@ -630,7 +631,7 @@ def test_no_payload_whatever_makes_it_raise_or_say_what_is_no_json(story: list[t
         now += 0.7
         vehicle.on_frame(Frame(raw, 0, 1, 1, info.msgid, info), now)
         vehicle.tick(now)
-        json.dumps(vehicle.snapshot(now, 1.7e9), allow_nan=False)
+        json.dumps(take_snapshot(vehicle, now, 1.7e9), allow_nan=False)
 
 
 def test_a_dialect_with_next_to_nothing_still_makes_a_vehicle() -> None:
@@ -640,6 +641,6 @@ def test_a_dialect_with_next_to_nothing_still_makes_a_vehicle() -> None:
     tiny = Dialect("tiny", [heartbeat], {})
     vehicle = Vehicle(1, 1, tiny)
     vehicle.on_frame(Voice(1).beat(), 1.0)
-    state = vehicle.snapshot(1.0)
+    state = take_snapshot(vehicle, 1.0)
     assert (state["mode"], state["type"], state["gps"]) == ("AUTO.LOITER", "2", None)
     assert vehicle.name == "v1"
