@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.cli.completion import WAIT_VARIABLE
+from skygcs.cli.options import WAIT_VARIABLE
 
 pytestmark = pytest.mark.system
 

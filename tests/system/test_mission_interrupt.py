@@ -71,7 +71,7 @@ def test_an_upload_says_what_the_vehicle_holds(daemon: DaemonProcess, tmp_path: 
     assert daemon.cli("mission", "upload", name, str(short), "--force").returncode == 0
     code, out = interrupted(daemon, name, "mission", "upload", name, str(long), "--force", percent=30)
     assert code == 130
-    assert "interrupted; asking what is held now" in out and "Traceback" not in out
+    assert "interrupted; reading what the vehicles hold now" in out and "Traceback" not in out
     count = held(daemon, name)
     if name == "v1":
         assert f"v1: holds {count} mission items, not those of long.waypoints: as before" in out and count == 3
@@ -86,7 +86,7 @@ def test_a_download_says_that_nothing_is_written(daemon: DaemonProcess, tmp_path
     assert daemon.cli("mission", "upload", "v1", str(some), "--force").returncode == 0
     code, out = interrupted(daemon, "v1", "mission", "download", "v1", str(out_file), "--only", "mission")
     assert code == 130 and not out_file.exists()
-    assert f"interrupted: v1 holds what it held; {out_file} is not written" in out
+    assert f"interrupted: nothing changed in v1; {out_file} is not written" in out
     assert held(daemon, "v1") == 10
 
 

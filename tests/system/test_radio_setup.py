@@ -137,7 +137,7 @@ def test_a_radio_that_resets_in_the_middle_is_told_with_how_it_stands(
     with on_a_pty(port, AtRadio(faults=faults)) as radio:
         told = cli(tmp_path, "set", port, "NETID=7", "AIR_SPEED=125", code=1)
         assert said in told and then in told
-        assert "was to be: NETID 0 -> 7" in told
+        assert "requested: NETID 0 -> 7" in told
         assert radio.saved[3] == 0
 
 
@@ -185,6 +185,6 @@ def test_a_daemon_lends_its_radio_and_has_it_back(tmp_path: Path) -> None:
         wait_until(lambda: daemon.call("links.list")[0]["state"] == "up", "the link is up")
         done = daemon.cli("radio", "set", str(port), "DUTY_CYCLE=50")
         assert done.returncode == 0, done.stderr
-        assert "link radio: closed in the daemon meanwhile" in done.stderr
+        assert "link radio: closed in the daemon for now" in done.stderr
         assert radio.saved[11] == 50
         wait_until(lambda: daemon.call("links.list")[0]["state"] == "up", "the link is up again")

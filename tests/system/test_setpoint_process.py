@@ -55,7 +55,7 @@ def test_a_program_piped_in_is_flown_to_its_end(served: Served) -> None:
     out, err = process.communicate('{"pos": [1, 2, 5]}\nnonsense\n{"pos": [1, 3, 5]}', timeout=PATIENCE_S)
     assert process.returncode == 1
     assert out.startswith("2 setpoints in 0.") and "wrong lines: 1" in out
-    assert "alpha stays where it is from 0.5 s after the last one on" in out
+    assert "alpha stays where it is from 0.5 s after the last setpoint on" in out
     assert err.startswith("skygcs-cli: line 2: ")
 
 
@@ -98,15 +98,15 @@ def test_ctrl_c_during_a_table_says_that_they_fly_on(served: Served, tmp_path: P
     served.wait_for("alpha goto")
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 130 and "they fly on to their places" in err
+    assert process.returncode == 130 and "the vehicles fly on to their positions" in err
 
 
 def test_registering_the_commands_imports_nothing_that_they_need() -> None:
     script = (
         "import sys\n"
         "import skygcs.cli.main\n"
-        "heavy = ('numpy', 'matplotlib', 'csv', 'tomllib', 'skygcs.core', 'skygcs.cli.track_table',\n"
-        "         'skygcs.cli.setpoint_stream', 'skygcs.cli.table_file', 'skygcs.cli.trace_plot')\n"
+        "heavy = ('numpy', 'matplotlib', 'csv', 'tomllib', 'skygcs.core', 'skygcs.cli.control',\n"
+        "         'skygcs.cli.setpoint', 'skygcs.cli.table', 'skygcs.cli.trace_plot')\n"
         "print([m for m in heavy if m in sys.modules])\n"
     )
     done = subprocess.run(

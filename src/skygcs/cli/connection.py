@@ -1,4 +1,7 @@
-"""How a command of `skygcs-cli` reaches the daemon, tells errors and exits: the same for all of them."""
+"""How a command of `skygcs-cli` reaches the daemon, prints the answer, reports errors and exits.
+
+All commands use `run` or what is built on it: `run_order` for orders to vehicles, `run_show` for what is only shown.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +10,21 @@ import contextlib
 import itertools
 import os
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable
+import threading
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from enum import IntEnum
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import typer
 
-from skygcs.cli.render import screen_width, wrapped
+from skygcs.cli.render import outcome_lines, print_json, print_lines, screen_width, wrapped
 from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
 from skygcs.rpc.address import TOKEN_FILE_VARIABLE, client_address, tcp_address
 from skygcs.rpc.client import Client, connect
 
 USAGE_ERRORS = (-32601, -32602)
-"""JSON-RPC's codes (no such method, wrong parameters) for what is a usage error on this side."""
+"""JSON-RPC codes of usage errors: unknown method, wrong parameters."""
 
 NOT_AUTHENTICATED = -32004
 COMMANDS = {
@@ -28,6 +32,7 @@ COMMANDS = {
     "commands.list": "skygcs-cli call commands.list",
     "rpc.discover": "skygcs-cli discover",
 }
+"""The command for each RPC method that an error text of the daemon recommends."""
 
 SPINNER_DELAY_S = 0.3
 """A quick answer needs no spinner."""
@@ -35,6 +40,7 @@ SPINNER_DELAY_S = 0.3
 SPINNER_PERIOD_S = 0.1
 SPINNER = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 DEBUG_VARIABLE = "SKYGCS_DEBUG"
+READ_BYTES = 65536
 
 
 class Exit(IntEnum):
@@ -48,7 +54,7 @@ class Exit(IntEnum):
 
 
 def run(command: Callable[[Client], Awaitable[int | None]]) -> NoReturn:
-    """Connect, run ``command``, exit with what it returns (None: done). Errors become one line and an exit code."""
+    """Connect, run ``command``, exit with the code it returns (None: 0). Errors become one line and an exit code."""
 
     async def connected() -> int:
         async with client() as gcs:
@@ -58,18 +64,58 @@ def run(command: Callable[[Client], Awaitable[int | None]]) -> NoReturn:
 
 
 def run_offline(command: Callable[[], int | None]) -> NoReturn:
-    """The same for a command that needs no daemon."""
+    """`run` for a command that needs no daemon."""
     raise typer.Exit(_guarded(command))
 
 
+def run_order(method: str, json_output: bool, **params: Any) -> NoReturn:
+    """Call a method that orders vehicles to do something, print their outcomes, exit 0 if all succeeded."""
+
+    async def command(gcs: Client) -> int:
+        async with waiting(f"{method} {params.get('targets', '')}".rstrip()):
+            answer = await gcs.call(method, **params)
+        return print_outcomes(answer["outcomes"], json_output)
+
+    run(command)
+
+
+def run_show(method: str, json_output: bool, lines: Callable[[Any], Iterable[str]], **params: Any) -> NoReturn:
+    """Call a method and print its answer, as JSON or as ``lines(answer)``."""
+
+    async def command(gcs: Client) -> None:
+        show(await gcs.call(method, **params), json_output, lines)
+
+    run(command)
+
+
+def show(answer: Any, json_output: bool, lines: Callable[[Any], Iterable[str]]) -> None:
+    """Print ``answer`` as JSON or as ``lines(answer)``."""
+    if json_output:
+        print_json(answer)
+    else:
+        print_lines(lines(answer))
+
+
+def print_outcomes(outcomes: Mapping[str, Mapping[str, Any]], json_output: bool) -> Exit:
+    """Print the outcome of an order for each vehicle; returns the exit code."""
+    show({"outcomes": outcomes}, json_output, lambda _: outcome_lines(outcomes, screen_width(sys.stdout)))
+    return exit_code(outcomes)
+
+
+def exit_code(outcomes: Mapping[str, Mapping[str, Any]]) -> Exit:
+    return Exit.DONE if all(outcome["ok"] for outcome in outcomes.values()) else Exit.FAILED
+
+
 def fail(text: str) -> None:
-    """One line for a person, on stderr; on a terminal wrapped between words."""
+    """Print one line on stderr; on a terminal it is wrapped between words."""
     typer.echo(wrapped(f"skygcs-cli: {text}", screen_width(sys.stderr), indent=2), err=True)
 
 
 def client(socket: str | None = None) -> Client:
-    """The daemon that --socket, $SKYGCS_SOCKET or the default names. Raises SkygcsError without a readable token,
-    BadParameter for an address that is none."""
+    """The daemon at ``socket``, else $SKYGCS_SOCKET (set by --socket), else at the default socket.
+
+    Raises SkygcsError if the token file cannot be read, BadParameter if the address is not valid.
+    """
     try:
         tcp_address(client_address(socket))
     except ValueError as error:
@@ -85,7 +131,7 @@ def client(socket: str | None = None) -> Client:
 
 
 def _in_commands(text: str) -> str:
-    """What an error text of the RPC advises, as a command."""
+    """Replace the RPC methods that an error text recommends by commands."""
     for method, command in COMMANDS.items():
         text = text.replace(f"{method} lists", f"{command} lists")
     return text
@@ -95,12 +141,12 @@ def _token_advice() -> str:
     token_file = os.environ.get(TOKEN_FILE_VARIABLE)
     if token_file:
         return f"the token in {token_file} is wrong: it is not the one of this daemon"
-    return "the daemon wants a token: --token-file FILE"
+    return "the daemon requires a token: --token-file FILE"
 
 
 @contextlib.asynccontextmanager
 async def waiting(text: str) -> AsyncIterator[None]:
-    """A spinner with the elapsed time while the body runs; on a terminal only."""
+    """Show a spinner with the elapsed time while the body runs; on a terminal only."""
     if not sys.stderr.isatty():
         yield
         return
@@ -127,13 +173,14 @@ async def _spin(text: str) -> None:
 
 
 def _guarded(command: Callable[[], int | None]) -> int:
+    """Run ``command`` and turn every error into one line and an exit code."""
     try:
         code = command() or Exit.DONE
         sys.stdout.flush()
         return int(code)
     except KeyboardInterrupt:
         return Exit.INTERRUPTED
-    except BrokenPipeError:  # `skygcs-cli … | head`: the reader has what it wanted
+    except BrokenPipeError:  # `skygcs-cli … | head`: the reader has read enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.DONE
     except DaemonUnreachable as error:
@@ -152,3 +199,34 @@ def _guarded(command: Callable[[], int | None]) -> int:
             raise
         fail(f"internal error: {type(error).__name__}: {error} (set {DEBUG_VARIABLE}=1 to see where)")
         return Exit.FAILED
+
+
+async def bytes_of(descriptor: int) -> AsyncIterator[bytes]:
+    """What arrives at a pipe, a terminal or a file.
+
+    A thread reads it and ends with the process: an event loop cannot watch a file, and a read that waits for a silent
+    program cannot be cancelled.
+    """
+    loop = asyncio.get_running_loop()
+    taken = threading.Semaphore(1)
+    queue: asyncio.Queue[bytes | OSError] = asyncio.Queue()
+
+    def read() -> None:
+        data: bytes | OSError = b"-"
+        while data and not isinstance(data, OSError):
+            taken.acquire()
+            try:
+                data = os.read(descriptor, READ_BYTES)
+            except OSError as error:
+                data = error
+            try:
+                loop.call_soon_threadsafe(queue.put_nowait, data)
+            except RuntimeError:  # the loop is closed: the data is no longer needed
+                return
+
+    threading.Thread(target=read, name="stdin", daemon=True).start()
+    while data := await queue.get():
+        if isinstance(data, OSError):
+            raise data
+        yield data
+        taken.release()

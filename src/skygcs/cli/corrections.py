@@ -1,33 +1,56 @@
-"""`skygcs-cli corrections`: RTK corrections of a base for all vehicles, and what became of them."""
+"""`skygcs-cli corrections`: send the RTK corrections of a base (RTCM 3) to all vehicles, and show how many arrived."""
 
 from __future__ import annotations
 
-import json
+import asyncio
+import base64
+import contextlib
 import os
+import socket
 import stat
 import sys
-from collections.abc import AsyncIterator
-from typing import TYPE_CHECKING, Annotated, Any
+from collections import Counter
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli import render
-from skygcs.cli.connection import Exit, fail, run
+from skygcs.cli.connection import Exit, bytes_of, fail, run, run_show
 from skygcs.cli.options import Json
-from skygcs.cli.parsing import finite
+from skygcs.cli.parsing import finite, within
+from skygcs.cli.render import cut, plural, print_json, screen_width
+from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
-
-if TYPE_CHECKING:  # every command line registers every command: what only one needs is imported when it runs
-    from skygcs.cli.correction_stream import Tally
 
 corrections = typer.Typer(help="RTK corrections for all vehicles: send them, see what became of them.")
 
 FILE_BYTES_PER_S = 1000.0
-"""A recorded file without --rate: what a base of four constellations sends."""
+"""Rate of a recorded file without --rate: a base with four constellations sends about as much."""
 
 TERMINAL_EVERY_S = 1.0
 ELSEWHERE_EVERY_S = 60.0
-"""Between two lines of a log that may become days long."""
+"""Between two lines of a log that may run for days."""
+
+PIECE_BYTES = 32768
+"""Bytes per call; as base64 they fit into what corrections.send accepts."""
+
+STEPS_PER_S = 10
+"""Pieces per second of a recorded file."""
+
+DOUBTFUL_BYTES = 2000
+"""After so many bytes without a message it is no RTCM: a message has at most 1,029 bytes."""
+
+MAX_SOURCE_CHARS = 64
+
+NO_LINK = "no link to vehicles is open: corrections are lost until one is"
+LINK_AGAIN = "a link to vehicles is open again"
+NOT_TAKEN = "no link accepted a message: the vehicles' link is full or down (skygcs-cli links)"
+TOO_LONG = (
+    "a message of more than 720 bytes does not fit into GPS_RTCM_DATA and is left out: set the base to MSM4 instead of "
+    "MSM7, or to fewer constellations"
+)
+NO_RTCM = "no RTCM 3 message so far: is the input RTCM 3 (and not RTCM 2, NMEA, UBX or an error message of the caster)?"
 
 
 @corrections.command("send")
@@ -36,7 +59,11 @@ def send(
     rate: Annotated[
         float | None,
         typer.Option(
-            "--rate", metavar="B/S", parser=finite, help="No faster. A recorded file: 1000.", show_default=False
+            "--rate",
+            metavar="B/S",
+            parser=finite,
+            help="Largest rate. [default: 1000 for a recorded file]",
+            show_default=False,
         ),
     ] = None,
     every_s: Annotated[
@@ -45,111 +72,70 @@ def send(
             "--every",
             metavar="S",
             parser=finite,
-            help="Tell what went so often: 1, or 60 if not on a terminal.",
+            help="Period of the report. [default: 1; 60 if not on a terminal]",
             show_default=False,
         ),
     ] = None,
     json_output: Json = False,
 ) -> None:
     """Send corrections to all vehicles until they end: `str2str -in ntrip://… | skygcs-cli corrections send`."""
-    _within("--rate", rate, 10, 1e6)
-    _within("--every", every_s, 0.1, 3600)
+    within("--rate", rate, 10, 1e6)
+    within("--every", every_s, 0.1, 3600)
     descriptor = sys.stdin.fileno() if file == "-" else _opened(file)
     if os.isatty(descriptor):
         raise typer.BadParameter(
-            "there is a terminal, not RTCM: give a FILE, or the output of a program that fetches corrections: "
+            "the input is a terminal, not RTCM: give a FILE, or pipe in a program that fetches corrections: "
             "str2str -in ntrip://USER:PASSWORD@CASTER/MOUNTPOINT | skygcs-cli corrections send"
         )
     if rate is None and stat.S_ISREG(os.fstat(descriptor).st_mode):
         rate = FILE_BYTES_PER_S
 
     async def command(gcs: Client) -> int:
-        from skygcs.cli.correction_stream import Stream, at_rate, forward, line_of
-        from skygcs.cli.setpoint_stream import bytes_of
-
-        live = sys.stdout.isatty() and not json_output
-        stream = Stream(gcs, lambda text: _interrupting(live, text))
-
-        def show(tally: Tally, bytes_per_s: float) -> None:
-            if json_output:
-                _print_json({**tally.as_dict(), "bytes_per_s": round(bytes_per_s, 1)})
-            elif live:
-                width = render.screen_width(sys.stdout)
-                line = line_of(tally, bytes_per_s)
-                typer.echo(f"\r\033[K{line if width is None else line[: width - 1]}", nl=False)
-            else:
-                typer.echo(line_of(tally, bytes_per_s))
-            sys.stdout.flush()
-
+        report = _Report(json_output)
+        stream = CorrectionStream(gcs, report.problem)
         source: AsyncIterator[bytes] = bytes_of(descriptor)
+        limited = source if rate is None else at_rate(source, rate)
+        period_s = every_s or (TERMINAL_EVERY_S if sys.stdout.isatty() else ELSEWHERE_EVERY_S)
         try:
-            await forward(
-                stream,
-                source if rate is None else at_rate(source, rate),
-                show,
-                every_s or (TERMINAL_EVERY_S if sys.stdout.isatty() else ELSEWHERE_EVERY_S),
-            )
+            await forward(stream, limited, report.progress, period_s)
         finally:
             await stream.end()
-            if json_output:
-                _print_json(stream.tally.as_dict())
-            else:
-                typer.echo(("\r\033[K" if live else "") + f"sent {line_of(stream.tally, None)}")
+            report.end(stream.tally)
         if not stream.tally.read_bytes:
-            fail("nothing came: the program that was to bring the corrections ended without a byte")
+            fail("no input: the program that fetches the corrections ended without a byte")
         return Exit.DONE if stream.tally.counts["messages"] else Exit.FAILED
 
     run(command)
 
 
-@corrections.command("status")
-def status(json_output: Json = False) -> None:
-    """Show what went since the daemon began, what each radio made of it, and what fix every vehicle has."""
+class _Report:
+    """Prints what was sent: one line that is overwritten on a terminal, else a line or a JSON object each time."""
 
-    async def command(gcs: Client) -> None:
-        told = await gcs.call("corrections.status")
-        if json_output:
-            typer.echo(json.dumps(told, indent=2))
-            return
-        for line in status_lines(told):
+    def __init__(self, json_output: bool) -> None:
+        self._json = json_output
+        self._live = sys.stdout.isatty() and not json_output
+
+    def progress(self, tally: CorrectionTally, bytes_per_s: float) -> None:
+        line = line_of(tally, bytes_per_s)
+        if self._json:
+            print_json({**tally.as_dict(), "bytes_per_s": round(bytes_per_s, 1)}, line=True)
+        elif self._live:
+            width = screen_width(sys.stdout)
+            typer.echo(f"\r\033[K{line if width is None else cut(line, width - 1)}", nl=False)
+        else:
             typer.echo(line)
+        sys.stdout.flush()
 
-    run(command)
+    def problem(self, text: str) -> None:
+        if self._live:
+            typer.echo("\r\033[K", nl=False)
+        fail(text)
 
-
-def status_lines(told: dict[str, Any]) -> list[str]:
-    """What corrections.status answered, for a person."""
-    lines: list[str] = []
-    if told["age_s"] is None:
-        lines.append("over this daemon's socket nothing was sent yet")
-    else:
-        whose = f"from {told['source']}" if told["source"] else "no source at present"
-        lines.append(
-            f"{whose}: {told['messages']:,} messages, {told['bytes']:,} B, {told['bytes_per_s']:,.0f} B/s, "
-            f"the last {told['age_s']:,.0f} s ago"
-        )
-    lines += [
-        f"  {type_:<5} {of['messages']:>7,} messages {of['bytes']:>10,} B, the last {of['age_s']:,.0f} s ago"
-        for type_, of in told["types"].items()
-    ]
-    flaws = (("not taken by any link", "refused"), ("too long", "too_long"), ("damaged", "bad_crc"))
-    lines += [f"  {what}: {told[name]:,} messages" for what, name in flaws if told[name]]
-    for radio in told["radios"]:
-        of = "" if radio["source"] is None else f" of {radio['source']}"
-        waits = "" if radio.get("wait_p95_s") is None else f", waits p95 {radio['wait_p95_s']:.1f} s"
-        lines.append(
-            f"{radio['link']} ({radio['peer']}): {radio['bytes_per_s']:,.0f} B/s for corrections, "
-            f"{radio['messages']:,} messages{of} sent, {radio['waiting']:,} fragments wait{waits}"
-        )
-        lost = [f"{radio[name]:,} {name}" for name in ("replaced", "expired", "dropped", "incomplete") if radio[name]]
-        if radio["other_source"]:
-            lost.append(f"{radio['other_source']:,} fragments of a second base refused")
-        if lost:
-            lines.append(f"  {', '.join(lost)}")
-    for vehicle in told["vehicles"]:
-        satellites = "" if vehicle["satellites"] is None else f", {vehicle['satellites']} satellites"
-        lines.append(f"{vehicle['name']}: {vehicle['fix'] or 'no GPS told'}{satellites}")
-    return lines
+    def end(self, tally: CorrectionTally) -> None:
+        if self._json:
+            print_json(tally.as_dict(), line=True)
+        else:
+            typer.echo(("\r\033[K" if self._live else "") + f"sent {line_of(tally, None)}")
 
 
 def _opened(file: str) -> int:
@@ -160,16 +146,166 @@ def _opened(file: str) -> int:
         raise typer.Exit(Exit.FAILED) from None
 
 
-def _interrupting(live: bool, text: str) -> None:
-    if live:
-        typer.echo("\r\033[K", nl=False)
-    fail(text)
+@corrections.command("status")
+def status(json_output: Json = False) -> None:
+    """Show what was sent since the daemon started, what each radio did with it, and the fix of every vehicle."""
+    run_show("corrections.status", json_output, status_lines)
 
 
-def _print_json(told: dict[str, Any]) -> None:
-    typer.echo(json.dumps(told))
+def status_lines(status: dict[str, Any]) -> Iterator[str]:
+    """The answer of corrections.status for a person."""
+    # what came in
+    if status["age_s"] is None:
+        yield "nothing was sent yet through this daemon's socket"
+    else:
+        source = f"from {status['source']}" if status["source"] else "no source at present"
+        yield (
+            f"{source}: {status['messages']:,} messages, {status['bytes']:,} B, {status['bytes_per_s']:,.0f} B/s, "
+            f"the last {status['age_s']:,.0f} s ago"
+        )
+    for type_, of in status["types"].items():
+        yield f"  {type_:<5} {of['messages']:>7,} messages {of['bytes']:>10,} B, the last {of['age_s']:,.0f} s ago"
+    flaws = (("not accepted by any link", "refused"), ("too long", "too_long"), ("damaged", "bad_crc"))
+    for what, name in flaws:
+        if status[name]:
+            yield f"  {what}: {status[name]:,} messages"
+    # what each radio did with it
+    for radio in status["radios"]:
+        of_source = "" if radio["source"] is None else f" of {radio['source']}"
+        wait = "" if radio.get("wait_p95_s") is None else f", wait p95 {radio['wait_p95_s']:.1f} s"
+        yield (
+            f"{radio['link']} ({radio['peer']}): {radio['bytes_per_s']:,.0f} B/s for corrections, "
+            f"{radio['messages']:,} messages{of_source} sent, {radio['waiting']:,} fragments waiting{wait}"
+        )
+        lost = [f"{radio[name]:,} {name}" for name in ("replaced", "expired", "dropped", "incomplete") if radio[name]]
+        if radio["other_source"]:
+            lost.append(f"{radio['other_source']:,} fragments of a second base refused")
+        if lost:
+            yield f"  {', '.join(lost)}"
+    # what the vehicles got from it
+    for vehicle in status["vehicles"]:
+        satellites = "" if vehicle["satellites"] is None else f", {vehicle['satellites']} satellites"
+        yield f"{vehicle['name']}: {vehicle['fix'] or 'no GPS reported'}{satellites}"
 
 
-def _within(option: str, value: float | None, least: float, most: float) -> None:
-    if value is not None and not least <= value <= most:
-        raise typer.BadParameter(f"{option}: {value:g} is not between {least:g} and {most:g}")
+# --- the stream -------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class CorrectionTally:
+    """Counts of what was read and of what happened to it."""
+
+    read_bytes: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
+    """As corrections.send answers: messages, bytes, refused, too_long, bad_crc, skipped_bytes."""
+    types: Counter[str] = field(default_factory=Counter)
+
+    def as_dict(self) -> dict[str, Any]:
+        names = ("messages", "bytes", "refused", "too_long", "bad_crc", "skipped_bytes")
+        types = {type_: self.types[type_] for type_ in sorted(self.types, key=int)}
+        return {"read_bytes": self.read_bytes, **{name: self.counts[name] for name in names}, "types": types}
+
+
+class CorrectionStream:
+    """Sends pieces to the daemon one after the other. ``report(text)`` gets the problems that a person can solve."""
+
+    def __init__(self, gcs: Client, report: Callable[[str], None]) -> None:
+        self.tally = CorrectionTally()
+        self._gcs = gcs
+        self._report = report
+        self._source = f"skygcs-cli {os.getpid()} on {socket.gethostname()}"[:MAX_SOURCE_CHARS]
+        self._reported: set[str] = set()
+        self._linked = True
+
+    async def send(self, data: bytes) -> None:
+        """Raises RpcError while another source sends."""
+        for at in range(0, len(data), PIECE_BYTES):
+            piece = data[at : at + PIECE_BYTES]
+            text = base64.b64encode(piece).decode("ascii")
+            self.tally.read_bytes += len(piece)  # before the answer: an interrupted wait counts as read, too
+            taken = await self._gcs.call("corrections.send", data=text, source=self._source)
+            self.tally.types.update(taken.pop("types"))
+            links = taken.pop("links")
+            self.tally.counts.update(taken)
+            self._report_news(taken, links)
+
+    async def end(self) -> None:
+        """Allow another source at once. If this call fails, the daemon notices by the silence of this one."""
+        with contextlib.suppress(RpcError):
+            await self._gcs.call("corrections.send", data="", source=self._source, end=True)
+
+    def _report_news(self, taken: dict[str, int], links: int) -> None:
+        if (links > 0) != self._linked:
+            self._linked = links > 0
+            self._report(LINK_AGAIN if links else NO_LINK)
+        elif taken["refused"] and links:
+            self._once(NOT_TAKEN)
+        if taken["too_long"]:
+            self._once(TOO_LONG)
+        counts = self.tally.counts
+        if self.tally.read_bytes >= DOUBTFUL_BYTES and not any(counts[n] for n in ("messages", "refused", "too_long")):
+            self._once(NO_RTCM)
+
+    def _once(self, text: str) -> None:
+        if text not in self._reported:
+            self._reported.add(text)
+            self._report(text)
+
+
+async def forward(
+    stream: CorrectionStream,
+    source: AsyncIterator[bytes],
+    show: Callable[[CorrectionTally, float], None],
+    every_s: float,
+) -> None:
+    """Send all that ``source`` yields; every ``every_s`` ``show`` gets the counts and the RTCM bytes per second."""
+
+    async def watch() -> None:
+        before = 0
+        while True:
+            await asyncio.sleep(every_s)
+            now = stream.tally.counts["bytes"]
+            show(stream.tally, (now - before) / every_s)
+            before = now
+
+    watching = asyncio.create_task(watch(), name="corrections report")
+    try:
+        async for data in source:
+            await stream.send(data)
+    finally:
+        watching.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await watching
+
+
+async def at_rate(source: AsyncIterator[bytes], bytes_per_s: float) -> AsyncIterator[bytes]:
+    """The same bytes, at this rate at most."""
+    clock = asyncio.get_running_loop().time
+    size = max(1, round(bytes_per_s / STEPS_PER_S))
+    due = clock()
+    async for data in source:
+        for at in range(0, len(data), size):
+            piece = data[at : at + size]
+            yield piece
+            due += len(piece) / bytes_per_s
+            await asyncio.sleep(max(0.0, due - clock()))
+
+
+def line_of(tally: CorrectionTally, bytes_per_s: float | None) -> str:
+    """What was sent, in one line."""
+    counts = tally.counts
+    rate = "" if bytes_per_s is None else f", {bytes_per_s:,.0f} B/s"
+    types = " ".join(f"{type_}:{tally.types[type_]:,}" for type_ in sorted(tally.types, key=int))
+    flaws = (
+        ("not accepted", counts["refused"]),
+        ("too long", counts["too_long"]),
+        ("damaged", counts["bad_crc"]),
+        ("bytes skipped", counts["skipped_bytes"]),
+    )
+    lost = "".join(f", {count:,} {what}" for what, count in flaws if count)
+    messages = plural(counts["messages"], "message")
+    return f"{messages}, {counts['bytes']:,} B{rate}{lost}{'  ' if types else ''}{types}"
+
+
+def add_to(app: typer.Typer) -> None:
+    app.add_typer(corrections, name="corrections", rich_help_panel="Set up")

@@ -1,6 +1,6 @@
-"""`skygcs demo`: the daemon and three simulated vehicles, flown over the JSON-RPC socket like any client would.
+"""`skygcs demo`: the daemon and three simulated vehicles, which a script flies through the JSON-RPC socket.
 
-Two PX4 and one ArduCopter behind one simulated radio; a live table; a tlog; a summary. `--stay` keeps it up.
+Two PX4 and one ArduCopter behind one simulated radio; a live table, a tlog, a summary. With `--stay` it keeps running.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 
 from skygcs.cli.process import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, serve_until_signal
-from skygcs.cli.render import status_table
+from skygcs.cli.render import LiveView, table
+from skygcs.cli.status import status_table
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, OriginConfig, SimulatedLink, UdpClientLink, VehicleEntry
 from skygcs.daemon import Daemon
@@ -29,10 +29,10 @@ from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.client import Client, connect
 
 HOME = OriginConfig(lat_deg=43.7806, lon_deg=-79.4653, alt_amsl_m=180.0)
-"""UTIAS, Toronto: where the lab flew."""
+"""UTIAS, Toronto, where the lab flew."""
 
 QGC_PORT = 14550
-"""Where QGroundControl listens by default; with --stay it sees the three vehicles without any set-up."""
+"""Default port of QGroundControl; with --stay it shows the three vehicles without any set-up."""
 
 DISCOVERY_S = 20.0
 ARMING_S = 30.0
@@ -41,17 +41,17 @@ ARMING_S = 30.0
 ARRIVAL_M = 1.0
 LEG_S = 40.0
 TARGETS_ENU_M = {"alpha": (12.0, 0.0, 6.0), "bravo": (0.0, 12.0, 8.0), "charlie": (-12.0, 0.0, 10.0)}
-"""Where each vehicle is sent; it takes off to the height of its target first, so that none crosses another."""
+"""Target of each vehicle. It takes off to the height of its target first, so that no two paths cross."""
 RETURN_MODES = ("AUTO.RTL", "RTL")
 REFRESH_S = 0.25
 
 
 @dataclass
-class Flight:
-    """What one vehicle did, for the summary."""
+class DemoFlight:
+    """The flight of one vehicle, for the summary."""
 
     max_height_m: float = 0.0
-    """Until it returns: a return climbs to the autopilot's own return height first."""
+    """Before the return, which climbs to the autopilot's return height first."""
     return_height_m: float | None = None
     flown_m: float = 0.0
     modes: list[str] = field(default_factory=list)
@@ -76,18 +76,18 @@ class Flight:
 
 
 class Demo:
-    """The script: what is ordered in which order, and what is seen meanwhile."""
+    """The script: the orders of the flight, and the states of the vehicles during it."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
         self.states: dict[str, dict[str, Any]] = {}
-        self.flights: dict[str, Flight] = {}
+        self.flights: dict[str, DemoFlight] = {}
         self.step = "starting"
         self.log: list[str] = []
         self.failed = False
 
     async def fly(self, gcs: Client) -> None:
-        """Every order of the demo. Sets ``failed`` if any vehicle did not do what was asked."""
+        """Send every order of the demo. Sets ``failed`` if any vehicle did not carry one out."""
         watching = asyncio.create_task(self._watch(gcs), name="demo telemetry")
         try:
             self._say("waiting for three vehicles")
@@ -95,7 +95,7 @@ class Demo:
             self._say("arming all (ArduCopter needs its estimator first)")
             await self._order(gcs, "vehicles.arm", targets="all", wait_s=ARMING_S)
             for name, (_, _, height_m) in TARGETS_ENU_M.items():
-                self._say(f"take-off of {name} to {height_m:g} m")
+                self._say(f"{name} takes off to {height_m:g} m")
                 await self._order(gcs, "vehicles.takeoff", targets=name, height_m=height_m)
             await self._until(self._all_up, LEG_S)
             for name, enu_m in TARGETS_ENU_M.items():
@@ -104,12 +104,12 @@ class Demo:
             await self._until(self._all_arrived, LEG_S)
             self._say("hold")
             await self._order(gcs, "vehicles.hold", targets="all")
-            self._say("charlie lands where it is, the others return")
+            self._say("charlie lands at its position, the others return")
             await self._order(gcs, "vehicles.land", targets="charlie")
             await self._order(gcs, "vehicles.rtl", targets="alpha,bravo")
             await self._until(lambda: not any(s.get("armed") for s in self.states.values()), 2 * LEG_S)
             self._say("all landed and disarmed")
-            # After a landing an ArduCopter stays in LAND and does not arm there: it is left ready for more.
+            # after a landing an ArduCopter stays in LAND, where it does not arm: GUIDED prepares it for further orders
             await self._order(gcs, "vehicles.mode", targets="charlie", mode="GUIDED")
         finally:
             watching.cancel()
@@ -119,7 +119,7 @@ class Demo:
     async def _watch(self, gcs: Client) -> None:
         async for state in gcs.telemetry("all", rate_hz=1 / REFRESH_S):
             self.states[state["name"]] = state
-            self.flights.setdefault(state["name"], Flight()).on_state(state)
+            self.flights.setdefault(state["name"], DemoFlight()).on_state(state)
 
     async def _order(self, gcs: Client, method: str, **params: Any) -> None:
         answer = await gcs.call(method, **params)
@@ -129,7 +129,7 @@ class Demo:
                 self.log.append(f"{name}: {method.split('.')[1]} {outcome['message']}")
 
     async def _until(self, condition: Any, limit_s: float) -> None:
-        """Wait until the condition holds; give up after the limit and say so."""
+        """Wait until the condition holds; after the limit set ``failed`` and log it."""
         loop = asyncio.get_running_loop()
         deadline = loop.time() + limit_s
         while not condition():
@@ -209,28 +209,28 @@ async def _running(daemon: Daemon) -> AsyncIterator[None]:
 
 
 async def demo(*, stay: bool, socket: Path | None, log_dir: Path) -> int:
-    """Run the demo; 0 if every vehicle did what was asked."""
+    """Run the demo; 0 if every vehicle carried out its orders."""
     console = Console()
     dialect = load_dialect(FleetConfig().dialect)
     with tempfile.TemporaryDirectory(prefix="skygcs-demo-") as scratch:
-        # A demo that ends by itself must not take the place of a daemon that flies; one that stays is for skygcs-cli.
+        # without --stay it must not use the socket of a daemon that flies; with --stay skygcs-cli must find it
         path = socket or (default_socket_path() if stay else Path(scratch) / "skygcs.sock")
         daemon = Daemon(demo_config(path, log_dir, for_qgc=stay), dialect, source="demo")
         script = Demo(console)
         async with _running(daemon):
             await _show_flight(script, daemon, console)
             if daemon.stopping:
-                console.print("Stopped before the flight was over.")
+                console.print("Stopped before the end of the flight.")
                 return EXIT_INTERRUPTED
             _summarise(script, daemon, console)
             if stay and not daemon.stopping:
-                console.print("\nStill up. Try:  skygcs-cli status   skygcs-cli takeoff all 5   (Ctrl-C ends it)")
+                console.print("\nStill running. Try:  skygcs-cli status   skygcs-cli takeoff all 5   (Ctrl-C ends it)")
                 await daemon.stopped()
     return EXIT_FAILED if script.failed else EXIT_OK
 
 
 async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:
-    """Fly, drawing meanwhile; a signal to the daemon ends the flight script too."""
+    """Run the flight script and draw the live table; a signal to the daemon ends the script, too."""
 
     async def fly() -> None:
         async with connect(daemon.socket_path) as gcs:
@@ -239,15 +239,10 @@ async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:
     flying = asyncio.create_task(fly(), name="demo flight")
     stopped = asyncio.create_task(daemon.stopped(), name="demo stopped")
     try:
-        with (
-            Live(script.view(), console=console, refresh_per_second=4, transient=False)
-            if console.is_terminal
-            else (contextlib.nullcontext()) as live
-        ):
+        with LiveView(lambda _: script.view(), enabled=console.is_terminal) as view:
             while not flying.done() and not stopped.done():
                 await asyncio.wait({flying, stopped}, timeout=REFRESH_S, return_when=asyncio.FIRST_COMPLETED)
-                if live is not None:
-                    live.update(script.view())
+                view.refresh(now=True)
         if flying.done():
             await flying
     except SkygcsError as error:
@@ -261,24 +256,28 @@ async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:
 
 
 def _summarise(script: Demo, daemon: Daemon, console: Console) -> None:
-    table = Table(title="What happened")
-    for column in ("vehicle", "autopilot", "highest", "on return", "flown", "modes"):
-        table.add_column(column)
-    for name, flight in sorted(script.flights.items()):
-        state = script.states[name]
-        table.add_row(
+    rows = [
+        (
             name,
-            str(state.get("autopilot")),
+            str(script.states[name].get("autopilot")),
             f"{flight.max_height_m:.1f} m",
             "-" if flight.return_height_m is None else f"{flight.return_height_m:.1f} m",
             f"{flight.flown_m:.0f} m",
             " > ".join(flight.modes),
         )
-    console.print(table)
+        for name, flight in sorted(script.flights.items())
+    ]
+    columns = ("vehicle", "autopilot", "highest", "on return", "flown", "modes")
+    console.print()
+    console.print(table(columns, rows, right=columns[2:5], wrap=("modes",)))
     for line in script.log:
         if script.failed:
             console.print(f"  {line}")
     recorded = daemon.recorder_status()
     if recorded.get("file"):
         console.print(f"tlog: {os.path.relpath(recorded['file'])}  (skygcs-cli tlog info FILE reads it)")
-    console.print("[red]Something went wrong, see above.[/red]" if script.failed else "[green]All done.[/green]")
+    console.print(
+        "[red]A vehicle did not carry out its orders, see above.[/red]"
+        if script.failed
+        else "[green]All vehicles carried out their orders.[/green]"
+    )

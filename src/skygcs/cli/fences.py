@@ -1,30 +1,36 @@
-"""`skygcs-cli fence …`: the fence that an autopilot's parameters make, and its test on foot.
+"""`skygcs-cli fence`: the fence that an autopilot's parameters define, its test on foot, and the fence of a plan.
 
-Polygons and circles of a plan are in `mission_flight`.
+`skygcs-cli undo`: restore what a fence test left changed in a vehicle.
 """
 
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli import render
-from skygcs.cli.connection import Exit, fail, run, waiting
-from skygcs.cli.mission_flight import fences
-from skygcs.cli.options import Json, OptionalTargets, Targets
-from skygcs.cli.orders import tell_outcomes
+from skygcs.cli.connection import Exit, fail, print_outcomes, run, run_order, run_show, show, waiting
+from skygcs.cli.missions import OutFile, Overwrite, PlanFile, clear, download, upload
+from skygcs.cli.options import Json, OneVehicle, OptionalTargets, Targets
 from skygcs.cli.parsing import finite
+from skygcs.cli.render import event_line
 from skygcs.rpc.client import Client
 
+fences = typer.Typer(
+    help="Geofences: one around home, from parameters; polygons and circles of a plan.", no_args_is_help=True
+)
+undo = typer.Typer(
+    help="Restore what a fence test left changed in a vehicle, if the daemon was killed or could not reach it.",
+    no_args_is_help=True,
+)
 
-class ActionName(StrEnum):
-    """What an autopilot does beyond its fence; ArduCopter has no terminate."""
+
+class FenceAction(StrEnum):
+    """What an autopilot does outside its fence; ArduCopter has no terminate."""
 
     NONE = "none"
     WARN = "warn"
@@ -36,11 +42,11 @@ class ActionName(StrEnum):
 
 BEFORE_THE_WALK = """\
   1  Take the propellers off. All of them.
-  2  Put the vehicle where its home is, outdoors, with GPS; a test radius is counted from home.
-  3  To see what it does, and not only what it says, arm it (props off!) and keep the throttle a bit up, or it
-     disarms by itself. A PX4 that is not armed tells of no breach.
-  4  Carry it straight away from home, {radius:g} m and more, until the result is told here.
-The fence it has now is put back afterwards, also after Ctrl-C."""
+  2  Put the vehicle at its home, outdoors, with GPS; the test radius is measured from home.
+  3  To see what it does, not only what it reports, arm it (propellers off!) and keep the throttle slightly up,
+     or it disarms by itself. A PX4 that is not armed reports no breach.
+  4  Carry it straight away from home, {radius:g} m and more, until the result is printed here.
+Its present fence is restored afterwards, also after Ctrl-C."""
 
 
 @fences.command("set")
@@ -48,33 +54,30 @@ def _set(
     targets: Targets,
     radius: Annotated[
         float | None,
-        typer.Option("--radius", metavar="M", parser=finite, help="About home; 0: none.", show_default=False),
+        typer.Option("--radius", metavar="M", parser=finite, help="Around home; 0: no limit.", show_default=False),
     ] = None,
     height: Annotated[
         float | None,
-        typer.Option("--height", metavar="M", parser=finite, help="Above home; 0: none.", show_default=False),
+        typer.Option("--height", metavar="M", parser=finite, help="Above home; 0: no limit.", show_default=False),
     ] = None,
     action: Annotated[
-        ActionName | None, typer.Option("--action", help="Beyond it; none: no fence.", show_default=False)
+        FenceAction | None, typer.Option("--action", help="Action outside it; none: no fence.", show_default=False)
     ] = None,
     json_output: Json = False,
 ) -> None:
-    """Set the fence about home by the autopilot's parameters, and read it back; what is not given stays."""
+    """Set the fence around home in the autopilot's parameters and read it back; options not given stay unchanged."""
     if radius is None and height is None and action is None:
         raise typer.BadParameter("give --radius, --height or --action")
-
-    async def command(gcs: Client) -> int:
-        word = None if action is None else action.value
-        async with waiting(f"fence.set {targets}"):
-            answer = await gcs.call("fence.set", targets=targets, radius_m=radius, height_m=height, action=word)
-        return tell_outcomes(answer["outcomes"], json_output)
-
-    run(command)
+    word = None if action is None else action.value
+    run_order("fence.set", json_output, targets=targets, radius_m=radius, height_m=height, action=word)
 
 
 @fences.command("status")
 def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
-    """Show the fences of vehicles, read now, and whether they are beyond them. Exit 1 if one is, or does not tell."""
+    """Read and show the fences of vehicles. Exit 1 if a vehicle is outside its fence, or does not answer."""
+
+    def lines(answer: dict[str, Any]) -> Iterator[str]:
+        return (status_line(name, outcome) for name, outcome in answer["outcomes"].items())
 
     async def command(gcs: Client) -> int:
         async with waiting(f"fence.status {targets}"):
@@ -83,12 +86,9 @@ def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None
         outcomes = answer["outcomes"]
         for name, outcome in outcomes.items():
             outcome["fence_items"] = lists.get(name)
-        if json_output:
-            typer.echo(json.dumps(answer, indent=2))
-        for name, outcome in () if json_output else outcomes.items():
-            typer.echo(status_line(name, outcome))
-        beyond = any(o["ok"] and o["fence"]["breached"] for o in outcomes.values())
-        return Exit.FAILED if beyond or not all(o["ok"] for o in outcomes.values()) else Exit.DONE
+        show(answer, json_output, lines)
+        outside = any(o["ok"] and o["fence"]["breached"] for o in outcomes.values())
+        return Exit.FAILED if outside or not all(o["ok"] for o in outcomes.values()) else Exit.DONE
 
     run(command)
 
@@ -97,20 +97,20 @@ def _status(targets: OptionalTargets = "all", json_output: Json = False) -> None
 def _test(
     targets: Targets,
     radius: Annotated[
-        float, typer.Option("--radius", metavar="M", parser=finite, help="Of the test's fence about home, 1 to 50.")
+        float, typer.Option("--radius", metavar="M", parser=finite, help="Test fence around home, 1 to 50 m.")
     ] = 2.0,
-    action: Annotated[ActionName, typer.Option("--action", help="What it is to do beyond it.")] = ActionName.RETURN,
+    action: Annotated[FenceAction, typer.Option("--action", help="Action outside it.")] = FenceAction.RETURN,
     timeout_s: Annotated[
-        float, typer.Option("--timeout", metavar="S", parser=finite, help="For the walk, 5 to 1800.")
+        float, typer.Option("--timeout", metavar="S", parser=finite, help="Time for the walk, 5 to 1800 s.")
     ] = 120.0,
     yes: Annotated[bool, typer.Option("--yes", help="The propellers are off: do not ask.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Test the fence on foot: a small one is set, carry the vehicle out of it, the result goes to a file."""
+    """Test the fence on foot: it sets a small fence, you carry the vehicle out of it, a file records the result."""
     if not yes:
         typer.echo(BEFORE_THE_WALK.format(radius=radius), err=True)
         if not sys.stdin.isatty():
-            fail("nobody is there to say that the propellers are off: --yes says it")
+            fail("there is no terminal to confirm that the propellers are off: --yes confirms it")
             raise typer.Exit(Exit.FAILED)
         if typer.prompt('Are the propellers off? Then type "off"', err=True).strip().lower() != "off":
             fail("not tested: nothing was sent")
@@ -125,7 +125,7 @@ def _test(
         finally:
             following.cancel()
             await asyncio.gather(following, return_exceptions=True)
-        code = tell_outcomes(answer["outcomes"], json_output)
+        code = print_outcomes(answer["outcomes"], json_output)
         for outcome in () if json_output else answer["outcomes"].values():
             if outcome["record"] is not None:
                 typer.echo(f"     recorded in {outcome['record']['file']}")
@@ -134,27 +134,23 @@ def _test(
     run(command)
 
 
-def add_to(app: typer.Typer) -> None:
-    app.add_typer(fences, name="fence")
-
-
 async def _follow(gcs: Client, targets: str) -> None:
-    """What the daemon tells of the test, on stderr: results go to stdout."""
+    """Print the events of the test on stderr; results go to stdout."""
     async for event in gcs.events(targets, kinds=["fence", "armed", "disarmed", "mode", "statustext"]):
         if event["data"].get("state") != "done":
-            typer.echo(render.event_line(event), err=True)
+            typer.echo(event_line(event), err=True)
 
 
 def status_line(name: str, outcome: Mapping[str, Any]) -> str:
-    """One vehicle's fence."""
+    """The fence of one vehicle."""
     parts = [f"{name:<10}"]
     if not outcome["ok"]:
         return "  ".join((*parts, outcome["message"]))
     parts.append(outcome["message"])
     fence, items = outcome["fence"], outcome["fence_items"]
     if items:
-        watched = "" if fence["follows_list"] else ", not watched (FENCE_TYPE)"
-        parts.append(f"{items} fence items{watched}")
+        enforced = "" if fence["follows_list"] else ", not enforced (FENCE_TYPE)"
+        parts.append(f"{items} fence items{enforced}")
     elif items is None:
         parts.append("polygons and circles not read yet")
     if fence["breaches"]:
@@ -162,5 +158,106 @@ def status_line(name: str, outcome: Mapping[str, Any]) -> str:
     if fence["from_home_m"] is not None:
         parts.append(f"{fence['from_home_m']:.1f} m from home")
     if fence["last_text"] is not None:
-        parts.append(f'last said "{fence["last_text"]}"')
+        parts.append(f'last text "{fence["last_text"]}"')
     return "  ".join(parts)
+
+
+# --- the fence of a plan ----------------------------------------------------------------------------------------------
+
+
+@fences.command("upload")
+def _upload(
+    targets: Targets,
+    file: PlanFile,
+    force: Annotated[bool, typer.Option("--force", help="Although the fence has errors.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Upload the fence of a plan to vehicles; their missions stay."""
+    upload(targets, file, ["fence"], force, json_output)
+
+
+@fences.command("download")
+def _download(vehicle: OneVehicle, file: OutFile = None, force: Overwrite = False, json_output: Json = False) -> None:
+    """Read the fence of a vehicle."""
+    download(vehicle, file, ["fence"], force, json_output)
+
+
+@fences.command("clear")
+def _clear(
+    targets: Targets,
+    force: Annotated[bool, typer.Option("--force", help="Although it is in the air.")] = False,
+    json_output: Json = False,
+) -> None:
+    """Delete the vehicles' fences."""
+    clear(targets, ["fence"], force, json_output)
+
+
+# --- undo -------------------------------------------------------------------------------------------------------------
+
+ChangeId = Annotated[str, typer.Argument(metavar="ID|all", help="As `undo list` shows it.")]
+
+
+@undo.command("list")
+def _undo_list(json_output: Json = False) -> None:
+    """Show the changes to undo; skygcs never undoes them by itself."""
+    run_show("undo.list", json_output, _undo_lines)
+
+
+@undo.command("run")
+def _undo_run(
+    id: ChangeId,
+    force: Annotated[
+        bool, typer.Option("--force", help="Although it is armed, or the values have changed since.")
+    ] = False,
+    json_output: Json = False,
+) -> None:
+    """Set the values of before, and read them back."""
+
+    async def command(gcs: Client) -> int:
+        outcomes: dict[str, Any] = {}
+        for one in await _ids(gcs, id):
+            async with waiting(f"undo {one}"):
+                outcomes |= (await gcs.call("undo.run", id=one, force=force))["outcomes"]
+        return print_outcomes(outcomes, json_output)
+
+    run(command)
+
+
+@undo.command("drop")
+def _undo_drop(id: ChangeId) -> None:
+    """Remove a change from the list; the vehicle keeps its values."""
+
+    async def command(gcs: Client) -> None:
+        for one in await _ids(gcs, id):
+            await gcs.call("undo.drop", id=one)
+            typer.echo(f"{one} removed from the list")
+
+    run(command)
+
+
+async def _ids(gcs: Client, id: str) -> list[str]:
+    if id != "all":
+        return [id]
+    return [change["id"] for change in (await gcs.call("undo.list"))["changes"]]
+
+
+def _undo_lines(answer: dict[str, Any]) -> Iterator[str]:
+    for change in answer["changes"]:
+        yield f"{change['id']}: {change['vehicle']} (system {change['sysid']}), {change['what']} of {change['began']}"
+        yield f"  before  {_values(change['before'])}"
+        yield f"  set to  {_values(change['changed'])}"
+    for problem in answer["problems"]:
+        yield f"cannot be read: {problem}"
+    if answer["changes"]:
+        yield "skygcs-cli undo run ID restores it, undo drop ID removes it from this list"
+    elif not answer["problems"]:
+        yield "nothing to undo"
+
+
+def _values(table: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:g}" for name, value in table.items())
+
+
+def add_to(app: typer.Typer) -> None:
+    app.add_typer(fences, name="fence", rich_help_panel="Orders")
+    app.add_typer(undo, name="undo", rich_help_panel="Orders")

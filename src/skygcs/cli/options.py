@@ -1,49 +1,125 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, and what the shell proposes for them after TAB."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import asyncio
+import os
+from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli import completion
+from skygcs.cli.connection import client
+from skygcs.errors import SkygcsError
+
+WAIT_VARIABLE = "SKYGCS_COMPLETION_WAIT_S"
+"""Environment variable: how long completion waits for the daemon, for a daemon on another computer or a slow one."""
+
+DEFAULT_WAIT_S = 1.0
+"""A person waits at the prompt; the daemon answers within 10 ms on an idle machine."""
+
+MAX_WAIT_S = 600.0
+
+COMMON_MODES = (
+    *("AUTO.LAND", "AUTO.LOITER", "AUTO.MISSION", "AUTO.RTL", "AUTO.TAKEOFF", "ALTCTL", "POSCTL", "OFFBOARD"),
+    *("MANUAL", "STABILIZED", "ALT_HOLD", "AUTO", "BRAKE", "GUIDED", "LAND", "LOITER", "POSHOLD", "RTL"),
+    *("SMART_RTL", "STABILIZE"),
+)
+"""Flight modes that completion proposes; any other may be typed."""
+
+# --- completion -------------------------------------------------------------------------------------------------------
+
+
+def wait_s() -> float:
+    """How long completion waits for the daemon: $SKYGCS_COMPLETION_WAIT_S if that is a number of seconds."""
+    try:
+        value = float(os.environ.get(WAIT_VARIABLE, ""))
+    except ValueError:
+        return DEFAULT_WAIT_S
+    return min(value, MAX_WAIT_S) if value >= 0 else DEFAULT_WAIT_S
+
+
+def complete_targets(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Names, groups and "all"; after a comma, the next part of the list."""
+    states = _ask(ctx, "vehicles.list") or []
+    words = {"all": None} | {s["name"]: None for s in states} | {g: None for s in states for g in s["groups"]}
+    before, comma, last = incomplete.rpartition(",")
+    return [before + comma + word for word in words if word.startswith(last)]
+
+
+def complete_messages(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Message names of the daemon's dialect; upper and lower case are the same."""
+    found = _ask(ctx, "messages.list") or []
+    return [m["name"] for m in found if m["name"].upper().startswith(incomplete.upper())]
+
+
+def complete_commands(ctx: typer.Context, incomplete: str) -> list[str]:
+    """MAV_CMD names of the daemon's dialect, without their prefix."""
+    found = _ask(ctx, "commands.list") or []
+    return [c["name"] for c in found if c["name"].startswith(incomplete)]
+
+
+def complete_links(ctx: typer.Context, incomplete: str) -> list[str]:
+    return [link["name"] for link in _ask(ctx, "links.list") or [] if link["name"].startswith(incomplete)]
+
+
+def complete_methods(ctx: typer.Context, incomplete: str) -> list[str]:
+    document = _ask(ctx, "rpc.discover") or {"methods": []}
+    return [m["name"] for m in document["methods"] if m["name"].startswith(incomplete)]
+
+
+def complete_modes(_: typer.Context, incomplete: str) -> list[str]:
+    return [mode for mode in COMMON_MODES if mode.startswith(incomplete.upper())]
+
+
+def _ask(ctx: typer.Context, method: str) -> Any:
+    """The daemon's answer; None if there is none in time: the shell then proposes nothing."""
+
+    async def ask() -> Any:
+        async with asyncio.timeout(wait_s()), client(ctx.find_root().params.get("socket")) as gcs:
+            return await gcs.call(method)
+
+    try:
+        return asyncio.run(ask())
+    except (SkygcsError, OSError, TimeoutError):
+        return None
+
+
+# --- arguments and options --------------------------------------------------------------------------------------------
+
+_TARGETS = "Vehicles: 1, 1,3, 2-5, a name, a group, all"
 
 Targets = Annotated[
     str,
-    typer.Argument(
-        metavar="TARGETS",
-        help="Vehicles: 1, 1,3, 2-5, a name, a group, all.",
-        autocompletion=completion.targets,
-        show_default=False,
-    ),
+    typer.Argument(metavar="TARGETS", help=f"{_TARGETS}.", autocompletion=complete_targets, show_default=False),
 ]
 ComponentTargets = Annotated[
     str,
     typer.Argument(
         metavar="TARGETS",
-        help="Vehicles: 1, 1,3, 2-5, a name, a group, all; or components: 7/191, alpha/191, all/100.",
-        autocompletion=completion.targets,
+        help=f"{_TARGETS}; or components: 7/191, alpha/191, all/100.",
+        autocompletion=complete_targets,
         show_default=False,
     ),
 ]
 OptionalTargets = Annotated[
+    str, typer.Argument(metavar="[TARGETS]", help=f"{_TARGETS}.", autocompletion=complete_targets)
+]
+OneVehicle = Annotated[
     str,
     typer.Argument(
-        metavar="[TARGETS]",
-        help="Vehicles: 1, 1,3, 2-5, a name, a group, all.",
-        autocompletion=completion.targets,
+        metavar="VEHICLE", help="Its name or system id.", autocompletion=complete_targets, show_default=False
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Machine-readable output.")]
 LinkName = Annotated[
-    str, typer.Argument(metavar="NAME", help="The link's name.", autocompletion=completion.links, show_default=False)
+    str, typer.Argument(metavar="NAME", help="The link's name.", autocompletion=complete_links, show_default=False)
 ]
 MessageName = Annotated[
     str,
     typer.Argument(
         metavar="NAME",
         help="A message of the dialect, by name or id.",
-        autocompletion=completion.messages,
+        autocompletion=complete_messages,
         show_default=False,
     ),
 ]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]

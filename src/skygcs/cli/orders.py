@@ -1,96 +1,110 @@
-"""Commands that make vehicles do something: one line per vehicle says what became of it."""
+"""Orders: commands that make vehicles do something. One line per vehicle reports the outcome."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from enum import StrEnum
 from typing import Annotated, Any, NoReturn
 
 import typer
 
-from skygcs.cli import completion
-from skygcs.cli.connection import Exit, client, fail, run, waiting
-from skygcs.cli.options import ComponentTargets, Json, Targets
+from skygcs.cli.connection import Exit, client, fail, print_outcomes, run, run_order, waiting
+from skygcs.cli.options import (
+    ComponentTargets,
+    Json,
+    Targets,
+    complete_commands,
+    complete_messages,
+    complete_modes,
+    complete_targets,
+)
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite, name_or_id, parse_number, parse_unset_number
-from skygcs.cli.render import outcome_lines, screen_width
 from skygcs.errors import RpcError
 from skygcs.rpc.client import Client
 
 REFUSED = -32002
 """JSON-RPC code of what skygcs itself refuses (docs/reference/rpc.md)."""
 
+Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Try again for S seconds.", parser=finite)]
+Place = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[LAT LON [HEIGHT]]",
+        help="Degrees; metres above home, default: its present height.",
+        show_default=False,
+    ),
+]
+HomePlace = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[LAT LON [ALT]]",
+        help="Degrees; metres above mean sea level, default: the altitude of its present home.",
+        show_default=False,
+    ),
+]
 
-def order(method: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
-    """Send it, wait for every vehicle's outcome, print them, exit 0 if all of them are good."""
+
+class StopAction(StrEnum):
+    """Argument of `stop`."""
+
+    HOLD = "hold"
+    LAND = "land"
+    KILL = "kill"
+
+
+def _order(name: str, targets: str, json_output: bool, **params: Any) -> NoReturn:
+    run_order(f"vehicles.{name}", json_output, targets=targets, **params)
+
+
+def _order_confirmed(name: str, targets: str, json_output: bool, confirm: str | None, **params: Any) -> NoReturn:
+    """As `_order`; if the daemon requires a word to confirm it, the person at the terminal is asked for the word."""
 
     async def command(gcs: Client) -> int:
-        async with waiting(f"{method} {targets}"):
-            answer = await gcs.call(f"vehicles.{method}", targets=targets, **params)
-        return tell_outcomes(answer["outcomes"], json_output)
+        async def ordered(word: str | None, daemon: Client = gcs) -> int:
+            async with waiting(f"{name} {targets}"):
+                answer = await daemon.call(f"vehicles.{name}", targets=targets, confirm=word, **params)
+            return print_outcomes(answer["outcomes"], json_output)
 
-    run(command)
-
-
-def order_confirmed(method: str, targets: str, json_output: bool, confirm: str | None, **params: Any) -> NoReturn:
-    """As `order`; what the daemon wants confirmed by a word is asked of the person at the terminal."""
-
-    async def command(gcs: Client) -> int:
-        async def ordered(word: str | None, by: Client = gcs) -> int:
-            async with waiting(f"{method} {targets}"):
-                answer = await by.call(f"vehicles.{method}", targets=targets, confirm=word, **params)
-            return tell_outcomes(answer["outcomes"], json_output)
-
+        # the refusal names the vehicles and the word
         try:
             return await ordered(confirm)
         except RpcError as error:
-            if confirm is not None or error.code != REFUSED or not _somebody_there():
+            if confirm is not None or error.code != REFUSED or not _has_terminal():
                 raise
             fail(str(error))
-        word = await asyncio.to_thread(_asked)
+        # ask, and send the order with the word that was typed
+        word = await asyncio.to_thread(_ask_word)
         if not word:
             fail("not confirmed; nothing was sent")
             return Exit.FAILED
-        async with client() as again:  # a daemon with too many clients answers one request of a connection
+        async with client() as again:  # a daemon with too many clients answers one request per connection
             return await ordered(word, again)
 
     run(command)
 
 
-def _somebody_there() -> bool:
-    """Whether there is a person to ask; a script has to say the word itself."""
+def _has_terminal() -> bool:
+    """True if there is a person to ask; a script has to give the word itself."""
     return sys.stdin.isatty()
 
 
-def _asked() -> str:
+def _ask_word() -> str:
     typer.echo("> ", nl=False, err=True)
     return sys.stdin.readline().strip()
-
-
-def tell_outcomes(outcomes: Mapping[str, Mapping[str, Any]], json_output: bool) -> int:
-    """Print what became of an order, one line per vehicle; gives the exit code."""
-    if json_output:
-        typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
-    else:
-        for line in outcome_lines(outcomes, screen_width(sys.stdout)):
-            typer.echo(line)
-    return Exit.DONE if all(o["ok"] for o in outcomes.values()) else Exit.FAILED
-
-
-Wait = Annotated[float, typer.Option("--wait", metavar="S", help="Keep trying for S seconds.", parser=finite)]
 
 
 def arm(
     targets: Targets,
     force: Annotated[
-        bool, typer.Option("--force", help="Skip the autopilot's own checks, and a required preflight.")
+        bool, typer.Option("--force", help="Skip the autopilot's arming checks, and a required preflight.")
     ] = False,
     wait: Wait = 0.0,
     json_output: Json = False,
 ) -> None:
-    """Arm."""
-    order("arm", targets, json_output, force=force, wait_s=wait)
+    """Arm vehicles."""
+    _order("arm", targets, json_output, force=force, wait_s=wait)
 
 
 def disarm(
@@ -101,71 +115,65 @@ def disarm(
         typer.Option(
             "--confirm",
             metavar="WORD",
-            help="While two vehicles have one system id: disarm-N. Else it is asked.",
+            help="Needed while two vehicles have one system id: disarm-N. Default: asks for it.",
         ),
     ] = None,
     json_output: Json = False,
 ) -> None:
-    """Disarm."""
-    order_confirmed("disarm", targets, json_output, confirm, force=force)
+    """Disarm vehicles."""
+    _order_confirmed("disarm", targets, json_output, confirm, force=force)
 
 
 def takeoff(
     targets: Targets,
     height: Annotated[
         float | None,
-        typer.Argument(metavar="[HEIGHT]", help="Metres above the ground; default: the fleet file's.", parser=finite),
+        typer.Argument(
+            metavar="[HEIGHT]", help="Metres above the ground. [default: from the fleet file]", parser=finite
+        ),
     ] = None,
-    arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm if it is not armed.")] = True,
-    force: Annotated[bool, typer.Option("--force", help="Without a required preflight.")] = False,
+    arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm first if it is not armed.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Skip a required preflight.")] = False,
     wait: Wait = 0.0,
     json_output: Json = False,
 ) -> None:
     """Take off, arming first."""
-    order("takeoff", targets, json_output, height_m=height, arm=arm_first, wait_s=wait, force=force)
+    _order("takeoff", targets, json_output, height_m=height, arm=arm_first, wait_s=wait, force=force)
 
 
 def land(targets: Targets, json_output: Json = False) -> None:
-    """Land where it is."""
-    order("land", targets, json_output)
+    """Land at the present position."""
+    _order("land", targets, json_output)
 
 
 def rtl(targets: Targets, json_output: Json = False) -> None:
-    """Return to launch and land there."""
-    order("rtl", targets, json_output)
+    """Return to the launch position and land there."""
+    _order("rtl", targets, json_output)
 
 
 def hold(targets: Targets, json_output: Json = False) -> None:
     """Stop and hold position."""
-    order("hold", targets, json_output)
-
-
-Place = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="[LAT LON [HEIGHT]]", help="Degrees; metres above home, default as it is.", show_default=False
-    ),
-]
+    _order("hold", targets, json_output)
 
 
 def goto(
     targets: Targets,
     place: Place = None,
     enu: Annotated[
-        str | None, typer.Option("--enu", metavar="E,N,U", help="Metres east, north, up of the fleet's origin.")
+        str | None, typer.Option("--enu", metavar="E,N,U", help="Metres east, north, up from the fleet's origin.")
     ] = None,
     yaw: Annotated[
         float | None, typer.Option("--yaw", metavar="DEG", help="Heading, clockwise from north.", parser=finite)
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Although it is farther than the limit.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Although it is beyond the distance limit.")] = False,
     same_place: Annotated[
-        bool, typer.Option("--same-place", help="Several vehicles: all to the very point; mind their heights.")
+        bool, typer.Option("--same-place", help="Send several vehicles to the same point; their heights must differ.")
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Fly to a place: `goto alpha 43.78 -79.46 10`, `goto all --enu 5,-3,10`.
+    """Fly to a position: `goto alpha 43.78 -79.46 10`, `goto all --enu 5,-3,10`.
 
-    Several vehicles keep their places to each other; the middle of them goes there.
+    Several vehicles keep their formation; its centre flies to the position.
     """
     params: dict[str, Any] = {"yaw_deg": yaw, "force": force, "same_place": same_place}
     numbers = _numbers(place, ("LAT", "LON", "HEIGHT"))
@@ -179,14 +187,14 @@ def goto(
     elif len(numbers) < 2:
         raise typer.BadParameter("give LAT LON [HEIGHT], or --enu E,N,U")
     params |= dict(zip(("lat_deg", "lon_deg", "height_m"), numbers, strict=False))
-    order("goto", targets, json_output, **params)
+    _order("goto", targets, json_output, **params)
 
 
 def _numbers(texts: list[str] | None, labels: tuple[str, ...]) -> list[float]:
-    """At most as many numbers as there are labels. Raises BadParameter."""
+    """Numbers, not more than there are labels. Raises BadParameter."""
     given = texts or []
     if len(given) > len(labels):
-        raise typer.BadParameter(f"{len(given)} numbers given; there are {' '.join(labels)}")
+        raise typer.BadParameter(f"{len(given)} numbers given; expected {' '.join(labels)}")
     return [parse_number(text, label) for text, label in zip(given, labels, strict=False)]
 
 
@@ -194,14 +202,12 @@ def mode(
     targets: Targets,
     mode_name: Annotated[
         str,
-        typer.Argument(
-            metavar="MODE", help="AUTO.LOITER (PX4), GUIDED (ArduCopter), …", autocompletion=completion.modes
-        ),
+        typer.Argument(metavar="MODE", help="AUTO.LOITER (PX4), GUIDED (ArduCopter), …", autocompletion=complete_modes),
     ],
     json_output: Json = False,
 ) -> None:
-    """Set the flight mode by the autopilot's own name."""
-    order("mode", targets, json_output, mode=mode_name)
+    """Set the flight mode, by the name that the autopilot uses."""
+    _order("mode", targets, json_output, mode=mode_name)
 
 
 def reboot(
@@ -210,71 +216,61 @@ def reboot(
     json_output: Json = False,
 ) -> None:
     """Reboot the autopilot."""
-    order("reboot", targets, json_output, force=force)
+    _order("reboot", targets, json_output, force=force)
 
 
 def forget(
     targets: Targets,
     force: Annotated[
-        bool, typer.Option("--force", help="Although it is heard, or was lost armed in the last half hour.")
+        bool, typer.Option("--force", help="Although it is heard, or was armed when it was lost in the last half hour.")
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Forget vehicles that are gone: `all` no longer means them. One that is heard again is met anew."""
-    order("forget", targets, json_output, force=force)
+    """Remove vehicles that are gone, also from `all`. A vehicle that is heard again is added again."""
+    _order("forget", targets, json_output, force=force)
 
 
 def sysid(
     target: Annotated[
         str,
-        typer.Argument(metavar="TARGET", help="One vehicle.", autocompletion=completion.targets, show_default=False),
+        typer.Argument(metavar="TARGET", help="One vehicle.", autocompletion=complete_targets, show_default=False),
     ],
     number: Annotated[int, typer.Argument(metavar="N", help="Its new system id, 1 to 250.", show_default=False)],
     force: Annotated[
-        bool, typer.Option("--force", help="Although the fleet file gives N to a vehicle that is not heard.")
+        bool, typer.Option("--force", help="Although the fleet file assigns N to a vehicle that is not heard.")
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Give a vehicle another system id: set, restart, find it again, read back. On the ground, disarmed."""
+    """Change the system id of a vehicle: set it, restart, find the vehicle again, read back. Disarmed only."""
 
-    async def command(gcs: Client) -> int:
-        async with waiting(f"sysid {target} {number}"):
-            answer = await gcs.call("vehicles.renumber", target=target, sysid=number, force=force)
-        return tell_outcomes(answer["outcomes"], json_output)
-
-    run(command)
+    run_order("vehicles.renumber", json_output, target=target, sysid=number, force=force)
 
 
 def home(
     targets: Targets,
-    place: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[LAT LON [ALT]]",
-            help="Degrees; metres above mean sea level, default as the home it has.",
-            show_default=False,
-        ),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Also in the air, or farther than the limit.")] = False,
+    place: HomePlace = None,
+    force: Annotated[bool, typer.Option("--force", help="Also in the air, or beyond the distance limit.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Set home: where it stands, or a place."""
+    """Set home to the present position of the vehicle, or to a given position."""
     numbers = _numbers(place, ("LAT", "LON", "ALT"))
     if len(numbers) == 1:
-        raise typer.BadParameter("give LAT LON [ALT], or nothing: home is where it stands")
+        raise typer.BadParameter("give LAT LON [ALT], or nothing for its present position")
     params = dict(zip(("lat_deg", "lon_deg", "alt_amsl_m"), numbers, strict=False))
-    order("set_home", targets, json_output, force=force, **params)
+    _order("set_home", targets, json_output, force=force, **params)
 
 
 def interval(
     targets: ComponentTargets,
-    message: Annotated[str, typer.Argument(metavar="MESSAGE", autocompletion=completion.messages, help="Name or id.")],
-    rate: Annotated[str, typer.Argument(metavar="HZ", help="Per second; 0 stops it; default: its own rate.")],
+    message: Annotated[str, typer.Argument(metavar="MESSAGE", autocompletion=complete_messages, help="Name or id.")],
+    rate: Annotated[
+        str, typer.Argument(metavar="HZ", help="Per second; 0 stops it; default: the autopilot's own rate.")
+    ],
     json_output: Json = False,
 ) -> None:
-    """Ask for one message at a rate: `interval all ATTITUDE 10`, `interval 1 ATTITUDE default`."""
+    """Request one message at a rate: `interval all ATTITUDE 10`, `interval 1 ATTITUDE default`."""
     rate_hz = None if rate == "default" else parse_number(rate, "HZ")
-    order("interval", targets, json_output, message=name_or_id(message), rate_hz=rate_hz)
+    _order("interval", targets, json_output, message=name_or_id(message), rate_hz=rate_hz)
 
 
 def stream(
@@ -283,8 +279,8 @@ def stream(
     rate_hz: Annotated[float, typer.Argument(metavar="HZ", help="Per second; 0 stops it.", parser=finite)],
     json_output: Json = False,
 ) -> None:
-    """Ask for a group of messages at a rate (older ArduPilot)."""
-    order("stream", targets, json_output, stream=name_or_id(name), rate_hz=rate_hz)
+    """Request a group of messages at a rate (older ArduPilot)."""
+    _order("stream", targets, json_output, stream=name_or_id(name), rate_hz=rate_hz)
 
 
 def command(
@@ -294,38 +290,55 @@ def command(
         typer.Argument(
             metavar="COMMAND",
             help="MAV_CMD by name or number: DO_SET_SERVO, 183.",
-            autocompletion=completion.commands,
+            autocompletion=complete_commands,
         ),
     ],
     params: Annotated[
-        list[str] | None, typer.Argument(metavar="[PARAM1 … PARAM7]", help="Numbers; nan or - is unset.")
+        list[str] | None, typer.Argument(metavar="[PARAM1 … PARAM7]", help="Numbers; nan or -: not set.")
     ] = None,
     frame: Annotated[
-        str | None, typer.Option("--frame", metavar="MAV_FRAME", help="As COMMAND_INT, with --x, --y, --z.")
+        str | None, typer.Option("--frame", metavar="MAV_FRAME", help="Send COMMAND_INT, with --x, --y, --z.")
     ] = None,
-    x: Annotated[int | None, typer.Option("--x", help="As on the wire: latitude * 1e7.")] = None,
-    y: Annotated[int | None, typer.Option("--y", help="As on the wire: longitude * 1e7.")] = None,
+    x: Annotated[int | None, typer.Option("--x", help="As in the message: latitude * 1e7.")] = None,
+    y: Annotated[int | None, typer.Option("--y", help="As in the message: longitude * 1e7.")] = None,
     z: Annotated[float | None, typer.Option("--z", metavar="Z", help="Metres.", parser=finite)] = None,
-    force: Annotated[bool, typer.Option("--force", help="Without the checks of the order that does the same.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Skip the checks of the order that does the same.")] = False,
     json_output: Json = False,
 ) -> None:
     """Send any MAV_CMD and wait for its acknowledgement."""
     numbers = [parse_unset_number(p, f"PARAM{i}") for i, p in enumerate(params or [], 1)]
     more: dict[str, Any] = {}
     if (x is None) != (y is None):
-        raise typer.BadParameter("--x and --y are one place: give both")
+        raise typer.BadParameter("--x and --y make one position: give both")
     if frame is None and (x is not None or z is not None):
-        raise typer.BadParameter("--x, --y and --z are for COMMAND_INT: give --frame, too (GLOBAL_RELATIVE_ALT, …)")
+        raise typer.BadParameter("--x, --y and --z belong to COMMAND_INT: give --frame, too (GLOBAL_RELATIVE_ALT, …)")
     if frame is not None:
         more = {"int_frame": name_or_id(frame), "x": x, "y": y, "z": z}
     if force:
         more["force"] = True
-    order("command", targets, json_output, command=name_or_id(name), params=numbers, **more)
+    _order("command", targets, json_output, command=name_or_id(name), params=numbers, **more)
+
+
+def stop(
+    targets: Targets,
+    action: Annotated[
+        StopAction, typer.Argument(help="hold the position, land there, or kill: stop the motors, the vehicle falls.")
+    ] = StopAction.HOLD,
+    confirm: Annotated[
+        str | None,
+        typer.Option(
+            "--confirm", metavar="WORD", help="For kill: kill-N, N is the number of vehicles. Default: asks for it."
+        ),
+    ] = None,
+    json_output: Json = False,
+) -> None:
+    """Emergency stop: sent over every link, also to lost vehicles, and repeated until the vehicle shows the effect."""
+    _order_confirmed("stop", targets, json_output, confirm, action=action.value)
 
 
 def add_to(app: typer.Typer) -> None:
-    """All orders, in the order of a flight."""
-    functions: tuple[Callable[..., None], ...] = (arm, takeoff, goto, hold, mode, rtl, land, disarm)
+    """Add all orders, in the order of a flight."""
+    functions: tuple[Callable[..., None], ...] = (arm, takeoff, goto, hold, mode, rtl, land, disarm, stop)
     further: tuple[Callable[..., None], ...] = (reboot, sysid, forget, home, interval, stream, command)
     with_numbers = (takeoff, goto, home, interval, stream, command)
     for function in (*functions, *further):

@@ -1,40 +1,37 @@
-"""`skygcs-cli origin`: the fleet's world frame."""
+"""`skygcs-cli origin`: the origin of the fleet's world frame."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli.connection import run, waiting
-from skygcs.cli.options import Json, Targets
-from skygcs.cli.orders import tell_outcomes
+from skygcs.cli.connection import run_order, run_show
+from skygcs.cli.options import Json, OneVehicle, Targets
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, finite
-from skygcs.rpc.client import Client
 
 app = typer.Typer(
-    help="Show or set the origin of the frame that all positions are told in; no vehicle moves by that.",
+    help="Show or set the origin of the frame in which positions are given; this moves no vehicle.",
     invoke_without_command=True,
 )
 
 EAST_DEG = 90.0
-"""Compass heading of the x axis unless said otherwise."""
+"""Default compass heading of the x axis."""
 
 Heading = Annotated[
     float | None,
     typer.Option(
         "--heading",
         metavar="DEG",
-        help="Compass heading of the x axis; 90 is east. Default: as it is.",
+        help="Compass heading of the x axis; 90 is east. [default: unchanged]",
         parser=finite,
     ),
 ]
 
 
 @app.callback()
-def origin(ctx: typer.Context, json_output: Json = False) -> None:
+def _origin_default(ctx: typer.Context, json_output: Json = False) -> None:
     if ctx.invoked_subcommand is None:
         _ask("origin.get", json_output)
 
@@ -54,7 +51,7 @@ def set_(
     force: Annotated[bool, typer.Option("--force", help="Although a vehicle is farther than 20 km from it.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Set the origin: `origin set 43.7806 -79.4653 180 --heading 30`. All positions are told anew, no vehicle moves."""
+    """Set the origin: `origin set 43.7806 -79.4653 180 --heading 30`. Coordinates change, no vehicle moves."""
     _ask(
         "origin.set",
         json_output,
@@ -69,47 +66,46 @@ def set_(
 
 @app.command("from")
 def from_(
-    vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="Its name or system id.")],
-    heading: Annotated[bool, typer.Option("--heading", help="Point x along its nose.")] = False,
+    vehicle: OneVehicle,
+    heading: Annotated[bool, typer.Option("--heading", help="Point the x axis along its nose.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Without a 3D fix, or far from other vehicles.")] = False,
     json_output: Json = False,
 ) -> None:
-    """Set the origin to where a vehicle is now."""
+    """Set the origin to the present position of a vehicle."""
     _ask("origin.from_vehicle", json_output, target=vehicle, heading=heading, force=force)
 
 
 @app.command("push")
 def push(
     targets: Targets,
-    home: Annotated[bool, typer.Option("--home", help="Set their homes there, too: all return to that place.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Although armed; a home in the air or far away, too.")] = False,
+    home: Annotated[
+        bool, typer.Option("--home", help="Set their homes there, too: all of them would return to that place.")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Although vehicles are armed, or the home would be in the air or far away.")
+    ] = False,
     json_output: Json = False,
 ) -> None:
-    """Tell vehicles the origin as that of their own local frame, for programs on board; skygcs does not need it.
+    """Send the origin to vehicles for their own local frame, which programs on board use; skygcs does not need it.
 
-    ArduPilot takes it only while it has none.
+    ArduPilot accepts it only while it has no origin.
     """
-
-    async def command(gcs: Client) -> int:
-        async with waiting(f"origin push {targets}"):
-            answer = await gcs.call("origin.push", targets=targets, home=home, force=force)
-        return tell_outcomes(answer["outcomes"], json_output)
-
-    run(command)
+    run_order("origin.push", json_output, targets=targets, home=home, force=force)
 
 
 def _ask(method: str, json_output: bool, *, kept_heading: bool = False, **params: Any) -> None:
-    async def command(gcs: Client) -> None:
-        status = await gcs.call(method, **params)
-        typer.echo(json.dumps(status, indent=2) if json_output else _line(status))
+    """``kept_heading``: if the x axis keeps a heading other than east, print how to change it."""
+
+    def lines(status: Mapping[str, Any]) -> Iterator[str]:
+        yield _line(status)
         origin = status["origin"]
-        if kept_heading and not json_output and origin is not None and origin["x_heading_deg"] != EAST_DEG:
-            typer.echo(
+        if kept_heading and origin is not None and origin["x_heading_deg"] != EAST_DEG:
+            yield (
                 f"the x axis keeps its heading of {origin['x_heading_deg']:.1f}°; "
                 f"--heading {EAST_DEG:g} turns it to the east"
             )
 
-    run(command)
+    run_show(method, json_output, lines, **params)
 
 
 def _line(status: Mapping[str, Any]) -> str:
@@ -124,3 +120,7 @@ def _line(status: Mapping[str, Any]) -> str:
     )
     place = f"{origin['lat_deg']:.7f}, {origin['lon_deg']:.7f}, {origin['alt_amsl_m']:.2f} m above sea level"
     return f"{place}; {axes} (frame {status['generation']})"
+
+
+def add_to(app_: typer.Typer) -> None:
+    app_.add_typer(app, name="origin", rich_help_panel="Orders")

@@ -1,50 +1,77 @@
-"""`skygcs-cli param`: parameters of vehicles and of files, compared, kept and brought back."""
+"""`skygcs-cli param`: read, set, save, apply and compare the parameters of vehicles and of parameter files."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import fnmatch
-import json
 import os
 import sys
-from collections.abc import AsyncIterator, Iterable, Mapping
-from dataclasses import asdict
+import tempfile
+from collections.abc import AsyncIterator, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from skygcs.cli.connection import Exit, run, run_offline
-from skygcs.cli.options import Json, Targets
+from skygcs.cli.connection import Exit, run, run_offline, show
+from skygcs.cli.options import Json, OneVehicle, Targets
 from skygcs.cli.parsing import NUMBERS, NumbersCommand, parse_number
-from skygcs.errors import RefusedError
+from skygcs.cli.render import plural, print_json, print_lines
+from skygcs.core.mavlink.param_encoding import NAME_CHARS, Param, ParamType, float32, short_float
+from skygcs.core.params.compare import ApplyPlan, Change, Difference, diff, plan
+from skygcs.core.params.names import SORTS, Sort
+from skygcs.core.params.param_file import MAX_CHARS, Entry, Kind, ParamFile, Rounding, of_vehicle, parse, write
+from skygcs.errors import ConfigError, RefusedError
 from skygcs.rpc.client import Client
-
-if TYPE_CHECKING:  # every command line registers every command: what only these need is imported when they run
-    from skygcs.cli.param_file import Held
-    from skygcs.core.params.compare import ApplyPlan, Difference
-    from skygcs.core.params.param_file import Entry, ParamFile
 
 params = typer.Typer(
     help="Read, set, save, compare and apply parameters; `diff` of two files needs no daemon.", no_args_is_help=True
 )
 
 Refresh = Annotated[
-    bool, typer.Option("--refresh", help="Read all from the vehicle, although it vouches for what is known.")
+    bool, typer.Option("--refresh", help="Read all from the vehicle, although it confirms the values known already.")
 ]
 Burst = Annotated[
     bool,
-    typer.Option("--burst", help="All at once: quicker on USB or Wi-Fi, but it drowns a radio that vehicles share."),
+    typer.Option("--burst", help="Request all at once: faster on USB or Wi-Fi, but it overloads a shared radio."),
 ]
 Include = Annotated[
     str,
     typer.Option(
         "--include",
         metavar="SORT,…",
-        help="Also what is of one vehicle alone: calibration, statistics, identity, or all.",
+        help="Include what belongs to one vehicle only: calibration, statistics, identity, or all.",
     ),
 ]
+
+STACKS = {"px4": "PX4 Pro", "ardupilot": "ArduPilot"}
+"""Names of the firmwares as QGroundControl writes them."""
+
+BAR_CELLS = 30
+MAX_NAMED = 10
+"""Names listed of the parameters that are left alone."""
+
+WRITERS: Mapping[Rounding, str] = {
+    "6 decimals": "rounded to 6 decimals, as MAVProxy writes them",
+    "7 digits": "rounded to 7 digits, as Mission Planner writes them",
+}
+"""The 18 decimals of QGroundControl hide no difference between 32-bit floats."""
+
+OutcomesByVehicle = Mapping[str, Mapping[str, Mapping[str, Any]]]
+"""Outcome by vehicle and parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldParams:
+    """All parameters that a vehicle holds."""
+
+    name: str
+    sysid: int
+    compid: int
+    autopilot: str
+    params: tuple[Param, ...]
 
 
 @params.command("get")
@@ -57,7 +84,7 @@ def get(
 
     async def command(gcs: Client) -> int:
         answer = await gcs.call("params.get", targets=targets, names=[n.upper() for n in names])
-        return _tell(answer["outcomes"], json_output)
+        return _show_outcomes(answer["outcomes"], json_output)
 
     run(command)
 
@@ -72,11 +99,11 @@ def set_(
 ) -> None:
     """Set parameters and read them back: `param set 1 NAV_RCL_ACT 0 COM_RC_IN_MODE 4`."""
     if len(pairs) % 2:
-        raise typer.BadParameter(f"{pairs[-1]} has no value behind it")
+        raise typer.BadParameter(f"{pairs[-1]} is not followed by a value")
     values = {name.upper(): parse_number(text, name) for name, text in zip(pairs[::2], pairs[1::2], strict=True)}
 
     async def command(gcs: Client) -> int:
-        return _tell(await _set(gcs, targets, values), json_output)
+        return _show_outcomes(await _set(gcs, targets, values), json_output)
 
     run(command)
 
@@ -91,19 +118,13 @@ def list_(
     burst: Burst = False,
     json_output: Json = False,
 ) -> None:
-    """All parameters of vehicles, or those whose names fit a pattern."""
+    """List all parameters of vehicles, or those whose names match a pattern."""
 
     async def command(gcs: Client) -> int:
-        from skygcs.cli import param_lines
-
         lists = await _lists(gcs, targets, refresh=refresh, burst=burst)
         for entry in lists.values():
             entry["params"] = [p for p in entry["params"] if fnmatch.fnmatchcase(p["name"], pattern.upper())]
-        if json_output:
-            typer.echo(json.dumps({"lists": lists}, indent=2))
-        else:
-            for line in param_lines.lists(lists):
-                typer.echo(line)
+        show({"lists": lists}, json_output, lambda _: list_lines(lists))
         return Exit.DONE if all(entry["ok"] for entry in lists.values()) else Exit.FAILED
 
     run(command)
@@ -111,18 +132,19 @@ def list_(
 
 @params.command("save")
 def save(
-    target: Annotated[str, typer.Argument(metavar="VEHICLE", help="Its name or system id.")],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help=".params: QGroundControl's; .param, .parm: others'.")],
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+    target: OneVehicle,
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help=".params: format of QGroundControl; .param, .parm: of the other programs."),
+    ],
+    force: Annotated[bool, typer.Option("--force", help="Overwrite FILE.")] = False,
     refresh: Refresh = False,
     burst: Burst = False,
 ) -> None:
     """Save all parameters of a vehicle to a file."""
-    from skygcs.cli.param_file import kind_of, write_file
-
     kind = kind_of(file)
     if file.exists() and not force:
-        raise typer.BadParameter(f"{file} is there already; --force writes over it")
+        raise typer.BadParameter(f"{file} exists; --force overwrites it")
 
     async def command(gcs: Client) -> int:
         held = await _held(gcs, target, refresh=refresh, burst=burst)
@@ -138,85 +160,87 @@ def save(
 def apply(
     targets: Targets,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A parameter file of any kind.")],
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be set.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print what would be set.")] = False,
     include: Include = "",
-    force: Annotated[bool, typer.Option("--force", help="Although it seems to be another vehicle's file.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Although the file seems to belong to another vehicle.")
+    ] = False,
     refresh: Refresh = False,
     burst: Burst = False,
     json_output: Json = False,
 ) -> None:
-    """Set what a file has otherwise, and nothing else; every value is read back, and what differs then is listed.
+    """Set the parameters that differ from the file; read every value back and list what still differs.
 
-    Calibration, statistics and system ids are left alone unless asked for with --include. Nothing is sent if the file
-    has a value that the vehicle cannot hold, or seems to be another vehicle's.
+    Calibration, statistics and system ids are left alone without --include. Nothing is sent if the file has a value
+    that the vehicle cannot hold, or seems to belong to another vehicle.
     """
-    from skygcs.cli import param_lines
-    from skygcs.cli.param_file import held_of, include_of, read_file
-    from skygcs.core.params.compare import plan
-
     sorts = include_of(include)
-
-    def planned(contents: ParamFile, held: Held) -> ApplyPlan:
-        return plan(
-            contents,
-            {p.name: p for p in held.params},
-            sysid=held.sysid,
-            compid=held.compid,
-            stack=held.autopilot,
-            include=sorts,
-        )
-
-    async def applied(gcs: Client, contents: ParamFile, held: Held, made: ApplyPlan) -> dict[str, Any]:
-        """Sets, reads again and reports; what JSON says of it."""
-
-        def tell(lines: Iterable[str]) -> None:
-            for line in () if json_output else lines:
-                typer.echo(line)
-
-        done: dict[str, Any] = {"outcomes": {}, "differs": []}
-        if not made.changes:
-            return done
-        outcomes = (await _set(gcs, str(held.sysid), {c.name: c.value for c in made.changes}))[held.name]
-        done["outcomes"] = outcomes
-        tell(param_lines.outcomes({held.name: outcomes}))
-        why = "its identity has been changed" if any(c.sort == "identity" for c in made.changes) else ""
-        try:
-            # what was set has been read once more by the daemon, which hears what else the vehicle changes
-            now = held if why else await _held(gcs, str(held.sysid), refresh=False, burst=False)
-            left = () if why else planned(contents, now).changes
-        except RefusedError as error:
-            why, left = str(error), ()
-        if why:
-            done["differs"] = None
-            tell([f"{held.name}: not read again: {why}"])
-        else:
-            done["differs"] = [asdict(change) for change in left]
-            tell(param_lines.after_lines(held.name, left))
-        return done
 
     async def command(gcs: Client) -> int:
         contents = read_file(file)
         exit_code = Exit.DONE
         answers: dict[str, Any] = {}
-        for entry in (await _lists(gcs, targets, refresh=refresh, burst=burst, sure=True)).values():
+        for entry in (await _lists(gcs, targets, refresh=refresh, burst=burst, confirmed=True)).values():
+            # what would be set in this vehicle
             held = held_of(entry)
-            made = planned(contents, held)
-            answers[held.name] = param_lines.plan_data(made)
+            made = _planned(contents, held, sorts)
+            answers[held.name] = asdict(made)
             if not json_output:
-                for line in param_lines.plan_lines(held.name, made):
-                    typer.echo(line)
+                print_lines(plan_lines(held.name, made))
             if dry_run:
                 continue
+            # set it, unless the file is wrong for this vehicle
             _refuse(held.name, made, force=force)
-            done = await applied(gcs, contents, held, made)
+            done = await _applied(gcs, contents, held, made, sorts, quiet=json_output)
             answers[held.name] |= done
             if done["differs"] or not all(o["ok"] for o in done["outcomes"].values()):
                 exit_code = Exit.FAILED
         if json_output:
-            typer.echo(json.dumps(answers, indent=2))
+            print_json(answers)
         return exit_code
 
     run(command)
+
+
+def _planned(contents: ParamFile, held: HeldParams, sorts: frozenset[Sort]) -> ApplyPlan:
+    by_name = {p.name: p for p in held.params}
+    return plan(contents, by_name, sysid=held.sysid, compid=held.compid, stack=held.autopilot, include=sorts)
+
+
+async def _applied(
+    gcs: Client, contents: ParamFile, held: HeldParams, made: ApplyPlan, sorts: frozenset[Sort], *, quiet: bool
+) -> dict[str, Any]:
+    """Set the changes of a plan, read the parameters again and report; returns the same for JSON."""
+
+    def report(lines: Iterable[str]) -> None:
+        print_lines(() if quiet else lines)
+
+    if not made.changes:
+        return {"outcomes": {}, "differs": []}
+    outcomes = (await _set(gcs, str(held.sysid), {c.name: c.value for c in made.changes}))[held.name]
+    report(outcome_lines({held.name: outcomes}))
+    # read again what the vehicle holds now; after a change of its identity it is another vehicle to the daemon
+    left: Sequence[Change] = ()
+    problem = "its identity was changed" if any(c.sort == "identity" for c in made.changes) else ""
+    if not problem:
+        try:
+            now = await _held(gcs, str(held.sysid), refresh=False, burst=False)
+            left = _planned(contents, now, sorts).changes
+        except RefusedError as error:
+            problem = str(error)
+    if problem:
+        report([f"{held.name}: not read again: {problem}"])
+        return {"outcomes": outcomes, "differs": None}
+    report(after_lines(held.name, left))
+    return {"outcomes": outcomes, "differs": [asdict(change) for change in left]}
+
+
+def _refuse(name: str, made: ApplyPlan, *, force: bool) -> None:
+    """Raises RefusedError if nothing of the file must be sent."""
+    if made.problems:
+        raise RefusedError(f"{name}: nothing was set: {'; '.join(made.problems[:10])}")
+    if made.warnings and not force:
+        raise RefusedError(f"{name}: nothing was set: {'; '.join(made.warnings)}; --force sets it all the same")
 
 
 @params.command("diff")
@@ -227,35 +251,30 @@ def diff_(
     refresh: Refresh = False,
     json_output: Json = False,
 ) -> None:
-    """Where two sets of parameters differ; exit 1 if they do. Each is a file or a vehicle.
+    """Show where two sets of parameters differ; exit 1 if they do. Each is a file or a vehicle.
 
-    Values are compared as the 32-bit floats that vehicles hold, exactly. Only of a file whose writer rounds (MAVProxy,
-    Mission Planner) a value stands for all that it would have rounded to it.
+    Values are compared exactly, as the 32-bit floats that vehicles hold. If the program that wrote a file rounds
+    (MAVProxy, Mission Planner), a value of it equals all values that round to it.
     """
-    from skygcs.cli import param_lines
-    from skygcs.cli.param_file import include_of, read_file
-    from skygcs.core.params.compare import diff
-    from skygcs.core.params.param_file import Entry
-
     sorts = include_of(include)
     notes: list[str] = []
 
     def from_file(name: str) -> tuple[Entry, ...]:
         contents = read_file(Path(name))
-        notes.extend(param_lines.rounded(name, contents.rounding))
+        notes.extend(rounding_note(name, contents.rounding))
         return contents.entries
 
-    def tell(left: tuple[Entry, ...], right: tuple[Entry, ...]) -> int:
+    def compare(left: tuple[Entry, ...], right: tuple[Entry, ...]) -> int:
         found = [d for d in diff(left, right) if d.sort in sorts]
+        keys = ("name", "other", "first", "second", "kind", "sort")
         if json_output:
-            typer.echo(json.dumps([_difference(d) for d in found], indent=2))
+            print_json([{key: getattr(d, key) for key in keys} for d in found])
         else:
-            for line in (*param_lines.differences(first, second, found), *notes):
-                typer.echo(line)
+            print_lines((*difference_lines(first, second, found), *notes))
         return Exit.FAILED if found else Exit.DONE
 
     if all(_is_file(name) for name in (first, second)):
-        run_offline(lambda: tell(from_file(first), from_file(second)))
+        run_offline(lambda: compare(from_file(first), from_file(second)))
 
     async def command(gcs: Client) -> int:
         sides = []
@@ -265,48 +284,33 @@ def diff_(
             else:
                 held = await _held(gcs, name, refresh=refresh, burst=False)
                 sides.append(tuple(Entry(p.name, p.value) for p in held.params))
-        return tell(*sides)
+        return compare(*sides)
 
     run(command)
 
 
 @params.command("cancel")
 def cancel(targets: Targets) -> None:
-    """Stop what is being read or set by anybody."""
+    """Stop all reading and setting of parameters, whoever started it."""
 
     async def command(gcs: Client) -> None:
         for name, count in (await gcs.call("params.cancel", targets=targets)).items():
-            typer.echo(f"{name}: {count} request{'s' if count != 1 else ''} stopped")
+            typer.echo(f"{name}: {plural(count, 'request')} stopped")
 
     run(command)
 
 
 def _is_file(name: str) -> bool:
-    """A file that is there, or one by its looks: a vehicle's name has neither a slash nor one of these endings."""
+    """True for a file that exists or looks like one: no name of a vehicle has a slash or one of these endings."""
     return Path(name).is_file() or os.sep in name or name.endswith((".params", ".param", ".parm"))
 
 
-def _difference(d: Difference) -> dict[str, Any]:
-    return {"name": d.name, "other": d.other, "first": d.first, "second": d.second, "kind": d.kind, "sort": d.sort}
+def _show_outcomes(outcomes: OutcomesByVehicle, json_output: bool) -> int:
+    show({"outcomes": outcomes}, json_output, lambda _: outcome_lines(outcomes))
+    return Exit.DONE if all(o["ok"] for by_name in outcomes.values() for o in by_name.values()) else Exit.FAILED
 
 
-def _refuse(name: str, made: ApplyPlan, *, force: bool) -> None:
-    """Raises RefusedError if nothing of the file must be sent."""
-    if made.problems:
-        raise RefusedError(f"{name}: nothing was set: {'; '.join(made.problems[:10])}")
-    if made.warnings and not force:
-        raise RefusedError(f"{name}: nothing was set: {'; '.join(made.warnings)}; insist with --force")
-
-
-def _tell(outcomes: Mapping[str, Mapping[str, Mapping[str, Any]]], json_output: bool) -> int:
-    from skygcs.cli import param_lines
-
-    if json_output:
-        typer.echo(json.dumps({"outcomes": outcomes}, indent=2))
-    else:
-        for line in param_lines.outcomes(outcomes):
-            typer.echo(line)
-    return Exit.DONE if all(o["ok"] for of in outcomes.values() for o in of.values()) else Exit.FAILED
+# --- vehicles ---------------------------------------------------------------------------------------------------------
 
 
 async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[str, dict[str, dict[str, Any]]]:
@@ -317,18 +321,18 @@ async def _set(gcs: Client, targets: str, values: Mapping[str, float]) -> dict[s
 
 
 async def _lists(
-    gcs: Client, targets: str, *, refresh: bool, burst: bool, sure: bool = False
+    gcs: Client, targets: str, *, refresh: bool, burst: bool, confirmed: bool = False
 ) -> dict[str, dict[str, Any]]:
-    """One vehicle after another, by name: together they could be too much for one answer.
+    """The parameter lists of vehicles, by name. One vehicle after another: all together could exceed one answer.
 
-    ``sure``: something rests on the values; that their number is what it was will not do.
+    ``confirmed``: values from an earlier run are read again unless the vehicle confirms them by more than their number.
     """
     lists: dict[str, dict[str, Any]] = {}
     for state in await gcs.vehicles(targets):
         name = state["name"]
         async with _progress(gcs, name):
             answer = await gcs.call("params.list", targets=name, refresh=refresh, burst=burst)
-            if sure and answer["lists"][name]["vouched"] == "count":
+            if confirmed and answer["lists"][name]["vouched"] == "count":
                 answer = await gcs.call("params.list", targets=name, refresh=True, burst=burst)
         lists[name] = answer["lists"][name] | {"name": name}
     if not lists:
@@ -336,18 +340,16 @@ async def _lists(
     return lists
 
 
-async def _held(gcs: Client, target: str, *, refresh: bool, burst: bool) -> Held:
-    lists = await _lists(gcs, target, refresh=refresh, burst=burst, sure=True)
+async def _held(gcs: Client, target: str, *, refresh: bool, burst: bool) -> HeldParams:
+    lists = await _lists(gcs, target, refresh=refresh, burst=burst, confirmed=True)
     if len(lists) != 1:
         raise RefusedError(f"{target} names {len(lists)} vehicles ({', '.join(lists)}); give one")
-    from skygcs.cli.param_file import held_of
-
     return held_of(next(iter(lists.values())))
 
 
 @contextlib.asynccontextmanager
 async def _progress(gcs: Client, targets: str) -> AsyncIterator[None]:
-    """A bar with the time that is left while the body runs; on a terminal only."""
+    """Show a progress bar with the time that is left while the body runs; on a terminal only."""
     if not sys.stderr.isatty():
         yield
         return
@@ -362,8 +364,177 @@ async def _progress(gcs: Client, targets: str) -> AsyncIterator[None]:
 
 
 async def _draw(gcs: Client, targets: str) -> None:
-    from skygcs.cli import param_lines
-
     async for event in gcs.events(targets, kinds=["params"]):
-        sys.stderr.write(f"\r\033[K{param_lines.bar(event)}")
+        sys.stderr.write(f"\r\033[K{bar(event)}")
         sys.stderr.flush()
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def held_of(entry: Mapping[str, Any]) -> HeldParams:
+    """One entry of the answer of params.list. Raises RefusedError if it is not complete."""
+    if not entry["ok"]:
+        raise RefusedError(f"{entry['name']}: its parameters are not known: {entry['message']}")
+    params = tuple(_param(p) for p in entry["params"] if p["value"] is not None)
+    return HeldParams(entry["name"], entry["sysid"], entry["compid"], entry["autopilot"], params)
+
+
+def _param(entry: Mapping[str, Any]) -> Param:
+    type_ = ParamType[entry["type"]]
+    value = entry["value"]
+    return Param(entry["name"], int(value) if type_.integer and value == int(value) else float(value), type_)
+
+
+def kind_of(path: Path) -> Kind:
+    """The format, by the ending of the name. Raises BadParameter."""
+    kinds: dict[str, Kind] = {".params": "qgc", ".param": "plain", ".parm": "plain"}
+    kind = kinds.get(path.suffix.lower())
+    if kind is None:
+        raise typer.BadParameter(
+            f"{path}: the name must end in .params (QGroundControl), .param or .parm (other programs)"
+        )
+    return kind
+
+
+def include_of(text: str) -> frozenset[Sort]:
+    """The sorts in "calibration,identity" or "all"; settings are always included. Raises BadParameter."""
+    words = [w.strip() for w in text.split(",") if w.strip()]
+    if "all" in words:
+        return frozenset(SORTS)
+    if wrong := [w for w in words if w not in SORTS]:
+        raise typer.BadParameter(f"--include: no {', '.join(wrong)}; there are: {', '.join(SORTS)}, all")
+    return frozenset(s for s in SORTS if s == "settings" or s in words)
+
+
+def read_file(path: Path) -> ParamFile:
+    """Raises ConfigError with line and reason."""
+    try:
+        if path.stat().st_size > 4 * MAX_CHARS:
+            raise ConfigError(str(path), ["is too long for a parameter file"])
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(path), [f"is not UTF-8 text (byte {error.start})"]) from None
+    return parse(text, str(path))
+
+
+def write_file(path: Path, held: HeldParams, kind: Kind, state: Mapping[str, Any]) -> None:
+    """Write the file completely or not at all. ``state``: of the vehicle, for the header."""
+    about = {"Stack": STACKS.get(held.autopilot, held.autopilot), "Vehicle": str(state.get("type", "unknown"))}
+    if state.get("firmware"):
+        about["Version"] = str(state["firmware"])
+    file = of_vehicle(held.params, kind, sysid=held.sysid, compid=held.compid, about=about)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as out:
+            out.write(write(file))
+        Path(name).chmod(0o644)
+        os.replace(name, path)
+    except OSError:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+# --- lines ------------------------------------------------------------------------------------------------------------
+
+
+def outcome_lines(outcomes: OutcomesByVehicle) -> Iterator[str]:
+    """One line per vehicle and parameter."""
+    width = max((len(name) for name in outcomes), default=0)
+    for vehicle, by_name in outcomes.items():
+        for asked, outcome in by_name.items():
+            name = asked if asked == outcome["name"] else f"{asked} ({outcome['name']})"
+            word = "ok  " if outcome["ok"] else "FAIL"
+            yield f"{word} {vehicle:<{width}}  {name:<{NAME_CHARS}}  {outcome['message']}"
+
+
+def list_lines(lists: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """All parameters, each vehicle below its heading."""
+    for name, entry in lists.items():
+        how = "not read again" if entry["source"] == "cache" else f"read in {entry['elapsed_s']:.1f} s"
+        if entry["vouched"] == "count":
+            how = "from an earlier run, only their number was checked; --refresh reads them"
+        yield f"{name}: {entry['message']} ({how})" if entry["ok"] else f"{name}: FAIL {entry['message']}"
+        for param in entry["params"]:
+            yield f"  {param['name']:<{NAME_CHARS}}  {_value(param['value']):<14} {param['type']}"
+
+
+def difference_lines(first: str, second: str, found: Sequence[Difference]) -> Iterator[str]:
+    if not found:
+        yield "no difference"
+        return
+    yield f"{'':<{NAME_CHARS}}  {first}  ->  {second}"
+    for d in found:
+        other = f"  (there {d.other})" if d.other else ""
+        note = "" if d.sort == "settings" else f"  [{d.sort}]"
+        yield f"{d.name:<{NAME_CHARS}}  {_side(d.first)}  ->  {_side(d.second)}{other}{note}"
+
+
+def rounding_note(name: str, rounding: Rounding) -> Iterator[str]:
+    """A note about differences that a comparison with this file cannot show."""
+    if rounding in WRITERS:
+        yield f"{name}: its values are {WRITERS[rounding]}; smaller difference_lines do not show"
+
+
+def after_lines(vehicle: str, left: Sequence[Change]) -> Iterator[str]:
+    """What differs from the file after everything was set and read again."""
+    if not left:
+        yield f"{vehicle}: read again, nothing differs from the file"
+        return
+    yield f"{vehicle}: read again, {len(left)} still {'differs' if len(left) == 1 else 'differ'} from the file:"
+    for change in left:
+        yield f"  {change.name:<{NAME_CHARS}}  {_value(change.before)} instead of {_value(change.value)}"
+
+
+def plan_lines(vehicle: str, made: ApplyPlan) -> Iterator[str]:
+    """What applying a file would do."""
+    yield f"{vehicle}: {len(made.changes)} to set, {made.same} equal, {len(made.skipped)} left alone"
+    for note in rounding_note("the file", made.rounding):
+        yield f"  {note}"
+    for warning in made.warnings:
+        yield f"  WARNING: {warning}"
+    for problem in made.problems:
+        yield f"  FAIL {problem}"
+    for change in made.changes:
+        yield f"  {change.name:<{NAME_CHARS}}  {_value(change.before)} -> {_value(change.value)}"
+    if made.skipped:
+        yield f"  left alone (see --include): {_named(name for name, _ in made.skipped)}"
+    if made.unknown:
+        yield f"  the vehicle has no {_named(made.unknown)}"
+        yield "  (ArduPilot has some parameters only while their feature is on: switch it on, then apply again)"
+    if made.changes:
+        yield "  some parameters take effect only after a reboot; autopilots do not report which"
+
+
+def bar(event: Mapping[str, Any]) -> str:
+    """A progress bar for a progress event."""
+    data = event["data"]
+    percent = data.get("percent")
+    if percent is None:
+        return str(event["text"])
+    full = BAR_CELLS * percent // 100
+    left = "" if data.get("remaining_s") is None else f"  {data['remaining_s']:.0f} s left"
+    counted = f"{data['received']}/{data['count']}"
+    return f"{event['vehicle']}  [{'#' * full}{'.' * (BAR_CELLS - full)}] {counted}{left}"
+
+
+def _named(names: Iterable[str]) -> str:
+    listed = list(names)
+    more = len(listed) - MAX_NAMED
+    return ", ".join(listed[:MAX_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _side(value: float | None) -> str:
+    return "-" if value is None else _value(value)
+
+
+def _value(value: float | None) -> str:
+    if value is None:
+        return "?"
+    return str(value) if isinstance(value, int) or float32(value) != value else short_float(value)
+
+
+def add_to(app: typer.Typer) -> None:
+    app.add_typer(params, name="param", rich_help_panel="Set up")

@@ -1,4 +1,4 @@
-"""What people type for values: numbers, lists, words; and what tells a negative number from an option."""
+"""What people type: numbers, lists, words, pairs of name and value; and negative numbers, which look like options."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import typer
 from typer.core import TyperCommand
 
 NUMBERS = {"ignore_unknown_options": True}
-"""Context settings of commands whose arguments may be negative: "-79.2" is no option there."""
+"""Context settings of commands whose arguments may be negative: "-79.2" is a number there, not an option."""
 
 
 class NumbersCommand(TyperCommand):
-    """A command with NUMBERS: one dash may begin a number, but two are always an option."""
+    """A command with NUMBERS: one dash may begin a number, two dashes always begin an option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         known = [name for param in self.get_params(ctx) for name in (*param.opts, *param.secondary_opts)]
@@ -70,7 +70,7 @@ def parse_pairs(pairs: list[str]) -> dict[str, Any]:
 
 
 def parse_link(pairs: list[str]) -> dict[str, Any]:
-    """`parse_pairs` for a link's table: filters and vehicles are lists, also of one. Raises BadParameter."""
+    """`parse_pairs` for a link: filters and vehicles become lists, also a single value. Raises BadParameter."""
     link = parse_pairs(pairs)
     for key, value in link.items():
         if key.startswith(("allow_", "block_", "vehicles")) and not isinstance(value, list):
@@ -79,30 +79,31 @@ def parse_link(pairs: list[str]) -> dict[str, Any]:
     return link
 
 
-def parse_number(text: str, what: str) -> float:
-    """Raises BadParameter naming ``what``."""
+def parse_number(text: str | float, what: str = "") -> float:
+    """A finite number. Raises BadParameter that names ``what``."""
+    prefix = f"{what}: " if what else ""
     try:
         value = float(text)
     except ValueError:
-        raise typer.BadParameter(f"{what}: {text!r} is not a number") from None
+        raise typer.BadParameter(f"{prefix}{text!r} is not a number") from None
     if not math.isfinite(value):
-        raise typer.BadParameter(f"{what}: {text!r} is not a finite number")
+        raise typer.BadParameter(f"{prefix}{text!r} is not a finite number")
     return value
 
 
 def finite(text: str | float) -> float:
-    """Parser of options and arguments that are numbers: typer's own lets nan and inf pass, which JSON cannot carry."""
-    try:
-        value = float(text)
-    except ValueError:
-        raise typer.BadParameter(f"{text!r} is not a number") from None
-    if not math.isfinite(value):
-        raise typer.BadParameter(f"{text!r} is not a finite number")
-    return value
+    """Parser of options and arguments that are numbers: typer's own accepts nan and inf, which JSON cannot carry."""
+    return parse_number(text)
+
+
+def within(option: str, value: float | None, least: float, most: float) -> None:
+    """Raises BadParameter unless the value is between ``least`` and ``most``, or None."""
+    if value is not None and not least <= value <= most:
+        raise typer.BadParameter(f"{option}: {value:g} is not between {least:g} and {most:g}")
 
 
 def parse_json(text: str, *, strict: bool = True) -> Any:
-    """JSON without NaN and Infinity (1e999 is one, too): an error if ``strict``, else null. Raises ValueError."""
+    """JSON in which NaN and Infinity (also as 1e999) are errors if ``strict``, else null. Raises ValueError."""
 
     def number(literal: str) -> float | None:
         value = float(literal)
@@ -114,7 +115,7 @@ def parse_json(text: str, *, strict: bool = True) -> Any:
 
 
 def parse_unset_number(text: str, what: str) -> float | None:
-    """A number, or None for "nan", "null" or "-": not set."""
+    """A number, or None for "nan", "null" or "-", which mean "not set"."""
     return None if text.lower() in ("nan", "null", "-") else parse_number(text, what)
 
 

@@ -43,4 +43,4 @@ def plot(
 
 
 def add_to(app: typer.Typer) -> None:
-    app.command(rich_help_panel="Looking")(plot)
+    app.command(rich_help_panel="Show")(plot)

@@ -1,4 +1,4 @@
-"""A process of skygcs from outside: its loop, its signals, its log, its exit code, its service manager."""
+"""A process that runs skygcs: its event loop, signals, log, exit codes and service manager."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 EXIT_OK = 0
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
-"""As a shell reports a program ended by Ctrl-C."""
+"""The exit code of a program that Ctrl-C ended, as shells report it."""
 
 
 async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None = None) -> None:
-    """Run the daemon until SIGINT or SIGTERM; tells a service manager (sd_notify) when it is up and when it stops."""
+    """Run the daemon until SIGINT or SIGTERM; notify a service manager (sd_notify) of start and stop."""
     structlog = import_structlog()
     log = structlog.get_logger("skygcs")
     loop = asyncio.get_running_loop()
@@ -35,7 +35,7 @@ async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None
 
     async def announce() -> None:
         await daemon.ready.wait()
-        # What is there now stays: 60 000 objects that a full collection would look at again for 35 ms, amid control.
+        # 60,000 objects stay until the end: a full collection would visit them for 35 ms, during control
         gc.collect()
         gc.freeze()
         _notify_service_manager("READY=1")
@@ -65,7 +65,7 @@ async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None
 
 
 async def _feed_watchdog() -> None:
-    """Tell systemd that the loop still turns, at half of WatchdogSec; nothing where no watchdog is set."""
+    """Notify the watchdog of systemd that the loop runs, at half of WatchdogSec; nothing if no watchdog is set."""
     try:
         period_s = int(os.environ["WATCHDOG_USEC"]) / 2e6
     except (KeyError, ValueError):
@@ -76,7 +76,7 @@ async def _feed_watchdog() -> None:
 
 
 def _notify_service_manager(state: str) -> None:
-    """systemd's sd_notify(3) protocol; nothing happens where there is no $NOTIFY_SOCKET."""
+    """The sd_notify(3) protocol of systemd; does nothing without $NOTIFY_SOCKET."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return
@@ -87,7 +87,7 @@ def _notify_service_manager(state: str) -> None:
 
 
 def run_loop(main_coroutine: Coroutine[Any, Any, int]) -> int:
-    """Run on uvloop where it is installed. The first SkygcsError of a task group is raised as itself."""
+    """Run on uvloop if it is installed. Raises the first SkygcsError of a task group, not the group."""
     try:
         import uvloop
 
@@ -107,13 +107,13 @@ def run_loop(main_coroutine: Coroutine[Any, Any, int]) -> int:
 
 
 def import_structlog() -> ModuleType:
-    """structlog without rich, which it imports if it finds it, for a traceback format that is not used here.
+    """Import structlog without rich, which it would import for a traceback format that is not used here.
 
-    40 ms and 6 MB; whoever imports rich later gets it as ever.
+    Saves 40 ms and 6 MB. A later import of rich works as usual.
     """
     hidden = [name for name in ("rich",) if name not in sys.modules]
     for name in hidden:
-        sys.modules[name] = None  # type: ignore[assignment]  # importlib: "not there"
+        sys.modules[name] = None  # type: ignore[assignment]  # for importlib: not installed
     try:
         import structlog
         import structlog.dev
@@ -125,7 +125,7 @@ def import_structlog() -> ModuleType:
 
 @contextlib.contextmanager
 def without_collections() -> Iterator[None]:
-    """No garbage collection in the body: what an import makes stays, and looking at it again and again is 50 ms."""
+    """No garbage collection in the body: imports create objects that stay, and visiting them again costs 50 ms."""
     was = gc.isenabled()
     gc.disable()
     try:
@@ -136,7 +136,7 @@ def without_collections() -> Iterator[None]:
 
 
 def configure_logging(*, verbose: bool = False, quiet: bool = False) -> None:
-    """One line per change of state on stderr: coloured on a terminal, key=value elsewhere."""
+    """Log one line per change of state to stderr: coloured on a terminal, else key=value."""
     structlog = import_structlog()
     level = logging.DEBUG if verbose else logging.WARNING if quiet else logging.INFO
     tty = sys.stderr.isatty()

@@ -1,4 +1,4 @@
-"""A radio's serial port for the time of a visit: runs a set-up procedure on it in real time."""
+"""Serial ports of radios: a real one for the time of a set-up procedure, and an emulated radio on a pty."""
 
 from __future__ import annotations
 
@@ -6,15 +6,25 @@ import asyncio
 import contextlib
 import errno
 import os
+import pty
+import select
 import signal
 import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 import serial
+import typer
 
-from skygcs.errors import LinkError
+from skygcs.cli.connection import Exit
+from skygcs.errors import LinkError, RefusedError
 from skygcs.modem.dialogue import Dialogue, Procedure
 from skygcs.modem.visit import Visit
+from skygcs.sim.at_modem import AtRadio, Kind
 
 T = TypeVar("T")
 
@@ -22,7 +32,7 @@ READ_BYTES = 4096
 
 
 class RadioPort:
-    """Opened by nobody else meanwhile; a context manager. Raises LinkError that says what to do."""
+    """A radio's serial port, opened exclusively. A context manager. Raises LinkError that says what to do."""
 
     def __init__(self, device: str) -> None:
         self.device = device
@@ -39,10 +49,10 @@ class RadioPort:
         self._port.close()
 
     async def run(self, procedure: Procedure[T], visit: Visit) -> T:
-        """Carry the procedure out; what it raises comes out, and LinkError where the port breaks.
+        """Run a set-up procedure in real time. Raises what the procedure raises, and LinkError if the port fails.
 
-        Ended in the middle (Ctrl-C, SIGTERM), the radio is told the visit's farewell: left in its command mode it would
-        carry nothing until its power is cut.
+        If it is interrupted (Ctrl-C, SIGTERM), the visit's last command leaves the radio's command mode: a radio in
+        command mode carries no data until it is switched off and on.
         """
         loop = asyncio.get_running_loop()
         readable = asyncio.Event()
@@ -52,11 +62,13 @@ class RadioPort:
         try:
             dialogue = Dialogue(procedure, loop.time())
             while True:
+                # send what the procedure wants to send, at the rate it wants
                 if dialogue.baud is not None and dialogue.baud != self._port.baudrate:
                     self._port.baudrate = dialogue.baud
                     _read_means_data(self._port.fileno())
                 if output := dialogue.take_output():
                     self._port.write(output)
+                # wait for input or for the next deadline
                 deadline = dialogue.next_deadline()
                 if deadline is None:
                     return dialogue.result
@@ -69,7 +81,7 @@ class RadioPort:
             raise LinkError(f"{self.device}: {explain(error)}") from None
         except asyncio.CancelledError:
             if terminated.is_set():
-                raise KeyboardInterrupt from None  # as Ctrl-C, whose exit code says that it was ended
+                raise KeyboardInterrupt from None  # as for Ctrl-C: the exit code says that it was interrupted
             raise
         finally:
             loop.remove_signal_handler(signal.SIGTERM)
@@ -81,7 +93,7 @@ class RadioPort:
     def _read(self) -> bytes:
         try:
             data = os.read(self._port.fileno(), READ_BYTES)
-        except BlockingIOError:  # a change of the rate threw away what there was
+        except BlockingIOError:  # a change of the rate discarded the input
             return b""
         if not data:
             raise OSError(errno.EIO, "the port hung up")
@@ -91,12 +103,12 @@ class RadioPort:
         try:
             self._port.write(visit.farewell())
             self._port.flush()
-        except (OSError, termios.error):  # it broke: that is being told already
+        except (OSError, termios.error):  # the port failed, which is reported already
             return
 
 
 def _cancelled_by_sigterm(loop: asyncio.AbstractEventLoop) -> asyncio.Event:
-    """Have SIGTERM cancel the present task; what is returned says whether it did."""
+    """Make SIGTERM cancel the current task; the event is set when it did."""
     terminated = asyncio.Event()
     task = asyncio.current_task()
     assert task is not None
@@ -127,19 +139,114 @@ async def _wait(readable: asyncio.Event, timeout_s: float) -> None:
 
 
 def explain(error: Exception) -> str:
-    """What to do about a port that cannot be opened, or broke."""
+    """What to do about a port that cannot be opened, or failed."""
     code = error.errno if isinstance(error, OSError) else error.args[0] if isinstance(error, termios.error) else None
     match code:
         case errno.ENOENT | errno.ENODEV | errno.ENXIO:
             return "no such device; plug it in, or correct the name (ls -l /dev/serial/by-id)"
         case errno.EACCES | errno.EPERM:
-            return "permission denied; add yourself to the group that owns it (ls -l tells; usually dialout)"
+            return "permission denied; add yourself to the group that owns it (ls -l shows it; usually dialout)"
         case errno.EAGAIN | errno.EBUSY:
             return "in use by another program; stop that one first (fuser -v shows it)"
         case errno.ENOTTY | errno.EISDIR:
             return "not a serial port"
         case errno.EIO:
-            return "the port went away: unplugged, or its power went"
+            return "the port disappeared: the radio was unplugged, or lost its power"
     if "Inappropriate ioctl" in str(error) or "Could not configure" in str(error):
         return "not a serial port"
     return str(error)
+
+
+# --- the emulated radio -----------------------------------------------------------------------------------------------
+
+TICK_S = 0.02
+_BAUD = {
+    getattr(termios, f"B{rate}"): rate
+    for rate in (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 1000000)
+    if hasattr(termios, f"B{rate}")
+}
+
+
+def port_rate(descriptor: int) -> int:
+    """The rate that was set at a pty; 0 for a rate that no radio has."""
+    return _BAUD.get(termios.tcgetattr(descriptor)[5], 0)
+
+
+def set_port_rate(descriptor: int, baud: int) -> None:
+    """Set the initial rate of a pty."""
+    attributes = termios.tcgetattr(descriptor)
+    code = next(code for code, rate in _BAUD.items() if rate == baud)
+    attributes[4] = attributes[5] = code
+    termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
+
+
+class EmulatedPort:
+    """An emulated radio and its serial port: ``path`` is a symlink to a pty. `serve` runs until `stop`."""
+
+    def __init__(self, path: Path, radio: AtRadio) -> None:
+        self.path = path
+        self.radio = radio
+        self._stop = threading.Event()
+        self._master, slave = pty.openpty()
+        try:
+            tty.setraw(slave)
+            os.set_blocking(self._master, False)
+            path.symlink_to(os.ttyname(slave))
+        except OSError:
+            os.close(self._master)
+            os.close(slave)
+            raise
+        self._slave = slave
+        """Kept open, so that the port keeps its settings between two visits."""
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def close(self) -> None:
+        """Remove the port; only after `serve` has ended."""
+        self.path.unlink(missing_ok=True)
+        os.close(self._master)
+        os.close(self._slave)
+
+    def serve(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Read and answer until `stop`."""
+        while not self._stop.is_set():
+            ready, _, _ = select.select([self._master], [], [], TICK_S)
+            now, baud = clock(), self._rate()
+            if ready:
+                self.radio.hear(os.read(self._master, 4096), now, baud)
+            self.radio.advance(now)
+            if output := self.radio.take_output(baud):
+                os.write(self._master, output)
+
+    def _rate(self) -> int:
+        return port_rate(self._master)
+
+
+def emulate_radio(link: Path, kind: str, node: int | None, remotes: str) -> int:
+    radio = _made(kind, node)
+    try:
+        radio.remotes = [_made(kind, int(text)) for text in remotes.split(",") if text.strip()]
+    except ValueError:
+        raise typer.BadParameter(f"--remotes: {remotes!r} are not node ids separated by commas") from None
+    if link.is_symlink() and not link.exists():  # of an earlier one that was killed
+        link.unlink()
+    elif link.exists():
+        raise RefusedError(f"{link} exists; give another name, or remove it")
+    port = EmulatedPort(link, radio)
+    typer.echo(f"an emulated {kind} radio at {link}, {radio.baud} baud; Ctrl-C ends it")
+    try:
+        port.serve()
+    finally:
+        port.close()
+    return Exit.DONE
+
+
+def _made(kind: str, node: int | None) -> AtRadio:
+    try:
+        radio = AtRadio(Kind(kind))
+    except ValueError:
+        raise typer.BadParameter(f"--kind: {kind!r} is not one of {', '.join(Kind)}") from None
+    if node is not None:
+        radio.renumber(node)
+    return radio

@@ -1,7 +1,7 @@
-"""`skygcs`: the daemon, the demo, the simulated fleet, real firmware as simulators and the file check.
+"""`skygcs`: the daemon, the demo, simulated vehicles, real firmware as simulators, and checks of fleet files.
 
-argparse and late imports on purpose: a daemon that is restarted in flight should forward its first frame within half
-a second, and typer with rich would cost a third of that.
+It uses argparse and late imports: a daemon that restarts in flight must forward its first frame within half a second;
+typer and rich would take a third of that.
 """
 
 from __future__ import annotations
@@ -42,11 +42,19 @@ def main(argv: list[str] | None = None) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="skygcs",
-        description="Ground-control daemon for fleets of MAVLink vehicles. Talk to it with skygcs-cli.",
+        description="Ground-control daemon for fleets of MAVLink vehicles. skygcs-cli sends commands to it.",
     )
     parser.add_argument("--version", action="version", version=f"skygcs {__version__}")
     commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    _add_fleet_files(commands)
+    _add_demo(commands)
+    _add_sim(commands)
+    _add_sitl(commands)
+    return parser
 
+
+def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """The commands that read a fleet file: run, check, import-router."""
     run = commands.add_parser("run", help="run the daemon with a fleet file")
     run.add_argument("file", type=Path, metavar="FLEET.toml")
     run.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the file's or the default one")
@@ -55,29 +63,35 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("-q", "--quiet", action="store_true", help="log warnings and errors only")
     run.set_defaults(run=_run)
 
-    check = commands.add_parser("check", help="check a fleet file and say everything that is wrong with it")
+    check = commands.add_parser("check", help="check a fleet file and print everything that is wrong with it")
     check.add_argument("file", type=Path, metavar="FLEET.toml")
     check.set_defaults(run=_check)
 
-    router = commands.add_parser("import-router", help="turn a mavlink-router configuration into a fleet file")
+    router = commands.add_parser("import-router", help="convert a mavlink-router configuration into a fleet file")
     router.add_argument("file", type=Path, metavar="MAIN.conf")
     router.add_argument("-o", "--output", type=Path, metavar="FLEET.toml", help="default: standard output")
     router.add_argument("--force", action="store_true", help="overwrite the output")
     router.set_defaults(run=_import_router)
 
+
+def _add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     demo = commands.add_parser("demo", help="fly three simulated vehicles; needs no hardware and no file")
-    demo.add_argument("--stay", action="store_true", help="keep daemon and vehicles up for skygcs-cli; Ctrl-C ends it")
+    demo.add_argument(
+        "--stay", action="store_true", help="keep daemon and vehicles running for skygcs-cli; Ctrl-C ends it"
+    )
     demo.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the default one")
     demo.add_argument("--log-dir", type=Path, default=Path("logs"), help="where the tlog goes (default: logs)")
     demo.set_defaults(run=_demo)
 
-    sim = commands.add_parser("sim", help="run simulated vehicles as a process of their own")
+
+def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    sim = commands.add_parser("sim", help="run simulated vehicles as a separate process")
     sim.add_argument("--px4", type=int, default=1, metavar="N", help="number of PX4 quadrotors (default 1)")
     sim.add_argument("--ardupilot", type=int, default=1, metavar="N", help="number of ArduCopters (default 1)")
     sim.add_argument("--first-sysid", type=int, default=1, metavar="ID")
     where = sim.add_mutually_exclusive_group()
     where.add_argument("--udp", metavar="HOST:PORT", help="send to this address (default 127.0.0.1:14550)")
-    where.add_argument("--tcp", metavar="HOST:PORT", help="listen there; every connection hears all vehicles")
+    where.add_argument("--tcp", metavar="HOST:PORT", help="listen there; every connection receives all vehicles")
     where.add_argument("--pty", metavar="PATH", help="a pseudo-terminal, like a radio with all vehicles behind it")
     sim.add_argument(
         "--radio",
@@ -96,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--wind", default="0", metavar="MPS[,FROM[,GUST]]", help="speed, compass degrees, gusts in m/s")
     sim.add_argument("--gps-noise", type=float, default=0.1, metavar="M", help="standard deviation (default 0.1)")
     sim.add_argument("--attitude-noise", type=float, default=0.2, metavar="DEG", help="the same (default 0.2)")
-    sim.add_argument("--sensor-latency", type=float, default=0.0, metavar="S", help="age of what telemetry tells")
+    sim.add_argument("--sensor-latency", type=float, default=0.0, metavar="S", help="age of the reported telemetry")
     sim.add_argument(
         "--params",
         action="append",
@@ -106,8 +120,6 @@ def _parser() -> argparse.ArgumentParser:
         help="a .params, .param or .parm file, for the vehicles of its firmware; may be repeated",
     )
     sim.set_defaults(run=_sim)
-    _add_sitl(commands)
-    return parser
 
 
 def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -142,7 +154,9 @@ def _add_sitl(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 
 def _run(args: argparse.Namespace) -> int:
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to look for some is to read every package's metadata
+    os.environ.setdefault(
+        "PYDANTIC_DISABLE_PLUGINS", "__all__"
+    )  # looking for plugins would read the metadata of every package
     with without_collections():
         from skygcs.config.loader import load_fleet_and_dialect
 
@@ -164,13 +178,13 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _check(args: argparse.Namespace) -> int:
-    from skygcs.cli.check import check
+    from skygcs.cli.fleet_files import check
 
     return check(args.file)
 
 
 def _import_router(args: argparse.Namespace) -> int:
-    from skygcs.cli.router import import_router_file
+    from skygcs.cli.fleet_files import import_router_file
 
     return import_router_file(args.file, args.output, force=args.force)
 

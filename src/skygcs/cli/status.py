@@ -1,30 +1,61 @@
-"""Commands that show: status, watch, events, and the interface itself."""
+"""Commands that show vehicles, components, events and the daemon, and that call any RPC method."""
 
 from __future__ import annotations
 
-import asyncio
-import json
 import sys
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skygcs.cli import completion, render
-from skygcs.cli.connection import Exit, fail, run, waiting
-from skygcs.cli.options import Json, OptionalTargets
+from skygcs.cli.connection import Exit, fail, run, run_show, show, waiting
+from skygcs.cli.options import Json, OptionalTargets, complete_methods
 from skygcs.cli.parsing import finite, parse_json
-from skygcs.cli.render import State
+from skygcs.cli.render import (
+    PIPE_WIDTH,
+    WRAPPING_COLUMNS,
+    LiveView,
+    State,
+    console,
+    cut,
+    duration,
+    event_line,
+    field_text,
+    fitting,
+    fixed,
+    percent,
+    plain,
+    print_json,
+    table,
+)
 from skygcs.rpc.client import EVENT_KINDS, Client
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
+    from rich.table import Table
 
-SCREEN_HZ = 4.0
-"""How often a live table is drawn anew."""
+NOTHING_HEARD = "heard yet (skygcs-cli links shows what arrives)"
+
+STATUS_COLUMNS = (
+    *("name", "id", "autopilot", "mode", "armed", "alt", "x, y, up"),
+    *("battery", "gps", "link", "loss", "age", "last text"),
+)
+WORLD_COLUMN = STATUS_COLUMNS.index("x, y, up")
+"""Metres along the axes of the fleet's world frame."""
+
+STATUS_LEAVES_OUT = ("last text", "loss", "link", "autopilot", "gps", "x, y, up", "id")
+"""Columns that a narrow terminal does not show, in the order in which they are left out."""
+
+LOW_BATTERY_PERCENT = 25
 
 OUTCOME_KEYS = ("outcome", "outcomes", "lists")
-"""Under which answers of methods tell how it went."""
+"""Keys under which answers of RPC methods say whether the order succeeded."""
+
+Rate = Annotated[float, typer.Option("--rate", metavar="HZ", help="Updates per second, at most 20.", parser=finite)]
+Count = Annotated[int, typer.Option("--count", metavar="N", help="End after N updates.", min=1)]
+
+
+# --- vehicles and components ------------------------------------------------------------------------------------------
 
 
 def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
@@ -33,12 +64,12 @@ def status(targets: OptionalTargets = "all", json_output: Json = False) -> None:
     async def command(gcs: Client) -> None:
         states = await gcs.vehicles(targets)
         if json_output:
-            typer.echo(json.dumps(states, indent=2))
+            print_json(states)
         elif states:
-            screen = render.console()
-            screen.print(render.status_table(states, width=screen.width))
+            screen = console()
+            screen.print(status_table(states, width=screen.width))
         else:
-            typer.echo("no vehicle heard yet (skygcs-cli links shows what arrives)")
+            typer.echo(f"no vehicle {NOTHING_HEARD}")
         if left := (await gcs.call("daemon.info")).get("to_undo"):
             fail(f"{left} change{'s' if left > 1 else ''} in vehicles not undone: skygcs-cli undo list")
 
@@ -51,118 +82,248 @@ def components(json_output: Json = False) -> None:
     async def command(gcs: Client) -> None:
         heard = await gcs.call("components.list")
         if json_output:
-            typer.echo(json.dumps(heard, indent=2))
+            print_json(heard)
         elif heard:
-            render.console().print(render.components_table(heard))
+            console().print(components_table(heard))
         else:
-            typer.echo("nothing heard yet (skygcs-cli links shows what arrives)")
+            typer.echo(f"nothing {NOTHING_HEARD}")
 
     run(command)
 
 
 def watch(
     targets: OptionalTargets = "all",
-    rate_hz: Annotated[
-        float, typer.Option("--rate", metavar="HZ", help="Updates per second, at most 20.", parser=finite)
-    ] = 2.0,
+    rate_hz: Rate = 2.0,
     fields: Annotated[
         str,
         typer.Option(
             "--fields", "--telemetry", metavar="F,F,…", help="Only these: position.alt_rel_m,battery.volts, …"
         ),
     ] = "",
-    count: Annotated[int, typer.Option("--count", metavar="N", help="End after so many updates.", min=1)] = sys.maxsize,
+    count: Count = sys.maxsize,
     json_output: Json = False,
 ) -> None:
     """Show vehicles as they change, until Ctrl-C. On a pipe or with --json: one line per update."""
     wanted = [f.strip() for f in fields.split(",") if f.strip()]
     sections = sorted({f.split(".")[0] for f in wanted} | {"connected"}) if wanted else None
 
+    def line(state: State) -> str:
+        if wanted:
+            return f"{state['name']} " + " ".join(f"{f}={field_text(state, f)}" for f in wanted)
+        return "  ".join(cell for cell in status_cells(state) if cell)
+
     async def command(gcs: Client) -> None:
         updates = gcs.telemetry(targets, rate_hz=rate_hz, sections=sections)
-        if json_output or not sys.stdout.isatty():
-            seen = 0
-            async for state in updates:
-                typer.echo(json.dumps(state) if json_output else _line(state, wanted))
-                seen += 1
-                if seen >= count:
-                    return
-        else:
-            await live(updates, lambda states, width: render.status_table(states, wanted, width), count)
+        await follow_states(
+            updates, count, json_output, line, lambda states, width: status_table(states, wanted, width)
+        )
 
     run(command)
 
 
-async def live(updates: AsyncIterator[State], draw: Callable[[list[State], int], RenderableType], count: int) -> None:
-    """A table on the terminal that follows the updates until there were ``count``.
+async def follow_states(
+    updates: AsyncIterator[State],
+    count: int,
+    json_output: bool,
+    line: Callable[[State], str],
+    draw: Callable[[list[State], int], RenderableType],
+) -> None:
+    """Show ``count`` updates of vehicles: live on a terminal, else one line each.
 
-    ``draw(states, columns)`` gets the newest state of every vehicle, by system id.
+    ``draw(states, columns)`` gets the newest state of every vehicle, ordered by system id.
     """
-    from rich.live import Live
-
     states: dict[str, State] = {}
     seen = 0
-    screen = render.console()
-    with Live("waiting for vehicles …", console=screen, auto_refresh=False, vertical_overflow="crop") as shown:
-        drawn_at = 0.0
-        loop_time = asyncio.get_running_loop().time
+    live = sys.stdout.isatty() and not json_output
+
+    def picture(columns: int) -> RenderableType:
+        ordered = sorted(states.values(), key=lambda s: int(s["sysid"]))
+        return draw(ordered, columns) if ordered else "waiting for vehicles …"
+
+    with LiveView(picture, enabled=live) as view:
         async for state in updates:
             states[str(state["name"])] = state
             seen += 1
-            if loop_time() - drawn_at >= 1 / SCREEN_HZ or seen >= count or len(states) == seen:
-                drawn_at = loop_time()
-                ordered = sorted(states.values(), key=lambda s: int(s["sysid"]))
-                shown.update(draw(ordered, screen.width), refresh=True)
+            if json_output:
+                print_json(state, line=True)
+            elif not live:
+                typer.echo(line(state))
+                sys.stdout.flush()
+            view.refresh(now=len(states) == seen)  # a vehicle that was not shown before appears at once
             if seen >= count:
                 return
 
 
-def _line(state: dict[str, Any], fields: Sequence[str]) -> str:
+def status_cells(state: State) -> tuple[str, ...]:
+    """One vehicle in the columns of STATUS_COLUMNS, without any markup."""
+    battery, gps, position = (state.get(k) or {} for k in ("battery", "gps", "position"))
+    links: Mapping[str, Any] = state.get("links") or {}
+    best = min(links, key=lambda name: _number(links[name].get("loss_ratio"), 1.0), default=None)
+    texts: Sequence[Mapping[str, Any]] = state.get("status_texts") or ()
+    newest = min(texts, key=lambda t: _number(t.get("age_s"), 0.0), default=None)
+    altitude = fixed(position.get("alt_rel_m"), 1, " m")
+    return (
+        str(state["name"]),
+        str(state["sysid"]),
+        " ".join(filter(None, (state.get("autopilot"), state.get("firmware")))),
+        state.get("mode") or "?",
+        armed_word(state),
+        f"{altitude} ground".strip() if state.get("landed") == "on_ground" else altitude,
+        ", ".join(fixed(value, 1) for value in position.get("enu_m") or ()),
+        " ".join(filter(None, (fixed(battery.get("percent"), 0, " %"), fixed(battery.get("volts"), 1, " V")))),
+        " ".join(filter(None, (gps.get("fix"), fixed(gps.get("satellites"), 0, " sat")))),
+        best or "",
+        percent(links[best].get("loss_ratio")) if best is not None else "",
+        age_word(state),
+        f"{newest['text']} ({duration(newest.get('age_s'))} ago)" if newest is not None else "",
+    )
+
+
+def armed_word(state: State) -> str:
+    """Whether it is armed, and warnings that matter more."""
+    armed = {True: "ARMED", False: "no", None: "?"}[state.get("armed")]
+    warnings = (("failsafe", "FAILSAFE"), ("duplicate_sysid", "DUPLICATE ID"), ("replayed", "REPLAY"))
+    words = [word for key, word in warnings if state.get(key)]
+    if is_deaf(state):
+        words.append("HEARS NOTHING")
+    return " ".join([armed, *words])
+
+
+def is_deaf(state: State) -> bool:
+    """True if skygcs receives the vehicle, but the vehicle does not receive skygcs."""
+    return (state.get("uplink") or {}).get("heard") is False
+
+
+def age_word(state: State) -> str:
+    """How long ago it was heard; with "lost" if that is too long."""
+    age = duration(state.get("last_heartbeat_age_s"))
+    return age if state.get("connected") else f"lost {age}"
+
+
+def status_table(states: Iterable[State], fields: Sequence[str] = (), width: int = PIPE_WIDTH) -> Table:
+    """All vehicles; with ``fields`` (dotted paths) only the name and these. A small ``width`` leaves columns out."""
+    states = list(states)
+    dim = ["dim" if state.get("connected") is False else None for state in states]
     if fields:
-        return f"{state['name']} " + " ".join(f"{f}={render.field_text(state, f)}" for f in fields)
-    return "  ".join(cell for cell in render.status_cells(state) if cell)
+        values = [(str(s["name"]), *(field_text(s, f) for f in fields)) for s in states]
+        return table(("name", *fields), values, styles=dim)
+    columns: Sequence[str] = STATUS_COLUMNS
+    rows = [status_cells(state) for state in states]
+    # without an origin of the fleet there are no world positions, and no column for them
+    if not any(row[WORLD_COLUMN] for row in rows):
+        columns = tuple("" if i == WORLD_COLUMN else column for i, column in enumerate(columns))
+    shown = fitting(columns, rows, width, STATUS_LEAVES_OUT, ("last text",))
+    # the last text is cut to the room that is left, never wrapped
+    if len(columns) - 1 in shown:
+        others = sum(max(len(columns[i]), *(len(row[i]) for row in rows), 0) + 2 for i in shown[:-1])
+        rows = [(*row[:-1], cut(row[-1], max(width - others, WRAPPING_COLUMNS))) for row in rows]
+    styles = [_styles(state) for state in states]
+    cells = [[(row[i], style.get(columns[i], "")) for i in shown] for row, style in zip(rows, styles, strict=True)]
+    return table([columns[i] for i in shown], cells, right=("id", "alt", "x, y, up", "loss", "age"), styles=dim)
+
+
+def components_table(components: Iterable[Mapping[str, Any]]) -> Table:
+    """A row per component, ordered by system: the name that its id stands for, and the type it reports."""
+    rows = []
+    for component in components:
+        kind = component["type"] or "no heartbeat"
+        rows.append(
+            (
+                component["vehicle"] or "-",
+                f"{component['sysid']}/{component['compid']}",
+                component["name"] or "-",
+                f"{kind} (autopilot)" if component["autopilot"] else kind,
+                f"{component['messages']}",
+                duration(component["age_s"]),
+            )
+        )
+    return table(("vehicle", "component", "named", "type", "messages", "age"), rows, right=("messages", "age"))
+
+
+def _styles(state: State) -> dict[str, str]:
+    """Styles of the cells by column."""
+    styles = {}
+    if state.get("armed"):
+        styles["armed"] = "bold yellow"
+    if state.get("failsafe") or state.get("duplicate_sysid") or is_deaf(state):
+        styles["armed"] = "bold red"
+    if not state.get("connected"):
+        styles["age"] = "bold red"
+    charge = (state.get("battery") or {}).get("percent")
+    if isinstance(charge, int | float) and charge <= LOW_BATTERY_PERCENT:
+        styles["battery"] = "bold red"
+    if ((state.get("gps") or {}).get("fix_type") or 0) < 3:
+        styles["gps"] = "yellow"
+    return styles
+
+
+def _number(value: object, default: float) -> float:
+    return float(value) if isinstance(value, int | float) else default
+
+
+# --- events and the daemon --------------------------------------------------------------------------------------------
 
 
 def events(
-    follow: Annotated[bool, typer.Option("--follow", "-f", help="Go on with what happens, until Ctrl-C.")] = False,
-    limit: Annotated[int, typer.Option("--limit", "-n", metavar="N", help="So many past ones.", min=0)] = 20,
+    follow: Annotated[bool, typer.Option("--follow", "-f", help="Show new events, too, until Ctrl-C.")] = False,
+    limit: Annotated[int, typer.Option("--limit", "-n", metavar="N", help="Show N past events.", min=0)] = 20,
     kind: Annotated[
-        list[str] | None, typer.Option("--kind", metavar="KIND", help="Only these kinds (may be repeated).")
+        list[str] | None, typer.Option("--kind", metavar="KIND", help="Only this kind (may be repeated).")
     ] = None,
     json_output: Json = False,
 ) -> None:
     """Show what happened: found and lost vehicles, arming, modes, texts, links."""
-
     unknown = [k for k in kind or () if k not in EVENT_KINDS]
     if unknown:
         raise typer.BadParameter(f"--kind: no kind {', '.join(unknown)}; there are: {', '.join(EVENT_KINDS)}")
 
-    def show(event: dict[str, Any]) -> None:
-        typer.echo(json.dumps(event) if json_output else render.event_line(event))
+    def print_event(event: dict[str, Any]) -> None:
+        if json_output:
+            print_json(event, line=True)
+        else:
+            typer.echo(event_line(event))
+            sys.stdout.flush()
 
     async def command(gcs: Client) -> None:
-        news = gcs.events(kinds=kind) if follow else None
+        news = gcs.events(kinds=kind) if follow else None  # subscribe first: no event is missed between the two
         if limit:
             past = await gcs.call("events.recent", limit=10000 if kind else limit)
             wanted = [e for e in past if not kind or e["kind"] in kind][-limit:]
             for event in wanted:
-                show(event)
+                print_event(event)
             if not (wanted or follow or json_output):
                 typer.echo(f"no event of kind {', '.join(kind)} yet" if kind else "no event yet")
         if news is not None:
             async for event in news:
-                show(event)
-                sys.stdout.flush()
+                print_event(event)
 
     run(command)
 
 
+def info(json_output: Json = False) -> None:
+    """Show the daemon itself: version, ids, dialect, recorder."""
+
+    def lines(answer: dict[str, dict[str, Any]]) -> Iterator[str]:
+        rows = [(f"{section}.{key}", value) for section, values in answer.items() for key, value in values.items()]
+        width = max(len(key) for key, _ in rows)
+        return (f"{key:<{width}}  {plain(value)}" for key, value in rows)
+
+    async def command(gcs: Client) -> None:
+        answer = {"daemon": await gcs.call("daemon.info"), "recorder": await gcs.call("recorder.status")}
+        show(answer, json_output, lines)
+
+    run(command)
+
+
+# --- any method -------------------------------------------------------------------------------------------------------
+
+
 def call(
-    method: Annotated[str, typer.Argument(metavar="METHOD", autocompletion=completion.methods, help="Any RPC method.")],
+    method: Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_methods, help="Any RPC method.")],
     params: Annotated[str, typer.Argument(metavar="[JSON]", help="Its parameters, an object.")] = "{}",
-    _json: Annotated[bool, typer.Option("--json", help="It is JSON anyway.")] = False,
+    _json: Annotated[bool, typer.Option("--json", help="No effect: the answer is always JSON.")] = False,
 ) -> None:
-    """Call any method and print the result as JSON; `discover` lists them."""
+    """Call any method and print the result as JSON; `discover` lists the methods."""
     try:
         given = parse_json(params)
     except ValueError as error:
@@ -173,54 +334,34 @@ def call(
     async def command(gcs: Client) -> int:
         async with waiting(method):
             result = await gcs.call(method, **given)
-        typer.echo(json.dumps(result, indent=2))
-        told = [result.get(key, {}) for key in OUTCOME_KEYS] if isinstance(result, dict) else []
-        return Exit.DONE if all(_is_good(outcome) for outcome in told) else Exit.FAILED
+        print_json(result)
+        outcomes = [result.get(key, {}) for key in OUTCOME_KEYS] if isinstance(result, dict) else []
+        return Exit.DONE if all(_succeeded(outcome) for outcome in outcomes) else Exit.FAILED
 
     run(command)
 
 
-def _is_good(told: dict[str, Any]) -> bool:
-    """Of an outcome, or of outcomes by vehicle, or (parameters) by vehicle and name."""
-    return bool(told["ok"]) if "ok" in told else all(_is_good(outcome) for outcome in told.values())
+def _succeeded(outcome: dict[str, Any]) -> bool:
+    """True if an outcome, or every outcome of a table by vehicle or by vehicle and parameter, is good."""
+    return bool(outcome["ok"]) if "ok" in outcome else all(_succeeded(one) for one in outcome.values())
 
 
 def discover(json_output: Json = False) -> None:
-    """List the RPC methods; --json gives the OpenRPC document."""
+    """List the RPC methods; --json prints the OpenRPC document."""
 
-    async def command(gcs: Client) -> None:
-        document = await gcs.call("rpc.discover")
-        if json_output:
-            typer.echo(json.dumps(document, indent=2))
-            return
+    def lines(document: dict[str, Any]) -> Iterator[str]:
         for method in document["methods"]:
             params = ", ".join(p["name"] if p["required"] else f"[{p['name']}]" for p in method["params"])
-            typer.echo(f"{method['name']:<20} {params}")
-            typer.echo(f"{'':<20} {method['summary']}")
+            yield f"{method['name']:<20} {params}"
+            yield f"{'':<20} {method['summary']}"
 
-    run(command)
-
-
-def info(json_output: Json = False) -> None:
-    """Show the daemon itself: version, ids, dialect, recorder."""
-
-    async def command(gcs: Client) -> None:
-        answer = {"daemon": await gcs.call("daemon.info"), "recorder": await gcs.call("recorder.status")}
-        if json_output:
-            typer.echo(json.dumps(answer, indent=2))
-            return
-        rows = [(f"{section}.{key}", value) for section, values in answer.items() for key, value in values.items()]
-        width = max(len(key) for key, _ in rows)
-        for key, value in rows:
-            typer.echo(f"{key:<{width}}  {render.plain(value)}")
-
-    run(command)
+    run_show("rpc.discover", json_output, lines)
 
 
 def add_to(app: typer.Typer) -> None:
     looking: tuple[Callable[..., None], ...] = (status, components, watch, events, info)
     for function in looking:
-        app.command(rich_help_panel="Looking")(function)
+        app.command(rich_help_panel="Show")(function)
     programming: tuple[Callable[..., None], ...] = (call, discover)
     for function in programming:
         app.command(rich_help_panel="Programming")(function)

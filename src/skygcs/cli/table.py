@@ -1,37 +1,62 @@
-"""`skygcs-cli table`: sends many vehicles to the initial or final positions of a file, and says when they are there."""
+"""`skygcs-cli table`: send many vehicles to the initial or final positions of a file and wait until they arrive.
+
+The file is CSV, a row for each vehicle (columns that are not needed may be missing):
+
+    vehicle,initial_x,initial_y,initial_z,initial_heading_deg,final_x,final_y,final_z,final_heading_deg
+    alpha,0,0,5,,10,0,5,90
+
+or TOML:
+
+    [vehicles.alpha]
+    initial = [0, 0, 5]
+    final = [10, 0, 5]
+    final_heading_deg = 90
+
+Metres in the fleet's frame (x, y, up, as `goto --enu` takes them), headings clockwise from north (as `goto --yaw`).
+"""
 
 from __future__ import annotations
 
 import asyncio
-import json
+import contextlib
+import csv
+import io
 import math
-from collections.abc import Mapping, Sequence
+import sys
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
+from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from skygcs.cli import render
 from skygcs.cli.connection import Exit, fail, run, run_offline
 from skygcs.cli.options import Json
-from skygcs.cli.parsing import finite
+from skygcs.cli.parsing import finite, within
+from skygcs.cli.render import LiveView, print_json, print_lines
+from skygcs.errors import ConfigError, DaemonUnreachable, RefusedError, RpcError, SkygcsError, TargetError
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:
-    from skygcs.cli.table_file import Near, Table, Which
-    from skygcs.cli.table_flight import Flight
+    from rich.table import Table as RichTable
+
+# --- the command ------------------------------------------------------------------------------------------------------
 
 DEFAULT_ARRIVE_M = 0.5
-"""A vehicle that holds by GPS in some wind moves within it; the UTIAS ground station had 0.25 m."""
+"""A vehicle that holds by GPS in light wind stays within it; the UTIAS ground station used 0.25 m."""
 
 DEFAULT_SEPARATION_M = 2.0
-"""About four F450 airframes (0.45 m) with the error of two GPS receivers between them."""
+"""About four F450 airframes (0.45 m) plus the errors of two GPS receivers."""
 
 DEFAULT_TIMEOUT_S = 120.0
 
 
-class Action(StrEnum):
-    """What is to be done with a table."""
+class TableAction(StrEnum):
+    """What to do with a table."""
 
     CHECK = "check"
     INITIAL = "initial"
@@ -41,42 +66,44 @@ class Action(StrEnum):
 def table(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="CSV or TOML.", show_default=False)],
     action: Annotated[
-        Action,
+        TableAction,
         typer.Argument(
-            metavar="check|initial|final", help="Look at it (needs no daemon), or fly there.", show_default=False
+            metavar="check|initial|final", help="Check the file (needs no daemon), or fly there.", show_default=False
         ),
     ],
     targets: Annotated[
-        str, typer.Argument(metavar="[TARGETS]", help="Only these of the table: names with commas, or all.")
+        str, typer.Argument(metavar="[TARGETS]", help="Only these vehicles of the table: names with commas, or all.")
     ] = "all",
     arrive_m: Annotated[
-        float, typer.Option("--arrive", metavar="M", help="Who is this near has arrived.", parser=finite)
+        float, typer.Option("--arrive", metavar="M", help="A vehicle within this distance has arrived.", parser=finite)
     ] = DEFAULT_ARRIVE_M,
     timeout_s: Annotated[
-        float, typer.Option("--timeout", metavar="S", help="Wait so long for all to arrive.", parser=finite)
+        float, typer.Option("--timeout", metavar="S", help="Wait S seconds for all to arrive.", parser=finite)
     ] = DEFAULT_TIMEOUT_S,
     separation_m: Annotated[
-        float, typer.Option("--separation", metavar="M", help="Least distance between two.", parser=finite)
+        float,
+        typer.Option(
+            "--separation", metavar="M", help="Smallest distance allowed between two vehicles.", parser=finite
+        ),
     ] = DEFAULT_SEPARATION_M,
-    force: Annotated[bool, typer.Option("--force", help="Although paths cross.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Although paths come too close.")] = False,
     json_output: Json = False,
 ) -> None:
     """Send vehicles to the initial or final positions of a file; exit 0 when all are there.
 
-    Places closer than --separation are refused, paths that cross closer than that need --force: straight ones, flown at
-    the same speed. Nobody is kept apart on the way: the autopilots fly straight.
+    Positions closer together than --separation are refused; paths that come closer than that need --force. The paths
+    are taken as straight and flown at the same speed. skygcs does not keep vehicles apart on the way.
     """
     for option, value, most in (("--arrive", arrive_m, 100), ("--timeout", timeout_s, 86400)):
         if not 0 < value <= most:
             raise typer.BadParameter(f"{option}: {value:g} is not between 0 and {most}")
-    if not 0 <= separation_m <= 1000:
-        raise typer.BadParameter(f"--separation: {separation_m:g} is not between 0 and 1000")
+    within("--separation", separation_m, 0, 1000)
 
-    if action is Action.CHECK:
+    if action is TableAction.CHECK:
         run_offline(lambda: _check(_chosen(file, targets), separation_m, json_output))
 
     async def command(gcs: Client) -> int:
-        which: Which = "initial" if action is Action.INITIAL else "final"
+        which: Which = "initial" if action is TableAction.INITIAL else "final"
         flights = await _prepared(gcs, _chosen(file, targets), which, separation_m, force)
         return await _fly(gcs, flights, arrive_m, timeout_s, json_output)
 
@@ -84,9 +111,7 @@ def table(
 
 
 def _chosen(file: Path, targets: str) -> Table:
-    """The rows that are wanted. Raises SkygcsError."""
-    from skygcs.cli.table_file import read_table
-    from skygcs.errors import TargetError
+    """The rows of the target vehicles. Raises SkygcsError."""
 
     rows = read_table(file)
     names = [part.strip() for part in targets.split(",")]
@@ -99,29 +124,24 @@ def _chosen(file: Path, targets: str) -> Table:
 
 
 def _check(rows: Table, separation_m: float, json_output: bool) -> int:
-    from skygcs.cli.table_file import crossings, spots, too_near
-
     places = {which: {name: s.position_m for name, s in spots(rows, which).items()} for which in ("initial", "final")}
     near = {which: too_near(points, separation_m) for which, points in places.items()}
     crossing = crossings(places["initial"], places["final"], separation_m)
     good = not (crossing or any(near.values()))
     if json_output:
         found = {which: [_pair(n) for n in pairs] for which, pairs in (*near.items(), ("paths", crossing))}
-        typer.echo(json.dumps({"ok": good, "vehicles": list(rows), "too_near": found}, indent=2))
+        print_json({"ok": good, "vehicles": list(rows), "too_near": found})
         return Exit.DONE if good else Exit.FAILED
-    for line in _near_lines(near, separation_m) + _crossing_lines(crossing, separation_m):
-        typer.echo(line)
+    print_lines(_near_lines(near, separation_m) + _crossing_lines(crossing, separation_m))
     counts = ", ".join(f"{len(points)} {which} positions" for which, points in places.items())
     typer.echo(f"{len(rows)} vehicles: {counts}" + (f"; all at least {separation_m:g} m apart" if good else ""))
     return Exit.DONE if good else Exit.FAILED
 
 
-async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float, force: bool) -> list[Flight]:
-    """Checked against the table and the fleet. Raises RefusedError."""
-    from skygcs.cli.table_file import crossings, spots, too_near
-    from skygcs.cli.table_flight import Flight, located, others
-    from skygcs.errors import RefusedError
+async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float, force: bool) -> list[TableFlight]:
+    """The flights to the positions of the table, after all checks. Raises RefusedError."""
 
+    # every vehicle has a position, and the positions are far enough apart
     wanted = spots(rows, which)
     missing = [name for name in rows if name not in wanted]
     if missing:
@@ -129,6 +149,7 @@ async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float,
     near = too_near({name: spot.position_m for name, spot in wanted.items()}, separation_m)
     if near:
         raise RefusedError("\n".join(_near_lines({which: near}, separation_m)))
+    # the straight paths to them are far enough apart, also from vehicles that do not take part
     states = await gcs.vehicles("all")
     found = located(states, wanted)
     starts = {name: position for name, position in found.values()}
@@ -136,31 +157,29 @@ async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float,
     crossing = crossings({**starts, **others(states, starts)}, goals, separation_m)
     lines = _crossing_lines(crossing, separation_m)
     if lines and not force:
-        raise RefusedError(
-            "\n".join([*lines, "fly them one after the other, at other heights, or insist with --force"])
-        )
+        raise RefusedError("\n".join([*lines, "fly them one after the other, at other heights, or use --force"]))
     for line in lines:
         fail(line)
-    return [Flight(found[key][0], spot, math.dist(found[key][1], spot.position_m)) for key, spot in wanted.items()]
+    return [TableFlight(found[key][0], spot, math.dist(found[key][1], spot.position_m)) for key, spot in wanted.items()]
 
 
-async def _fly(gcs: Client, flights: Sequence[Flight], arrive_m: float, timeout_s: float, json_output: bool) -> int:
-    from skygcs.cli.table_flight import send, watch
-
+async def _fly(
+    gcs: Client, flights: Sequence[TableFlight], arrive_m: float, timeout_s: float, json_output: bool
+) -> int:
     try:
         await send(gcs, flights)
         if not json_output:
             for flight in flights:
                 if flight.refused is not None:
-                    fail(f"{flight.name} does not go: {flight.refused}")
+                    fail(f"{flight.name} does not fly: {flight.refused}")
         took_s = await watch(gcs, flights, arrive_m, timeout_s, json_output)
     except asyncio.CancelledError:
-        fail("no longer watching; they fly on to their places (skygcs-cli hold stops them)")
+        fail("stopped watching; the vehicles fly on to their positions (skygcs-cli hold stops them)")
         raise
     away = [flight for flight in flights if flight.arrived_s is None]
     if json_output:
         answer = {"ok": not away, "elapsed_s": round(took_s, 2), "vehicles": {f.name: f.as_dict() for f in flights}}
-        typer.echo(json.dumps(answer, indent=2))
+        print_json(answer)
     elif away:
         where = ", ".join(f"{f.name} ({f.distance_m:.2f} m away)" for f in away)
         fail(f"{len(flights) - len(away)} of {len(flights)} arrived in {took_s:.1f} s; not: {where}")
@@ -179,7 +198,7 @@ def _near_lines(near: Mapping[str, Sequence[Near]], separation_m: float) -> list
 
 def _crossing_lines(crossing: Sequence[Near], separation_m: float) -> list[str]:
     return [
-        f"{n.one} and {n.other} come within {n.distance_m:.2f} m of each other after {n.at:.1f} m of their ways "
+        f"{n.one} and {n.other} come within {n.distance_m:.2f} m of each other after {n.at:.1f} m of flight "
         f"(least: {separation_m:g} m)"
         for n in crossing
     ]
@@ -187,6 +206,410 @@ def _crossing_lines(crossing: Sequence[Near], separation_m: float) -> list[str]:
 
 def _pair(near: Near) -> dict[str, Any]:
     return {"vehicles": [near.one, near.other], "distance_m": round(near.distance_m, 3), "after_m": round(near.at, 2)}
+
+
+# --- the file ---------------------------------------------------------------------------------------------------------
+
+Which = Literal["initial", "final"]
+Point = tuple[float, float, float]
+
+AXES = ("x", "y", "z")
+LARGEST_FILE = 1 << 20
+"""Bytes; 255 vehicles need some 20 kB."""
+
+MOST_VEHICLES = 255
+LARGEST_M = 1e5
+"""100 km: a larger number is a mistake, such as degrees or microdegrees in place of metres."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Target of one vehicle. ``heading_deg`` is clockwise from north; None: the heading it has."""
+
+    position_m: Point
+    heading_deg: float | None = None
+
+
+Table = dict[str, dict[Which, Spot]]
+"""By vehicle, with the names and in the order of the file; a vehicle may have only one of the two positions."""
+
+
+@dataclass(frozen=True, slots=True)
+class Near:
+    """Two vehicles that are, or come, closer than the separation."""
+
+    one: str
+    other: str
+    distance_m: float
+    at: float = 0.0
+    """For paths: the distance that each has flown by then, in metres."""
+
+
+def read_table(path: Path) -> Table:
+    """Raises ConfigError with all problems, SkygcsError if the file cannot be read."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise SkygcsError(f"{path}: {error.strerror or error}") from None
+    if len(data) > LARGEST_FILE:
+        raise SkygcsError(f"{path}: larger than 1 MiB: not a table of positions")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SkygcsError(f"{path}: not UTF-8 at byte {error.start}") from None
+    problems: list[str] = []
+    table = (_from_toml if path.suffix.lower() == ".toml" else _from_csv)(text, problems)
+    if not table and not problems:
+        problems.append("it names no vehicle")
+    if len(table) > MOST_VEHICLES:
+        problems.append(f"{len(table)} vehicles; there are at most {MOST_VEHICLES} system ids")
+    if problems:
+        raise ConfigError(str(path), problems)
+    return table
+
+
+def spots(table: Table, which: Which) -> dict[str, Spot]:
+    """The initial or the final positions."""
+    return {name: places[which] for name, places in table.items() if which in places}
+
+
+def too_near(points: Mapping[str, Point], separation_m: float) -> list[Near]:
+    """Pairs of positions closer than the separation."""
+    pairs = combinations(points.items(), 2)
+    found = (Near(one, other, math.dist(p, q)) for (one, p), (other, q) in pairs)
+    return [near for near in found if near.distance_m < separation_m]
+
+
+def crossings(starts: Mapping[str, Point], goals: Mapping[str, Point], separation_m: float) -> list[Near]:
+    """Pairs that come closer than the separation during the flight, nearest first.
+
+    The model: all start at the same time, fly straight at the same speed, and stay where they arrive; a vehicle without
+    a goal stays where it is. Pairs that only move apart do not count, however close they start, nor do two that stay.
+    """
+    found = []
+    for one, other in combinations(starts, 2):
+        legs = [(starts[name], goals.get(name, starts[name])) for name in (one, other)]
+        if all(start == goal for start, goal in legs):
+            continue
+        distance, at = _closest(*legs)
+        comes_closer = distance < math.dist(starts[one], starts[other]) - 0.01
+        if comes_closer and distance < separation_m:
+            found.append(Near(one, other, distance, at))
+    return sorted(found, key=lambda near: near.distance_m)
+
+
+def _closest(one: tuple[Point, Point], other: tuple[Point, Point]) -> tuple[float, float]:
+    """Smallest distance of two vehicles on legs flown at 1 m/s, and the time of it.
+
+    Between two arrivals the relative motion is a straight line, so its smallest distance has a closed form.
+    """
+    lengths = sorted(math.dist(*leg) for leg in (one, other))
+    best = (math.dist(one[0], other[0]), 0.0)
+    begin = 0.0
+    for end in lengths:
+        if end > begin:
+            p, q = (_difference(_along(one, t), _along(other, t)) for t in (begin, end))
+            d = _difference(q, p)
+            square = sum(x * x for x in d)
+            part = 0.0 if square == 0.0 else min(max(-sum(a * b for a, b in zip(p, d, strict=True)) / square, 0.0), 1.0)
+            nearest = math.hypot(*(a + part * b for a, b in zip(p, d, strict=True)))
+            best = min(best, (nearest, begin + part * (end - begin)))
+        begin = end
+    return best
+
+
+def _along(leg: tuple[Point, Point], flown_m: float) -> Point:
+    start, goal = leg
+    length = math.dist(start, goal)
+    part = 1.0 if flown_m >= length else flown_m / length
+    x, y, z = (a + part * (b - a) for a, b in zip(start, goal, strict=True))
+    return x, y, z
+
+
+def _difference(p: Point, q: Point) -> Point:
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+def _from_csv(text: str, problems: list[str]) -> Table:
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
+    if not lines:
+        return {}
+    rows = list(csv.reader(io.StringIO("\n".join(line for _, line in lines)), skipinitialspace=True))
+    header = [cell.strip() for cell in rows[0]]
+    wanted = ("vehicle", *(f"{w}_{c}" for w in ("initial", "final") for c in (*AXES, "heading_deg")))
+    unknown = [cell for cell in header if cell not in wanted]
+    if unknown or "vehicle" not in header or len(set(header)) < len(header):
+        problems.append(f"line {lines[0][0]}: the columns are {', '.join(wanted)}{_but(unknown)}")
+        return {}
+    table: Table = {}
+    for (number, _), row in zip(lines[1:], rows[1:], strict=False):
+        if len(row) > len(header):
+            problems.append(f"line {number}: {len(row)} cells; the header has {len(header)}")
+            continue
+        cells = {column: cell.strip() for column, cell in zip(header, row, strict=False) if cell.strip()}
+        name = cells.pop("vehicle", "")
+        if not name or name in table:
+            problems.append(f"line {number}: " + (f"{name} has a row already" if name else "it names no vehicle"))
+            continue
+        table[name] = _places(f"line {number}", _csv_places(cells), problems)
+    return table
+
+
+def _but(unknown: Sequence[str]) -> str:
+    return f"; not {unknown[0][:40]!r}" if unknown else ""
+
+
+def _csv_places(cells: Mapping[str, str]) -> dict[str, Any]:
+    places: dict[str, Any] = {}
+    for which in ("initial", "final"):
+        given = [cells.get(f"{which}_{axis}") for axis in AXES]
+        if any(value is not None for value in given):
+            places[which] = given
+        if f"{which}_heading_deg" in cells:
+            places[f"{which}_heading_deg"] = cells[f"{which}_heading_deg"]
+    return places
+
+
+def _from_toml(text: str, problems: list[str]) -> Table:
+    try:
+        document = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        problems.append(str(error))
+        return {}
+    vehicles = document.pop("vehicles", {})
+    problems += [f"{key}: unknown; there are tables [vehicles.NAME]" for key in document]
+    if not isinstance(vehicles, dict):
+        problems.append("vehicles: must be tables [vehicles.NAME]")
+        return {}
+    table: Table = {}
+    for name, places in vehicles.items():
+        if not isinstance(places, dict):
+            problems.append(f"vehicles.{name}: must be a table with initial and final")
+            continue
+        table[name] = _places(f"vehicles.{name}", places, problems)
+    return table
+
+
+def _places(where: str, given: Mapping[str, Any], problems: list[str]) -> dict[Which, Spot]:
+    places: dict[Which, Spot] = {}
+    known = {"initial", "final", "initial_heading_deg", "final_heading_deg"}
+    problems += [f"{where}: no key {key[:40]!r}; there are {', '.join(sorted(known))}" for key in given.keys() - known]
+    which: Which
+    for which in ("initial", "final"):
+        heading_key = f"{which}_heading_deg"
+        heading = None
+        if given.get(heading_key) is not None:
+            heading = _coordinate(f"{where}: {heading_key}", given[heading_key], 360.0, problems)
+        values = given.get(which)
+        if values is None:
+            if heading is not None:
+                problems.append(f"{where}: {heading_key} without a position")
+            continue
+        if not isinstance(values, list) or len(values) != 3:
+            problems.append(f"{where}: {which}: must be three numbers x, y, z")
+            continue
+        numbers = [
+            _coordinate(f"{where}: {which} {a}", v, LARGEST_M, problems) for a, v in zip(AXES, values, strict=True)
+        ]
+        x, y, z = (0.0 if number is None else number for number in numbers)
+        places[which] = Spot((x, y, z), heading)
+    if not given.keys() & {"initial", "final"}:
+        problems.append(f"{where}: neither an initial nor a final position")
+    return places
+
+
+def _coordinate(where: str, value: Any, largest: float, problems: list[str]) -> float | None:
+    """The number; None if it is not one, with one more problem."""
+    try:
+        if value is None or isinstance(value, bool):
+            raise ValueError
+        number = float(value)
+    except (TypeError, ValueError):
+        problems.append(f"{where}: {'missing' if value is None else f'{value!r} is not a number'}")
+        return None
+    if not abs(number) <= largest:
+        problems.append(f"{where}: {number:g} is not within ±{largest:g}")
+        return None
+    return number
+
+
+# --- the flight -------------------------------------------------------------------------------------------------------
+
+WATCH_HZ = 4.0
+"""Updates per second and vehicle: one every 1.25 m at 5 m/s; arrival times are accurate to a quarter of a second."""
+
+AT_ONCE = 32
+"""Orders sent at the same time; the daemon accepts 64 of one client."""
+
+
+@dataclass
+class TableFlight:
+    """The flight of one vehicle to its position. Times count from the orders."""
+
+    name: str
+    goal: Spot
+    distance_m: float
+    refused: str | None = None
+    """Why it does not fly; the command does not wait for it."""
+    connected: bool = True
+    arrived_s: float | None = None
+    """When it came within the radius; None again when it leaves it."""
+
+    @property
+    def settled(self) -> bool:
+        return self.refused is not None or self.arrived_s is not None
+
+    def see(self, position_m: Point, elapsed_s: float, radius_m: float) -> bool:
+        """Take in its newest position; True if it has just arrived."""
+        self.distance_m = math.dist(position_m, self.goal.position_m)
+        if self.distance_m > radius_m:
+            self.arrived_s = None
+            return False
+        arrives = self.arrived_s is None
+        if arrives:
+            self.arrived_s = elapsed_s
+        return arrives
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "arrived": self.arrived_s is not None,
+            "arrived_s": self.arrived_s,
+            "distance_m": round(self.distance_m, 3),
+            "goal_m": list(self.goal.position_m),
+            "refused": self.refused,
+            "connected": self.connected,
+        }
+
+
+def located(states: Iterable[Mapping[str, Any]], wanted: Mapping[str, Spot]) -> dict[str, tuple[str, Point]]:
+    """The daemon's name and the position of each vehicle in the table.
+
+    Raises RefusedError that names all vehicles that are unknown, not connected or without a position in the fleet's
+    frame.
+    """
+    known = {str(s["name"]): s for s in states}
+    by_id = {str(s["sysid"]): s for s in known.values()}
+    unknown = [name for name in wanted if name not in known and name not in by_id]
+    if unknown:
+        there_is = ", ".join(known) or "none yet"
+        raise RefusedError(f"the table names {', '.join(unknown)}; the daemon knows: {there_is}")
+    chosen = {name: known.get(name) or by_id[name] for name in wanted}
+    if len({s["name"] for s in chosen.values()}) < len(chosen):
+        raise RefusedError("the table names a vehicle twice, by its name and by its system id")
+    lost = [name for name, s in chosen.items() if not s["connected"]]
+    if lost:
+        raise RefusedError(f"{', '.join(lost)}: not connected")
+    nowhere = [name for name, s in chosen.items() if s.get("position") is None]
+    if nowhere:
+        raise RefusedError(f"{', '.join(nowhere)}: no position yet (skygcs-cli status shows the GPS)")
+    frameless = [name for name, s in chosen.items() if s["position"].get("enu_m") is None]
+    if frameless:
+        raise RefusedError(
+            f"{', '.join(frameless)}: no position in the fleet's frame, as it has no origin: skygcs-cli origin set"
+        )
+    return {name: (str(s["name"]), _point(s["position"]["enu_m"])) for name, s in chosen.items()}
+
+
+def others(states: Iterable[Mapping[str, Any]], flying: Iterable[str]) -> dict[str, Point]:
+    """Positions of the vehicles that do not take part, as far as they are known."""
+    skipped = set(flying)
+    return {
+        str(s["name"]): _point(s["position"]["enu_m"])
+        for s in states
+        if s["name"] not in skipped and (s.get("position") or {}).get("enu_m") is not None
+    }
+
+
+async def send(gcs: Client, flights: Sequence[TableFlight]) -> None:
+    """Send a goto to each, all at the same time; a refusal is kept in ``refused``."""
+
+    free = asyncio.Semaphore(AT_ONCE)
+
+    async def send_one(flight: TableFlight) -> None:
+        goal = flight.goal
+        async with free:
+            try:
+                outcomes = await gcs.goto(flight.name, enu_m=goal.position_m, yaw_deg=goal.heading_deg)
+            except DaemonUnreachable:
+                raise
+            except RpcError as error:
+                flight.refused = str(error)
+                return
+        for outcome in outcomes.values():
+            if not outcome["ok"]:
+                flight.refused = outcome["message"] or outcome["result"]
+
+    await asyncio.gather(*(send_one(flight) for flight in flights))
+
+
+async def watch(gcs: Client, flights: Sequence[TableFlight], radius_m: float, timeout_s: float, quiet: bool) -> float:
+    """Wait until all are within the radius of their goals at the same time, or the time is up; returns the seconds.
+
+    Shows a live table on a terminal, elsewhere a line for each arrival, nothing if ``quiet``.
+    """
+    live = not quiet and sys.stdout.isatty()
+    follow = _follow(gcs, flights, radius_m, live=live, lines=not quiet and not live)
+    clock = asyncio.get_running_loop().time
+    began = clock()
+    try:
+        async with asyncio.timeout(timeout_s):
+            await follow
+    except TimeoutError:
+        pass
+    return clock() - began
+
+
+async def _follow(gcs: Client, flights: Sequence[TableFlight], radius_m: float, *, live: bool, lines: bool) -> None:
+    by_name = {flight.name: flight for flight in flights if flight.refused is None}
+    if not by_name:
+        return
+    clock = asyncio.get_running_loop().time
+    began = clock()
+    updates = gcs.telemetry(list(by_name), rate_hz=WATCH_HZ, sections=["position", "connected"])
+    view = LiveView(lambda _: flight_table(flights, clock() - began), enabled=live)
+    with contextlib.closing(updates), view:
+        async for state in updates:
+            flight = by_name.get(str(state["name"]))
+            if flight is None:
+                continue
+            elapsed_s = clock() - began
+            flight.connected = bool(state["connected"])
+            position = (state.get("position") or {}).get("enu_m")
+            if position is not None and flight.see(_point(position), elapsed_s, radius_m) and lines:
+                typer.echo(f"{elapsed_s:7.1f} s  {flight.name} arrived, {flight.distance_m:.2f} m from its position")
+                sys.stdout.flush()
+            view.refresh()
+            if all(f.settled for f in flights):
+                return
+
+
+def flight_table(flights: Sequence[TableFlight], elapsed_s: float) -> RichTable:
+    """Goal, distance and time of arrival of every vehicle."""
+    rows = []
+    for f in flights:
+        time_s = elapsed_s if f.arrived_s is None else f.arrived_s
+        time = "" if f.refused is not None else f"{time_s:.1f} s"
+        rows.append((f.name, place(f.goal.position_m), f"{f.distance_m:.2f} m", time, _word(f)))
+    columns = ("vehicle", "goal", "distance", "time", "")
+    return render.table(columns, rows, right=("distance", "time"), title=f"{elapsed_s:.1f} s")
+
+
+def _word(flight: TableFlight) -> tuple[str, str]:
+    if flight.refused is not None:
+        return f"refused: {flight.refused}", "red"
+    if not flight.connected:
+        return "lost", "bold red"
+    return ("arrived", "green") if flight.arrived_s is not None else ("on its way", "")
+
+
+def place(point: Point) -> str:
+    return ", ".join(f"{x:g}" for x in point)
+
+
+def _point(values: Sequence[float]) -> Point:
+    x, y, z = values
+    return float(x), float(y), float(z)
 
 
 def add_to(app: typer.Typer) -> None:

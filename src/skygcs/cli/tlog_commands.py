@@ -256,3 +256,7 @@ def _address(text: str) -> tuple[str, int]:
     if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
         raise typer.BadParameter(f"{text!r} is not [HOST:]PORT")
     return host.strip("[]") or "127.0.0.1", int(port)
+
+
+def add_to(app: typer.Typer) -> None:
+    app.add_typer(tlog, name="tlog", rich_help_panel="Show")

@@ -11,8 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli import render
+from skygcs.cli.control import TRACK_COLUMNS, track_cells, track_line, track_table
 from skygcs.cli.main import app
-from skygcs.cli.track_table import TRACK_COLUMNS, track_cells, track_line, track_table
 from skygcs.core.control.trace import COLUMNS
 from support.controlled import FLYING, OFF, Commanded, commanded
 from support.fake_daemon import FakeOutcome
@@ -207,7 +207,7 @@ def test_only_the_first_differences_are_told(trace: Path) -> None:
 def test_a_cut_line_is_told_and_left_out(trace: Path) -> None:
     trace.write_text(trace.read_text()[:-20])
     text = replayed(trace)
-    assert text.startswith("line 1507 was cut off") and "1,424 steps, all bit-identical" in text
+    assert text.startswith("line 1507 is incomplete") and "1,424 steps, all bit-identical" in text
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,16 @@ from typing import Any
 
 import pytest
 
-from skygcs.cli import correction_stream
-from skygcs.cli.correction_stream import PIECE_BYTES, Stream, Tally, at_rate, forward, line_of
-from skygcs.cli.corrections import status_lines
+from skygcs.cli import corrections
+from skygcs.cli.corrections import (
+    PIECE_BYTES,
+    CorrectionStream,
+    CorrectionTally,
+    at_rate,
+    forward,
+    line_of,
+    status_lines,
+)
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.errors import DaemonUnreachable, RefusedError
 from support.controlled import Commanded, commanded
@@ -42,9 +49,9 @@ class FakeClient:
         return {**NOTHING, "types": {}, "links": 1, **answer}
 
 
-def stream_of(client: FakeClient) -> tuple[Stream, list[str]]:
+def stream_of(client: FakeClient) -> tuple[CorrectionStream, list[str]]:
     told: list[str] = []
-    return Stream(client, told.append), told  # type: ignore[arg-type]
+    return CorrectionStream(client, told.append), told  # type: ignore[arg-type]
 
 
 async def pieces(*data: bytes, pause_s: float = 0.0) -> AsyncIterator[bytes]:
@@ -84,10 +91,10 @@ async def test_what_a_person_should_do_something_about_is_told_once() -> None:
     for _ in range(7):
         await stream.send(b"x")
     assert told == [
-        correction_stream.NO_LINK,
-        correction_stream.LINK_AGAIN,
-        correction_stream.NOT_TAKEN,
-        correction_stream.TOO_LONG,
+        corrections.NO_LINK,
+        corrections.LINK_AGAIN,
+        corrections.NOT_TAKEN,
+        corrections.TOO_LONG,
     ]
 
 
@@ -95,7 +102,7 @@ async def test_a_stream_of_something_else_is_told() -> None:
     stream, told = stream_of(FakeClient())
     for _ in range(10):
         await stream.send(b"$GPGGA" * 50)
-    assert told == [correction_stream.NO_RTCM]
+    assert told == [corrections.NO_RTCM]
 
 
 async def test_the_end_is_told_to_the_daemon_even_if_it_is_gone() -> None:
@@ -112,7 +119,7 @@ async def test_what_went_is_shown_at_its_times_whether_or_not_anything_comes() -
     shown: list[tuple[float, float]] = []
     clock = asyncio.get_running_loop().time
 
-    def show(_: Tally, bytes_per_s: float) -> None:
+    def show(_: CorrectionTally, bytes_per_s: float) -> None:
         shown.append((clock(), bytes_per_s))
 
     await forward(stream, pieces(b"x", b"", pause_s=2.25), show, 2.0)
@@ -156,7 +163,7 @@ def test_a_file_is_sent_and_its_end_told(fleet: Commanded, tmp_path: Path) -> No
 def test_a_file_without_corrections_fails_and_says_so(fleet: Commanded, tmp_path: Path) -> None:
     fleet.daemon.corrections_taken |= NOTHING | {"types": {}}
     (tmp_path / "empty").touch()
-    assert "nothing came" in fleet.run("corrections", "send", str(tmp_path / "empty"), code=FAILED)
+    assert "no input" in fleet.run("corrections", "send", str(tmp_path / "empty"), code=FAILED)
     (tmp_path / "log.ubx").write_bytes(b"\xb5b" * 1500)
     text = fleet.run("corrections", "send", str(tmp_path / "log.ubx"), "--rate", "1e6", code=FAILED)
     assert "no RTCM 3 message" in text
@@ -237,7 +244,7 @@ def test_the_status_tells_what_went_and_the_fixes(fleet: Commanded) -> None:
         "  1005        3 messages         75 B, the last 9 s ago",
         "  too long: 2 messages",
         "alpha: rtk_fixed, 14 satellites",
-        "bravo: no GPS told",
+        "bravo: no GPS reported",
     ]
 
 
@@ -249,9 +256,9 @@ def test_the_status_tells_what_each_radio_made_of_it() -> None:
     corrections.offer(2, bytes([0, 36]) + rtcm_frame(1087), None, 50, 0.0)
     corrections.pop(0.0)
     radio = {"link": "air", "peer": "/dev/ttyUSB0", **corrections.status(), "source": "255/25"}
-    lines = status_lines({**STATUS, "radios": [radio], "vehicles": [], "types": {}, "too_long": 0, "age_s": None})
+    lines = list(status_lines({**STATUS, "radios": [radio], "vehicles": [], "types": {}, "too_long": 0, "age_s": None}))
     assert lines == [
-        "over this daemon's socket nothing was sent yet",
-        "air (/dev/ttyUSB0): 165 B/s for corrections, 1 messages of 255/25 sent, 0 fragments wait, waits p95 0.0 s",
+        "nothing was sent yet through this daemon's socket",
+        "air (/dev/ttyUSB0): 165 B/s for corrections, 1 messages of 255/25 sent, 0 fragments waiting, wait p95 0.0 s",
         "  1 fragments of a second base refused",
     ]

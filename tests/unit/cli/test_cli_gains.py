@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli.gains_study import Question
+from skygcs.cli.gains import Question
 from skygcs.cli.main import app
 from support.public_data import ROOT
 
@@ -172,7 +172,7 @@ def test_unstable_gains_are_told_as_such_and_get_no_suggestion() -> None:
     assert (found["stable"], found["margins"], found["suggestion"]) == (False, None, None)
     assert found["poles"][0] == {"re": pytest.approx(1.497, abs=1e-3), "im": 0.0}
     text = run(*args)
-    assert "UNSTABLE" in text and "slower does not help" in text
+    assert "UNSTABLE" in text and "slower gains do not help" in text
 
 
 def test_a_law_without_integrator_is_analysed_too() -> None:

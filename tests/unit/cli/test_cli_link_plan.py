@@ -25,7 +25,7 @@ def test_what_fits_is_shown_with_its_shares() -> None:
     assert "a round of 11 nodes: 912 ms" in said
     assert "down, ground serial          2,005     5,760     2,880     35%" in said
     assert "each vehicle gets (Hz): HEARTBEAT 1, SYS_STATUS 0.5, GPS_RAW_INT 0.5, GLOBAL_POSITION_INT 2" in said
-    assert "vehicles that fit like this: 14" in said
+    assert "vehicles that fit with these options: 14" in said
 
 
 def test_what_does_not_fit_is_told_with_figures_and_a_proposal() -> None:
@@ -38,14 +38,14 @@ def test_what_does_not_fit_is_told_with_figures_and_a_proposal() -> None:
 def test_json_holds_the_same() -> None:
     answer = json.loads(run("10", "--profile", "control-10", "--json", code=FAILED))
     assert (answer["fits"], answer["most_vehicles"]) == (False, 5)
-    assert [way["fits"] for way in answer["ways"]] == [False, True, False, True]
+    assert [one["fits"] for one in answer["directions"]] == [False, True, False, True]
     assert answer["rates_hz"]["GLOBAL_POSITION_INT"] < 10
 
 
 def test_a_profile_of_ones_own_is_the_sum_of_its_messages() -> None:
     answer = json.loads(run("1", "--profile", "custom", "--rate", "attitude=5", "--air-speed", "none", "--json"))
     assert answer["down_per_vehicle_bytes_per_s"] == 21 + 5 * 40
-    assert [way["name"] for way in answer["ways"]] == ["down, ground serial", "up, ground serial"]
+    assert [one["name"] for one in answer["directions"]] == ["down, ground serial", "up, ground serial"]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from rich.console import Console
 
-from skygcs.cli.link_screen import drawn, head_lines, look
+from skygcs.cli.links import drawn, head_lines, look
 from skygcs.rpc.client import Client
 
 
@@ -67,10 +67,10 @@ def shown(radios: list[dict[str, Any]]) -> str:
 def test_it_shows_budget_classes_vehicles_and_what_is_degraded() -> None:
     text = shown([radio()])
     assert "320 of 498 B/s, paced by its reports" in text
-    assert "1,900 B/s come, 2,213 planned, 2,880 may be, cut to 75% after losses" in text
+    assert "measured 1,900 B/s, planned 2,213, available 2,880, cut to 75% after losses" in text
     assert "a round takes 0.91 s" in text and "buffer 80 % free" in text and "degraded: alpha" in text
     (vehicle,) = [line for line in text.splitlines() if line.strip().startswith("alpha")]
-    assert "3.1%" in vehicle and "0.60 s" in vehicle and "less than wanted, flown" in vehicle
+    assert "3.1%" in vehicle and "0.60 s" in vehicle and "less than requested, flown" in vehicle
     assert "command" in text and "0.25 s" in text
     assert "setpoint" not in text, "a class without anything is left out"
 
@@ -103,12 +103,12 @@ def test_it_shows_who_else_sends_what_became_of_it_and_what_waits() -> None:
     busy["up"]["corrections"] = {"source": 255 << 8 | 190, "bytes_per_s": 199.0, "messages": 15, "bytes": 11460}
     busy["up"]["corrections"] |= {"replaced": 45, "expired": 0, "dropped": 1, "wait_p95_s": 0.9}
     text = shown([busy])
-    assert "others may have 249 B/s; parameters of 2 come (34 of 900), those of 3, 4 wait" in text
+    assert "limit of other programs 249 B/s; parameters of 2 arrive (34 of 900), those of 3, 4 wait" in text
     first = next(line for line in text.splitlines() if "255/190" in line)
-    assert "sent 264 (7,497 B), 3 wait, streams refused 420, slowed 85, too often 1,037, silent for 61 s" in first
+    assert "sent 264 (7,497 B), 3 waiting, streams refused 420, slowed 85, too often 1,037, silent for 61 s" in first
     assert text.index("255/190") < text.index("1/8"), "who asks for most comes first"
     assert "and 2 more" in text
-    assert "corrections of 255/190: 15 messages sent (11,460 B of 199 B/s), 46 left out for newer ones" in text
+    assert "corrections of 255/190: 15 messages sent (11,460 B, 199 B/s), 46 replaced by newer ones" in text
 
 
 def test_without_a_radio_it_says_what_to_do() -> None:

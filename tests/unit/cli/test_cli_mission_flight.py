@@ -164,7 +164,7 @@ def test_status_tells_item_and_transfer_of_each_vehicle(site: Site) -> None:
     told["counts"]["mission"] = 12
     said = site.run("mission", "status")
     assert "alpha       item 3 of 12  reached 2  active  fence upload 40 %" in said
-    assert "bravo       no item told yet" in said
+    assert "bravo       no current item reported yet" in said
     site.daemon.vehicle("bravo").missions.told["counts"]["mission"] = 0
     assert "bravo       no mission" in site.run("mission", "status", "bravo")
     site.daemon.vehicle("bravo").missions.told |= {"item": 1, "state": "no mission", "counts": {"mission": None}}
@@ -183,7 +183,7 @@ def test_watch_shows_the_status_and_then_what_concerns_missions(site: Site) -> N
     site.when_followed(happen)
     lines = site.run("mission", "watch", "alpha", "--count", "2").splitlines()
     assert [line.rpartition("alpha")[2] for line in lines] == [
-        "       no item told yet",
+        "       no current item reported yet",
         ": mission upload: in progress 10 %",
         ": reached item 2 of 4",
     ]
@@ -197,7 +197,7 @@ def test_fence_status_tells_what_is_held_and_breaches(site: Site) -> None:
     assert "polygons and circles not read yet" in site.run("fence", "status", "bravo")
     alpha.fence |= {"breached": True, "breaches": 2, "follows_list": False, "last_text": "Circle fence breached"}
     said = site.run("fence", "status", "alpha", code=FAILED)
-    assert "not watched" in said and "2 breaches since boot" in said and 'last said "Circle fence breached"' in said
+    assert "not enforced" in said and "2 breaches since boot" in said and 'last text "Circle fence breached"' in said
     told = json.loads(site.run("fence", "status", "alpha", "--json", code=FAILED))
     assert told["outcomes"]["alpha"]["fence_items"] == 5
 

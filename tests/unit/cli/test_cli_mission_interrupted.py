@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.cli.mission_interrupted import _line
+from skygcs.cli.missions import held_line
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
@@ -27,7 +27,7 @@ def line(held: tuple[MissionItem, ...], state: str, sent: tuple[MissionItem, ...
     plan = MissionPlan(mission=held)
     last = {"state": state, "message": "cancelled; whatever"}
     answer = {"items": len(held), "last": last, "plan": write_qgc(plan), "why": "", **more}
-    return _line(answer, MissionPlan(mission=sent), MissionType.MISSION, "/x/new.plan", "ardupilot")
+    return held_line(answer, MissionPlan(mission=sent), MissionType.MISSION, "/x/new.plan", "ardupilot")
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def line(held: tuple[MissionItem, ...], state: str, sent: tuple[MissionItem, ...
         (line(NEW, "unknown"), "holds the whole mission of new.plan (4 mission items)"),
         (line(OLD, "unchanged"), "holds 6 mission items, not those of new.plan: as before"),
         (line((NEW[0], *OLD[1:]), "unchanged"), "holds 6 mission items, not those of new.plan: as before"),
-        (line(OLD, "partial"), "holds 6 mission items, not those of new.plan; look before you fly"),
+        (line(OLD, "partial"), "holds 6 mission items, not those of new.plan; check it before you fly"),
         (
             line((*NEW[:2], *OLD[2:]), "partial"),
             "holds 6 mission items: the first 2 are of new.plan, the other 4",
@@ -47,7 +47,7 @@ def line(held: tuple[MissionItem, ...], state: str, sent: tuple[MissionItem, ...
         ),
         (line((), "unknown"), "holds no mission"),
         (line(NEW, "partial", (CAMERA, *NEW)), "holds the whole mission of new.plan"),  # as this firmware takes it
-        (line((), "partial", items=None, why="no answer"), "cancelled; whatever; what it holds could not be read: no"),
+        (line((), "partial", items=None, why="no answer"), "cancelled; whatever; reading what it holds failed: no"),
         (line(NEW, "partial", plan=None), "holds 4 mission items"),
     ],
 )

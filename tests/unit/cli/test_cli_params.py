@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli import param_lines
+from skygcs.cli import params
 from skygcs.cli.main import app
 from skygcs.core.mavlink.param_encoding import Param, ParamType
 from skygcs.core.params.param_file import parse
@@ -150,7 +150,7 @@ def test_what_is_saved_differs_in_nothing_and_is_applied_as_nothing(served: Serv
     file = parse(path.read_text(), "saved")
     assert (file.kind == "qgc") == (name == "a.params") and file.sysids == {1} and len(file.entries) == 4
     assert served.run("diff", "alpha", str(path)) == "no difference\n"
-    assert "0 to set, 2 as they are, 2 left alone" in served.run("apply", "alpha", str(path))
+    assert "0 to set, 2 equal, 2 left alone" in served.run("apply", "alpha", str(path))
     assert served.params.set_calls == []
     served.run("save", "alpha", str(path), code=2)
     served.run("save", "alpha", str(path), "--force")
@@ -170,7 +170,7 @@ def test_apply_sets_what_differs_and_a_dry_run_only_says_so(served: Served, tmp_
     assert served.params.set_calls == []
     assert "alpha: read again, nothing differs from the file" in served.run("apply", "alpha", str(path))
     text = served.run("apply", "alpha", str(path), "--include", "identity")
-    assert "not read again: its identity has been changed" in text
+    assert "not read again: its identity was changed" in text
     assert [list(call) for call in served.params.set_calls] == [["FENCE_ENABLE", "WPNAV_SPEED"], ["SYSID_THISMAV"]]
 
 
@@ -221,7 +221,7 @@ def test_another_vehicles_file_can_be_insisted_on(served: Served, tmp_path: Path
 
 def test_what_is_known_by_number_only_is_read_before_anything_rests_on_it(served: Served, tmp_path: Path) -> None:
     served.params.vouched = "count"
-    assert "by their number only; --refresh reads them" in served.run("list", "alpha")
+    assert "only their number was checked; --refresh reads them" in served.run("list", "alpha")
     assert served.params.refreshed == 0
     served.run("save", "alpha", str(tmp_path / "a.param"))
     assert "COMPASS_OFS_X,4.5" in (tmp_path / "a.param").read_text()
@@ -249,7 +249,7 @@ def test_diff_of_two_files_needs_no_daemon(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_bar_tells_how_far_and_how_long() -> None:
     data = {"received": 650, "count": 1300, "percent": 50, "remaining_s": 12.4}
-    text = param_lines.bar({"vehicle": "alpha", "text": "", "data": data})
+    text = params.bar({"vehicle": "alpha", "text": "", "data": data})
     assert text == f"alpha  [{'#' * 15}{'.' * 15}] 650/1300  12 s left"
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli import preflight, preflight_lines
+from skygcs.cli import preflight
 from skygcs.cli.connection import Exit
 from skygcs.cli.main import app
 from skygcs.rpc.server import RpcServer
@@ -153,7 +153,7 @@ def test_fix_asks(monkeypatch: pytest.MonkeyPatch, answer: str, agreed: bool) ->
 
 
 def test_fix_with_nothing_to_set(served: Served) -> None:
-    assert "no parameter would put anything right" in served.run("bravo", "--fix")
+    assert "no finding can be corrected by a parameter" in served.run("bravo", "--fix")
 
 
 def test_fix_as_json_has_nobody_to_ask(served: Served) -> None:
@@ -163,12 +163,12 @@ def test_fix_as_json_has_nobody_to_ask(served: Served) -> None:
 @pytest.mark.parametrize("columns", [40, 60, 80])
 def test_a_narrow_terminal_is_not_overrun(columns: int) -> None:
     long = finding("home", "fail", "danger", "it has no home: a return would go nowhere at all", "set it " * 12)
-    lines = list(preflight_lines.report_lines({"alpha": report(long)}, columns, everything=True))
+    lines = list(preflight.report_lines({"alpha": report(long)}, columns, everything=True))
     assert max(len(row) for line in lines for row in line.splitlines()) <= columns
 
 
 def test_a_vehicle_in_flight_is_said_to_fly_and_not_to_be_ready(served: Served) -> None:
     served.fleet.preflight_told = {"alpha": {**GOOD, "in_air": True}, "bravo": GOOD, "carol": {**GOOD, "in_air": False}}
     lines = served.run().splitlines()
-    assert lines[0] == "alpha: in flight, where nothing is armed: 1 checks pass now"
+    assert lines[0] == "alpha: in flight, no arming decision: 1 checks pass now"
     assert lines[1].startswith("bravo: ready") and lines[-1] == "2 of 3 ready, 1 in flight"

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from skygcs.cli import radio_daemon
+from skygcs.cli import radio
 from skygcs.cli.main import app
-from skygcs.cli.radio_daemon import lent
+from skygcs.cli.radio import lent
 from skygcs.errors import DaemonUnreachable, LinkError, RefusedError, RpcError
 from skygcs.modem.backup import to_toml
 from skygcs.modem.settings import Firmware, RadioState, Register
@@ -105,7 +105,7 @@ def test_backups_are_compared_with_the_first_and_as_one_network(tmp_path: Path) 
         return tmp_path / name
 
     ground, alpha = backup("ground", "0x1", NODEID=1), backup("alpha", "0x2", NODEID=2)
-    assert "as one network they go together" in run("diff", ground, alpha)
+    assert "the radios fit together as one network" in run("diff", ground, alpha)
     wrong = backup("bravo", "0x3", NODEID=2, AIR_SPEED=125)
     said = run("diff", ground, alpha, wrong, code=FAILED)
     assert "node id 2 is in 2 radios" in said
@@ -148,7 +148,7 @@ def running(monkeypatch: pytest.MonkeyPatch, gcs: Gcs | None) -> None:
             raise DaemonUnreachable("here", "nobody listens")
         yield gcs
 
-    monkeypatch.setattr(radio_daemon, "client", client)
+    monkeypatch.setattr(radio, "client", client)
 
 
 async def test_the_daemon_lends_the_port_under_whatever_name_and_takes_it_back_after_an_error(

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from skygcs.cli import render
+from skygcs.cli import links, messages, render, status
 from support.fake_daemon import FakeDaemon
 
 
@@ -25,7 +25,7 @@ def state(**changes: Any) -> dict[str, Any]:
 
 
 def test_the_status_table_tells_what_one_asks_first() -> None:
-    lines = text_of(render.status_table([state(), state(name="bravo", sysid=2, armed=True)])).splitlines()
+    lines = text_of(status.status_table([state(), state(name="bravo", sysid=2, armed=True)])).splitlines()
     for column in ("name", "autopilot", "mode", "armed", "alt", "battery", "gps", "link", "loss", "age", "last text"):
         assert column in lines[0]
     for cell in ("alpha", "px4 1.14.3", "AUTO.LOITER", " no ", "87 % 15.8 V", "3D 11 sat", "radio", "1.3 %", "0.4 s"):
@@ -36,21 +36,21 @@ def test_the_status_table_tells_what_one_asks_first() -> None:
 
 def test_places_in_the_world_frame_have_a_column_once_there_is_one() -> None:
     here = state(position={"alt_rel_m": 9.0, "enu_m": [12.34, -5.0, -0.04]})
-    assert "x, y, up" in text_of(render.status_table([state(), here]))
-    assert "12.3, -5.0, 0.0" in text_of(render.status_table([state(), here]))
-    assert "x, y, up" not in text_of(render.status_table([state(position={"alt_rel_m": 9.0, "enu_m": None})]))
+    assert "x, y, up" in text_of(status.status_table([state(), here]))
+    assert "12.3, -5.0, 0.0" in text_of(status.status_table([state(), here]))
+    assert "x, y, up" not in text_of(status.status_table([state(position={"alt_rel_m": 9.0, "enu_m": None})]))
 
 
 @pytest.mark.parametrize("width", [80, 100, 140, 200])
 def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) -> None:
     states = [state(), state(name="bravo", sysid=2, armed=True, duplicate_sysid=True, landed="in_air")]
-    lines = text_of(render.status_table(states, width=width), width).splitlines()
+    lines = text_of(status.status_table(states, width=width), width).splitlines()
     assert not any("…" in line for line in lines)
     for cell in ("bravo", "AUTO.LOITER", "ARMED DUPLICATE ID", "87 % 15.8 V", "0.4 s"):
         assert cell in lines[2], cell
     assert ("last text" in lines[0]) == (width > 120)
-    links = [*FakeDaemon().links_status(), {"name": "lte", "type": "tcp_client", "state": "down", "since_s": 9.0}]
-    lines = text_of(render.links_table(links, width), width).splitlines()
+    shown = [*FakeDaemon().links_status(), {"name": "lte", "type": "tcp_client", "state": "down", "since_s": 9.0}]
+    lines = text_of(links.links_table(shown, width), width).splitlines()
     assert not any("…" in line for line in lines)
     for cell in ("radio", "up 42 s", "/dev/ttyUSB0", "1200", "1/1 1.0 %"):
         assert cell in lines[1], cell
@@ -58,33 +58,33 @@ def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) 
 
 
 def test_a_lost_vehicle_and_a_failsafe_are_said_in_words() -> None:
-    cells = render.status_cells(state(connected=False, last_heartbeat_age_s=73.0, armed=True, failsafe=True))
+    cells = status.status_cells(state(connected=False, last_heartbeat_age_s=73.0, armed=True, failsafe=True))
     assert "lost 73 s" in cells and "ARMED FAILSAFE" in cells
 
 
 def test_two_vehicles_under_one_id_and_a_recording_are_said_in_words() -> None:
-    assert "no DUPLICATE ID" in render.status_cells(state(duplicate_sysid=True))
-    assert "ARMED REPLAY" in render.status_cells(state(armed=True, replayed=True))
-    assert "no" in render.status_cells(state(duplicate_sysid=False, replayed=False))
-    styles = [style for style in render._styles(state(duplicate_sysid=True)) if "red" in style]
+    assert "no DUPLICATE ID" in status.status_cells(state(duplicate_sysid=True))
+    assert "ARMED REPLAY" in status.status_cells(state(armed=True, replayed=True))
+    assert "no" in status.status_cells(state(duplicate_sysid=False, replayed=False))
+    styles = [style for style in status._styles(state(duplicate_sysid=True)).values() if "red" in style]
     assert styles == ["bold red"]
 
 
 def test_a_vehicle_of_which_only_a_heartbeat_is_known_has_its_row() -> None:
     bare = {"name": "v7", "sysid": 7, "autopilot": "px4", "connected": True, "armed": None, "mode": None}
     unknown = dict.fromkeys(("gps", "position", "battery", "home", "firmware", "landed", "last_heartbeat_age_s"))
-    cells = render.status_cells({**bare, **unknown, "status_texts": [], "links": {}})
+    cells = status.status_cells({**bare, **unknown, "status_texts": [], "links": {}})
     assert cells[:5] == ("v7", "7", "px4", "?", "?")
-    text_of(render.status_table([{**bare, **unknown}]))
+    text_of(status.status_table([{**bare, **unknown}]))
 
 
 def test_markup_in_a_status_text_is_only_text() -> None:
     odd = state(status_texts=[{"severity": "info", "text": "[red]boo[/] [/nonsense]", "age_s": 1.0}])
-    assert "[red]boo[/] [/nonsense]" in text_of(render.status_table([odd]))
+    assert "[red]boo[/] [/nonsense]" in text_of(status.status_table([odd]))
 
 
 def test_chosen_fields_are_columns() -> None:
-    shown = text_of(render.status_table([state()], ["battery.volts", "position.vel_enu_mps.0", "home.lat_deg", "x.y"]))
+    shown = text_of(status.status_table([state()], ["battery.volts", "position.vel_enu_mps.0", "home.lat_deg", "x.y"]))
     assert shown.split() == [
         "name",
         "battery.volts",
@@ -157,13 +157,13 @@ def test_on_a_terminal_long_lines_are_wrapped_between_words_below_their_text() -
 
 
 def test_a_height_that_rounds_to_nothing_has_no_sign() -> None:
-    cells = render.status_cells(state(position={"alt_rel_m": -0.04}))
-    assert cells[render.STATUS_COLUMNS.index("alt")] == "0.0 m ground"
+    cells = status.status_cells(state(position={"alt_rel_m": -0.04}))
+    assert cells[status.STATUS_COLUMNS.index("alt")] == "0.0 m ground"
 
 
 def test_a_long_last_text_is_cut_instead_of_wrapped() -> None:
     texts = [{"severity": "info", "level": 6, "text": "all is well, " * 8, "age_s": 1.0}]
-    lines = text_of(render.status_table([state(status_texts=texts)], width=140), 140).splitlines()
+    lines = text_of(status.status_table([state(status_texts=texts)], width=140), 140).splitlines()
     assert len(lines) == 2
     assert lines[1].startswith("alpha") and lines[1].rstrip().endswith("…")
 
@@ -183,7 +183,7 @@ def test_events_and_messages_are_one_line_and_tell_what_was_lost(monkeypatch: py
         "name": "X",
         "fields": {"a": None, "b": [1, 0.5], "c": "t"},
     }
-    assert render.message_line(message) == "255/190 X a=- b=[1, 0.5] c=t"
+    assert messages.message_line(message) == "255/190 X a=- b=[1, 0.5] c=t"
 
 
 def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
@@ -198,7 +198,7 @@ def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
         "last_error": "refused " * 40,
     }
     off = {"name": "spare", "type": "serial", "role": "peer", "state": "disabled", "since_s": 9.0, "last_error": "old"}
-    lines = text_of(render.links_table([{**up, "channels": up["channels"] * 2}, down, off])).splitlines()
+    lines = text_of(links.links_table([{**up, "channels": up["channels"] * 2}, down, off])).splitlines()
     for cell in ("radio", "serial", "up 42 s", "/dev/ttyUSB0", "1200", "57 B", "1/1 1.0 %"):
         assert cell in lines[1]
     assert "radio" not in lines[2]
@@ -213,10 +213,10 @@ def test_a_bound_link_shows_its_vehicles_and_who_reaches_for_others() -> None:
     kite = {**up, "name": "p1", "role": "gcs", "vehicles": ["kite"], "present_as": 1}
     many = {**up, "name": "p2", "role": "gcs", "vehicles": [1, 2, 3, 4, 5], "present_as": None}
     many["channels"] = [{**up["channels"][0], "out_of_bounds": 7}]
-    lines = [line.rstrip() for line in text_of(render.links_table([kite, many])).splitlines()]
+    lines = [line.rstrip() for line in text_of(links.links_table([kite, many])).splitlines()]
     assert "gcs: kite as 1  " in lines[1]
     assert "gcs: 1, 2, 3 +2  " in lines[2]
-    assert lines[3:] == ["p2: 7 frames for others than the vehicles of this link were dropped"]
+    assert lines[3:] == ["p2: 7 frames for other vehicles than those of this link were dropped"]
 
 
 def test_an_event_names_its_vehicle_although_a_word_of_the_text_holds_the_name() -> None:

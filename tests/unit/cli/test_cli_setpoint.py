@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.cli.setpoint_stream import MOST_REFUSED, MOST_WAITING, Inbox, Sender, Tally, bytes_of, forward, repeat
+from skygcs.cli.setpoint import MOST_REFUSED, MOST_WAITING, Inbox, Sender, SetpointTally, bytes_of, forward, repeat
 from skygcs.errors import RpcError
 from support.controlled import Commanded, commanded
 
@@ -32,7 +32,7 @@ def test_one_setpoint_is_streamed_and_its_end_told(fleet: Commanded) -> None:
     text = fleet.run("setpoint", "alpha", "--pos", "1", "-2", "5", "--yaw", "90", "--for", "0.2", "--rate", "50")
     assert fleet.vehicles["alpha"].setpoints[0] == {"pos_enu_m": [1.0, -2.0, 5.0], "yaw_deg": 90.0, "valid_s": 0.5}
     assert "setpoints in 0." in text
-    assert "alpha stays where it is from 0.5 s after the last one on" in text
+    assert "alpha stays where it is from 0.5 s after the last setpoint on" in text
 
 
 def test_axes_may_be_left_to_a_velocity(fleet: Commanded) -> None:
@@ -80,13 +80,13 @@ def test_when_the_daemon_goes_away_nothing_is_promised(fleet: Commanded) -> None
         (("--pos", "1", "2", "x"), "--pos"),
         (("--pos", "1", "2", "inf"), "--pos"),
         (("--pos", "1", "2", "-"), "z has neither"),
-        (("--pos", "1", "-", "3"), "x or y alone"),
+        (("--pos", "1", "-", "3"), "x without y"),
         (("--pos", "1", "2", "3", "--rate", "0.1"), "--rate"),
         (("--pos", "1", "2", "3", "--rate", "1000"), "--rate"),
         (("--pos", "1", "2", "3", "--for", "-1"), "--for"),
         (("--pos", "1", "2", "3", "--valid", "60"), "--valid"),
         (("--pos", "1", "2", "3", "--yaw", "nan"), "--yaw"),
-        (("--stdin", "--for", "3"), "--stdin brings the setpoints"),
+        (("--stdin", "--for", "3"), "--stdin supplies the setpoints"),
     ],
 )
 def test_a_wrong_option_is_a_usage_error_that_names_it(fleet: Commanded, args: tuple[str, ...], word: str) -> None:
@@ -211,7 +211,7 @@ async def test_a_vehicle_may_be_taken_under_control_while_its_program_runs_alrea
         yield b"1,1,1\n"
 
     await forward(sender, "alpha", lines(), None)
-    assert told == ["alpha: refused: control is off", "alpha takes setpoints again"]
+    assert told == ["alpha: refused: control is off", "alpha accepts setpoints again"]
 
 
 @pytest.mark.looptime(start=0)
@@ -220,11 +220,11 @@ async def test_a_vehicle_that_keeps_refusing_ends_it() -> None:
     client.outcome = {"ok": False, "message": "refused: control is off"}
     sender, told = sender_of(client)
     await forward(sender, "alpha", lines_at(*[(0.1, "1,2,3\n")] * 1000), None)
-    assert len(client.sent) == MOST_REFUSED and "no more are sent" in told[-1]
+    assert len(client.sent) == MOST_REFUSED and "stopped sending" in told[-1]
 
 
 def test_of_more_vehicles_than_there_can_be_the_oldest_go() -> None:
-    tally = Tally()
+    tally = SetpointTally()
     inbox = Inbox("alpha", tally, lambda _: None, newest_only=True)
     for i in range(MOST_WAITING + 5):
         inbox.feed(f'{{"vehicle": "v{i}", "pos": [1, 2, 3]}}\n'.encode())

@@ -109,8 +109,8 @@ def test_off_fails_if_a_vehicle_still_signs(daemon: SigningDaemon) -> None:
 def test_status_tells_what_was_dropped(daemon: SigningDaemon) -> None:
     assert signing("status").splitlines() == [
         "radio: key 2c6184d5, link id 3, signs",
-        "  may come unsigned: RADIO_STATUS, 166",
-        "  /dev/ttyUSB0: 2810 signed, 31 unsigned let in, dropped: 4 unsigned, 2 replayed; sent 460",
+        "  accepted without a signature: RADIO_STATUS, 166",
+        "  /dev/ttyUSB0: 2810 signed, 31 unsigned accepted, dropped: 4 unsigned, 2 replayed; sent 460",
         "clock of key 2c6184d5: 2027-01-15 08:00:00 UTC, 61 s ahead of this computer's clock",
     ]
     daemon.pinned = True

@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.cli.table_file import Spot
-from skygcs.cli.table_flight import Flight, flight_table, send
+from skygcs.cli.table import Spot, TableFlight, flight_table, send
 from skygcs.errors import RpcError
 from support.controlled import Commanded, commanded
 from support.fake_daemon import FakeOutcome
@@ -69,7 +68,7 @@ def test_who_does_not_arrive_in_time_is_named_with_its_distance(fleet: Commanded
 def test_who_refuses_is_not_waited_for(fleet: Commanded, table: str) -> None:
     fleet.vehicles["bravo"].outcome = FakeOutcome(False, "refused", "refused: it is on the ground")
     text = fleet.run("table", table, "final", code=FAILED)
-    assert "bravo does not go: refused: it is on the ground" in text and "2 of 3 arrived" in text
+    assert "bravo does not fly: refused: it is on the ground" in text and "2 of 3 arrived" in text
     answer = fleet.json("table", table, "final", code=FAILED)
     assert answer["vehicles"]["bravo"]["refused"] == "refused: it is on the ground"
 
@@ -88,7 +87,7 @@ async def test_more_vehicles_than_the_daemon_takes_orders_at_once() -> None:
             return {name: {"ok": True}}
 
     busy = Busy()
-    flights = [Flight(f"v{i}", Spot((float(i), 0.0, 5.0)), 9.0) for i in range(250)]
+    flights = [TableFlight(f"v{i}", Spot((float(i), 0.0, 5.0)), 9.0) for i in range(250)]
     await send(busy, flights)  # type: ignore[arg-type]
     assert busy.most == 32
     assert [f.name for f in flights if f.refused] == ["v7"]
@@ -176,7 +175,7 @@ def test_check_needs_no_daemon_and_finds_all(tmp_path: Path) -> None:
 
 
 def test_arrival_is_taken_back_when_a_vehicle_leaves() -> None:
-    flight = Flight("alpha", Spot((0.0, 0.0, 5.0)), 10.0)
+    flight = TableFlight("alpha", Spot((0.0, 0.0, 5.0)), 10.0)
     assert not flight.see((1.0, 0.0, 5.0), 1.0, 0.5)
     assert flight.see((0.4, 0.0, 5.0), 2.0, 0.5) and not flight.see((0.3, 0.0, 5.0), 2.5, 0.5)
     assert flight.arrived_s == 2.0
@@ -190,10 +189,10 @@ def test_the_live_table_says_who_is_where() -> None:
 
     spot = Spot((10.0, -2.5, 5.0))
     flights = [
-        Flight("alpha", spot, 0.2, arrived_s=3.0),
-        Flight("bravo", spot, 7.5),
-        Flight("carol", spot, 9.0, refused="not armed"),
-        Flight("delta", spot, 9.0, connected=False),
+        TableFlight("alpha", spot, 0.2, arrived_s=3.0),
+        TableFlight("bravo", spot, 7.5),
+        TableFlight("carol", spot, 9.0, refused="not armed"),
+        TableFlight("delta", spot, 9.0, connected=False),
     ]
     screen = Console(width=100)
     with screen.capture() as capture:

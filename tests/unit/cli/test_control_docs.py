@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.cli.setpoint_lines import COLUMNS as SETPOINT_COLUMNS
-from skygcs.cli.setpoint_lines import VECTORS, LineReader
-from skygcs.cli.table_file import read_table, spots, too_near
+from skygcs.cli.setpoint import COLUMNS as SETPOINT_COLUMNS
+from skygcs.cli.setpoint import VECTORS, LineReader
+from skygcs.cli.table import read_table, spots, too_near
 from skygcs.core.control.trace import COLUMNS, FORMAT
 from support.public_data import ROOT
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.cli.check import check
+from skygcs.cli.fleet_files import check
 from skygcs.config.control import (
     ATTITUDE_HZ,
     ATTITUDE_MIN_HZ,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.cli.check import check
+from skygcs.cli.fleet_files import check
 from skygcs.config.loader import load_fleet
 from support.public_data import ROOT
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.cli.setpoint_lines import LARGEST_LINE, LineError, LineReader, SplitLines
+from skygcs.cli.setpoint import LARGEST_LINE, LineError, LineReader, SplitLines
 
 numbers = st.floats(-1e6, 1e6)
 vectors = st.tuples(numbers, numbers, numbers).map(list)
@@ -57,7 +57,7 @@ def test_nothing_and_remarks_are_passed_over_and_a_system_id_is_a_name() -> None
         (["x,y,z", "1,2"], "2 cells; the header has 3"),
         (["x,y,w"], "no column 'w'"),
         (["x,y,z,x"], "twice"),
-        (["x,y,z", "1,,3"], "x or y alone"),
+        (["x,y,z", "1,,3"], "x without y"),
         (["x,y,z", ",,"], "neither a position nor a velocity"),
         (["{"], "not JSON"),
         (["{" + "[" * 900], "not JSON"),

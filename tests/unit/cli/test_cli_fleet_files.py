@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.cli.check import check
+from skygcs.cli.fleet_files import check
 
 FLEET = """
 [daemon]
@@ -50,8 +50,8 @@ def test_what_is_right_is_summed_up(tmp_path: Path, capsys: pytest.CaptureFixtur
         "not enabled",
         "red, fast",
         "43.5, -79.5, 180.0 m",
-        "links.radio: there is no /dev/absent now",
-        "links.flight: there is no file",
+        "links.radio: /dev/absent does not exist now",
+        "links.flight: the file",
     ):
         assert text in " ".join(out.split()), text
 
@@ -75,7 +75,7 @@ def test_a_fleet_without_links_and_vehicles_says_what_happens(
     path.write_text("[daemon]\nrecord = false\n")
     assert check(path) == 0
     out, _ = capsys.readouterr()
-    assert "can be added while it runs" in out and "not recorded" in out and "none named" in out
+    assert "can be added while the daemon runs" in out and "not recorded" in out and "none named" in out
 
 
 def test_every_problem_is_printed_and_the_answer_is_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.cli.table_file import Spot, crossings, read_table, spots, too_near
+from skygcs.cli.table import Spot, crossings, read_table, spots, too_near
 from skygcs.errors import ConfigError, SkygcsError
 
 CSV = """# two vehicles
@@ -73,8 +73,8 @@ def test_every_problem_is_told_at_once_with_its_line(tmp_path: Path) -> None:
     )
     for line in (
         "line 2: final z: 'x' is not a number",
-        "line 4: alpha is there twice",
-        "line 5: no vehicle is named",
+        "line 4: alpha has a row already",
+        "line 5: it names no vehicle",
         "line 6: final y: missing",
         "line 6: final_heading_deg: 400 is not within ±360",
         "line 7: final_heading_deg without a position",
@@ -90,16 +90,16 @@ def test_every_problem_is_told_at_once_with_its_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "name", "reason"),
     [
-        ("", "t.csv", "there is no vehicle"),
-        ("vehicle,final_x\n", "t.csv", "there is no vehicle"),
+        ("", "t.csv", "it names no vehicle"),
+        ("vehicle,final_x\n", "t.csv", "it names no vehicle"),
         ("name,x,y,z\nalpha,1,2,3\n", "t.csv", "not 'name'"),
         ("vehicle,final_x,final_x\n", "t.csv", "the columns are"),
         ("vehicle,final_x,final_y,final_z\n" + "".join(f"v{i},{i},0,5\n" for i in range(300)), "t.csv", "at most 255"),
-        ("", "t.toml", "there is no vehicle"),
+        ("", "t.toml", "it names no vehicle"),
         ("[vehicles", "t.toml", "Expected ']'"),
         ("a = 1\n[vehicles.a]\nfinal=[1,2,3]", "t.toml", "a: unknown"),
-        ("vehicles = 3", "t.toml", "vehicles: tables"),
-        ("[vehicles]\na = 3", "t.toml", "vehicles.a: a table"),
+        ("vehicles = 3", "t.toml", "vehicles: must be tables"),
+        ("[vehicles]\na = 3", "t.toml", "vehicles.a: must be a table"),
         ("[vehicles.a]\nfinal = [1, 2]", "t.toml", "three numbers"),
         ("[vehicles.a]\nfinal = [1, 2, true]", "t.toml", "True is not a number"),
         ("[vehicles.a]\nfinal = [1, 2, 3]\nyaw = 3", "t.toml", "no key 'yaw'"),
