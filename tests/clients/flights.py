@@ -33,32 +33,29 @@ class Flight:
 
 
 def fly(client: str, words: list[str], folder: Path) -> Flight:
-    """Run a client's program until it ends, with all that it started; it has to reach its own end. Its errors go to
-    ``folder``/program.log.
+    """Run a client's program until it ends, with all that it started; it has to reach its own end. What it
+    says is in ``folder``, program.out and program.log.
     """
     environment = {**os.environ, "MAVLINK20": "1", "PYTHONUNBUFFERED": "1"}
-    log = folder / "program.log"
-    with log.open("wb") as stderr:
+    log, steps = folder / "program.log", folder / "program.out"
+    command = [str(CLIENTS[client].python), str(PROGRAMS / f"{client.replace('-', '_')}_flight.py"), *words]
+    # files and no pipes, whose end would come with the last of the processes that it started
+    with log.open("wb") as stderr, steps.open("wb") as stdout:
         program = subprocess.Popen(
-            [str(CLIENTS[client].python), str(PROGRAMS / f"{client.replace('-', '_')}_flight.py"), *words],
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            cwd=folder,
-            env=environment,
-            start_new_session=True,
+            command, stdout=stdout, stderr=stderr, cwd=folder, env=environment, start_new_session=True
         )
         try:
-            output, _ = program.communicate(timeout=FLIGHT_LIMIT_S)
-        except subprocess.TimeoutExpired as late:
-            output = late.stdout or b""
+            with suppress(subprocess.TimeoutExpired):
+                program.wait(FLIGHT_LIMIT_S)
         finally:
-            with suppress(ProcessLookupError):  # what it started: mavsdk_server, MAVProxy
+            with suppress(ProcessLookupError):  # mavsdk_server, MAVProxy
                 os.killpg(program.pid, signal.SIGKILL)
             code = program.wait()
-    lines = [json.loads(line) for line in output.decode().splitlines() if line.startswith('{"step"')]
+    output = steps.read_text(errors="replace")
+    lines = [json.loads(line) for line in output.splitlines() if line.startswith('{"step"') and line.endswith("}")]
     order = [line["step"] for line in lines]
     if code != 0 or order[-1:] != ["done"]:
-        said = output.decode(errors="replace")[-4000:], log.read_text(errors="replace")[-4000:]
+        said = output[-4000:], log.read_text(errors="replace")[-4000:]
         raise AssertionError(f"{client} ended with {code}:\n{said[0]}\n{said[1]}")
     return Flight({line.pop("step"): line for line in lines}, order)
 
