@@ -71,7 +71,7 @@ CLIENTS = {
         # what its console needs; with the 3D map's VTK and OpenCV it would be a gigabyte
         Client(
             "mavproxy",
-            ("pymavlink>=2.4.42,<3", "defusedxml", "pyserial", "numpy", "pynmeagps"),
+            ("pymavlink>=2.4.42,<3", "defusedxml", "pyserial", "numpy", "pynmeagps", "pillow"),
             ("MAVProxy>=1.8.75,<2",),
         ),
     )
