@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 from support.flight_log import FlightLog
 from support.frames import dialect
 
@@ -37,7 +37,7 @@ COMMANDS = {
 def long_log(path: Path, megabytes: int) -> Path:
     """Nine vehicles' two minutes again and again, each time two minutes later."""
     block = FlightLog(9).content(120.0)
-    cuts = [(r.offset, r.unix_us, r.raw) for r in iter_records(block, dialect())]
+    cuts = [(r.offset, r.unix_us, r.raw) for r in LogReader(block, dialect())]
     with path.open("wb") as file:
         for n in range(max(megabytes * 1_000_000 // len(block), 1)):
             shift_us = n * 120_000_000

@@ -18,8 +18,8 @@ from skygcs.config.dialects import load_dialect
 from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink
 from skygcs.daemon import Daemon
 from skygcs.tlog.flight import RecordedFlight
-from skygcs.tlog.flight_table import FlightTables
 from skygcs.tlog.reading import LogReader
+from skygcs.tlog.tables import FlightTables
 
 DATA = Path(__file__).parents[1] / "data"
 RIVALS = pytest.mark.parametrize(("name", "sysid"), [("forged-heartbeat-50hz", 1), ("second-heartbeat-1hz", 3)])

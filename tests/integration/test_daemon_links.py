@@ -22,7 +22,7 @@ from skygcs.errors import ConfigError, LinkError, RefusedError
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.rpc.client import connect
 from skygcs.runtime.vehicle_actor import VehicleActor
-from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 from support.routed import heartbeat, message
 
 
@@ -101,7 +101,7 @@ async def test_a_conflict_is_an_event_and_both_directions_are_on_the_tlog(tmp_pa
         assert [e["kind"] for e in daemon.events].count("conflict") == 1
         await until(lambda: any(raw[5] == 255 and raw[7] == 0 for raw in peer.received))
     [tlog] = (tmp_path / "logs").glob("*.tlog")
-    names = [(r.frame.sysid, r.frame.name) for r in iter_records(tlog.read_bytes(), offline_dialect()) if r.frame]
+    names = [(r.frame.sysid, r.frame.name) for r in LogReader(tlog.read_bytes(), offline_dialect()) if r.frame]
     assert (7, "HEARTBEAT") in names
     assert names.count((255, "PARAM_REQUEST_READ")) == 1
     assert (255, "HEARTBEAT") in names

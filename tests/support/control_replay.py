@@ -19,7 +19,7 @@ from skygcs.core.control.guard import ControlMode, Facts, GuardConfig
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 
 TICK_S = 0.02
 ROUND_TRIP_S = 0.03
@@ -60,15 +60,15 @@ class Replay:
 
     def _run(self, capture: bytes, sysid: int, seconds: float) -> None:
         due = 0.0
-        for record in iter_records(capture, self._dialect):
-            if record.elapsed_s > seconds:
+        for record in LogReader(capture, self._dialect):
+            if record.at_s > seconds:
                 break
-            while due < record.elapsed_s:
+            while due < record.at_s:
                 self._tick(due)
                 due += TICK_S
             frame = record.frame
             if frame is not None and frame.info is not None and (frame.sysid, frame.compid) == (sysid, 1):
-                self._vehicle.on_frame(frame, record.elapsed_s)
+                self._vehicle.on_frame(frame, record.at_s)
 
     def _tick(self, now: float) -> None:
         pilot = self._offboard

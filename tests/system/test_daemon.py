@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.config.dialects import offline_dialect
-from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 from support.process import DaemonProcess, PtyRadio, free_port, wait_until
 from support.pymav import PymavPeer, TcpPeer, UdpPeer
 
@@ -185,14 +185,14 @@ def test_kill_9_and_restart_vehicles_are_back_and_the_tlog_is_whole(field: Field
     dialect = offline_dialect()
 
     def on_disk() -> int:
-        frames = [r.frame for r in iter_records(tlog.read_bytes(), dialect)]
+        frames = [r.frame for r in LogReader(tlog.read_bytes(), dialect)]
         return sum(frame is not None and frame.name == "ATTITUDE" for frame in frames)
 
     wait_until(lambda: on_disk() == 20, "they are on disk, and nobody closed the file")
     field.daemon.kill()
-    reader = iter_records(tlog.read_bytes(), dialect)
+    reader = LogReader(tlog.read_bytes(), dialect)
     assert sum(r.frame is not None and r.frame.name == "ATTITUDE" for r in reader) == 20
-    assert reader.skipped_bytes == 0
+    assert reader.faults.skipped_bytes == 0
     field.daemon.start()
     field.wait_for_links()
     field.radio.send(field.v1.heartbeat() + field.v2.heartbeat())

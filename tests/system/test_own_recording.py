@@ -12,7 +12,6 @@ import uvloop
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.daemon import Daemon
-from skygcs.tlog.format import iter_records
 from skygcs.tlog.reading import LogReader
 from support.frames import offline
 from support.public_data import own_capture
@@ -54,7 +53,7 @@ async def _record(folder: Path) -> dict[int, int]:
     while link is None or not getattr(link, "bound_port", 0):
         await asyncio.sleep(0.01)
         link = daemon.links.link("air")
-    frames = [r.raw for r in iter_records(own_capture("px4-late-frames"), offline()) if r.raw[5] != 255][:FRAMES]
+    frames = [r.raw for r in LogReader(own_capture("px4-late-frames"), offline()) if r.raw[5] != 255][:FRAMES]
     at = number = 0
     while at < len(frames):
         size = 1 + number % 5

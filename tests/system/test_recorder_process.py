@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 from support.frames import dialect
 
 pytestmark = pytest.mark.system
@@ -65,9 +65,9 @@ def test_kill_9_costs_at_most_the_last_second(tmp_path: Path) -> None:
         child.send_signal(signal.SIGKILL)
         offered_us += [int(line) for line in child.stdout if line.endswith("\n")]
     (path,) = tmp_path.glob("*.tlog")
-    reader = iter_records(path.read_bytes(), dialect())
+    reader = LogReader(path.read_bytes(), dialect())
     records = list(reader)
-    assert reader.skipped_bytes == 0
+    assert reader.faults.skipped_bytes == 0
     assert len(records) > RECORDS_PER_S // 4
     assert offered_us[-1] - records[-1].unix_us < 1_000_000
     assert [r.unix_us for r in records] == offered_us[: len(records)]
@@ -84,6 +84,6 @@ def test_a_file_that_may_not_grow_ends_with_a_whole_record_and_recording_goes_on
     paths = list(tmp_path.glob("*.tlog"))
     assert len(paths) >= 2  # a new file has room again
     for path in paths:
-        reader = iter_records(path.read_bytes(), dialect())
+        reader = LogReader(path.read_bytes(), dialect())
         assert all(r.verdict == "ok" for r in reader)
-        assert reader.skipped_bytes == 0
+        assert reader.faults.skipped_bytes == 0

@@ -106,7 +106,7 @@ def test_registering_the_commands_imports_nothing_that_they_need() -> None:
         "import sys\n"
         "import skygcs.cli.main\n"
         "heavy = ('numpy', 'matplotlib', 'csv', 'tomllib', 'skygcs.core', 'skygcs.cli.control',\n"
-        "         'skygcs.cli.setpoint', 'skygcs.cli.table', 'skygcs.cli.trace_plot')\n"
+        "         'skygcs.cli.setpoint', 'skygcs.cli.table', 'skygcs.tlog.trace_plot')\n"
         "print([m for m in heavy if m in sys.modules])\n"
     )
     done = subprocess.run(

@@ -178,8 +178,8 @@ def replay(
 
 
 def _replay(file: Path, json_output: bool) -> int:
-    from skygcs.cli.trace_file import read_trace
     from skygcs.core.control.trace import ATTITUDE, VELOCITY, TraceEntry, rerun
+    from skygcs.tlog.trace_plot import read_trace
 
     steps = 0
 

@@ -127,7 +127,7 @@ def gains(
 def _report(question: Question, plot: Path | None, json_output: bool, *, brief: bool) -> None:
     """Compute, draw, print. ``brief`` prints one line per axis. Raises SkygcsError if the figure cannot be drawn."""
     if plot is not None:
-        from skygcs.cli.figure import require_matplotlib
+        from skygcs.tlog.figure import require_matplotlib
 
         require_matplotlib()
     answer = study(question)
@@ -520,7 +520,7 @@ PLANT_TEXTS = {"tilt": "tilt angle and vertical acceleration", "thrust": "normal
 
 def draw(answer: Answer, path: Path) -> None:
     """Draw the step responses, one panel per axis and plant. Raises SkygcsError if the file cannot be written."""
-    from skygcs.cli.figure import new_figure, save
+    from skygcs.tlog.figure import new_figure, save
 
     loops = answer["loops"]
     plants = list(dict.fromkeys(loop["plant"] for loop in loops))
@@ -539,7 +539,7 @@ def draw(answer: Answer, path: Path) -> None:
 
 
 def _draw_loop(panel: Axes, loop: Answer, gains: Answer) -> None:
-    from skygcs.cli.figure import COLOURS
+    from skygcs.tlog.figure import COLOURS
 
     panel.axhline(1, color="0.7", linewidth=0.8)
     for step, colour, line in zip(loop["steps"], COLOURS, LINES, strict=False):

@@ -42,7 +42,7 @@ MODULES = {
     "signing": ("signing",),
     "gains": ("gains",),
     "plot": ("plot",),
-    "tlog_commands": ("tlog",),
+    "tlog": ("tlog",),
 }
 """The commands that each module's ``add_to(app)`` adds, in the order of the help. A module is imported when one of its
 commands is called: importing all of them takes longer than `status` does."""

@@ -34,10 +34,10 @@ def plot(
         raise typer.BadParameter("--from and --to: not a span of time")
 
     def command() -> None:
-        from skygcs.cli.trace_plot import draw, figures
+        from skygcs.tlog.trace_plot import draw, figures
 
-        told = draw(file, path, begin_s, math.inf if end_s is None else end_s)
-        typer.echo(f"{path}: {figures(told)}")
+        measured = draw(file, path, begin_s, math.inf if end_s is None else end_s)
+        typer.echo(f"{path}: {figures(measured)}")
 
     run_offline(command)
 

@@ -1,215 +1,436 @@
-"""`skygcs-cli tlog info FILE…`: what is in a tlog or a raw capture. Needs no daemon."""
+"""`skygcs-cli tlog …`: options and commands for recorded flights, tlogs and raw captures. Needs no daemon.
+
+The work is done in `skygcs.tlog`, which is imported when a command runs.
+"""
 
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from skygcs.cli.log_file import KIND_NAMES, dialect_named, opened_log
-from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.heartbeat import TYPE_GENERIC, HeartbeatChecks
-from skygcs.core.mavlink.modes import SAFETY_ARMED, family, mode_name
-from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.routing.source_statistics import SourceStats
+import typer
+
+from skygcs.cli.connection import fail, run_offline
+from skygcs.cli.options import Json
+from skygcs.cli.parsing import finite, parse_number
 from skygcs.errors import SkygcsError
-from skygcs.tlog.faults import LogFaults
-from skygcs.tlog.reading import LogEntry
 
-MOST_KINDS = 8
-"""Different (autopilot, type) of one source's heartbeats that are told apart; more are an attack."""
+if TYPE_CHECKING:
+    from skygcs.core.mavlink.dialect import Dialect
+    from skygcs.tlog.selection import Selection, SourceFilter
 
+tlog = typer.Typer(help="Recorded flights: tlog files and raw captures.", no_args_is_help=True)
 
-@dataclass(slots=True)
-class SeenVehicle:
-    """What the heartbeats of one vehicle told. Times in seconds from the first record, None in a raw capture."""
+PLOT_SUFFIXES = (".png", ".svg", ".html")
 
-    sysid: int
-    compid: int
-    first_s: float | None
-    last_s: float | None = None
-    autopilot: int = 0
-    type: int = 0
-    heartbeats: int = 0
-    modes: list[str] = field(default_factory=list)
-    armed: bool = False
+LogPath = Annotated[
+    Path, typer.Argument(metavar="FILE", help="A tlog, or bytes as they came from a link.", show_default=False)
+]
+Begin = Annotated[
+    str | None,
+    typer.Option(
+        "--from", metavar="T", help="Seconds (or M:SS) from the beginning, or a time of day in UTC.", show_default=False
+    ),
+]
+End = Annotated[str | None, typer.Option("--to", metavar="T", help="Likewise. [default: the end]", show_default=False)]
+Vehicles = Annotated[
+    str | None,
+    typer.Option(
+        "--vehicle",
+        metavar="LIST",
+        help="System ids: 1, 1,3, 2-5, 1/190 for one component, or names with --fleet.",
+        show_default=False,
+    ),
+]
+Messages = Annotated[
+    str | None, typer.Option("--message", metavar="LIST", help="Names or ids: ATTITUDE,SYS_STATUS.", show_default=False)
+]
+FleetFile = Annotated[
+    Path | None,
+    typer.Option("--fleet", metavar="TOML", help="A fleet file: whose names mean what.", show_default=False),
+]
+DialectName = Annotated[
+    str | None,
+    typer.Option("--dialect", metavar="NAME", help="Default: all of pymavlink's, and PX4's own.", show_default=False),
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+LogPaths = Annotated[list[Path], typer.Argument(metavar="FILE …", help="Tlogs.", show_default=False)]
+Without = Annotated[
+    str | None, typer.Option("--without", metavar="LIST", help="Messages to leave out.", show_default=False)
+]
 
-    def on_heartbeat(self, frame: Frame, elapsed_s: float | None) -> None:
-        fields = frame.fields()
-        self.last_s = elapsed_s
-        self.heartbeats += 1
-        self.autopilot, self.type = fields["autopilot"], fields["type"]
-        base_mode = fields.get("base_mode", 0)
-        self.armed = self.armed or bool(base_mode & SAFETY_ARMED)
-        mode = mode_name(self.autopilot, self.type, base_mode, fields.get("custom_mode", 0))
-        if mode not in self.modes:
-            self.modes.append(mode)
-
-    def as_dict(self, source: _Source, dialect: Dialect) -> dict[str, Any]:
-        return {
-            "sysid": self.sysid,
-            "compid": self.compid,
-            "autopilot": family(self.autopilot),
-            "type": _name("MAV_TYPE", self.type, dialect),
-            "first_s": _rounded(self.first_s),
-            "last_s": _rounded(self.last_s),
-            "heartbeats": self.heartbeats,
-            "modes": self.modes,
-            "armed": self.armed,
-            "lost": source.stats.lost,
-            "loss_ratio": round(source.stats.loss_ratio, 4),
-            "conflicting": source.conflicting(self.autopilot, self.type, dialect),
-        }
-
-
-class _Source:
-    """What one system and component sent."""
-
-    __slots__ = ("count", "kinds", "stats")
-
-    def __init__(self, sysid: int, compid: int) -> None:
-        self.count = 0
-        self.stats = SourceStats(sysid, compid)
-        self.kinds: Counter[tuple[int, int]] = Counter()
-        """Heartbeats by autopilot and type."""
-
-    def on_heartbeat(self, frame: Frame) -> None:
-        fields = frame.fields()
-        kind = fields.get("autopilot", 0), fields.get("type", 0)
-        if kind in self.kinds or len(self.kinds) < MOST_KINDS:
-            self.kinds[kind] += 1
-
-    def conflicting(self, autopilot: int, kind: int, dialect: Dialect) -> list[dict[str, Any]]:
-        """Heartbeats under these ids that are of something else: another program's, or another vehicle's."""
-        return [
-            {
-                "autopilot": _name("MAV_AUTOPILOT", a, dialect),
-                "type": _name("MAV_TYPE", t, dialect),
-                "heartbeats": count,
-            }
-            for (a, t), count in self.kinds.most_common()
-            if (a, t) != (autopilot, kind) and (a, t) != (autopilot, TYPE_GENERIC)  # not configured yet
-        ]
+_MINUTES = re.compile(r"(?:(\d+):)?(\d+):(\d{2}(?:\.\d+)?)")
+_SOURCE = re.compile(r"(\d{1,3})(?:/(\d{1,3}))?")
+_RANGE = re.compile(r"(\d{1,3})-(\d{1,3})")
 
 
-class Census:
-    """Counts of one file; ``as_dict`` is the JSON answer."""
-
-    def __init__(self, dialect: Dialect) -> None:
-        self.dialect = dialect
-        self.verdicts: Counter[str] = Counter()
-        self.signed = 0
-        self.duration_s: float | None = None
-        self._types: Counter[str] = Counter()
-        self._sources: dict[int, _Source] = {}
-        self._vehicles: dict[int, SeenVehicle] = {}
-        self._heartbeats = HeartbeatChecks()
-
-    def add(self, entry: LogEntry) -> None:
-        """The next entry, in the file's order."""
-        self.verdicts[entry.verdict] += 1
-        elapsed_s = None if entry.unix_us is None else entry.at_s
-        self.duration_s = elapsed_s
-        frame = entry.frame
-        if frame is None:
-            return
-        self.signed += frame.signed
-        key = frame.sysid << 8 | frame.compid
-        source = self._sources.get(key)
-        if source is None:
-            source = self._sources[key] = _Source(frame.sysid, frame.compid)
-        source.stats.on_frame(frame.seq, len(entry.raw), entry.at_s)
-        if frame.info is None:
-            return
-        source.count += 1
-        self._types[frame.name] += 1
-        own = self._heartbeats.own(frame, entry.at_s)
-        if frame.msgid == HEARTBEAT:
-            source.on_heartbeat(frame)
-            if own:
-                vehicle = self._vehicles.get(key)
-                if vehicle is None:
-                    vehicle = self._vehicles[key] = SeenVehicle(frame.sysid, frame.compid, elapsed_s)
-                vehicle.on_heartbeat(frame, elapsed_s)
-
-    def as_dict(self, faults: LogFaults) -> dict[str, Any]:
-        """``faults`` as the reader of the entries counted them."""
-        counts = sorted(((s.count, k) for k, s in self._sources.items() if s.count), key=lambda found: -found[0])
-        bad_crc = faults.bad_crc.count
-        return {
-            "records": self.verdicts["ok"] + self.verdicts["unknown"] + bad_crc,
-            "ok": self.verdicts["ok"],
-            "bad_crc": bad_crc,
-            "unknown": self.verdicts["unknown"],
-            "signed": self.signed,
-            "skipped_bytes": faults.skipped_bytes,
-            "backwards": faults.out_of_order,
-            "most_backwards_s": faults.most_backwards_us / 1e6,
-            "clock_steps": faults.clock_steps.count,
-            "duration_s": _rounded(self.duration_s),
-            "sources": {f"{key >> 8}/{key & 0xFF}": count for count, key in counts},
-            "types": dict(self._types.most_common()),
-            "vehicles": [
-                self._vehicles[key].as_dict(self._sources[key], self.dialect) for key in sorted(self._vehicles)
-            ],
-        }
+# -- commands
 
 
-def tlog_infos(files: Sequence[Path], json_output: bool, dialect: str | None, fail: Callable[[str], None]) -> int:
-    """Print what is in each file; 0 if all of them are good. JSON is a list, each answer with its "file".
+@tlog.command("info")
+def _info(
+    files: Annotated[list[str], typer.Argument(metavar="FILE …", help="Tlogs, or bytes as they came from a link.")],
+    dialect: DialectName = None,
+    json_output: Json = False,
+) -> None:
+    """Count each file's records, messages, sources and vehicles."""
 
-    A file that cannot be read or holds no MAVLink is told to ``fail``, and does not keep the others from being shown.
+    def command() -> int:
+        return print_info([Path(file) for file in files], json_output, dialect)
+
+    run_offline(command)
+
+
+@tlog.command("filter")
+def _filter(
+    file: LogPath,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="The file to write.", show_default=False)],
+    begin: Begin = None,
+    end: End = None,
+    vehicles: Vehicles = None,
+    addressed: Annotated[
+        bool, typer.Option("--addressed", help="With --vehicle: also what others sent to it.")
+    ] = False,
+    messages: Messages = None,
+    without: Without = None,
+    fleet: FleetFile = None,
+    dialect: DialectName = None,
+    force: Force = False,
+) -> None:
+    """Write a part of a log: by time, by vehicle, by message. Records keep their bytes."""
+
+    def command() -> None:
+        from skygcs.tlog.cutting import filter_log
+
+        table = dialect_named(dialect)
+        chosen = selection(table, begin, end, vehicles, messages, without, fleet, addressed)
+        typer.echo(filter_log(file, out, chosen, table, force))
+
+    run_offline(command)
+
+
+@tlog.command("merge")
+def _merge(
+    files: LogPaths,
+    out: Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="The file to write.", show_default=False)],
+    dialect: DialectName = None,
+    force: Force = False,
+) -> None:
+    """Merge several tlogs into one, by time."""
+
+    def command() -> None:
+        from skygcs.tlog.cutting import merge_logs
+
+        typer.echo(merge_logs(files, out, dialect_named(dialect), force))
+
+    run_offline(command)
+
+
+@tlog.command("split")
+def _split(
+    file: LogPath,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FOLDER", help="Default: the file's.", show_default=False),
+    ] = None,
+    dialect: DialectName = None,
+    force: Force = False,
+) -> None:
+    """Write a log for each vehicle, FILE-1.tlog …, and FILE-rest.tlog for records that belong to none."""
+
+    def command() -> None:
+        from skygcs.tlog.cutting import split_log
+
+        _print_lines(split_log(file, folder or file.parent, dialect_named(dialect), force))
+
+    run_offline(command)
+
+
+@tlog.command("csv")
+def _csv(
+    file: LogPath,
+    folder: Annotated[
+        str | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FOLDER",
+            help="Default: the file's. - is stdout, for one table.",
+            show_default=False,
+        ),
+    ] = None,
+    messages: Messages = None,
+    all_messages: Annotated[bool, typer.Option("--all", help="Every message, a table each.")] = False,
+    begin: Begin = None,
+    end: End = None,
+    vehicles: Vehicles = None,
+    without: Without = None,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Parquet; needs pyarrow.")] = False,
+    fleet: FleetFile = None,
+    dialect: DialectName = None,
+    force: Force = False,
+) -> None:
+    """Tables: the flight of each vehicle (time, mode, lat, lon, alt, vx, vy, vz, roll, pitch, yaw), or of messages.
+
+    Degrees, metres above home, m/s to the north, east and down; `time` is UTC, in seconds since 1970.
     """
-    if len(files) == 1:
-        return tlog_info(files[0], json_output, dialect)
+    if parquet and folder == "-":
+        raise typer.BadParameter("--parquet does not go to stdout: --output FOLDER")
+
+    def command() -> None:
+        from skygcs.tlog.table_files import write_tables
+
+        table = dialect_named(dialect)
+        chosen = selection(table, begin, end, vehicles, messages, without, fleet)
+        by_message = all_messages or messages is not None or without is not None
+        where = None if folder == "-" else file.parent if folder is None else Path(folder)
+        _print_lines(write_tables(file, where, chosen, by_message, parquet, table, force))
+
+    run_offline(command)
+
+
+@tlog.command("plot")
+def _plot(
+    file: LogPath,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="OUT", help=".png, .svg or .html; default: FILE with .png.")
+    ] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option("--origin", metavar="LAT,LON", help="(0, 0) of the map. [default: the first position]"),
+    ] = None,
+    begin: Begin = None,
+    end: End = None,
+    vehicles: Vehicles = None,
+    fleet: FleetFile = None,
+    dialect: DialectName = None,
+) -> None:
+    """Draw a flight: map of the tracks, height, battery, modes and losses of the link, for all vehicles."""
+    path = file.with_suffix(".png") if output is None else output
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        raise typer.BadParameter(f"--output: {path.name!r} does not end in .png, .svg or .html")
+    place = None if origin is None else _place(origin)
+
+    def command() -> None:
+        from skygcs.tlog.flight_plot import plot_log
+
+        table = dialect_named(dialect)
+        typer.echo(plot_log(file, path, selection(table, begin, end, vehicles, fleet=fleet), place, table))
+
+    run_offline(command)
+
+
+@tlog.command("play")
+def _play(
+    file: LogPath,
+    address: Annotated[
+        str, typer.Argument(metavar="[HOST:]PORT", help="Destination, over UDP; without HOST this machine.")
+    ] = "14550",
+    speed: Annotated[
+        float, typer.Option("--speed", metavar="X", parser=finite, help="Times as fast; 0: at once.")
+    ] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Also what ground stations sent, WHICH MAY BE ORDERS TO VEHICLES.")
+    ] = False,
+    begin: Begin = None,
+    end: End = None,
+    vehicles: Vehicles = None,
+    messages: Messages = None,
+    without: Without = None,
+    fleet: FleetFile = None,
+    dialect: DialectName = None,
+) -> None:
+    """Send a recording's telemetry over UDP at its recorded pace, to a ground station or skygcs. Ctrl-C ends it."""
+    from skygcs.tlog.timeline import speed_problem
+
+    problem = speed_problem(speed)
+    if problem is not None:
+        raise typer.BadParameter(f"--speed: {problem}")
+    where = _address(address)
+
+    def command() -> None:
+        from skygcs.tlog.player import play_log
+
+        table = dialect_named(dialect)
+        chosen = selection(table, begin, end, vehicles, messages, without, fleet)
+        typer.echo(play_log(file, where, chosen, speed, loop, everything, table))
+
+    run_offline(command)
+
+
+def _print_lines(lines: Sequence[str]) -> None:
+    for line in lines:
+        typer.echo(line)
+
+
+def _place(text: str) -> tuple[float, float]:
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) != 2:
+        raise typer.BadParameter(f"--origin: {text!r} is not LAT,LON")
+    lat, lon = (parse_number(part, "--origin") for part in parts)
+    if not (abs(lat) <= 90 and abs(lon) <= 180):
+        raise typer.BadParameter(f"--origin: {text!r} is not a position on earth")
+    return lat, lon
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit() and 0 < int(port) < 65536):
+        raise typer.BadParameter(f"{text!r} is not [HOST:]PORT")
+    return host.strip("[]") or "127.0.0.1", int(port)
+
+
+# -- what the options mean
+
+
+def dialect_named(name: str | None) -> Dialect:
+    """The dialect of this name, or all of pymavlink's and PX4's own. Raises DialectError."""
+    from skygcs.config.dialects import load_dialect, offline_dialect
+
+    return offline_dialect() if name is None else load_dialect(name)
+
+
+def selection(
+    dialect: Dialect,
+    begin: str | None = None,
+    end: str | None = None,
+    vehicles: str | None = None,
+    messages: str | None = None,
+    without: str | None = None,
+    fleet: Path | None = None,
+    addressed: bool = False,
+) -> Selection:
+    """What the options say. Raises BadParameter, ConfigError for the fleet file."""
+    from skygcs.tlog.selection import Selection
+
+    chosen = Selection(
+        begin=None if begin is None else moment(begin, "--from"),
+        end=None if end is None else moment(end, "--to"),
+        sources=frozenset() if vehicles is None else sources(vehicles, names_of(fleet)),
+        messages=frozenset() if messages is None else message_ids(messages, dialect, "--message"),
+        without=frozenset() if without is None else message_ids(without, dialect, "--without"),
+        addressed=addressed,
+    )
+    begin_, end_ = chosen.begin, chosen.end
+    if begin_ is not None and end_ is not None and type(begin_) is type(end_) and end_ < begin_:
+        raise typer.BadParameter("--from and --to: not a span of time")
+    return chosen
+
+
+def moment(text: str, option: str) -> float | int:
+    """Seconds from the beginning (float), or microseconds since 1970 (int) of a time such as 2024-06-11T22:15:49."""
+    minutes = _MINUTES.fullmatch(text)
+    if minutes is not None:
+        return int(minutes[1] or 0) * 3600.0 + int(minutes[2]) * 60.0 + float(minutes[3])
+    try:
+        seconds = float(text)
+    except ValueError:
+        pass
+    else:
+        if 0 <= seconds < 1e9:  # false for NaN; thirty years
+            return seconds
+        raise typer.BadParameter(f"{option}: {text!r} is not a number of seconds from the beginning")
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        raise typer.BadParameter(
+            f"{option}: {text!r} is neither seconds (90.5), minutes (1:30.5) nor a time (2024-06-11T22:15:49)"
+        ) from None
+    when = when.replace(tzinfo=UTC) if when.tzinfo is None else when
+    return round(when.timestamp() * 1e6)
+
+
+def sources(text: str, names: dict[str, int]) -> frozenset[SourceFilter]:
+    """System ids, ranges, components and names, with commas between. Raises BadParameter."""
+    found: set[SourceFilter] = set()
+    for part in (part.strip() for part in text.split(",")):
+        single, span = _SOURCE.fullmatch(part), _RANGE.fullmatch(part)
+        if part in names:
+            found.add((names[part], None))
+        elif single is not None:
+            found.add((_id(single[1]), None if single[2] is None else _id(single[2])))
+        elif span is not None and int(span[1]) <= int(span[2]):
+            found |= {(sysid, None) for sysid in range(_id(span[1]), _id(span[2]) + 1)}
+        else:
+            known = f"; the fleet file has {', '.join(sorted(names))}" if names else "; names need --fleet FILE"
+            raise typer.BadParameter(f"--vehicle: {part!r} is no system id{known}")
+    return frozenset(found)
+
+
+def message_ids(text: str, dialect: Dialect, option: str) -> frozenset[int]:
+    """Ids of messages by name or id; an id that the dialect does not have is taken, too. Raises BadParameter."""
+    found = set()
+    for part in (part.strip() for part in text.split(",")):
+        if part.isdigit() and int(part) < 1 << 24:
+            found.add(int(part))
+            continue
+        try:
+            found.add(dialect.find(part).msgid)
+        except KeyError as error:
+            raise typer.BadParameter(f"{option}: {error.args[0]}") from None
+    return frozenset(found)
+
+
+def names_of(fleet: Path | None) -> dict[str, int]:
+    """Vehicles of a fleet file: name to system id. Raises ConfigError."""
+    if fleet is None:
+        return {}
+    from skygcs.config.loader import load_fleet
+
+    return {vehicle.name: vehicle.sysid for vehicle in load_fleet(fleet).vehicle_configs()}
+
+
+def _id(text: str) -> int:
+    if int(text) > 255:
+        raise typer.BadParameter(f"--vehicle: {text} is no id: they go up to 255")
+    return int(text)
+
+
+# -- tlog info
+
+
+def print_info(files: Sequence[Path], json_output: bool = False, dialect: str | None = None) -> int:
+    """Print what each file holds; 0 if all are good. Raises SkygcsError if there is one file, and it is not.
+
+    JSON is one answer for one file, else a list of answers with the "file". A file of several that cannot be read or
+    holds no MAVLink is reported on stderr, and the others are still shown.
+    """
     table = dialect_named(dialect)
-    answers = []
+    answers: list[dict[str, Any]] = []
     for file in files:
         try:
             kind, answer = _counted(file, table)
         except SkygcsError as error:
+            if len(files) == 1:
+                raise
             fail(str(error))
             continue
-        answers.append({"file": str(file), **answer})
+        answers.append(answer if len(files) == 1 else {"file": str(file), **answer})
         if not json_output:
-            _show(file, kind, answer)
+            _print_summary(file, kind, answer)
     if json_output:
-        print(json.dumps(answers, indent=1))
+        print(json.dumps(answers[0] if len(files) == 1 else answers, indent=1))
     return int(len(answers) < len(files))
 
 
-def tlog_info(file: Path, json_output: bool = False, dialect: str | None = None) -> int:
-    """Print what is in ``file``; 0. Raises SkygcsError for a file that cannot be read or holds no MAVLink."""
-    kind, answer = _counted(file, dialect_named(dialect))
-    if json_output:
-        print(json.dumps(answer, indent=1))
-    else:
-        _show(file, kind, answer)
-    return 0
+def _counted(file: Path, dialect: Dialect) -> tuple[str, dict[str, Any]]:
+    """The kind of the file, and its counts."""
+    from skygcs.tlog.census import Census
+    from skygcs.tlog.files import KIND_NAMES, opened_log
 
-
-def _counted(file: Path, table: Dialect) -> tuple[str, dict[str, Any]]:
-    """What kind of file it is, and what is in it."""
-    census = Census(table)
-    with opened_log(file, table) as log:
+    census = Census(dialect)
+    with opened_log(file, dialect) as log:
         for entry in log.entries():
             census.add(entry)
     return KIND_NAMES[log.kind], census.as_dict(log.faults)
 
 
-def _name(enum: str, value: int, dialect: Dialect) -> str:
-    return dialect.enums.get(enum, {}).get(value, str(value)).removeprefix(f"{enum}_")
-
-
-def _rounded(seconds: float | None) -> float | None:
-    return None if seconds is None else round(seconds, 1)
-
-
-def _show(file: Path, kind: str, answer: dict[str, Any]) -> None:
+def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
     from rich import box
     from rich.console import Console
     from rich.markup import escape
@@ -219,7 +440,7 @@ def _show(file: Path, kind: str, answer: dict[str, Any]) -> None:
     duration = "" if answer["duration_s"] is None else f", {answer['duration_s']:.1f} s"
     console.print(f"[bold]{escape(file.name)}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False)
     console.print(
-        f"{answer['ok']} good, {answer['bad_crc']} with a wrong CRC, {answer['unknown']} of unknown id, "
+        f"{answer['ok']} good, {answer['bad_crc']} with a wrong CRC, {answer['unknown']} with an unknown id, "
         f"{answer['skipped_bytes']} bytes skipped",
         highlight=False,
     )
@@ -245,10 +466,10 @@ def _show(file: Path, kind: str, answer: dict[str, Any]) -> None:
 
 
 def _remarks(answer: dict[str, Any]) -> list[str]:
-    """What is out of the ordinary, a line each."""
+    """What is unusual, a line each."""
     lines = []
     if answer["signed"]:
-        lines.append(f"{answer['signed']} signed frames (whether the signatures are right is not looked at)")
+        lines.append(f"{answer['signed']} signed frames (the signatures are not checked)")
     if answer["backwards"]:
         lines.append(f"the time goes backwards {answer['backwards']}×, by up to {_span(answer['most_backwards_s'])}")
     if answer["clock_steps"]:
@@ -262,3 +483,7 @@ def _remarks(answer: dict[str, Any]) -> list[str]:
 
 def _span(seconds: float) -> str:
     return f"{1000 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.1f} s"
+
+
+def add_to(app: typer.Typer) -> None:
+    app.add_typer(tlog, name="tlog", rich_help_panel="Show")

@@ -1,11 +1,11 @@
-"""A tlog or a raw capture, played as if it came from a link; it ends with the file."""
+"""A tlog or a raw capture, played as if its frames came from a link; the link finishes with the file."""
 
 from __future__ import annotations
 
 import asyncio
 import errno
 from collections.abc import Hashable
-from typing import BinaryIO, overload
+from typing import BinaryIO
 
 from skygcs.config import models
 from skygcs.config.regular_file import open_regular
@@ -13,65 +13,27 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost, Outgoing
 from skygcs.links.stream import StreamIntake
-from skygcs.tlog.format import iter_records, sniff
+from skygcs.tlog.files import WINDOW_BYTES, FileWindow
+from skygcs.tlog.format import sniff
+from skygcs.tlog.reading import LogReader
+from skygcs.tlog.timeline import Pace
 
 RECORDS_PER_TURN = 64
 RAW_BYTES_PER_TURN = 4096
-"""Most work without giving the loop a turn: below 1 ms for a daemon that spends 12 µs on a frame."""
+"""The most work without a turn for the loop: below 1 ms if a frame takes 12 µs."""
 
 LOOKS_PER_TURN = 64
-"""The same for what is no record: places of damage or noise that are looked at for one, some 15 µs each."""
+"""The same for damage and noise: places searched for a record, some 15 µs each."""
 
 PAUSE_S = 0.001
-"""At full speed, after each turn: for the recorder's writer, the sockets and everybody else."""
+"""At full speed, after each turn: for the recorder's writer, the sockets and other tasks."""
 
 RAW_STEP_S = 0.02
 """A raw capture has no times and is fed in steps of this length."""
 
-LONGEST_GAP_S = 10.0
-"""A longer pause between two records is cut to this: the time between two flights in one file."""
-
-WINDOW_BYTES = 65536
-
-
-class FileWindow:
-    """A file as a sequence of bytes, read piecewise. Not memory-mapped: if somebody truncates the file while it is
-    played, a mapped one would kill the daemon by SIGBUS; here what is missing reads as nothing."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self._size = file.seek(0, 2)
-        self._window = b""
-        self._start = 0
-
-    def __len__(self) -> int:
-        return self._size
-
-    @overload
-    def __getitem__(self, index: int, /) -> int: ...
-
-    @overload
-    def __getitem__(self, index: slice, /) -> bytes: ...
-
-    def __getitem__(self, index: int | slice, /) -> int | bytes:
-        if isinstance(index, slice):
-            start, stop, _ = index.indices(self._size)
-            return self._read(start, max(stop - start, 0))
-        found = self._read(index, 1)
-        return found[0] if found else 0
-
-    def _read(self, start: int, size: int) -> bytes:
-        at = start - self._start
-        if at < 0 or at + size > len(self._window):
-            self._file.seek(start)
-            self._window = self._file.read(max(size, WINDOW_BYTES))
-            self._start = start
-            at = 0
-        return self._window[at : at + size]
-
 
 class ReplayChannel(Channel):
-    """Hears the file; nobody hears what is sent to it."""
+    """Frames come from the file; what is sent to it is dropped and counted."""
 
     def __init__(self, link: Link, peer: str) -> None:
         super().__init__(link, peer)
@@ -141,7 +103,7 @@ class ReplayLink(Link):
             while await (self._play_tlog(file, channel) if is_tlog else self._play_raw(file, channel)):
                 if not self.config.loop:
                     break
-        except Exception as error:  # a file that cannot be read on: this link's failure, nobody else's
+        except Exception as error:  # a file that became unreadable fails this link only
             reason = _explain(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             self.fail(f"replay {self.config.file}: {reason}")
             return
@@ -149,26 +111,23 @@ class ReplayLink(Link):
         self.fail("finished: the end of the file")
 
     async def _play_tlog(self, file: FileWindow, channel: ReplayChannel) -> int:
-        """Play all records once, each at its time; how many there were."""
-        speed = self.config.speed
-        due = self.loop.time()
-        before_s = 0.0
+        """Play all records once, each at its time; returns their number."""
+        speed, pace = self.config.speed, Pace(self.config.speed)
+        began = self.loop.time()
         played = in_turn = 0
-        reader = iter_records(file, self.host.dialect)
-        while not reader.at_end:
-            record = reader.find(LOOKS_PER_TURN)
-            if record is None:
+        for entry in LogReader(file, self.host.dialect).steps(LOOKS_PER_TURN):
+            if entry is None:
                 await asyncio.sleep(0)
                 continue
-            if speed:
-                due += min(max(record.elapsed_s - before_s, 0.0), LONGEST_GAP_S) / speed
-                before_s = record.elapsed_s
-                if due - self.loop.time() >= PAUSE_S:
-                    await asyncio.sleep(due - self.loop.time())
-                    in_turn = 0
+            # wait until it is due
+            wait_s = began + pace.due_s(entry.at_s) - self.loop.time() if speed else 0.0
+            if wait_s >= PAUSE_S:
+                await asyncio.sleep(wait_s)
+                in_turn = 0
+            # hand it to the hub, and give the loop a turn now and then
             played += 1
             in_turn += 1
-            frames = channel.parser.feed_datagram(record.raw)
+            frames = channel.parser.feed_datagram(entry.raw)
             if frames:
                 self.host.on_frames(channel, frames, self.loop.time())
             if in_turn >= RECORDS_PER_TURN:
@@ -177,7 +136,7 @@ class ReplayLink(Link):
         return played
 
     async def _play_raw(self, file: FileWindow, channel: ReplayChannel) -> int:
-        """Play all bytes once, at the configured rate; how many there were."""
+        """Play all bytes once, at the configured rate; returns their number."""
         rate = self.config.raw_bytes_per_s * self.config.speed
         step = max(1, min(round(rate * RAW_STEP_S), RAW_BYTES_PER_TURN)) if rate else RAW_BYTES_PER_TURN
         due = self.loop.time()

@@ -17,8 +17,8 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup, fold_battery, fold_gps, fold_local, fold_position
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.tlog.curves import MOST_SPANS, Curve, LossCurve, Track
-from skygcs.tlog.flight_table import VehicleKey
-from skygcs.tlog.reading import LogEntry
+from skygcs.tlog.format import LogEntry
+from skygcs.tlog.tables import VehicleKey
 
 FIX_3D = 3
 """GPS_FIX_TYPE: before it a receiver guesses."""

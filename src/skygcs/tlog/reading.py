@@ -1,75 +1,156 @@
-"""A log from end to end, tlog or raw capture, as one sequence of entries; faults are counted on the way."""
+"""Read a log from end to end, tlog or raw capture, as one sequence of entries, and count its faults.
+
+The one reader of the daemon's replay and of every log tool.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
-from typing import Literal
 
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, FrameVerdict
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.tlog.faults import LogFaults
-from skygcs.tlog.format import CLOCK_STEP_US, TIME_BYTES, ByteSource, RecordReader
-from skygcs.tlog.timeline import REORDERED_S, Timeline
+from skygcs.tlog.format import ByteSource, LogEntry, LogKind, RecordFinder
+from skygcs.tlog.timeline import CLOCK_STEP_US, REORDERED_S, Timeline
 
-LogKind = Literal["tlog", "raw"]
+LOOKS = 4096
+"""Places searched at a time for the next record, by a caller that has no other work."""
 
 PIECE_BYTES = 4096
-"""Of a raw capture, whose faults are told to within one piece."""
+"""A raw capture is read in such pieces; its faults are reported by piece."""
 
 BOOT_FIELD = "time_boot_ms"
 
+PLACES = 3
+"""Reported of each kind; all are counted."""
 
-class LogEntry:
-    """One record of a tlog, or one frame of a raw capture.
+JITTER_US = 10_000
+"""A record up to this much older than the one before is no fault: programs write with several threads (up to 3.3 ms in
+our own early recordings), and neither plots nor counts are affected."""
 
-    ``frame`` is None for a wrong CRC only, and its ``info`` for an unknown id. ``unix_us`` is the time as written, None
-    in a raw capture. ``at_s`` counts from the beginning and never decreases; in a raw capture it is by the senders' own
-    clocks. ``offset`` is the record's first byte in the file, in a raw capture that of its 4 kB.
-    """
+UNKNOWN_IDS = 8
+"""Different unknown ids that are reported; noise may look like any of 16 million."""
 
-    __slots__ = ("at_s", "frame", "offset", "raw", "unix_us", "verdict")
 
-    def __init__(
-        self, raw: bytes, frame: Frame | None, verdict: FrameVerdict, unix_us: int | None, at_s: float, offset: int
-    ) -> None:
-        self.raw = raw
-        self.frame = frame
-        self.verdict: FrameVerdict = verdict
-        self.unix_us = unix_us
-        self.at_s = at_s
-        self.offset = offset
+class Places:
+    """How often a fault was found, and the first few places: (byte, what)."""
+
+    __slots__ = ("_where", "count", "first")
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self.count = 0
+        self.first: list[tuple[int, str]] = []
+
+    def note(self, offset: int, what: str = "") -> None:
+        self.count += 1
+        if len(self.first) < PLACES:
+            self.first.append((offset, what))
+
+    def __str__(self) -> str:
+        named = ", ".join(f"{offset}{what and f' ({what})'}" for offset, what in self.first)
+        return f"{self._where} {named}{' …' if self.count > len(self.first) else ''}"
+
+
+class LogFaults:
+    """Faults of one log. ``where``: how a place in the file is named."""
+
+    def __init__(self, where: str = "at byte") -> None:
+        self.bad_crc = Places(where)
+        self.unknown = Places(where)
+        self.unknown_ids: Counter[int] = Counter()
+        self.skipped = Places(where)
+        self.skipped_bytes = 0
+        self.backwards = Places(where)
+        """By more than JITTER_US."""
+        self.out_of_order = 0
+        """Records older than the one before, by any amount."""
+        self.most_backwards_us = 0
+        self.clock_steps = Places(where)
+
+    def note_unknown(self, offset: int, msgid: int) -> None:
+        self.unknown.note(offset)
+        if msgid in self.unknown_ids or len(self.unknown_ids) < UNKNOWN_IDS:
+            self.unknown_ids[msgid] += 1
+
+    def note_backwards(self, offset: int, by_us: int) -> None:
+        self.out_of_order += 1
+        self.most_backwards_us = max(self.most_backwards_us, by_us)
+        if by_us > JITTER_US:
+            self.backwards.note(offset, f"by {by_us / 1e6:.6f} s")
+
+    def note_skipped(self, offset: int, size: int, end: bool = False) -> None:
+        """``end``: the file ends with these bytes, as when its last record is incomplete."""
+        self.skipped_bytes += size
+        self.skipped.note(offset, f"{size:,} to the end of the file" if end else f"{size:,} bytes")
+
+    def lines(self) -> list[str]:
+        """One sentence for each kind of fault that was found; [] for a log without faults."""
+        found = []
+        if self.bad_crc.count:
+            found.append(f"{_records(self.bad_crc.count)} with a wrong CRC, not decoded: {self.bad_crc}")
+        if self.unknown.count:
+            ids = ", ".join(f"id {msgid} ×{count}" for msgid, count in self.unknown_ids.most_common())
+            found.append(
+                f"{_records(self.unknown.count)} of messages the dialect does not have ({ids}): {self.unknown}"
+            )
+        if self.skipped_bytes:
+            found.append(f"{self.skipped_bytes:,} bytes belong to no record: {self.skipped}")
+        if self.backwards.count:
+            found.append(f"the time goes backwards {_times(self.backwards.count)}: {self.backwards}")
+        if self.clock_steps.count:
+            found.append(f"the clock steps by more than a day {_times(self.clock_steps.count)}: {self.clock_steps}")
+        return found
+
+
+def _records(count: int) -> str:
+    return "1 record" if count == 1 else f"{count:,} records"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count:,} times"
 
 
 class LogReader:
     """Iterator over the entries of a log in the file's order; ``faults`` are final when it ends. Never raises."""
 
-    def __init__(self, data: ByteSource, dialect: Dialect, kind: LogKind) -> None:
+    def __init__(self, data: ByteSource, dialect: Dialect, kind: LogKind = "tlog") -> None:
         self.faults = LogFaults() if kind == "tlog" else LogFaults("in the 4 kB from byte")
         self._data = data
         self._dialect = dialect
-        self._entries = self._tlog() if kind == "tlog" else self._raw()
+        self._kind = kind
 
     def __iter__(self) -> Iterator[LogEntry]:
-        return self._entries
+        return (entry for entry in self.steps(LOOKS) if entry is not None)
 
-    def _tlog(self) -> Iterator[LogEntry]:
-        faults, timeline = self.faults, Timeline()
+    def steps(self, looks: int) -> Iterator[LogEntry | None]:
+        """The entries; None each time when so many places were searched and held no record."""
+        return self._tlog(looks) if self._kind == "tlog" else self._raw()
+
+    def _tlog(self, looks: int) -> Iterator[LogEntry | None]:
+        faults, timeline, finder = self.faults, Timeline(), RecordFinder(self._data, self._dialect)
         end = 0
         before_us: int | None = None
-        for record in RecordReader(self._data, self._dialect):
-            offset, unix_us, verdict = record.offset, record.unix_us, record.verdict
-            if offset > end:
-                faults.note_skipped(end, offset - end)
-            end = offset + TIME_BYTES + len(record.raw)
-            if before_us is not None and not 0 <= unix_us - before_us < CLOCK_STEP_US:
-                self._note_step(offset, unix_us - before_us)
-            before_us = unix_us
-            if verdict == "bad_crc":
-                faults.bad_crc.note(offset)
-            elif verdict == "unknown" and record.frame is not None:
-                faults.note_unknown(offset, record.frame.msgid)
-            yield LogEntry(record.raw, record.frame, verdict, unix_us, timeline.at(record.elapsed_s), offset)
+        while not finder.at_end:
+            entry = finder.find(looks)
+            if entry is None:
+                yield None
+                continue
+            assert entry.unix_us is not None
+            # what is wrong before this entry, or with it
+            if entry.offset > end:
+                faults.note_skipped(end, entry.offset - end)
+            end = finder.at
+            if before_us is not None and not 0 <= entry.unix_us - before_us < CLOCK_STEP_US:
+                self._note_step(entry.offset, entry.unix_us - before_us)
+            before_us = entry.unix_us
+            if entry.verdict == "bad_crc":
+                faults.bad_crc.note(entry.offset)
+            elif entry.verdict == "unknown" and entry.frame is not None:
+                faults.note_unknown(entry.offset, entry.frame.msgid)
+            entry.at_s = timeline.at_s(entry.unix_us)
+            yield entry
         if end < len(self._data):
             faults.note_skipped(end, len(self._data) - end, end=True)
 
@@ -81,7 +162,7 @@ class LogReader:
 
     def _raw(self) -> Iterator[LogEntry]:
         parser = FrameParser(self._dialect)
-        clocks = OwnClocks()
+        clocks = SenderClocks()
         size = len(self._data)
         for offset in range(0, size, PIECE_BYTES):
             before = parser.stats.skipped_bytes, parser.stats.bad_crc
@@ -102,9 +183,9 @@ class LogReader:
             self.faults.note_skipped(offset, skipped)
 
 
-class OwnClocks:
-    """The time of bytes that nobody stamped, by their senders' own clocks (time_boot_ms): seconds since the first of
-    them told it. Each sender's clock is set to the common time when it is first heard, and again when it reboots.
+class SenderClocks:
+    """The time of a raw capture, from its senders' own clocks (time_boot_ms): seconds since the first such field. Each
+    sender's clock is set to the common time when it is first heard, and again when it reboots.
     """
 
     def __init__(self) -> None:
@@ -132,6 +213,6 @@ class OwnClocks:
         at = self._offsets.get(info.msgid)
         if at is None:
             known = (f.offset for f in info.fields if f.name == BOOT_FIELD and f.type == "uint32_t")
-            # what is sent to a vehicle may tell the vehicle's time back to it
+            # a message to a vehicle may return the vehicle's own time to it
             at = self._offsets[info.msgid] = next(known, -1) if info.target_system_offset < 0 else -1
         return at

@@ -1,47 +1,53 @@
-"""The time of a recording: it never runs backwards, whatever the clock that wrote it did."""
+"""The time of a recording, and when each record is due when it is played."""
 
 from __future__ import annotations
 
+CLOCK_STEP_US = 24 * 3600 * 1_000_000
+"""Two neighbouring records whose times differ by more than a day: the clock was set, a byte was damaged, or another
+flight was appended to the file. Such a step is no part of the flight's duration."""
+
 REORDERED_S = 5.0
 """Records up to this much older than the newest are out of order (several threads write, a radio queues) and count as
-simultaneous with it; older ones tell that the clock was set back. The public logs have jitter of some ms."""
+simultaneous with it; for older ones the clock was set back. The public logs have jitter of some ms."""
 
 LONGEST_GAP_S = 10.0
-"""When played, a longer pause is cut to this: the time between two flights in one file. As links of type replay do."""
+"""When played, a longer pause is cut to this: the time between two flights in one file."""
 
 LEAST_SPEED, MAX_SPEED = 0.01, 1000.0
 """Times as fast as recorded. Slower, the longest pause would take over 17 minutes; faster is 0: as fast as possible."""
 
 
 def speed_problem(speed: float) -> str | None:
-    """What is wrong with a speed, in words; None: nothing."""
+    """Why a speed is not allowed; None: it is."""
     if speed == 0 or LEAST_SPEED <= speed <= MAX_SPEED:
         return None
     return f"must be 0 (as fast as possible) or {LEAST_SPEED:g} to {MAX_SPEED:g}, not {speed:g}"
 
 
 class Timeline:
-    """Seconds since the recording began, from `Record.elapsed_s`, in which a clock set back takes no time."""
+    """Seconds since the recording began; a clock that steps by a day, or is set back, takes no time."""
 
-    __slots__ = ("_newest_s", "_shift_s", "set_back")
+    __slots__ = ("_elapsed_us", "_last_us", "_newest_us", "set_back")
 
     def __init__(self) -> None:
-        self._newest_s: float | None = None
-        self._shift_s = 0.0
+        self._last_us: int | None = None
+        self._elapsed_us = 0
+        """The time of the last record; its clock may be behind the newest one's by REORDERED_S."""
+        self._newest_us = 0
         self.set_back = 0
         """How often the clock was set back."""
 
-    def at(self, elapsed_s: float) -> float:
+    def at_s(self, unix_us: int) -> float:
         """The time of the next record; never less than before."""
-        newest_s = self._newest_s
-        time_s = elapsed_s + self._shift_s
-        if newest_s is None or time_s >= newest_s:
-            self._newest_s = time_s
-            return time_s
-        if newest_s - time_s > REORDERED_S:
+        last_us = self._last_us
+        self._last_us = unix_us
+        if last_us is not None and -CLOCK_STEP_US < unix_us - last_us < CLOCK_STEP_US:
+            self._elapsed_us += unix_us - last_us
+        if self._newest_us - self._elapsed_us > REORDERED_S * 1e6:
             self.set_back += 1
-            self._shift_s = newest_s - elapsed_s
-        return newest_s
+            self._elapsed_us = self._newest_us
+        self._newest_us = max(self._newest_us, self._elapsed_us)
+        return self._newest_us / 1e6
 
 
 class Pace:
@@ -53,7 +59,7 @@ class Pace:
         self._due_s = 0.0
 
     def due_s(self, at_s: float) -> float:
-        """Seconds after the first record was played."""
+        """Seconds after the first record at which this one is due."""
         if self._before_s is not None and self._speed:
             self._due_s += min(max(at_s - self._before_s, 0.0), LONGEST_GAP_S) / self._speed
         self._before_s = at_s

@@ -9,7 +9,8 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.tlog.format import encode_record, iter_records
+from skygcs.tlog.format import encode_record
+from skygcs.tlog.reading import LogReader
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline, unknown_frame
 from support.public_data import CAPTURE, PUBLIC, captures, public_file
@@ -30,9 +31,9 @@ def words(output: str) -> str:
 
 
 def records(path: Path) -> list[tuple[int, bytes]]:
-    reader = iter_records(path.read_bytes(), offline())
+    reader = LogReader(path.read_bytes(), offline())
     found = [(r.unix_us, r.raw) for r in reader]
-    assert reader.skipped_bytes == 0
+    assert reader.faults.skipped_bytes == 0
     return found
 
 
@@ -102,7 +103,7 @@ def test_nothing_is_overwritten_unasked_and_nothing_half_written_stays(flight: P
     out.write_text("mine")
     assert "exists; --force overwrites it" in run("filter", flight, out, code=FAILED).stderr
     assert out.read_text() == "mine"
-    assert "nothing in it is selected" in run("filter", flight, out, "--vehicle", "9", "--force", code=FAILED).stderr
+    assert "no record matches" in run("filter", flight, out, "--vehicle", "9", "--force", code=FAILED).stderr
     assert out.read_text() == "mine"
     run("filter", flight, out, "--force")
     assert out.read_bytes() == flight.read_bytes()
@@ -146,7 +147,7 @@ def test_a_log_of_thousands_of_vehicles_opens_no_thousands_of_files(tmp_path: Pa
     log = tmp_path / "in.tlog"
     ids = [(1 + n % 250, 1 + n // 250) for n in range(300)]
     log.write_bytes(b"".join(encode_record(T0_US + n, heartbeat(*key)) for n, key in enumerate(ids)))
-    assert "300 vehicles; a log of 255 at most is split" in run("split", log, code=FAILED).stderr
+    assert "300 vehicles; at most 255 can be split" in run("split", log, code=FAILED).stderr
     assert list(tmp_path.iterdir()) == [log]
 
 
@@ -167,7 +168,7 @@ def test_a_raw_capture_stays_one_and_has_no_time_of_day(tmp_path: Path) -> None:
     assert run("filter", log, out, "--vehicle", "1").stdout == f"{out}: 20 of 40 frames\n"
     assert out.read_bytes() == b"".join(heartbeat(1, seq=n) for n in range(20))
     assert "no time of day" in run("filter", log, out, "--from", "2026-01-01", "--force", code=FAILED).stderr
-    assert "no times to merge by" in run("merge", log, "-o", tmp_path / "m.tlog", code=FAILED).stderr
+    assert "has no times, so it cannot be merged" in run("merge", log, "-o", tmp_path / "m.tlog", code=FAILED).stderr
 
 
 def test_a_merge_is_by_time_and_stable(tmp_path: Path) -> None:
@@ -222,14 +223,14 @@ def test_every_log_is_split_and_merged_whole(name: str, tmp_path: Path) -> None:
     run("split", path, "-o", tmp_path)
     out = tmp_path / "again"
     run("merge", *sorted(tmp_path.glob("*.tlog")), "-o", out)
-    original = [(r.unix_us, r.raw) for r in iter_records(path.read_bytes(), offline())]
+    original = [(r.unix_us, r.raw) for r in LogReader(path.read_bytes(), offline())]
     # records that no CRC vouches for need a neighbour to be believed, and have others now
     good = {raw for _, raw in original}
     assert len(records_of(out) & good) >= 0.99 * len(good)
 
 
 def records_of(path: Path) -> set[bytes]:
-    return {r.raw for r in iter_records(path.read_bytes(), offline())}
+    return {r.raw for r in LogReader(path.read_bytes(), offline())}
 
 
 def test_help_names_every_tool() -> None:

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.cli.tlog import tlog_info
+from skygcs.cli.tlog import print_info
 from skygcs.core.mavlink.signing import sign
 from skygcs.errors import DialectError, SkygcsError
 from skygcs.tlog.format import encode_record
@@ -27,7 +27,7 @@ KEYS = [
 
 
 def info(path: Path, capsys: pytest.CaptureFixture[str], dialect: str | None = None) -> dict[str, Any]:
-    assert tlog_info(path, True, dialect) == 0
+    assert print_info([path], True, dialect) == 0
     out, err = capsys.readouterr()
     assert err == ""
     answer: dict[str, Any] = json.loads(out)
@@ -101,13 +101,13 @@ def test_what_is_out_of_the_ordinary_is_counted_and_said(tmp_path: Path, capsys:
     times_us = (0, 5, 4, 1_000_000, 1_000_100, 1_000_200, 980_200)
     path = tmp_path / "x.tlog"
     path.write_bytes(b"".join(encode_record(T0 + t, raw) for t, raw in zip(times_us, frames, strict=True)))
-    assert tlog_info(path, True) == 0
+    assert print_info([path], True) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["signed"], answer["backwards"], answer["most_backwards_s"]) == (1, 2, 0.02)
     (vehicle,) = answer["vehicles"]
     assert (vehicle["heartbeats"], vehicle["lost"]) == (5, 4)  # 2, and 3 for the other program's, of which one came
     assert vehicle["conflicting"] == [{"autopilot": "INVALID", "type": "ONBOARD_CONTROLLER", "heartbeats": 2}]
-    assert tlog_info(path) == 0
+    assert print_info([path]) == 0
     shown = capsys.readouterr().out
     for line in (
         "1 signed frames",
@@ -152,7 +152,7 @@ def test_px4_extras_are_known_without_asking_and_another_dialect_may_be_named(
     assert info(path, capsys, "common")["unknown"] == 1
     assert info(path, capsys, str(ROOT / "dialects" / "utias.xml"))["unknown"] == 0
     with pytest.raises(DialectError, match="no dialect of this name"):
-        tlog_info(path, True, "nope")
+        print_info([path], True, "nope")
 
 
 def test_a_tlog_of_nothing_but_unknown_ids_is_believed_by_its_name(
@@ -168,13 +168,13 @@ def test_a_file_that_is_no_log_says_so(tmp_path: Path, content: bytes, suffix: s
     path = tmp_path / f"x.{suffix}"
     path.write_bytes(content)
     with pytest.raises(SkygcsError, match=r"x\.\w+: no MAVLink in it"):
-        tlog_info(path)
+        print_info([path])
 
 
 def test_a_file_that_can_not_be_read_says_why(tmp_path: Path) -> None:
     for path, complaint in ((tmp_path / "gone.tlog", "No such file"), (tmp_path, "Is a directory")):
         with pytest.raises(SkygcsError, match=complaint):
-            tlog_info(path)
+            print_info([path])
 
 
 def test_a_pipe_is_read_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -188,12 +188,12 @@ def test_a_pipe_is_read_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_a_person_gets_the_same_as_tables(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert tlog_info(CAPTURE) == 0
+    assert print_info([CAPTURE]) == 0
     out, _ = capsys.readouterr()
     assert "8144 records, 75.1 s" in out
     for word in ("ardupilot", "px4", "GUIDED", "OFFBOARD", "GLOBAL_POSITION_INT", "255/190"):
         assert word in out
-    assert tlog_info(tlog(tmp_path / "[odd] name.tlog", frame("SYS_STATUS"))) == 0
+    assert print_info([tlog(tmp_path / "[odd] name.tlog", frame("SYS_STATUS"))]) == 0
     out, _ = capsys.readouterr()
     assert "[odd] name.tlog: tlog, 1 records" in out and "no vehicle" in out
 

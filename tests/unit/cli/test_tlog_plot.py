@@ -13,9 +13,9 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.cli.tlog_panels import _looks
-from skygcs.cli.tlog_plot import flight_figure, read_flight
-from skygcs.tlog.format import encode_record, iter_records
+from skygcs.tlog.flight_plot import _looks, flight_figure, read_flight
+from skygcs.tlog.format import encode_record
+from skygcs.tlog.reading import LogReader
 from skygcs.tlog.selection import Selection
 from support.flight_log import T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline
@@ -40,8 +40,8 @@ def nine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Nine vehicles of which the fourth is silent for 40 s."""
     data = FlightLog(9, 2.0).content(120.0, lose=0.01)
     kept = b""
-    for record in iter_records(data, dialect()):
-        if not (record.raw[5] == 4 and 40 < record.elapsed_s < 80):
+    for record in LogReader(data, dialect()):
+        if not (record.raw[5] == 4 and 40 < record.at_s < 80):
             kept += data[record.offset : record.offset + 8 + len(record.raw)]
     path = tmp_path_factory.mktemp("plot") / "nine.tlog"
     path.write_bytes(kept)
@@ -160,7 +160,7 @@ def test_the_default_is_a_png_beside_the_log(tmp_path: Path) -> None:
 def test_what_can_not_be_drawn_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = tmp_path / "gcs.tlog"
     log.write_bytes(encode_record(T0_US, heartbeat(255, 190, type=6, autopilot=8)))
-    assert "no vehicle in what is selected" in run(log, code=FAILED).stderr
+    assert "no vehicle in the selection" in run(log, code=FAILED).stderr
     assert "does not end in" in run(log, "-o", "x.pdf", code=USAGE).output
     assert "--origin" in run(log, "--origin", "1", code=USAGE).output
     assert "--origin" in run(log, "--origin", "91,0", code=USAGE).output

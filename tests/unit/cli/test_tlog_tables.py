@@ -17,7 +17,8 @@ from pymavlink.dialects.v20 import all as pymavlink_all
 from typer.testing import CliRunner
 
 from skygcs.cli.main import app
-from skygcs.tlog.format import encode_record, iter_records
+from skygcs.tlog.format import encode_record
+from skygcs.tlog.reading import LogReader
 from support.flight_log import T0_US, FlightLog
 from support.frames import frame, heartbeat, offline
 from support.public_data import captures, expected, present, public_file, vehicles_of
@@ -49,7 +50,7 @@ def test_every_value_is_the_one_that_pymavlink_decodes(name: str, tmp_path: Path
     decoder = pymavlink_all.MAVLink(None)
     decoder.robust_parsing = True
     compared = values = 0
-    for record in iter_records(path.read_bytes(), offline()):
+    for record in LogReader(path.read_bytes(), offline()):
         if record.verdict != "ok":
             continue
         message = decoder.decode(bytearray(record.raw))
@@ -133,8 +134,8 @@ def test_the_mode_of_a_part_is_known_from_before_it(tmp_path: Path) -> None:
 def test_nothing_to_tell_is_no_table(tmp_path: Path) -> None:
     log = tmp_path / "gcs.tlog"
     log.write_bytes(encode_record(T0_US, heartbeat(255, 190, type=6, autopilot=8)))
-    assert "nothing in it makes a row" in run(log, code=FAILED).stderr
-    assert "nothing in it makes a row" in run(log, "--message", "ATTITUDE", code=FAILED).stderr
+    assert "no row in it" in run(log, code=FAILED).stderr
+    assert "no row in it" in run(log, "--message", "ATTITUDE", code=FAILED).stderr
     assert [path.name for path in tmp_path.iterdir()] == ["gcs.tlog"]
 
 
@@ -184,7 +185,7 @@ def test_a_parquet_of_many_row_groups_is_whole(tmp_path: Path, monkeypatch: pyte
     pytest.importorskip("pyarrow")
     import pyarrow.parquet as parquet
 
-    monkeypatch.setattr("skygcs.cli.tlog_parquet.CELLS_PER_GROUP", 100)
+    monkeypatch.setattr("skygcs.tlog.table_files.CELLS_PER_GROUP", 100)
     log = tmp_path / "flight.tlog"
     log.write_bytes(FlightLog(1).content(20.0))
     run(log, "--message", "ATTITUDE", "--parquet")

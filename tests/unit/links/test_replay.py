@@ -11,9 +11,11 @@ import pytest
 
 from skygcs.config import models
 from skygcs.errors import LinkError
-from skygcs.links.replay import LONGEST_GAP_S, LOOKS_PER_TURN, FileWindow, ReplayLink
+from skygcs.links.replay import LOOKS_PER_TURN, ReplayLink
 from skygcs.links.supervisor import LinkSupervisor
+from skygcs.tlog.files import FileWindow
 from skygcs.tlog.format import encode_record
+from skygcs.tlog.timeline import LONGEST_GAP_S
 from support.hosts import RecordingHost, heartbeat, open_descriptors, text
 
 pytestmark = pytest.mark.looptime

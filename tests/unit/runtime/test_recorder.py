@@ -16,7 +16,8 @@ import pytest
 
 from skygcs.events import Event
 from skygcs.runtime.recorder import Recorder
-from skygcs.tlog.format import Record, encode_record, iter_records
+from skygcs.tlog.format import LogEntry, encode_record
+from skygcs.tlog.reading import LogReader
 from support.frames import dialect, heartbeat
 
 T0 = 1_700_000_000_000_000
@@ -91,12 +92,12 @@ class Bench:
     def files(self) -> list[Path]:
         return sorted(self.folder.glob("*"))
 
-    def records(self) -> list[Record]:
+    def records(self) -> list[LogEntry]:
         """Of all files, each without a broken record but at its very end."""
         found = []
         for path in self.files():
             data = path.read_bytes()
-            reader = iter_records(data, dialect())
+            reader = LogReader(data, dialect())
             records = list(reader)
             assert all(r.verdict == "ok" for r in records)
             assert sum(8 + len(r.raw) for r in records) == (records[-1].offset + 8 + len(records[-1].raw))

@@ -9,8 +9,8 @@ import pytest
 from skygcs.core.geo import Origin
 from skygcs.tlog.flight import RecordedFlight
 from skygcs.tlog.format import encode_record
-from skygcs.tlog.played import Told
 from skygcs.tlog.reading import LogReader
+from skygcs.tlog.selection import ReportFilter
 from support.flight_log import ORIGIN, T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat, offline, unknown_frame
 from support.public_data import CAPTURE, capture, captures, own_capture, vehicles_of
@@ -180,7 +180,7 @@ def test_every_log_gives_its_vehicles_and_bounded_figures(name: str) -> None:
 
 
 def played(*frames: bytes) -> list[bool]:
-    told = Told()
+    told = ReportFilter()
     return [told.passes(entry) for entry in LogReader(log(*((0, raw) for raw in frames)), dialect(), "tlog")]
 
 

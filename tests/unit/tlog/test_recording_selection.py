@@ -6,8 +6,8 @@ import itertools
 
 import pytest
 
-from skygcs.tlog.format import encode_record
-from skygcs.tlog.reading import LogEntry, LogReader
+from skygcs.tlog.format import LogEntry, encode_record
+from skygcs.tlog.reading import LogReader
 from skygcs.tlog.selection import Selection
 from support.flight_log import T0_US
 from support.frames import dialect, frame, heartbeat, unknown_frame

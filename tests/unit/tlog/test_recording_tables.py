@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from skygcs.tlog.columns import MessageColumns
-from skygcs.tlog.flight_table import COLUMNS, STALE_S, FlightTables
 from skygcs.tlog.format import encode_record
 from skygcs.tlog.reading import LogReader
+from skygcs.tlog.tables import FLIGHT_COLUMNS, STALE_S, FlightTables, MessageColumns
 from support.flight_log import ORIGIN, T0_US, FlightLog
 from support.frames import dialect, frame, heartbeat
 
@@ -18,7 +17,7 @@ def rows(*records: tuple[float, bytes], raw: bool = False) -> list[tuple[tuple[i
     data = b"".join(piece if raw else encode_record(T0_US + round(t_s * 1e6), piece) for t_s, piece in records)
     tables = FlightTables(dialect())
     made = [tables.row(entry) for entry in LogReader(data, dialect(), "raw" if raw else "tlog")]
-    names = [name for name, _ in COLUMNS]
+    names = [name for name, _ in FLIGHT_COLUMNS]
     return [(found[0], dict(zip(names, found[1], strict=True))) for found in made if found is not None]
 
 
@@ -33,7 +32,7 @@ def attitude(sysid: int = 1) -> bytes:
 
 def test_the_columns_are_the_seeds() -> None:
     names = ["time", "mode", "lat", "lon", "alt", "vx", "vy", "vz", "roll", "pitch", "yaw"]
-    assert [name for name, _ in COLUMNS] == names
+    assert [name for name, _ in FLIGHT_COLUMNS] == names
 
 
 def test_a_row_has_degrees_metres_and_the_axes_of_the_message() -> None:

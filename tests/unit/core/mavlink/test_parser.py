@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from skygcs.core.mavlink.frame import MAX_FRAME_BYTES, Frame, encode
 from skygcs.core.mavlink.parser import MAX_VERIFIED_SOURCES, FrameParser
-from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 from support.frames import (
     UNKNOWN_ID,
     UNKNOWN_ID_V1,
@@ -64,7 +64,7 @@ def test_raw_capture_gives_at_least_the_expected_frames(name: str) -> None:
 def test_every_good_frame_of_a_tlog_is_found_as_a_stream_with_its_times_as_noise(name: str) -> None:
     data, expected = capture(name)
     frames, parser = parsed(data, table=offline())
-    records = [r.frame.raw for r in iter_records(data, offline()) if r.verdict == "ok" and r.frame is not None]
+    records = [r.frame.raw for r in LogReader(data, offline()) if r.verdict == "ok" and r.frame is not None]
     found = [f.raw for f in frames if f.info is not None]
     if expected["status"].get("unknown"):  # the writer's parser invented frames around good ones: those come out too
         rest = iter(found)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.core.routing.source_statistics import BURST_MAX, FIRST_NUMBERS, WINDOW, SourceStats
-from skygcs.tlog.format import iter_records
+from skygcs.tlog.reading import LogReader
 from support.frames import dialect
 from support.public_data import capture, own_capture
 
@@ -187,11 +187,11 @@ def test_a_burst_of_the_most_frames_in_order_is_counted_at_once(monkeypatch: pyt
 def test_captures_of_links_that_lost_nothing_show_no_loss(name: str, lossless: set[int]) -> None:
     """Recorded on loopback. A vehicle 1 whose heartbeats another program forges is one frame off, of 962."""
     stats: dict[tuple[int, int], SourceStats] = {}
-    for record in iter_records(own_capture(name), dialect()):
+    for record in LogReader(own_capture(name), dialect()):
         if record.frame is not None:
             source = (record.frame.sysid, record.frame.compid)
             found = stats.setdefault(source, SourceStats(*source))
-            found.on_frame(record.frame.seq, len(record.raw), record.elapsed_s)
+            found.on_frame(record.frame.seq, len(record.raw), record.at_s)
     assert {
         sysid: s.lost for (sysid, compid), s in stats.items() if compid == 1 and sysid in lossless
     } == dict.fromkeys(lossless, 0)
@@ -230,21 +230,21 @@ def test_the_loss_of_a_made_capture_is_what_was_left_out() -> None:
     """Three frames of the vehicle in each of five seconds."""
     data, _ = capture("made-v1-v2-mixed.tlog")
     stats: dict[tuple[int, int], SourceStats] = {}
-    for record in iter_records(data, dialect()):
+    for record in LogReader(data, dialect()):
         assert record.frame is not None
         source = (record.frame.sysid, record.frame.compid)
-        stats.setdefault(source, SourceStats(*source)).on_frame(record.frame.seq, len(record.raw), record.elapsed_s)
+        stats.setdefault(source, SourceStats(*source)).on_frame(record.frame.seq, len(record.raw), record.at_s)
     assert {source: s.lost for source, s in stats.items()} == {(1, 1): 15, (255, 190): 0, (51, 68): 0, (1, 0): 0}
 
 
 def test_a_lossless_public_capture_shows_almost_no_loss_per_source() -> None:
     data, expected = capture("binus-hexa-5src-mixed.tlog")
     stats: dict[tuple[int, int], SourceStats] = {}
-    for record in iter_records(data, dialect()):
+    for record in LogReader(data, dialect()):
         if record.frame is not None:
             source = (record.frame.sysid, record.frame.compid)
             found = stats.setdefault(source, SourceStats(*source))
-            found.on_frame(record.frame.seq, len(record.raw), record.elapsed_s)
+            found.on_frame(record.frame.seq, len(record.raw), record.at_s)
     assert expected["seq_lost"]["1/1"] == 0
     assert stats[1, 1].lost == 0 and stats[255, 230].lost == 0
     assert stats[1, 190].lost == 0

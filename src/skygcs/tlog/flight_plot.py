@@ -1,17 +1,156 @@
-"""The panels of a flight's figure. Every artist of a vehicle has its name in the ``gid``: a page can hide it."""
+"""Draw the flight of one or many vehicles: a figure, or an HTML page that needs no other file.
+
+Every artist of a vehicle has its name in the ``gid``: the page can hide it.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from skygcs.core.geo import Origin
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.errors import SkygcsError
 from skygcs.tlog.curves import Curve
+from skygcs.tlog.figure import COLOURS, new_figure, require_matplotlib, save, svg
+from skygcs.tlog.files import Outputs, opened_log
 from skygcs.tlog.flight import RecordedFlight, VehicleFlight
+from skygcs.tlog.selection import Selection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_IN = 13.0
+MAP_IN = 6.2
+TABLE_IN = 1.8
+"""Instead of the map if no vehicle reported a position."""
+
+LINES_IN = 1.7
+ROW_IN = 0.2
+"""Of one vehicle in the bands of modes and links: one line of small print."""
+
+EDGE_IN = 0.75
+"""Of each panel besides: title, ticks."""
+
+MORE_COLOURS = ("#56B4E9", "#7A4B1E", "#222222", "#8A2BE2")
+"""With those of `figure`, nine vehicles have colours that are distinct on white."""
+
+LINE_STYLES = ("-", "--", ":", "-.")
+"""From the tenth vehicle on."""
+
+MOST_DRAWN = len(LINE_STYLES) * (len(COLOURS) + len(MORE_COLOURS))
+
+
+def read_flight(
+    path: Path, selection: Selection, origin: Origin | None, dialect: Dialect
+) -> tuple[RecordedFlight, list[str]]:
+    """The flight in the selected part of a log, and the log's faults. Raises SkygcsError if it has no vehicle."""
+    with opened_log(path, dialect) as log:
+        log.check_times(selection)
+        flight = RecordedFlight(dialect, origin)
+        for entry in log.entries():
+            if selection.in_time(entry):
+                if selection.takes_frame(entry):
+                    flight.add(entry)
+            elif flight.begin_s is None:
+                flight.discover(entry)
+        flight.finish()
+        log.print_faults()
+        faults = log.faults.lines()
+    for key in [key for key, vehicle in flight.vehicles.items() if not vehicle.frames]:
+        del flight.vehicles[key]
+    if not flight.vehicles:
+        raise SkygcsError(f"{path}: no vehicle in the selection; `tlog info` shows what the log holds")
+    if len(flight.vehicles) > MOST_DRAWN:
+        raise SkygcsError(f"{path}: {len(flight.vehicles)} vehicles; choose up to {MOST_DRAWN} with --vehicle")
+    return flight, faults
+
+
+def plot_log(path: Path, out: Path, selection: Selection, place: tuple[float, float] | None, dialect: Dialect) -> str:
+    """Write the figure or the page; returns a line for the user. Raises SkygcsError."""
+    require_matplotlib()
+    origin = None if place is None else Origin(*place, 0.0)
+    flight, faults = read_flight(path, selection, origin, dialect)
+    figure = flight_figure(flight, path.name)
+    if out.suffix.lower() == ".html":
+        with Outputs(force=True) as outputs:
+            outputs.open_text(out).write(page(figure, flight, path.name, faults))
+    else:
+        save(figure, out)
+    return f"{out}: {summary_line(flight)}"
+
+
+def summary_line(flight: RecordedFlight) -> str:
+    """The flight in one line."""
+    vehicles = len(flight.vehicles)
+    span_s = flight.end_s - (flight.begin_s or 0.0)
+    return f"{vehicles} vehicle{'s' * (vehicles > 1)}, {span_s:.1f} s"
+
+
+def flight_figure(flight: RecordedFlight, name: str) -> Figure:
+    """Map and table on top, below it one panel for each quantity over one axis of time."""
+    vehicles = sorted(flight.vehicles.values(), key=lambda v: (v.sysid, v.compid))
+    styles = _styles(vehicles)
+    panels = [
+        ("height, m", [v.altitude for v in vehicles]),
+        ("battery, %", [v.percent for v in vehicles]),
+        ("battery, V", [v.volts for v in vehicles]),
+    ]
+    panels = [(label, curves) for label, curves in panels if any(curves)]
+    rows_in = EDGE_IN + ROW_IN * len(vehicles)
+    placed = any(v.track.ends is not None for v in vehicles)
+    top_in = MAP_IN if placed else TABLE_IN + ROW_IN * len(vehicles)
+    heights = [top_in, *(LINES_IN for _ in panels), rows_in, rows_in]
+    figure = new_figure(WIDTH_IN, sum(heights))
+    outer = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+    top = outer[0].subgridspec(1, 2, width_ratios=(1.25, 1))
+    if placed:
+        draw_map(figure.add_subplot(top[0]), flight, vehicles, styles)
+    draw_summary(figure.add_subplot(top[1] if placed else outer[0]), top_in, vehicles, styles)
+    shared = None
+    for n, (label, curves) in enumerate(panels):
+        panel = figure.add_subplot(outer[n + 1], sharex=shared)
+        shared = shared or panel
+        draw_lines(panel, label, vehicles, curves, styles)
+    for n, what in enumerate(("modes", "link")):
+        panel = figure.add_subplot(outer[len(panels) + 1 + n], sharex=shared)
+        shared = shared or panel
+        draw_rows(panel, flight, vehicles, styles, what)
+    begin_s = flight.begin_s or 0.0
+    assert shared is not None
+    shared.set_xlim(begin_s, max(flight.end_s, begin_s + 1.0))
+    figure.axes[-1].set_xlabel(_time_label(flight))
+    figure.suptitle(f"{name}: {summary_line(flight)}", fontsize=12)
+    return figure
+
+
+def _styles(vehicles: Sequence[VehicleFlight]) -> dict[str, Style]:
+    colours = (*COLOURS, *MORE_COLOURS)
+    return {
+        vehicle.name: Style(colours[n % len(colours)], LINE_STYLES[n // len(colours)])
+        for n, vehicle in enumerate(vehicles)
+    }
+
+
+def _time_label(flight: RecordedFlight) -> str:
+    if flight.begin_us is None:
+        return "seconds by the vehicles' own clocks"
+    begin_us = flight.begin_us - round((flight.begin_s or 0.0) * 1e6)
+    try:
+        began = datetime.fromtimestamp(begin_us / 1e6, UTC)
+    except (OverflowError, OSError, ValueError):
+        return "seconds since the log began"
+    return f"seconds since {began:%Y-%m-%d %H:%M:%S} UTC"
+
+
+# --- panels
+
 
 MODE_COLOURS = (
     *("#9CC9E8", "#F6C28B", "#A5D6A7", "#E3A9C9", "#F2E08A", "#C5B4E3", "#B7C0C7", "#F0A79B"),
@@ -40,7 +179,7 @@ TEXT_LINE_IN = 0.165
 LONGEST_TEXT = 66
 SILENT_COLOUR = "#303030"
 SMALLEST_MAP_M = 4.0
-"""A vehicle that stands still looks as if it flew circles if its GPS's noise fills the map."""
+"""In a smaller map the GPS noise of a vehicle at rest would look like a flight."""
 
 GRID: dict[str, Any] = {"color": "0.88", "linewidth": 0.6}
 FEW = 60
@@ -64,7 +203,7 @@ def gid(vehicle: VehicleFlight, what: str) -> str:
 
 
 def draw_map(panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]) -> None:
-    """The vehicles that told a position; there is one at least."""
+    """Tracks of the vehicles that reported a position; there is at least one."""
     placed = [v for v in vehicles if v.track.ends is not None]
     for vehicle in placed:
         _draw_track(panel, vehicle, styles[vehicle.name])
@@ -134,7 +273,7 @@ def summary_row(vehicle: VehicleFlight) -> tuple[str, ...]:
 
 
 def draw_summary(panel: Axes, height_in: float, vehicles: Sequence[VehicleFlight], styles: dict[str, Style]) -> None:
-    """A table of the vehicles and below it, as far as there is room, what they warned of."""
+    """A table of the vehicles and, if there is room, their warnings below it."""
     from matplotlib.transforms import Bbox
 
     panel.set_axis_off()
@@ -185,7 +324,7 @@ def _draw_warnings(
 
 
 def _warnings(vehicles: Sequence[VehicleFlight]) -> list[tuple[float, str, str, int]]:
-    """When a vehicle first warned of something, its name, the text, and how often."""
+    """First time, vehicle, text and count of each warning."""
     found: dict[tuple[str, str], tuple[float, int]] = {}
     for vehicle in vehicles:
         for text in vehicle.texts:
@@ -196,7 +335,7 @@ def _warnings(vehicles: Sequence[VehicleFlight]) -> list[tuple[float, str, str, 
 
 
 def _plain(text: str) -> str:
-    """Nothing that matplotlib reads as mathematics, and no more than a line."""
+    """The text without what matplotlib reads as mathematics, at most a line long."""
     text = "".join(c if c.isprintable() else "·" for c in text).replace("$", r"\$")
     return text if len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
@@ -266,7 +405,7 @@ def _draw_modes(panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleF
         for begin_s, end_s in _armed(vehicle):
             line: dict[str, Any] = dict(color="#B00000", linewidth=2.2, solid_capstyle="butt")
             panel.plot((begin_s, end_s), (row + 0.36, row + 0.36), gid=gid(vehicle, "armed"), **line)
-        # what it did while it was silent nobody knows
+        # its mode is not known while it was silent
         veils = [(begin_s, end_s - begin_s) for begin_s, end_s in vehicle.silences]
         _draw_bars(panel, row, veils, ["white"] * len(veils), gid(vehicle, "veil"), alpha=0.8, zorder=3)
     handles: list[Any] = [
@@ -290,13 +429,13 @@ def _looks(modes: Sequence[str]) -> dict[str, tuple[str, str]]:
 def _draw_bars(
     panel: Axes, row: int, bars: Sequence[tuple[float, float]], colours: Sequence[Any], name: str, **more: Any
 ) -> None:
-    """Bars (begin, length) in one row, as one artist: one each takes a second for nine vehicles."""
+    """Bars (begin, length) in one row, as one artist: an artist for each bar takes a second for nine vehicles."""
     if bars:
         panel.broken_barh(bars, (row - 0.4, 0.8), facecolors=list(colours), linewidth=0, gid=name, **more)
 
 
 def _runs(vehicle: VehicleFlight) -> list[tuple[str, float, float]]:
-    """Modes with their times; arming alone begins no new one."""
+    """Modes with their times; arming alone does not begin a new one."""
     runs: list[tuple[str, float, float]] = []
     for span, end_s in vehicle.spans():
         if runs and runs[-1][0] == span.mode:
@@ -307,7 +446,7 @@ def _runs(vehicle: VehicleFlight) -> list[tuple[str, float, float]]:
 
 
 def _longest_heard(begin_s: float, end_s: float, silences: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """The longest piece of a time between silences: where a name is read."""
+    """The longest part of a span without silence: the place for the mode's name."""
     best, at_s = (begin_s, begin_s), begin_s
     for silent_s, heard_s in [*(s for s in silences if s[0] < end_s and s[1] > begin_s), (end_s, end_s)]:
         if silent_s - at_s > best[1] - best[0]:
@@ -358,3 +497,105 @@ def _legend_above(panel: Axes, handles: Sequence[Any]) -> None:
     columns = min(len(handles), MODES_A_LINE + 1)
     place: dict[str, Any] = dict(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=columns, columnspacing=1.2)
     panel.legend(handles=handles, fontsize=7.5, frameon=False, handlelength=1.2, **place)
+
+
+# --- the page
+
+SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+"""MAV_SEVERITY."""
+
+_STYLE = """
+body { font: 14px/1.4 system-ui, sans-serif; margin: 1.5em auto; max-width: 1300px; padding: 0 1em; color: #222 }
+h1 { font-size: 1.3em } h2 { font-size: 1.05em; margin-top: 1.6em }
+svg { width: 100%; height: auto }
+table { border-collapse: collapse } td, th { text-align: left; padding: .15em .9em .15em 0; vertical-align: top }
+tr { border-bottom: 1px solid #e4e4e4 } th { color: #666; font-weight: normal }
+td.number { text-align: right; font-variant-numeric: tabular-nums }
+tr.s0, tr.s1, tr.s2, tr.s3 { color: #b00000 } tr.s4 { color: #9a5b00 } tr.s7 { color: #888 }
+label { margin-right: 1em; white-space: nowrap }
+.bar { position: sticky; top: 0; background: #fffffff0; padding: .5em 0 }
+@media print { .bar { display: none } }
+"""
+
+_SCRIPT = """
+const show = (box) => {
+  const id = box.dataset.id;
+  for (const part of document.querySelectorAll(`[id^="${id}"]`)) part.style.display = box.checked ? "" : "none";
+  for (const row of document.querySelectorAll(`tr[data-id="${id}"]`)) row.hidden = !box.checked;
+};
+const boxes = [...document.querySelectorAll("input[data-id]")];
+for (const box of boxes) box.addEventListener("change", () => show(box));
+document.getElementById("all").addEventListener("click", () => boxes.forEach((b) => { b.checked = true; show(b); }));
+document.getElementById("none").addEventListener("click", () => boxes.forEach((b) => { b.checked = false; show(b); }));
+"""
+
+
+def page(figure: Figure, flight: RecordedFlight, name: str, faults: Sequence[str]) -> str:
+    """The whole document: the figure, whose vehicles can be hidden, tables and texts. Texts are escaped."""
+    vehicles = sorted(flight.vehicles.values(), key=lambda v: (v.sysid, v.compid))
+    return "\n".join(
+        [
+            "<!doctype html>",
+            f'<html lang="en"><head><meta charset="utf-8"><title>{escape(name)}</title>',
+            f"<style>{_STYLE}</style></head><body>",
+            f"<h1>{escape(name)}</h1>",
+            _bar(vehicles),
+            svg(figure),
+            "<h2>Vehicles</h2>",
+            _table(HEADS, [(gid(v, ""), "", summary_row(v)) for v in vehicles]),
+            "<h2>Modes</h2>",
+            _table(("time, s", "vehicle", "mode", ""), _mode_rows(vehicles)),
+            "<h2>Texts</h2>",
+            _table(("time, s", "vehicle", "", "text"), _text_rows(vehicles)),
+            "<h2>The log</h2>",
+            "".join(f"<p>{escape(fault)}</p>" for fault in faults) or "<p>No faults.</p>",
+            f"<script>{_SCRIPT}</script></body></html>",
+            "",
+        ]
+    )
+
+
+Row = tuple[str, str, Sequence[str]]
+"""gid of the vehicle, class for the style, cells."""
+
+
+def _bar(vehicles: Sequence[VehicleFlight]) -> str:
+    boxes = "".join(
+        f'<label><input type="checkbox" checked data-id="{gid(v, "")}"> {escape(v.name)}</label>' for v in vehicles
+    )
+    return f'<div class="bar">{boxes}<button id="all">all</button> <button id="none">none</button></div>'
+
+
+def _table(heads: Sequence[str], rows: Sequence[Row]) -> str:
+    if not rows:
+        return "<p>None.</p>"
+    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+    return f"<table><tr>{head}</tr>{''.join(map(_row, rows))}</table>"
+
+
+def _row(row: Row) -> str:
+    owner, style, cells = row
+    number = ' class="number"' if style else ""
+    first, *rest = cells
+    filled = f"<td{number}>{escape(first)}</td>" + "".join(f"<td>{escape(cell)}</td>" for cell in rest)
+    return f'<tr data-id="{owner}" class="{style}">{filled}</tr>'
+
+
+def _mode_rows(vehicles: Sequence[VehicleFlight]) -> list[Row]:
+    spans = sorted(((span, v) for v in vehicles for span in v.modes), key=lambda found: found[0].begin_s)
+    return [
+        (gid(v, ""), "mode", (f"{span.begin_s:.1f}", v.name, span.mode, "armed" if span.armed else ""))
+        for span, v in spans
+    ]
+
+
+def _text_rows(vehicles: Sequence[VehicleFlight]) -> list[Row]:
+    texts = sorted(((text, v) for v in vehicles for text in v.texts), key=lambda found: found[0].at_s)
+    return [
+        (gid(v, ""), f"s{text.severity}", (f"{text.at_s:.1f}", v.name, _severity(text.severity), text.text))
+        for text, v in texts
+    ]
+
+
+def _severity(severity: int) -> str:
+    return SEVERITIES[severity] if severity < len(SEVERITIES) else str(severity)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
-from skygcs.cli.figure import COLOURS, new_figure, require_matplotlib, save
-from skygcs.cli.trace_file import read_trace
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.trace import CONTROL_MODES, TraceRow
-from skygcs.errors import SkygcsError
+from skygcs.core.control.trace import CONTROL_MODES, LARGEST_LINE, Trace, TraceRow, decode
+from skygcs.errors import SkygcsError, TraceError
+from skygcs.tlog.figure import COLOURS, new_figure, require_matplotlib, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -315,3 +316,24 @@ def _doubles(count: int) -> tuple[array[float], ...]:
 
 _EMPTY = TraceRow(0.0, math.nan, None, False, None, None, None)
 """Breaks the curves where nothing was controlled."""
+
+
+# --- the file
+
+
+@contextlib.contextmanager
+def read_trace(path: Path) -> Iterator[Trace]:
+    """An open trace. Raises SkygcsError, here and while it is read, that names the file and the line."""
+    try:
+        with path.open(encoding="utf-8", errors="replace", newline="") as file:
+            yield decode(_lines(file))
+    except TraceError as error:
+        raise SkygcsError(f"{path}:{error.line}: {error.reason}") from None
+    except OSError as error:
+        raise SkygcsError(f"{path}: {error.strerror or error}") from None
+
+
+def _lines(file: TextIO) -> Iterator[str]:
+    """Lines with their newlines; a file without any is not read whole."""
+    while line := file.readline(LARGEST_LINE + 2):
+        yield line

@@ -1,4 +1,4 @@
-"""`skygcs-cli tlog csv`: tables from logs, of flights or of messages, as CSV or Parquet."""
+"""Write tables of a log, of flights or of messages, as CSV or Parquet. pyarrow is an extra (`skygcs[parquet]`)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import IO, Any, Protocol
 
-from skygcs.cli.log_file import LogFile, opened_log
-from skygcs.cli.log_output import Outputs, make_folder
-from skygcs.cli.tlog_cut import selected
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
-from skygcs.tlog.columns import TIME, Kind, MessageColumns
-from skygcs.tlog.flight_table import COLUMNS, FlightTables, VehicleKey
+from skygcs.tlog.files import LogFile, Outputs, make_folder, opened_log
 from skygcs.tlog.selection import Selection
+from skygcs.tlog.tables import FLIGHT_COLUMNS, NUMBER, TEXT, TIME, FlightTables, Kind, MessageColumns, VehicleKey
 
 Columns = tuple[tuple[str, Kind], ...]
+
+CELLS_PER_GROUP = 200_000
+"""Of one table, in memory at a time: some 10 MB as Python objects. A row group of 20,000 rows with ten columns."""
+
+_TYPES: dict[Kind, str] = {TEXT: "string", NUMBER: "float64", "float": "float32", "double": "float64", "char": "string"}
 
 
 class Table(Protocol):
@@ -34,7 +36,7 @@ NewTable = Callable[[str, Columns], Table]
 
 
 class CsvTable:
-    """RFC 4180; times in seconds with six decimals, floats so that they are read back exactly."""
+    """RFC 4180; times in seconds with six decimals, floats with all digits needed to read them back exactly."""
 
     def __init__(self, file: IO[str], columns: Columns) -> None:
         self.rows = 0
@@ -57,8 +59,42 @@ _CELLS: dict[Kind, Callable[[Any], str]] = {TIME: seconds, "float": lambda value
 """9 digits give back every float of 32 bits; a double is written by repr."""
 
 
+class ParquetTable:
+    """Columns with the types of the message's fields; times are timestamps of UTC in microseconds."""
+
+    def __init__(self, file: IO[bytes], columns: tuple[tuple[str, Kind], ...]) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self.rows = 0
+        self._pa = pa
+        self._schema = pa.schema([(name, _arrow_type(pa, kind)) for name, kind in columns])
+        self._writer = pq.ParquetWriter(file, self._schema)
+        self._most = max(CELLS_PER_GROUP // len(columns), 1)
+        self._waiting: list[list[Any]] = []
+
+    def add(self, row: list[Any]) -> None:
+        self.rows += 1
+        self._waiting.append(row)
+        if len(self._waiting) >= self._most:
+            self._write()
+
+    def close(self) -> None:
+        if self._waiting:
+            self._write()
+        self._writer.close()
+
+    def _write(self) -> None:
+        columns = [
+            self._pa.array(values, field.type)
+            for field, values in zip(self._schema, zip(*self._waiting, strict=True), strict=True)
+        ]
+        self._writer.write_table(self._pa.Table.from_arrays(columns, schema=self._schema))
+        self._waiting.clear()
+
+
 class Stdout:
-    """The one table that goes to stdout; a second one is refused."""
+    """The one table that goes to stdout; a second one is an error."""
 
     def __init__(self) -> None:
         self._name: str | None = None
@@ -84,7 +120,7 @@ def write_tables(
 ) -> list[str]:
     """Write the flight of each vehicle, or with ``messages`` each selected message, as a table of its own.
 
-    ``folder`` None: the one table there is goes to stdout. What to say of each file. Raises SkygcsError.
+    ``folder`` None: the one table goes to stdout. Returns a line for each file. Raises SkygcsError.
     """
     with opened_log(path, dialect) as log:
         fill = _fill_messages if messages else _fill_flights
@@ -97,7 +133,7 @@ def write_tables(
                 new = _new_tables(outputs, closing, folder, log.stem, parquet)
                 counts = _filled(log, selection, fill, new)
             lines = [f"{file}: {rows:,} rows" for file, rows in zip(outputs.paths, counts, strict=True)]
-        log.tell_faults()
+        log.print_faults()
     return lines
 
 
@@ -106,7 +142,7 @@ def _filled(
 ) -> list[int]:
     tables = fill(log, selection, new)
     if not tables:
-        raise SkygcsError(f"{log.path}: nothing in it makes a row; `tlog info` shows what is there")
+        raise SkygcsError(f"{log.path}: no row in it; `tlog info` shows what it holds")
     return [table.rows for table in tables]
 
 
@@ -114,21 +150,21 @@ def _fill_flights(log: LogFile, selection: Selection, new: NewTable) -> list[Tab
     tables: dict[VehicleKey, Table] = {}
     flights = FlightTables(log.dialect)
     for entry in log.entries():
-        made = flights.row(entry)  # also before the time that is asked for: the mode was told then
+        made = flights.row(entry)  # also before the selected time: the mode was reported then
         if made is None or not selection.in_time(entry) or not selection.has(*made[0]):
             continue
         (sysid, compid), row = made
         table = tables.get((sysid, compid))
         if table is None:
             name = f"{sysid}" if compid == 1 else f"{sysid}.{compid}"
-            table = tables[sysid, compid] = new(name, COLUMNS)
+            table = tables[sysid, compid] = new(name, FLIGHT_COLUMNS)
         table.add(row)
     return list(tables.values())
 
 
 def _fill_messages(log: LogFile, selection: Selection, new: NewTable) -> list[Table]:
     tables: dict[int, tuple[MessageColumns, Table]] = {}
-    for entry in selected(log, selection):
+    for entry in log.selected(selection):
         frame = entry.frame
         if frame is None or frame.info is None:
             continue
@@ -144,8 +180,6 @@ def _fill_messages(log: LogFile, selection: Selection, new: NewTable) -> list[Ta
 def _new_tables(outputs: Outputs, closing: ExitStack, folder: Path, stem: str, parquet: bool) -> NewTable:
     if not parquet:
         return lambda name, columns: CsvTable(outputs.open_text(folder / f"{stem}-{name}.csv"), columns)
-    from skygcs.cli.tlog_parquet import ParquetTable, require_pyarrow
-
     require_pyarrow()
 
     def new(name: str, columns: Columns) -> Table:
@@ -154,3 +188,19 @@ def _new_tables(outputs: Outputs, closing: ExitStack, folder: Path, stem: str, p
         return table
 
     return new
+
+
+def require_pyarrow() -> None:
+    """Raises SkygcsError that says how to install it."""
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError:
+        raise SkygcsError(
+            "Parquet needs pyarrow: pip install 'skygcs[parquet]', or pip install '.[parquet]' in a checkout"
+        ) from None
+
+
+def _arrow_type(pa: Any, kind: Kind) -> Any:
+    if kind == TIME:
+        return pa.timestamp("us", tz="UTC")
+    return getattr(pa, _TYPES.get(kind) or kind.removesuffix("_t"))()

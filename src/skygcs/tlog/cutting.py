@@ -1,22 +1,20 @@
-"""`skygcs-cli tlog filter`, `merge` and `split`: logs from logs, their records as they were, byte by byte."""
+"""Write logs from logs: filter, merge, split. The records keep their bytes."""
 
 from __future__ import annotations
 
 import contextlib
 import heapq
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import IO
 
-from skygcs.cli.log_file import LogFile, note, opened_log
-from skygcs.cli.log_output import Outputs, make_folder
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.errors import SkygcsError
+from skygcs.tlog.files import LogFile, Outputs, make_folder, note, opened_log
 from skygcs.tlog.flight import MOST_VEHICLES
-from skygcs.tlog.format import encode_record
-from skygcs.tlog.reading import LogEntry
+from skygcs.tlog.format import LogEntry, encode_record
 from skygcs.tlog.selection import Selection
 
 REST = "rest"
@@ -28,13 +26,13 @@ VehicleKey = tuple[int, int]
 
 
 def filter_log(path: Path, out: Path, selection: Selection, dialect: Dialect, force: bool) -> str:
-    """Write what is selected, a tlog from a tlog and a raw capture from a raw one; what to say of it."""
+    """Write the selected entries, a tlog from a tlog and a raw capture from a raw one; returns a line for the user."""
     kept = left = unvouched = 0
     with opened_log(path, dialect) as log:
-        check_times(log, selection)
+        log.check_times(selection)
         if log.kind == "raw" and out.suffix.lower() == TLOG_SUFFIX:
             raise SkygcsError(
-                f"{out}: {path.name} is a raw capture, whose frames have no times: what is cut from it is no tlog; "
+                f"{out}: {path.name} is a raw capture, whose frames have no times: a part of it is not a tlog; "
                 f"name it {out.with_suffix(RAW_SUFFIX).name}"
             )
         with Outputs(force) as outputs:
@@ -47,24 +45,24 @@ def filter_log(path: Path, out: Path, selection: Selection, dialect: Dialect, fo
                     left += 1
                     unvouched += entry.frame is None and selection.in_time(entry)
             if not kept:
-                raise SkygcsError(f"{path}: nothing in it is selected; {out} is not written")
-        log.tell_faults()
+                raise SkygcsError(f"{path}: no record matches; {out} was not written")
+        log.print_faults()
     if unvouched:
-        note(f"{unvouched:,} of the records left out have a wrong CRC: nobody knows whose they are")
+        note(f"{unvouched:,} of the records left out have a wrong CRC: their senders are not known")
     return f"{out}: {kept:,} of {kept + left:,} {_units(log)}"
 
 
 def merge_logs(paths: Sequence[Path], out: Path, dialect: Dialect, force: bool) -> str:
-    """Write all records of several tlogs by time; what to say of it.
+    """Write all records of several tlogs by time; returns a line for the user.
 
-    Records of one file keep their order, also where its time goes backwards; at the same time the file named first
+    Records of one file keep their order, also where its time goes backwards; for equal times the file named first
     comes first.
     """
     with contextlib.ExitStack() as stack:
         logs = [stack.enter_context(opened_log(path, dialect)) for path in paths]
         for log in logs:
             if log.kind == "raw":
-                raise SkygcsError(f"{log.path}: a raw capture has no times to merge by")
+                raise SkygcsError(f"{log.path}: a raw capture has no times, so it cannot be merged")
         outputs = stack.enter_context(Outputs(force))
         file = outputs.open_bytes(out)
         count = 0
@@ -72,26 +70,25 @@ def merge_logs(paths: Sequence[Path], out: Path, dialect: Dialect, force: bool) 
             write_entry(file, entry)
             count += 1
         for log in logs:
-            log.tell_faults()
+            log.print_faults()
     return f"{out}: {count:,} records of {len(paths)} files"
 
 
 def split_log(path: Path, folder: Path, dialect: Dialect, force: bool) -> list[str]:
-    """Write a log for each vehicle, and one of what belongs to none; a line to say of each.
+    """Write a log for each vehicle, and one of what belongs to none; returns a line for each file.
 
     A vehicle is an autopilot: system and component. Its log has what its system sent, and what others but vehicles sent
-    to it. Where several autopilots share a system id, each has what itself sent and what was sent to it; the one of the
-    lowest component has what other components of that system sent and what was sent to all of it. Every record is in
-    one of the logs.
+    to it. If several autopilots share a system id, each log has what that autopilot sent and what was sent to it; the
+    one with the lowest component also has the rest of the system. Every record is in one of the logs.
     """
     with opened_log(path, dialect) as log:
         vehicles = {
             (e.frame.sysid, e.frame.compid) for e in log.entries() if e.frame is not None and discovers(e.frame)
         }
         if not vehicles:
-            raise SkygcsError(f"{path}: no vehicle in it to split it by")
+            raise SkygcsError(f"{path}: it cannot be split: no vehicle in it")
         if len(vehicles) > MOST_VEHICLES:
-            raise SkygcsError(f"{path}: {len(vehicles):,} vehicles; a log of {MOST_VEHICLES} at most is split")
+            raise SkygcsError(f"{path}: {len(vehicles):,} vehicles; at most {MOST_VEHICLES} can be split")
         make_folder(folder)
         parts = _Parts(vehicles)
         counts: Counter[VehicleKey | None] = Counter()
@@ -103,25 +100,19 @@ def split_log(path: Path, folder: Path, dialect: Dialect, force: bool) -> list[s
                     files[part] = outputs.open_bytes(folder / f"{log.stem}-{_part_name(part)}{_suffix(log)}")
                 write_entry(files[part], entry)
                 counts[part] += 1
-        log.tell_faults()
+        log.print_faults()
     names = dict(zip(files, outputs.paths, strict=True))
     order = sorted(counts, key=lambda part: (part is None, part or (0, 0)))
     return [f"{names[part]}: {counts[part]:,} {_units(log)}" for part in order]
 
 
 def write_entry(file: IO[bytes], entry: LogEntry) -> None:
-    """As a record, or as it is if it has no time."""
+    """Write a record, or the bare frame if it has no time."""
     file.write(entry.raw if entry.unix_us is None else encode_record(entry.unix_us, entry.raw))
 
 
-def check_times(log: LogFile, selection: Selection) -> None:
-    """Raises SkygcsError if a time of day is asked for in a log that has none."""
-    if log.kind == "raw" and selection.absolute:
-        raise SkygcsError(f"{log.path}: a raw capture has no time of day; give --from and --to in seconds")
-
-
 class _Parts:
-    """Which vehicle's log a record belongs to; None: to no vehicle's."""
+    """The vehicle whose log a record belongs to; None: no vehicle."""
 
     def __init__(self, vehicles: set[VehicleKey]) -> None:
         self._vehicles = vehicles
@@ -140,7 +131,7 @@ class _Parts:
 
 
 def _part_name(part: VehicleKey | None) -> str:
-    """As of the tables: the component is named if it is not 1."""
+    """As in names of tables: with the component if it is not 1."""
     if part is None:
         return REST
     sysid, compid = part
@@ -148,7 +139,7 @@ def _part_name(part: VehicleKey | None) -> str:
 
 
 def _suffix(log: LogFile) -> str:
-    """The file's own, but never that of a tlog for bytes that are none."""
+    """The file's own suffix, but not a tlog's for a raw capture."""
     suffix = log.path.suffix
     if log.kind == "raw" and suffix.lower() in ("", TLOG_SUFFIX):
         return RAW_SUFFIX
@@ -161,9 +152,3 @@ def _time_us(entry: LogEntry) -> int:
 
 def _units(log: LogFile) -> str:
     return "records" if log.kind == "tlog" else "frames"
-
-
-def selected(log: LogFile, selection: Selection) -> Iterator[LogEntry]:
-    """The entries that are selected."""
-    check_times(log, selection)
-    return (entry for entry in log.entries() if selection.takes(entry))

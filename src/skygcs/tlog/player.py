@@ -1,4 +1,4 @@
-"""`skygcs-cli tlog play`: a recording sent over UDP as it came, for a ground station or another skygcs to watch."""
+"""Play a recording over UDP at its recorded pace, for a ground station or another skygcs to watch."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from skygcs.cli.log_file import LogFile, note, opened_log
-from skygcs.cli.tlog_cut import check_times
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import SkygcsError
-from skygcs.tlog.played import Told
-from skygcs.tlog.reading import LogEntry
-from skygcs.tlog.selection import Selection
+from skygcs.tlog.files import LogFile, note, opened_log
+from skygcs.tlog.format import LogEntry
+from skygcs.tlog.selection import ReportFilter, Selection
 from skygcs.tlog.timeline import Pace
 
 AT_ONCE = 32
-"""At full speed, frames between two pauses: 2 kB, which every receiver's socket holds (212 kB by default on Linux)."""
+"""At full speed, frames between two pauses: 2 kB, which fits a receiver's socket buffer (Linux: 212 kB by default)."""
 
 PAUSE_S = 0.001
 
@@ -67,7 +65,7 @@ class Player:
         _show("")
 
     def play(self, log: LogFile, selection: Selection) -> int:
-        """Once from its beginning to its end; how many frames were sent. Raises SkygcsError without a network."""
+        """Play it once, from beginning to end; returns the frames sent. Raises SkygcsError without network."""
         self.played.rounds += 1
         pace = Pace(self._speed)
         began = self._clock()
@@ -87,10 +85,10 @@ class Player:
         return sent
 
     def _chosen(self, log: LogFile, selection: Selection) -> Iterator[LogEntry]:
-        told = Told()
+        reports = ReportFilter()
         for entry in log.entries():
             passes = self._everything and entry.frame is not None
-            passes = told.passes(entry) or passes  # `passes` learns also before the time that is asked for
+            passes = reports.passes(entry) or passes  # it also learns from entries before the selected time
             if not selection.takes(entry):
                 continue
             if passes:
@@ -102,7 +100,7 @@ class Player:
         try:
             self._socket.sendto(raw, self._address)
         except ConnectionRefusedError:
-            pass  # nobody listens there, or not yet
+            pass  # no program listens there yet
         except OSError as error:
             raise SkygcsError(f"{self._address[0]}:{self._address[1]}: {error.strerror or error}") from None
 
@@ -122,18 +120,18 @@ def play_log(
     everything: bool,
     dialect: Dialect,
 ) -> str:
-    """Play it once, or again and again until Ctrl-C; what to say of it. Raises SkygcsError, KeyboardInterrupt."""
+    """Play it once, or in a loop until Ctrl-C; returns a line for the user. Raises SkygcsError, KeyboardInterrupt."""
     with opened_log(path, dialect) as log:
-        check_times(log, selection)
+        log.check_times(selection)
         if log.kind == "raw":
-            note(f"{path}: a raw capture has no times: it is played by its senders' own clocks")
+            note(f"{path}: a raw capture has no times: it is played by the times in its messages")
         player = Player(address, speed, everything)
         try:
             while player.play(log, selection) and loop:
                 pass
             if not player.played.sent:
                 raise SkygcsError(
-                    f"{path}: nothing to play: no vehicle speaks in what is selected (--all plays everything)"
+                    f"{path}: nothing to play: the selection has no frame from a vehicle (--all plays everything)"
                 )
         except KeyboardInterrupt:
             player.close()
@@ -141,10 +139,10 @@ def play_log(
             raise
         finally:
             player.close()
-        log.tell_faults()
+        log.print_faults()
     played = player.played
     if played.held_back and not everything:
-        note(f"{played.held_back:,} frames held back: orders, other senders than vehicles, damaged ones (--all)")
+        note(f"{played.held_back:,} frames not played: wrong CRCs, orders and other senders (--all plays these two)")
     return f"{path}: {played}"
 
 
@@ -153,7 +151,7 @@ def _resolved(host: str, port: int) -> tuple[int, int, int, str, Any]:
 
 
 def _show(text: str) -> None:
-    """On a terminal only, on one line."""
+    """Show one line that replaces the last one, on a terminal only."""
     if sys.stderr.isatty():
         sys.stderr.write(f"\r\033[K{text}")
         sys.stderr.flush()

@@ -1,20 +1,84 @@
-"""The UTIAS scripts' flight table, one per vehicle: time, mode, lat, lon, alt, vx, vy, vz, roll, pitch, yaw."""
+"""Tables of a log: one of each message, or the UTIAS scripts' flight table of each vehicle."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import HeartbeatChecks
 from skygcs.core.mavlink.modes import mode_name
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import TelemetryGroup, fold_attitude, fold_position
-from skygcs.tlog.columns import NUMBER, TEXT, TIME, Kind
-from skygcs.tlog.reading import LogEntry
+from skygcs.tlog.format import LogEntry
 
-COLUMNS: tuple[tuple[str, Kind], ...] = (
+LONGEST_SPLIT = 32
+"""A longer array of bytes is data (of a file, a log, a serial port): one cell in hexadecimal."""
+
+Kind = str
+"""Type of a column: a scalar type of MAVLink (uint8_t … double), or one of the three below."""
+
+TEXT: Kind = "text"
+TIME: Kind = "time"
+NUMBER: Kind = "number"
+
+HEAD = (("time", TIME), ("sysid", "uint8_t"), ("compid", "uint8_t"))
+"""The columns before the fields; ``time`` is microseconds since 1970, None in a raw capture."""
+
+
+class MessageColumns:
+    """The table of one message: ``columns`` are (name, kind), `row` has a value for each."""
+
+    def __init__(self, info: MessageInfo) -> None:
+        self.name = info.name
+        self._fields = tuple((field.name, _is_split(field), _is_hex(field)) for field in info.fields)
+        columns: list[tuple[str, Kind]] = list(HEAD)
+        taken = {name for name, _ in HEAD}
+        for field in info.fields:
+            columns += [(_free(name, taken), kind) for name, kind in _columns_of(field)]
+        self.columns = tuple(columns)
+
+    def row(self, entry: LogEntry, frame: Frame) -> list[Any]:
+        """A time in microseconds since 1970 or None, numbers as decoded, text."""
+        row: list[Any] = [entry.unix_us, frame.sysid, frame.compid]
+        values = frame.fields()
+        for name, split, is_hex in self._fields:
+            value = values[name]
+            if split:
+                row += value
+            elif is_hex:
+                row.append(bytes(value).hex())
+            else:
+                row.append(value)
+        return row
+
+
+def _is_hex(field: FieldInfo) -> bool:
+    return field.type == "uint8_t" and field.array_length > LONGEST_SPLIT
+
+
+def _is_split(field: FieldInfo) -> bool:
+    return bool(field.array_length) and field.type != "char" and not _is_hex(field)
+
+
+def _columns_of(field: FieldInfo) -> list[tuple[str, Kind]]:
+    if field.type == "char" or _is_hex(field):
+        return [(field.name, TEXT)]
+    if field.array_length:
+        return [(f"{field.name}_{n}", field.type) for n in range(field.array_length)]
+    return [(field.name, field.type)]
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """A name that no other column of the table has: some messages have a field "time"."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+FLIGHT_COLUMNS: tuple[tuple[str, Kind], ...] = (
     ("time", TIME),
     ("mode", TEXT),
     *((name, NUMBER) for name in ("lat", "lon", "alt", "vx", "vy", "vz", "roll", "pitch", "yaw")),
@@ -23,7 +87,7 @@ COLUMNS: tuple[tuple[str, Kind], ...] = (
 GLOBAL_POSITION_INT; roll, pitch and compass heading (-180..180) in degrees."""
 
 STALE_S = 5.0
-"""What was told longer ago is no part of a row any more; thin links send attitude once a second and lose some."""
+"""Older values are left out of a row; slow links send attitude once a second and lose some."""
 
 POSITION, ATTITUDES = "GLOBAL_POSITION_INT", ("ATTITUDE", "ATTITUDE_QUATERNION")
 
@@ -32,10 +96,10 @@ VehicleKey = tuple[int, int]
 
 
 class FlightTables:
-    """Rows of all vehicles: one with each position; while none comes, one with each attitude.
+    """Rows of all vehicles: one for each position or, while no position comes, for each attitude.
 
-    A vehicle is what a daemon would have found (`core.mavlink.heartbeat`); what came before its first heartbeat makes
-    no row.
+    Vehicles are found as the daemon finds them (`core.mavlink.heartbeat`); frames before a vehicle's first heartbeat
+    make no row.
     """
 
     def __init__(self, dialect: Dialect) -> None:
@@ -46,7 +110,7 @@ class FlightTables:
         self._vehicles: dict[VehicleKey, _Newest] = {}
 
     def row(self, entry: LogEntry) -> tuple[VehicleKey, list[Any]] | None:
-        """The vehicle and its next row, if this entry makes one. In a raw capture ``time`` is `at_s`."""
+        """The vehicle and its next row, if this entry makes one. In a raw capture ``time`` is ``at_s``."""
         frame = entry.frame
         if frame is None or frame.info is None:
             return None
@@ -76,7 +140,7 @@ class FlightTables:
 
 
 class _Newest:
-    """What one vehicle last told."""
+    """The newest values of one vehicle."""
 
     __slots__ = ("attitude", "attitude_s", "mode", "position", "position_s")
 
