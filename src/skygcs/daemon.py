@@ -9,26 +9,18 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import structlog
-
 from skygcs import __version__
-from skygcs.config.endpoints import endpoint_text
 from skygcs.config.models import FleetConfig
 from skygcs.config.regular_file import open_regular
 from skygcs.core.control.deadman import DeadMan
-from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
-from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.decision import RouteNote
-from skygcs.core.routing.table_room import MAX_CHANNEL_ROUTES, MAX_LINK_ROUTES
-from skygcs.core.vehicle.event_limiter import EventLimiter
 from skygcs.errors import LinkError
 from skygcs.events import Event
 from skygcs.links.base import Channel
@@ -37,24 +29,22 @@ from skygcs.rpc.server import RpcServer
 from skygcs.runtime.admission_reports import AdmissionReports
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.correction_feed import CorrectionFeed
+from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.leftover_streams import WATCHED, LeftoverStreams
-from skygcs.runtime.link_watch import LinkWatch
+from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
 from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
-from skygcs.runtime.signing_keys import Signing, why_silent
+from skygcs.runtime.route_reports import RouteReports
+from skygcs.runtime.signing_keys import Signing
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.signing_store import SigningStore, default_state_dir
-from skygcs.runtime.uplink import setpoint_bytes_per_s, stream_refusal
 from skygcs.runtime.vehicle_actor import VehicleActor
-
-MAX_EVENTS = 1000
-"""Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
 
 MAX_TOKEN_BYTES = 4096
 
@@ -74,65 +64,6 @@ PARK_S = 2.0
 FLEET_TICK_S = 0.2
 """How late a lost vehicle may be noticed; its timeout is seconds."""
 
-log = structlog.get_logger("skygcs")
-
-_QUIET_KINDS = frozenset({"statustext", "command", "route"})
-"""Events that are told to subscribers and logged at debug or info, not as changes of the daemon's own state."""
-
-_NOTE_KINDS = {
-    "conflict": "conflict",
-    "out_of_bounds": "warning",
-    "crowded": "warning",
-    "crowded_over": "warning",
-}
-
-
-_STATE_NOTES = {
-    "duplicate": "duplicate",
-    "duplicate_over": "duplicate",
-    "ignored": "conflict",
-    "switched": "route",
-    "replaced": "conflict",
-}
-
-
-def _named(channel: Channel | None) -> str:
-    """A channel for a person: its link and the peer's address."""
-    return "a closed channel" if channel is None else f"{channel.link.name} ({channel.peer})"
-
-
-def _state_text(note: RouteNote, here: str, there: str) -> str:
-    """What a person is shown of a change of a vehicle's channels: ``here`` is the present one, ``there`` the other."""
-    ids = f"{note.sysid}/{note.compid}"
-    if note.kind == "duplicate":
-        return (
-            f"two vehicles with system id {note.sysid} are on the air: one over {here}, which supplies its state, "
-            f"another over {there} ({note.why}), which is ignored; until that ends it takes only hold, land, rtl and "
-            "stop, which go to both, and a confirmed disarm; switch one off and give it another id (PX4: MAV_SYS_ID, "
-            "ArduPilot: SYSID_THISMAV)"
-        )
-    if note.kind == "duplicate_over":
-        return f"only one vehicle with system id {note.sysid} is heard any more: it takes all orders again"
-    if note.kind == "ignored":
-        return (
-            f"{note.count} frames with the ids {ids} over {there} contradict the vehicle over {here} ({note.why}): "
-            "they are ignored"
-        )
-    if note.kind == "switched":
-        return f"{ids} is followed over {there} now, before over {here}"
-    return (
-        f"{ids} is another vehicle now, or has restarted: it is heard over {there}, before over {here}; nothing that "
-        "was known of it counts any more"
-    )
-
-
-def _is_warning(event: Event) -> bool:
-    """True for what a person should look at although the daemon goes on: a link that is down (not one that has come to
-    its end), an internal fault, a warning."""
-    return event.kind in ("warning", "fault", "undo", "uplink_lost") or (
-        event.kind == "link_down" and not event.data.get("finished")
-    )
-
 
 class Daemon:
     """One running skygcs. `run` until `stop`; the rest answers the RPC methods (loop thread only)."""
@@ -143,72 +74,62 @@ class Daemon:
         self.source = source
         self.loop = asyncio.get_running_loop()
         self.started_at = self.loop.time()
-        self.events: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
         self.ready = asyncio.Event()
         self._stopping = asyncio.Event()
-        self._event_watchers: list[Callable[[dict[str, Any]], None]] = []
-        self._event_limiter = EventLimiter()
         own = config.daemon
+        # events, recorder, keys
+        self.event_log = EventLog(self.loop.time)
+        publish = self.event_log.publish
         self.recorder: Recorder | None = None
         if own.record:
             self.recorder = Recorder(
                 own.log_dir,
                 max_bytes=int(own.record_max_mb * 1e6),
                 max_age_s=own.record_max_minutes * 60.0,
-                on_event=self.on_event,
+                on_event=publish,
             )
+        self.signing = Signing(dialect, publish, SigningStore(default_state_dir()))
+        # links
+        self.hub = Hub(config, dialect, self.loop, publish, recorder=self.recorder, signing=self.signing)
+        self.links = LinkTable(config, dialect, self.hub, self.loop, publish, self.signing)
+        self.link_watch = LinkWatch(self.hub)
+        self.third_party = AdmissionReports(self.hub, own, dialect, publish)
+        # vehicles
+        view = LinkView(self.hub, self.links, self.link_watch)
         self.fleet = Fleet(
             config,
             dialect,
-            self._send,
+            self.hub.send,
             self.loop,
-            self.on_event,
-            self._may_broadcast,
-            lambda sysid, compid: setpoint_bytes_per_s(self.hub, self.fleet, sysid, compid),
-            lambda sysid, compid, px4: stream_refusal(self.hub, self.fleet, sysid, compid, px4=px4),
-            ParamCache(default_cache_dir()),
-            lambda key: self.link_watch.of(key, self.now()),
+            publish,
+            links=view,
+            param_cache=ParamCache(default_cache_dir()),
             probes=own.heartbeat,
         )
-        self.signing = Signing(dialect, self.on_event, SigningStore(default_state_dir()))
-        self.hub = Hub(
-            config,
-            dialect,
-            self.loop,
-            on_vehicle_frame=self.fleet.on_frame if own.keep_vehicles else None,
-            record=self.recorder.offer if self.recorder is not None else None,
-            on_note=self._on_note,
-            on_fault=self._on_fault,
-            on_replayed=self.fleet.set_replayed,
-            signing=self.signing,
-            on_key=self._on_key,
-            record_many=self.recorder.offer_many if self.recorder is not None else None,
-            state_update_only=self.fleet.state_update_only,
-            on_event=self.on_event,
-        )
-        self.hub.router.known = self.fleet.known
-        self.hub.router.on_replaced = self.fleet.replaced
-        self.link_watch = LinkWatch(self.hub)
-        self.hub.add_observer({RADIO_STATUS, RADIO} & set(dialect.messages), None, self.link_watch.on_radio)
-        self.fleet.on_roster = self.hub.forget_flows
-        self.fleet.why_silent = self._why_silent
-        self.operator_watchdog = OperatorWatchdog(
-            DeadMan(own.operator_timeout_s, own.operator_lost), self.fleet, self.loop, self.on_event
-        )
-        if self.operator_watchdog.watching:
-            self.hub.add_observer({HEARTBEAT}, None, self._on_heartbeat)
-        self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, self.on_event)
-        self.third_party = AdmissionReports(self.hub, own, dialect, self.on_event)
-        self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, self.on_event)
-        self.hub.add_observer(set(WATCHED) & set(dialect.messages), None, self.leftover_streams.on_frame)
-        self.links = LinkTable(config, dialect, self.hub, self.loop, self.on_event, self.signing)
-        self.renumbering = Renumbering(self.hub, self.fleet, self.loop, self.on_event, source)
-        self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, self.on_event)
-        self._keys_told: set[str] = set()
-        self._corrections = CorrectionFeed(self.hub, self.fleet, self.now)
-        self._message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
+        reports = RouteReports(self.fleet, publish, own.route_timeout_s)
+        self.hub.connect(self.fleet if own.keep_vehicles else None, reports)
+        self.air = AirPlanner(self.hub, self.fleet, self.link_watch, dialect, publish)
+        self.leftover_streams = LeftoverStreams(self.hub, self.fleet, dialect, own.route_timeout_s, publish)
+        dead_man = DeadMan(own.operator_timeout_s, own.operator_lost)
+        self.operator_watchdog = OperatorWatchdog(dead_man, self.fleet, self.loop, publish)
+        self._observe()
+        # what clients of the socket ask for
+        self.renumbering = Renumbering(self.hub, self.fleet, self.loop, publish, source)
+        self.signing_setup = SigningSetup(self.hub, self.fleet, self.signing, self.loop, publish)
+        self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
+        self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
         self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
+
+    def _observe(self) -> None:
+        """Give frames and events to what reads them."""
+        known = set(self.dialect.messages)
+        self.hub.add_observer({RADIO_STATUS, RADIO} & known, None, self.link_watch.on_radio)
+        self.hub.add_observer(set(WATCHED) & known, None, self.leftover_streams.on_frame)
+        if self.operator_watchdog.watching:
+            self.hub.add_observer({HEARTBEAT}, None, self.operator_watchdog.on_frame)
+        self.event_log.on("reboot", self.hub.on_reboot)
+        self.event_log.on("reboot", self.leftover_streams.on_reboot)
 
     # -- life
 
@@ -228,14 +149,14 @@ class Daemon:
                         recording.cancel()
                         await self.recorder.close()
         finally:
-            self._publish_events(self._event_limiter.flush(self.now()))
+            self.event_log.flush()
             await self.rpc.close()
 
     async def _run_inner(self) -> None:
         async with asyncio.TaskGroup() as group:
             clocks = [
                 group.create_task(self._every(FLEET_TICK_S, lambda: self.fleet.tick(self.now())), name="fleet tick"),
-                group.create_task(self._every(FLEET_TICK_S, self._tick_events), name="events"),
+                group.create_task(self._every(FLEET_TICK_S, self.event_log.tick), name="events"),
                 group.create_task(self._every(1.0, lambda: self.hub.tick(self.now())), name="hub tick"),
                 group.create_task(self._every(1.0, lambda: self.link_watch.tick(self.now())), name="watch of links"),
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
@@ -292,44 +213,11 @@ class Daemon:
                 self.hub.fault(error)
             await asyncio.sleep(period_s)
 
-    def _on_heartbeat(self, frame: Frame, channel: Channel, now: float) -> None:
-        """The operator of a recording is nobody who watches."""
-        if channel.config.type != "replay":
-            self.operator_watchdog.on_heartbeat(frame, now)
-
     def _heartbeat_task(self) -> None:
         values = {"type": 6, "autopilot": 8, "base_mode": 0, "system_status": 4, "mavlink_version": 3}
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
-    # -- sending
-
-    def _send(
-        self,
-        info: MessageInfo,
-        values: Mapping[str, Any],
-        sysid: int,
-        compid: int,
-        priority: Priority,
-        /,
-        *,
-        everywhere: bool = False,
-        key: Hashable | None = None,
-    ) -> bool:
-        return self.hub.send(info, values, sysid, compid, priority, key, everywhere=everywhere)
-
-    def _why_silent(self, sysid: int, compid: int) -> str:
-        actor = self.fleet.vehicles.get(sysid << 8 | compid)
-        slot = None if actor is None else actor.vehicle.slots.get(HEARTBEAT)
-        links = [self.hub.channels[i].config for i in self.hub.ways(sysid, compid)]
-        return why_silent(None if slot is None else slot.frame, links)
-
-    def _may_broadcast(self) -> bool:
-        """False if a link does not take frames of every source: who is kept out there would still hear us."""
-        return not any(
-            link.enabled
-            and (link.allow_src_sys_in or link.block_src_sys_in or link.allow_src_comp_in or link.block_src_comp_in)
-            for link in self.links.configs.values()
-        )
+    # -- what a person asks
 
     def send_message(
         self,
@@ -341,96 +229,20 @@ class Daemon:
         force: bool = False,
     ) -> dict[str, Any]:
         """Any message of the dialect by name; see `MessageSender.send`."""
-        return self._message_sender.send(name, fields, target, link, force=force)
+        return self.message_sender.send(name, fields, target, link, force=force)
 
-    # -- events
+    @property
+    def events(self) -> deque[dict[str, Any]]:
+        """The newest events."""
+        return self.event_log.recent
 
     def on_event(self, event: Event) -> None:
-        """Act on it, and publish it unless too many of its kind came (`EventLimiter`)."""
-        if event.kind == "reboot" and event.sysid is not None:
-            for key in [k for k in self.fleet.vehicles if k >> 8 == event.sysid]:
-                self.hub.restart_source(key)
-                self.leftover_streams.forget(key)
-        self._publish_events(self._event_limiter.offer(event, self.now()))
+        """See `EventLog.publish`."""
+        self.event_log.publish(event)
 
     def _tick_third_party(self) -> None:
         self.third_party.tick(self.now())
         self.leftover_streams.tick(self.now())
-
-    def _tick_events(self) -> None:
-        self._publish_events(self._event_limiter.tick(self.now()))
-
-    def _publish_events(self, events: Iterable[Event]) -> None:
-        for event in events:
-            self._publish_event(event)
-
-    def _publish_event(self, event: Event) -> None:
-        """Log it, keep it, show it to the watchers. A watcher's fault is its own."""
-        record = {
-            "time_unix_s": round(time.time(), 3),
-            "kind": event.kind,
-            "vehicle": event.vehicle,
-            "sysid": event.sysid,
-            "text": event.text,
-            "data": event.data,
-        }
-        self.events.append(record)
-        level = log.debug if event.kind in _QUIET_KINDS else log.warning if _is_warning(event) else log.info
-        level(event.text, kind=event.kind, **({"vehicle": event.vehicle} if event.vehicle else {}))
-        for watcher in tuple(self._event_watchers):
-            try:
-                watcher(record)
-            except Exception as error:
-                self._event_watchers.remove(watcher)
-                log.error("an event watcher failed and was removed", error=repr(error))
-
-    def _on_note(self, note: RouteNote, channel: Channel | None) -> None:
-        if note.kind in _STATE_NOTES:
-            self._on_state_note(note, channel)
-            return
-        where, who = _named(channel), f"{note.sysid}/{note.compid}"
-        recorded = channel is not None and channel.config.type == "replay"
-        text = {
-            "out_of_bounds": _beyond(note, where, channel),
-            "learned": f"{who} heard on {where}",
-            "expired": f"{who} not heard on {where} for {self.config.daemon.route_timeout_s:g} s, route forgotten",
-            "cleared": f"{who} restarted (SYSTEM_TIME went back), its routes are learned anew",
-            "crowded": f"{where} has no room for a route to {who}: more sources were heard there, or on its link, than "
-            f"the {MAX_CHANNEL_ROUTES} ({MAX_LINK_ROUTES}) that are kept; only autopilots find room, in place "
-            "of others; other links are not affected; allow_from or signing keep strangers out",
-            "crowded_over": f"{where}: the link has room for further routes again",
-            "conflict": f"{where} sends frames with our own id {who}: they are dropped; "
-            "give one of the two another daemon.sysid or daemon.compid",
-            "echo": f"{who} in the recording {where} is heard live as well: the recorded one is not shown"
-            if recorded
-            else f"{where} hands back frames of {who}, which is heard on a link of its own: they are dropped",
-        }[note.kind]
-        kind = _NOTE_KINDS.get(note.kind, "route")
-        self.on_event(Event(kind, None, note.sysid, text, {"change": note.kind, "compid": note.compid}))
-
-    def _on_state_note(self, note: RouteNote, channel: Channel | None) -> None:
-        """What has changed about the channels of a vehicle (`core.state_source`)."""
-        key = note.sysid << 8 | note.compid
-        there, here = _named(channel), _named(self.hub.channels.get(note.present_id))
-        if note.kind in ("duplicate", "duplicate_over"):
-            where = f"its state comes over {here}, the other one sends over {there}"
-            self.fleet.set_duplicate(key, where if note.kind == "duplicate" else None)
-        text = _state_text(note, here, there)
-        data = {"change": note.kind, "compid": note.compid, "link": there, "present": here, "ignored": note.count}
-        vehicle = self.fleet.vehicles.get(key)
-        name = None if vehicle is None else vehicle.name
-        self.on_event(Event(_STATE_NOTES[note.kind], name, note.sysid, text, data))
-
-    def _on_key(self, sysid: int, channel: Channel) -> None:
-        """Told once per link: who sends it will repeat it."""
-        link = channel.link.name
-        if link not in self._keys_told:
-            self._keys_told.add(link)
-            text = (
-                f"{link} ({channel.peer}): system {sysid} sent a signing key (SETUP_SIGNING); keys are not forwarded: "
-                "connect directly, or use skygcs-cli signing setup"
-            )
-            self.on_event(Event("signing", None, sysid, text, {"link": link}))
 
     def signing_status(self) -> dict[str, Any]:
         """Keys, links with their rules, and counters per channel."""
@@ -439,18 +251,9 @@ class Daemon:
             channels.setdefault(channel.link.name, []).append(channel)
         return self.signing.status(channels)
 
-    def _on_fault(self, text: str) -> None:
-        self.on_event(Event("fault", None, None, f"internal fault, please report it: {text}", {}))
-
     def subscribe_events(self, watcher: Callable[[dict[str, Any]], None]) -> Callable[[], None]:
-        """Call ``watcher`` with every event from now on; returns how to stop it."""
-        self._event_watchers.append(watcher)
-
-        def remove() -> None:
-            if watcher in self._event_watchers:
-                self._event_watchers.remove(watcher)
-
-        return remove
+        """See `EventLog.subscribe`."""
+        return self.event_log.subscribe(watcher)
 
     def subscribe_messages(
         self, names: set[str] | None, keys: set[int] | None, watcher: Callable[[Frame, Channel, float], None]
@@ -476,8 +279,6 @@ class Daemon:
     def client_alive(self) -> None:
         """A client of the socket asked for something."""
         self.operator_watchdog.on_client()
-
-    # -- what a person asks
 
     def now(self) -> float:
         """The loop's clock."""
@@ -510,11 +311,11 @@ class Daemon:
 
     def send_corrections(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
         """See `CorrectionFeed.send`."""
-        return self._corrections.send(source, data, end=end)
+        return self.corrections.send(source, data, end=end)
 
     def corrections_status(self) -> dict[str, Any]:
         """See `CorrectionFeed.status`."""
-        return self._corrections.status()
+        return self.corrections.status()
 
     def open_links(self) -> list[str]:
         """Names of the links that are open now."""
@@ -579,19 +380,6 @@ class Daemon:
         if self.recorder is None:
             return {"recording": False}
         return self.recorder.status()
-
-
-def _beyond(note: RouteNote, where: str, channel: Channel | None) -> str:
-    """What is told of a program behind a bound link that addressed somebody else; in the ids that it knows."""
-    if channel is None or channel.endpoint is None:
-        return f"{where} addressed a system that its link is not bound to"
-    turned = channel.endpoint.turned
-    allowed = ", ".join(str(turned(sysid)) for sysid in sorted(channel.endpoint.vehicles))
-    meant = f"system {turned(note.target)}" if note.target else "all systems (target 0)"
-    return (
-        f"{where}: {turned(note.sysid)}/{note.compid} addressed {meant}, and this link is bound to "
-        f"{endpoint_text(channel.config)}: dropped, as all such frames; what may be addressed there: {allowed}"
-    )
 
 
 def _read_token(path: Path | None) -> str | None:

@@ -17,13 +17,14 @@ import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import uvloop
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.control import ControlSettings
-from skygcs.config.models import FleetConfig, MemoryLink, UdpClientLink
+from skygcs.config.models import FleetConfig, MemoryLink, UdpClientLink, VehicleConfig
 from skygcs.core.control.cascade import Estimate, Memory, Reference, step
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.guard import ControlMode
@@ -36,9 +37,11 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.memory import MemoryLink as Link
 from skygcs.links.udp import UdpClientLink as UdpLink
 from skygcs.runtime.command_client import CommandClient
-from skygcs.runtime.flight_control import FlightControl
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.offboard_engagement import OffboardEngagement
 from skygcs.runtime.recorder import Recorder
+from skygcs.runtime.stream_requester import StreamRequester
+from support.services import connect, services
 from support.vehicles import HOME, PX4, PX4_LOITER, Voice, flight_dialect
 
 ROOT = Path(__file__).parents[2]
@@ -62,11 +65,9 @@ class Flown:
             FleetConfig(),
             dialect,
             self.loop,
-            on_vehicle_frame=lambda key, frame, label, now: None,
-            record=None,
-            on_note=lambda note, channel: None,
-            on_fault=lambda text: None,
+            lambda event: None,
         )
+        connect(hub)
         self.link = Link(MemoryLink(type="memory", name="radio", loss=1.0), hub, self.loop)
         self.hub = hub
         self.vehicle = Vehicle(1, 1, dialect, decoder=Decoder(dialect))
@@ -160,27 +161,23 @@ class Whole:
             FleetConfig(),
             dialect,
             loop,
-            on_vehicle_frame=lambda key, frame, label, now: None,
-            record=Recorder(folder, 1 << 30, 3600.0, lambda event: None).offer,
-            on_note=lambda note, channel: None,
-            on_fault=lambda text: None,
+            lambda event: None,
+            recorder=Recorder(folder, 1 << 30, 3600.0, lambda event: None),
         )
+        connect(self.hub)
         config = UdpClientLink(name="air", host="127.0.0.1", port=self.peer.getsockname()[1], role="vehicle")
         self.link = UdpLink(config, self.hub, asyncio.get_running_loop())
         self.vehicle = Vehicle(1, 1, dialect, decoder=Decoder(dialect))
         self.voice = Voice(1)
-        self.flight = FlightControl(
+        commands = CommandClient((1, 1), (255, 25), dialect, self.hub.send, loop)
+        runner: Any = SimpleNamespace(execute=_nothing, attempt_in_control=_nothing)
+        self.offboard = OffboardEngagement(
             self.vehicle,
-            ControlSettings(),
-            CommandClient((1, 1), (255, 25), dialect, self.hub.send, loop),
-            dialect,
-            loop,
-            execute=_nothing,
-            attempt=_nothing,
-            position_hz=None,
-            on_event=lambda event: None,
-            log_dir=folder,
-            uplink_bytes_per_s=lambda: math.inf,
+            VehicleConfig(name="v1", sysid=1, streams={}),
+            commands,
+            runner,
+            StreamRequester(self.vehicle, commands, dialect, {}),
+            services(dialect, self.hub.send, loop, lambda event: None, log_dir=folder),
         )
         self.control_mode = way
         self.heard = 0
@@ -197,9 +194,9 @@ class Whole:
         beat = self.voice.beat(PX4, PX4_LOITER, armed=True, status=4)
         self.hub.on_frames(self.link.channels[0], [beat], self.loop.now)
         self.hear(0)
-        pilot = self.flight.pilot
+        pilot = self.offboard.controller
         pilot.engage(self.control_mode, Fence(Origin(*HOME)))
-        self.flight.clock.start()
+        self.offboard.clock.start()
         pilot.delay.on_pong(pilot.delay.ping(self.loop.now - 0.004), self.loop.now)
         pilot.entered()
         pilot.fly_to(GeodeticPosition(HOME[0] + 1e-5, HOME[1], HOME[2] + 12), None)
@@ -216,7 +213,7 @@ class Whole:
             self.vehicle.on_frame(self.voice.landed(2), now)
             self.vehicle.on_frame(self.voice.say(GPS), now)
             self.vehicle.on_frame(self.voice.say(BATTERY), now)
-            self.flight.pilot.delay.on_pong(self.flight.pilot.delay.ping(now - 0.004), now)
+            self.offboard.controller.delay.on_pong(self.offboard.controller.delay.ping(now - 0.004), now)
 
     def tick(self, i: int) -> None:
         self.hear(i)
@@ -226,7 +223,7 @@ class Whole:
         """CPU of one tick. What the vehicle says is not counted."""
         cost = per_tick_us(self.tick) - per_tick_us(self.hear)
         self.loop.forget()
-        pilot = self.flight.pilot
+        pilot = self.offboard.controller
         assert (pilot.state, pilot.control_mode) == (OffboardState.FLYING, self.control_mode), pilot.reasons
         return cost
 

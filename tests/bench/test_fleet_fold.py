@@ -13,14 +13,18 @@ import os
 import statistics
 import time
 from pathlib import Path
+from typing import cast
 
 from skygcs.config.models import FleetConfig, MemoryLink
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
+from skygcs.events import Event
 from skygcs.links.memory import MemoryLink as Link
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.route_reports import RouteReports
 from support.routed import DIALECT, message
+from support.services import Notes
 
 ROOT = Path(__file__).parents[2]
 SIZES = (10, 250)
@@ -47,22 +51,20 @@ class Field:
     def __init__(self, vehicles: int) -> None:
         self.loop = asyncio.get_running_loop()
         self.now = self.loop.time()
-        self.fleet = Fleet(FleetConfig(), DIALECT, lambda *_: True, self.loop, lambda _: None)
         self.hub = Hub(
             FleetConfig(),
             DIALECT,
             self.loop,
-            on_vehicle_frame=self.fleet.on_frame,
-            record=None,
-            on_note=lambda note, channel: None,
-            on_fault=self._on_fault,
+            self._on_event,
         )
+        self.fleet = Fleet(FleetConfig(), DIALECT, lambda *_, **__: True, self.loop, lambda _: None)
+        self.hub.connect(self.fleet, cast(RouteReports, Notes(lambda note, channel: None)))
         self.vehicles = vehicles
         self.number = 0
 
     @staticmethod
-    def _on_fault(text: str) -> None:
-        raise AssertionError(text)
+    def _on_event(event: Event) -> None:
+        raise AssertionError(event.text)
 
     async def open(self) -> None:
         self.radio = Link(MemoryLink(name="radio", role="radio"), self.hub, self.loop)

@@ -255,13 +255,14 @@ async def test_a_setpoint_that_waits_for_a_busy_link_does_not_leave_after_the_en
     async with flown(tmp_path) as gcs:
         await gcs.fly("attitude")
         queue: TxQueue[str] = TxQueue()
-        before = gcs.daemon.hub.send
+        commands = gcs.actor().commands
+        before = commands._send
 
-        def send(info: Any, values: Any, sysid: int, compid: int, priority: Any, key: Any = None, **more: Any) -> bool:
-            queue.offer(info.name, priority, gcs.now, key)
-            return before(info, values, sysid, compid, priority, key, **more)
+        def send(info: Any, values: Any, sysid: int, compid: int, priority: Any, **more: Any) -> bool:
+            queue.offer(info.name, priority, gcs.now, more.get("key"))
+            return before(info, values, sysid, compid, priority, **more)
 
-        gcs.daemon.hub.send = send  # type: ignore[method-assign]
+        commands._send = send
         await asyncio.sleep(0.2)
         await gcs.done("vehicles.land")
         left = []

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from skygcs.runtime.link_view import LinkView
 from support.flown import flown
 
 pytestmark = pytest.mark.looptime
@@ -50,7 +51,7 @@ async def test_six_tenths_leave_position_alone(tmp_path: Path, kind: dict[str, i
 
 async def test_a_radio_that_leaves_too_few_setpoints_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As `setpoint_bytes_per_s` tells it of a radio at 19200 baud: 480 B/s, 9.4 setpoints of 51 B."""
-    monkeypatch.setattr("skygcs.daemon.setpoint_bytes_per_s", lambda hub, fleet, sysid, compid: 480.0)
+    monkeypatch.setattr(LinkView, "setpoint_bytes_per_s", lambda view, vehicle, flown: 480.0)
     async with flown(tmp_path) as gcs:
         began = gcs.now
         outcome = await gcs.outcome("control.set", mode="attitude")
@@ -65,7 +66,7 @@ async def test_a_radio_that_leaves_too_few_setpoints_a_second(tmp_path: Path, mo
 
 async def test_a_radio_that_gets_busy_in_flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     left = [1440.0]
-    monkeypatch.setattr("skygcs.daemon.setpoint_bytes_per_s", lambda hub, fleet, sysid, compid: left[0])
+    monkeypatch.setattr(LinkView, "setpoint_bytes_per_s", lambda view, vehicle, flown: left[0])
     async with flown(tmp_path) as gcs:
         await gcs.fly("attitude")
         await gcs.step(3.0, 0.0, 0.0)

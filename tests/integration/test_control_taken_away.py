@@ -126,10 +126,11 @@ async def test_a_second_vehicle_of_its_id_elsewhere_ends_nothing(tmp_path: Path)
 async def test_it_is_heard_in_a_recording_instead(tmp_path: Path) -> None:
     async with flown(tmp_path) as gcs:
         await gcs.fly("attitude")
-        order = asyncio.create_task(gcs.actor().flight.engage(gcs.actor().flight.pilot.wanted))
+        order = asyncio.create_task(gcs.actor().offboard.engage(gcs.actor().offboard.controller.wanted))
         await asyncio.sleep(0)
         seen = gcs.now
-        gcs.daemon.fleet.set_replayed(1 << 8 | 1, True)
+        gcs.daemon.hub.replayed.add(1 << 8 | 1)
+        gcs.daemon.fleet.source_changed(1 << 8 | 1)
         assert not (await order).ok
         await asyncio.sleep(5)
         assert not gcs.setpoints(seen)

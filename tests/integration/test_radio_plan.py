@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import cast
 
 import pytest
 
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.radio_link.stream_rates import POSITION, profile_rates
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.uplink import stream_refusal
+from skygcs.runtime.link_view import LinkView
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.on_air import OnAir, on_air
 
@@ -236,17 +234,11 @@ async def test_what_the_radio_cannot_carry_is_refused_with_the_figures_and_what_
 async def test_how_many_are_flown_decides_whether_a_further_one_can_be(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=0, ardupilot=10, **NAV) as air:
         await air.settled(10)
-        hub, actors = air.daemon.hub, air.daemon.fleet.resolve("all")
-
-        class Flown:
-            def __init__(self, count: int) -> None:
-                self.count = count
-
-            def flown(self) -> list[VehicleActor]:
-                return actors[1 : 1 + self.count]
+        view = LinkView(air.daemon.hub, air.daemon.links, air.daemon.link_watch)
+        first, *others = [actor.vehicle for actor in air.daemon.fleet.resolve("all")]
 
         def why(count: int) -> str | None:
-            return stream_refusal(hub, cast(Fleet, Flown(count)), actors[0].sysid, 1, px4=False)
+            return view.stream_refusal(first, others[:count])
 
         assert why(0) is None and why(2) is None
         assert "leaves 62 B/s to setpoints for it, and 1 Hz of 65 bytes are 65" in (why(3) or "")

@@ -374,7 +374,7 @@ async def test_unsigned_orders_to_a_vehicle_that_signs_say_so(tmp_path: Path) ->
         before = await gcs.call("params.get", targets="1", names=["NO_SUCH"])
         assert why not in before["outcomes"]["v1"]["NO_SUCH"]["message"]
         assert (await daemon.signing_setup.setup("1", path))["v1"].ok
-        await until(lambda: why in daemon.fleet.why_silent(1, 1))
+        await until(lambda: why in daemon.fleet.vehicles[1 << 8 | 1].commands.why_silent())
         arm = (await gcs.call("vehicles.arm", targets="1"))["outcomes"]["v1"]
         param = (await gcs.call("params.get", targets="1", names=["RTL_ALT"]))["outcomes"]["v1"]["RTL_ALT"]
         plan = (await gcs.call("missions.download", target="1"))["outcome"]
@@ -387,10 +387,10 @@ async def test_a_vehicle_that_signs_over_a_link_with_its_key_is_only_silent(tmp_
     async with running(tmp_path, radio={"signing": key}, other={}) as daemon:
         SignedPeer(wire(daemon)).beat()
         await until(lambda: VEHICLE in daemon.fleet.vehicles)
-        assert daemon.fleet.why_silent(7, 1) == ""
+        assert daemon.fleet.vehicles[7 << 8 | 1].commands.why_silent() == ""
         wire(daemon, "other").send(PymavPeer(8, 1).heartbeat())
         await discovered(daemon, 2)
-        assert daemon.fleet.why_silent(8, 1) == "", "it does not sign"
+        assert daemon.fleet.vehicles[8 << 8 | 1].commands.why_silent() == "", "it does not sign"
 
 
 async def test_a_key_in_use_is_changed_and_forgotten_over_the_link_that_has_it(tmp_path: Path) -> None:

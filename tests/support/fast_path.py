@@ -16,7 +16,8 @@ import termios
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -31,7 +32,11 @@ from skygcs.links.base import Channel
 from skygcs.links.udp import UdpClientLink, UdpServerLink
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
+from skygcs.runtime.link_view import LinkView, LinkWatch
+from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.route_reports import RouteReports
 from support.frames import dialect, noise, unknown_frame, with_bit_errors
+from support.services import Notes, list_recorder
 
 PEERS = 3
 """Sockets of vehicles on the link "air"."""
@@ -112,20 +117,20 @@ class Station:
         self.sinks = [_socket() for _ in SINKS]
         self.peers = [_socket() for _ in range(PEERS)]
         self.config = _config(scenario, [s.getsockname()[1] for s in self.sinks])
-        self.fleet = Fleet(self.config, dialect(), lambda *a, **k: self.hub.send(*a, **k), self.loop, self.on_event)
         before = os.environ.pop(fast_path.PURE, None)
         if pure:
             os.environ[fast_path.PURE] = "1"
         try:
-            self.hub = self._hub(scenario)
+            recorder = list_recorder(self._record, self._record_many)
+            self.hub = Hub(self.config, dialect(), self.loop, self._on_hub_event, recorder=recorder)
         finally:
             os.environ.pop(fast_path.PURE, None)
             if before is not None:
                 os.environ[fast_path.PURE] = before
         assert (self.hub.fast_path is None) == pure, "there is no compiled fast path"
-        self.hub.router.known = self.fleet.known
-        self.hub.router.on_replaced = self.fleet.replaced
-        self.fleet.on_roster = self.hub.forget_flows
+        view = LinkView(self.hub, cast(LinkTable, SimpleNamespace(configs={})), LinkWatch(self.hub))
+        self.fleet = Fleet(self.config, dialect(), self.hub.send, self.loop, self.on_event, links=view)
+        self.hub.connect(self.fleet if scenario.keep_vehicles else None, cast(RouteReports, Notes(self._on_note)))
         if scenario.tap:
             self._tap()
         self.links: list[_Server | _Client] = []
@@ -133,19 +138,6 @@ class Station:
             made = _Server if link.type == "udp_server" else _Client
             self.links.append(made(link, self.hub, self.loop))
             self.loop.run_until_complete(self.links[-1].open())
-
-    def _hub(self, scenario: Scenario) -> Hub:
-        return Hub(
-            self.config,
-            dialect(),
-            self.loop,
-            on_vehicle_frame=self.fleet.on_frame if scenario.keep_vehicles else None,
-            record=self._record,
-            on_note=self._on_note,
-            on_fault=lambda text: self.events.append(("fault", text)),
-            record_many=self._record_many,
-            state_update_only=self.fleet.state_update_only,
-        )
 
     def _on_note(self, note: RouteNote, channel: Channel | None) -> None:
         """As the daemon does."""
@@ -155,6 +147,11 @@ class Station:
 
     def _tap(self) -> None:
         self.stop_tap = self.hub.add_observer({30}, None, lambda f, channel, now: self.tapped.append(f.raw))
+
+    def _on_hub_event(self, event: Event) -> None:
+        """Of the links' events, which name ports, only faults count."""
+        if event.kind == "fault":
+            self.on_event(event)
 
     def on_event(self, event: Event) -> None:
         self.events.append((event.kind, event.text))

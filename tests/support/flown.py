@@ -275,7 +275,7 @@ class Flown:
                 values = frame.fields()
                 sysid = values.get("target_system")
                 actor = self.daemon.fleet.vehicles.get((sysid or 0) << 8 | 1)
-                state = None if actor is None else actor.flight.pilot.state.value
+                state = None if actor is None else actor.offboard.controller.state.value
                 assert frame.info is not None
                 self.sent.append(Sent(self.now, frame.info.name, sysid, values, state))
 

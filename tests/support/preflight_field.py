@@ -9,6 +9,7 @@ from typing import Any, Self
 from skygcs.core.preflight.facts import LinkFacts
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.vehicle import SimVehicle
+from support.services import KnownLinks
 from support.sim_field import SimField
 
 UNIX_S = 1_700_000_000.0
@@ -26,10 +27,12 @@ class PreflightField(SimField):
 
     def __init__(self, **config: Any) -> None:
         self.heard: dict[str, LinkFacts] = {"radio": LinkFacts(0.01, 300, 25.0)}
+        self.known_links = KnownLinks()
+        self.known_links.heard = self.heard
         self.asked: list[tuple[str, Mapping[str, Any]]] = []
         named = {"papa": {"sysid": 1}, "echo": {"sysid": 2}}
         unix_us = round((UNIX_S + asyncio.get_running_loop().time()) * 1e6)
-        super().__init__(1, 1, {"vehicles": named, **config}, unix_us=unix_us, heard=lambda key: self.heard)
+        super().__init__(1, 1, {"vehicles": named, **config}, unix_us=unix_us, links=self.known_links)
 
     async def __aenter__(self) -> Self:
         await super().__aenter__()

@@ -21,6 +21,7 @@ from skygcs.events import Event
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.pymav import PymavPeer
+from support.services import KnownLinks
 
 CAPTURE = Path(__file__).parents[1] / "data" / "sitl-3ardupilot-2px4.tlog"
 
@@ -233,7 +234,7 @@ class Ground:
         self.sent: list[Sent] = []
         self.scripted: list[ScriptedVehicle] = []
         self.links_up = True
-        self.may_broadcast = True
+        self.links = KnownLinks()
         self.loop = asyncio.get_running_loop()
         quiet = {"defaults": {"streams": {}}, **(config or {})}  # no requests for messages but those of the test
         self.fleet = Fleet(
@@ -242,7 +243,7 @@ class Ground:
             self._send,
             self.loop,
             self.events.append,
-            may_broadcast=lambda: self.may_broadcast,
+            links=self.links,
         )
         self._task = self.loop.create_task(self._tick())
 

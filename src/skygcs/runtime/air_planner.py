@@ -27,13 +27,14 @@ from skygcs.links.base import Channel
 from skygcs.links.paced import FRAME_OVERHEAD_BYTES, AirBudget
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
-from skygcs.runtime.link_watch import LinkWatch
+from skygcs.runtime.link_view import LinkWatch
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import OnEvent
 
 WAITING_AT_ONCE = 3
 """Requests that wait in a radio's queue at most: what is asked next is decided late, by what has come until then."""
 
-PATIENCE_ROUNDS, ANSWER_S = 1.5, 0.2
+RETRY_ROUNDS, ANSWER_S = 1.5, 0.2
 """Before a command is repeated: it waits for the ground's turn and its answer for the vehicle's, a round each at most
 and one together on average. Sooner, half of all commands would go out twice on a large network."""
 
@@ -45,8 +46,6 @@ LOSS_POOR, LOSS_FAIR = 0.25, 0.10
 
 TXBUF_POOR, TXBUF_FAIR = 0.15, 0.4
 MARGIN_POOR_DB, MARGIN_FAIR_DB = 8.0, 14.0
-
-OnEvent = Callable[[Event], None]
 
 
 class _Radio:
@@ -98,7 +97,7 @@ class AirPlanner:
         for key, actor in self._fleet.vehicles.items():
             if key not in planned and actor.streams.planned and not self._is_silent(actor, now):
                 actor.streams.plan(None, self._bytes)  # it is reached another way now
-                actor.commands.min_retry_s = 0.0
+                actor.commands.set_min_retry(0.0)
 
     def step(self, now: float) -> None:
         """Have vehicles asked for what they do not send yet, as long as few requests wait."""
@@ -143,7 +142,7 @@ class AirPlanner:
         radio.air.set_vehicles(len(members), now)
         round_s = radio.air.pacer.rates.round_s(len(members))
         for actor in members.values():
-            actor.commands.min_retry_s = 0.0 if round_s is None else PATIENCE_ROUNDS * round_s + ANSWER_S
+            actor.commands.set_min_retry(0.0 if round_s is None else RETRY_ROUNDS * round_s + ANSWER_S)
         report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
         if not all(actor.streams.settled for actor in members.values()):
             radio.unsettled_at = now
@@ -178,7 +177,7 @@ class AirPlanner:
         rates = {n: hz for n, hz in rates.items() if hz > 0 and n in self._bytes and self._has(actor, n)}
         if actor.streams.position_hz is not None:
             rates[POSITION] = max(rates.get(POSITION, 0.0), actor.streams.position_hz)
-        if actor.flight.pilot.active or actor.streams.position_hz is not None:
+        if actor.offboard.controller.active or actor.streams.position_hz is not None:
             return RateDemand(rates, CONTROLLED)
         return RateDemand(rates, SELECTED if key in self.selected else NORMAL)
 

@@ -133,14 +133,14 @@ class CommandClient:
         dialect: Dialect,
         send: SendFn,
         loop: asyncio.AbstractEventLoop,
+        why_silent: Callable[[], str] = lambda: "",
     ) -> None:
+        """``why_silent``: why the vehicle may not answer, beside the link: the end of a sentence, or nothing."""
         self.target = target
         self.own = own
-        self.broadcast: BroadcastCommand | None = None
-        self.min_retry_s = 0.0
-        """Nothing but an emergency is repeated sooner: what a radio whose rounds are long takes to bring an answer."""
-        self.why_silent: Callable[[], str] = lambda: ""
-        """Why the vehicle may not answer, beside the link: the end of a sentence, or nothing."""
+        self._broadcast: BroadcastCommand | None = None
+        self._min_retry_s = 0.0
+        self.why_silent = why_silent
         self._dialect = dialect
         self._send = send
         self._loop = loop
@@ -228,7 +228,7 @@ class CommandClient:
                 line,
                 spec,
                 Priority.COMMAND,
-                tuple(max(wait_s, self.min_retry_s) for wait_s in RETRY_TIMERS_S),
+                tuple(max(wait_s, self._min_retry_s) for wait_s in RETRY_TIMERS_S),
                 satisfied,
                 on_report,
                 everywhere=everywhere,
@@ -237,6 +237,19 @@ class CommandClient:
             )
         finally:
             line.lock.release()
+
+    def set_min_retry(self, min_retry_s: float) -> None:
+        """Repeat nothing but an emergency sooner: a radio whose rounds are long takes that long to bring an answer."""
+        self._min_retry_s = min_retry_s
+
+    def expect_broadcast(self, broadcast: BroadcastCommand) -> None:
+        """This broadcast carries the next command of its kind, until `end_broadcast`."""
+        self._broadcast = broadcast
+
+    def end_broadcast(self, broadcast: BroadcastCommand | None) -> None:
+        """Send every command to the vehicle itself again, unless a later broadcast is expected."""
+        if self._broadcast is broadcast:
+            self._broadcast = None
 
     async def until(self, met: Check, timeout_s: float) -> bool:
         """Wait until a state is seen; whether it was within the time."""
@@ -368,7 +381,7 @@ class CommandClient:
         )
         self._running[spec.command] = running
         now = self._loop.time()
-        carried = self.broadcast is not None and not self.broadcast.sent and self.broadcast.spec == spec
+        carried = self._broadcast is not None and not self._broadcast.sent and self._broadcast.spec == spec
         self._apply(running, protocol.start(now, transmitted=carried))
         self._set_timer()
         try:

@@ -6,11 +6,9 @@ its system are here, heard before it or after it, and also those of systems with
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Ack, CommandSpec, Outcome
 from skygcs.core.vehicle import orders
@@ -26,7 +24,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.links.base import StateUpdate
-from skygcs.runtime.command_client import CommandClient, SendFn
+from skygcs.runtime.command_client import CommandClient
+from skygcs.runtime.vehicle_services import VehicleServices
 
 MAX_OF_SYSTEM = 32
 """Components kept of one system; a vehicle with gimbal, cameras, companion, ADS-B and winch has some ten."""
@@ -52,25 +51,16 @@ class Components:
 
     def __init__(
         self,
-        own: tuple[int, int],
-        dialect: Dialect,
+        services: VehicleServices,
         decoder: Decoder,
-        send: SendFn,
-        loop: asyncio.AbstractEventLoop,
-        on_event: Callable[[Event], None],
         vehicle_of: Callable[[int], str | None],
         vehicles_of: Callable[[int], list[Vehicle]],
     ) -> None:
-        self.on_change: Callable[[], None] = lambda: None
-        """Called when the state update for some frames changes."""
         self.not_kept = 0
         """Frames of components for which there was no place."""
-        self._own = own
-        self._dialect = dialect
+        self._services = services
         self._decoder = decoder
-        self._send = send
-        self._loop = loop
-        self._on_event = on_event
+        self._on_event = services.on_event
         self._vehicle_of = vehicle_of
         self.vehicles_of = vehicles_of
         self._by_key: dict[int, ComponentActor] = {}
@@ -120,7 +110,7 @@ class Components:
             if not siblings:
                 del self._systems[actor.sysid]
             actor.close()
-            self.on_change()
+            self._services.links.forget_flows()
 
     def forget_system(self, sysid: int) -> None:
         """Forget all of one system."""
@@ -153,7 +143,7 @@ class Components:
         if frame.info is None or frame.sysid == 0 or not self._make_room(frame.sysid, now):
             return None
         component = Component(frame.sysid, frame.compid, self._decoder)
-        actor = ComponentActor(component, self, self._dialect, self._decoder, self._loop)
+        actor = ComponentActor(component, self, self._services, self._decoder)
         self._by_key[key] = actor
         self._systems.setdefault(frame.sysid, {})[frame.compid] = actor
         return actor
@@ -183,10 +173,11 @@ class Components:
             vehicle = self._vehicle_of(actor.sysid)
             self._on_event(Event("statustext", vehicle, actor.sysid, f"{actor.name}: {text.text}", data))
 
-    def new_commander(self, sysid: int, compid: int) -> CommandClient:
+    def new_command_client(self, sysid: int, compid: int) -> CommandClient:
         """For the first order to a component; from now on acknowledgements are waited for."""
-        self.on_change()
-        return CommandClient((sysid, compid), self._own, self._dialect, self._send, self._loop)
+        self._services.links.forget_flows()
+        services = self._services
+        return CommandClient((sysid, compid), services.own, services.dialect, services.send, services.loop)
 
     def report(self, actor: ComponentActor, order: str, outcome: Outcome) -> Outcome:
         """An order to a component has ended."""
@@ -203,15 +194,14 @@ class ComponentActor:
         self,
         component: Component,
         table: Components,
-        dialect: Dialect,
+        services: VehicleServices,
         decoder: Decoder,
-        loop: asyncio.AbstractEventLoop,
     ) -> None:
         self.component = component
         self._table = table
-        self._dialect = dialect
+        self._dialect = services.dialect
         self._decoder = decoder
-        self._loop = loop
+        self._loop = services.loop
         self._ack_id = decoder.msgid_of("COMMAND_ACK") if "COMMAND_ACK" in decoder.read else -1
         self._commands: CommandClient | None = None
 
@@ -237,7 +227,7 @@ class ComponentActor:
     def commands(self) -> CommandClient:
         """Made for the first order."""
         if self._commands is None:
-            self._commands = self._table.new_commander(self.sysid, self.compid)
+            self._commands = self._table.new_command_client(self.sysid, self.compid)
         return self._commands
 
     @property

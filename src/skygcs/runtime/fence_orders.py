@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import fence_params
 from skygcs.core.vehicle.orders import require_connected
@@ -23,7 +22,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.param_transfers import VehicleParams
-from skygcs.runtime.undo_journal import Change, UndoJournal
+from skygcs.runtime.undo_journal import Change
+from skygcs.runtime.vehicle_services import VehicleServices
 
 LOOK_S = 0.25
 ASK_S = 1.0
@@ -78,28 +78,23 @@ class _Walk:
 
 
 class VehicleFence:
-    """One per vehicle. ``ask`` requests one message; ``on_event`` is told of tests."""
+    """One per vehicle. ``request`` asks the vehicle for one message. Tests are reported as events."""
 
     def __init__(
         self,
         vehicle: Vehicle,
         params: VehicleParams,
-        dialect: Dialect,
-        loop: asyncio.AbstractEventLoop,
-        on_event: Callable[[Event], None],
-        ask: Callable[[str], Awaitable[Outcome]],
-        *,
-        log_dir: Path,
-        journal: UndoJournal,
+        services: VehicleServices,
+        request: Callable[[str], Awaitable[Outcome]],
     ) -> None:
         self._vehicle = vehicle
         self._params = params
-        self._dialect = dialect
-        self._loop = loop
-        self._on_event = on_event
-        self._ask = ask
-        self._log_dir = log_dir
-        self._journal = journal
+        self._dialect = services.dialect
+        self._loop = services.loop
+        self._on_event = services.on_event
+        self._request = request
+        self._log_dir = services.log_dir
+        self._journal = services.journal
         self._testing = False
         self._tester: asyncio.Task[FenceOutcome] | None = None
         self._ended_with: Outcome | None = None
@@ -160,7 +155,7 @@ class VehicleFence:
             return FenceOutcome(held)
         asked = self._loop.time()
         if self._tells_status:
-            await self._ask("FENCE_STATUS")
+            await self._request("FENCE_STATUS")
         beyond = fence_params.breach(self._vehicle, fresh_after=asked - STATUS_S)
         settings = fence_params.settings_of(self._vehicle.family, held)
         status = self._fence_status()
@@ -200,7 +195,7 @@ class VehicleFence:
         try:
             require_connected(vehicle, self._loop.time())
             fence_params.names_of(vehicle)
-            await self._ask("HOME_POSITION")
+            await self._request("HOME_POSITION")
             fence_params.require_testable(vehicle, self._loop.time(), radius_m)
             held = await self._held()
             if isinstance(held, Outcome):
@@ -258,7 +253,7 @@ class VehicleFence:
             now = self._loop.time()
             if self._tells_status and now >= next_ask:
                 next_ask = now + ASK_S
-                await self._ask("FENCE_STATUS")
+                await self._request("FENCE_STATUS")
             self._look(walk, action, now)
             if walk.breached_at is not None and (walk.reacted or now - walk.breached_at >= AFTER_S):
                 return self._judged(walk, action)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Coroutine, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -13,7 +12,6 @@ from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT
-from skygcs.core.preflight.facts import LinkFacts
 from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.state_source import KNOWN_BY, Known
@@ -29,16 +27,14 @@ from skygcs.events import Event
 from skygcs.links.base import StateUpdate
 from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ComponentActor, Components
-from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_all import examine_all, meant
 from skygcs.runtime.task_set import TaskSet, fault
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import OnEvent, VehicleLinks, VehicleServices, WideLinks
 from skygcs.runtime.world_frame import World
-
-__all__ = ["Fleet", "OnEvent", "SendFn"]
 
 MAX_VEHICLES_OF_LINK = 250
 """System ids 1..250 by convention; more on one link can only be noise or a forged stream of heartbeats ..."""
@@ -102,27 +98,16 @@ class Fleet:
         dialect: Dialect,
         send: SendFn,
         loop: asyncio.AbstractEventLoop,
-        on_event: Callable[[Event], None],
-        may_broadcast: Callable[[], bool] = lambda: True,
-        uplink_bytes_per_s: Callable[[int, int], float] = lambda sysid, compid: math.inf,
-        stream_refusal: Callable[[int, int, bool], str | None] = lambda sysid, compid, px4: None,
+        on_event: OnEvent,
+        *,
+        links: VehicleLinks | None = None,
         param_cache: ParamCache | None = None,
-        heard: Callable[[int], Mapping[str, LinkFacts]] = lambda key: {},
         probes: bool = False,
     ) -> None:
-        """``may_broadcast``: whether no link could carry a frame for all to somebody who is not one of ``vehicles``.
-
-        ``uplink_bytes_per_s(sysid, compid)``: what the link to a vehicle leaves to setpoints for it; ``stream_refusal``
-        (and whether it is a PX4): why it bears no stream of them. ``param_cache``: where parameters are kept; None:
-        nowhere. ``heard(sysid << 8 | compid)``: how well, by link. ``probes``: whether vehicles are asked if
-        they hear us.
-        """
+        """``send``: `Hub.send`. ``links``: `LinkView`; None: no link is narrow. ``param_cache``: where parameters are
+        kept; None: nowhere. ``probes``: whether vehicles are asked now and then if they hear us."""
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
-        self.on_roster: Callable[[], None] = lambda: None
-        """Called when a vehicle has come or gone."""
-        self.why_silent: Callable[[int, int], str] = lambda sysid, compid: ""
-        """Of a vehicle that does not answer: why, beside the link, as the end of a sentence; "" if nothing is known."""
         self.refused_vehicles = 0
         origin = None if config.origin is None else Origin(**config.origin.model_dump())
         self.world = World(origin, self.vehicles, on_event)
@@ -130,29 +115,35 @@ class Fleet:
         self._send = send
         self._loop = loop
         self._on_event = on_event
-        self._may_broadcast = may_broadcast
-        self._uplink_bytes_per_s = uplink_bytes_per_s
-        self._stream_refusal = stream_refusal
-        self._param_cache = param_cache
-        self._heard = heard
+        self._links = links or WideLinks()
         self._kept = TaskSet(loop, on_event)
         self._of_system: dict[int, set[int]] = {}
         """The keys of ``vehicles`` by system id."""
         self._ending = False
-        self._probes = probes
-        self.journal = UndoJournal(config.daemon.log_dir / "undo")
+        own = config.daemon
+        self.journal = UndoJournal(own.log_dir / "undo")
         self.undo = UndoOrders(self.journal, self.vehicles, loop.time, on_event)
+        self._services = VehicleServices(
+            (own.sysid, own.compid),
+            dialect,
+            send,
+            loop,
+            on_event,
+            self._links,
+            self.flown_vehicles,
+            param_cache or ParamCache(None),
+            self.journal,
+            log_dir=own.log_dir,
+            preflight_valid_s=60 * own.preflight_valid_minutes,
+            probes=probes,
+        )
         self._met_on: dict[int, str] = {}
         """By key, the link on which a vehicle was first heard."""
         self._duplicates: dict[int, str] = {}
-        self._replayed: set[int] = set()
+        """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
         self._decoder = Decoder(dialect)
-        own = (config.daemon.sysid, config.daemon.compid)
-        self.components = Components(
-            own, dialect, self._decoder, send, loop, on_event, self._name_of_system, self.vehicles_of
-        )
-        """All that is heard beside the autopilots of ``vehicles``."""
-        self.components.on_change = lambda: self.on_roster()
+        self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
+        """All components beside the autopilots of ``vehicles``."""
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
         self.expected: dict[int, Expected] = {}
         """By the system id under which a vehicle will come back (`Renumbering`)."""
@@ -241,13 +232,9 @@ class Fleet:
         if actor is not None:
             actor.restarted("another vehicle, or this one restarted, is heard over another channel", self._loop.time())
 
-    def set_replayed(self, key: int, replayed: bool) -> None:
-        """From now on ``key`` is heard in a recording only, or on the air after all. What was known of it is of another
-        time and place: it is forgotten, and the next heartbeat finds the vehicle anew."""
-        if replayed:
-            self._replayed.add(key)
-        else:
-            self._replayed.discard(key)
+    def source_changed(self, key: int) -> None:
+        """``key`` is heard in a recording only from now on, or on the air after all (`VehicleLinks.is_replayed`). What
+        was known of it is from another time and place: it is forgotten, and its next heartbeat adds it anew."""
         self.components.forget(key)
         if key in self.vehicles:
             self._drop(key)
@@ -424,7 +411,11 @@ class Fleet:
 
     def flown(self) -> list[VehicleActor]:
         """The vehicles that are flown by setpoints, or about to be."""
-        return [actor for actor in self.vehicles.values() if actor.flight.pilot.active]
+        return [actor for actor in self.vehicles.values() if actor.offboard.controller.active]
+
+    def flown_vehicles(self) -> list[Vehicle]:
+        """The state of each vehicle of `flown`."""
+        return [actor.vehicle for actor in self.flown()]
 
     async def _command(
         self, actors: list[Actor], order: Order, args: tuple[Any, ...], arguments: dict[str, Any]
@@ -447,8 +438,7 @@ class Fleet:
                     self._broadcast(broadcast)
         finally:
             for vehicle in vehicles:
-                if vehicle.commands.broadcast is broadcast:
-                    vehicle.commands.broadcast = None
+                vehicle.commands.end_broadcast(broadcast)
         refused = {actor.name: actor.refuse(order.__name__, reason) for actor, reason in staying.items()}
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
@@ -513,7 +503,7 @@ class Fleet:
         evaluate_target_ok), and is sent its own at once.
         """
         hearers = [a for a in actors if a.vehicle.family == "ardupilot"]
-        if order not in BROADCAST or len(hearers) < 2 or not self._may_broadcast():
+        if order not in BROADCAST or len(hearers) < 2 or not self._links.may_broadcast():
             return None
         if len(actors) != len(self.vehicles) or self.refused_vehicles:
             return None  # an autopilot was met that is not meant
@@ -527,7 +517,7 @@ class Fleet:
             return None
         broadcast = BroadcastCommand(specs.pop())
         for actor in hearers:
-            actor.commands.broadcast = broadcast
+            actor.commands.expect_broadcast(broadcast)
         return broadcast
 
     def _broadcast(self, broadcast: BroadcastCommand) -> None:
@@ -549,44 +539,26 @@ class Fleet:
             return
         self._make_way(frame, channel_label, now)
         config = self._config_of(frame.sysid, frame.compid)
-        daemon = self.config.daemon
         vehicle = Vehicle(
             frame.sysid,
             frame.compid,
             self._dialect,
             name=config.name,
             groups=config.groups,
-            timeout_s=daemon.vehicle_timeout_s,
+            timeout_s=self.config.daemon.vehicle_timeout_s,
             decoder=self._decoder,
+            replayed=self._links.is_replayed(key),
         )
         vehicle.system = lambda now: self._system(frame.sysid, now)
         vehicle.other_texts = lambda: self._other_texts(key)
-        vehicle.duplicate_elsewhere = self._duplicates.get(key)
-        vehicle.replayed = key in self._replayed
-        actor = VehicleActor(
-            vehicle,
-            config,
-            (daemon.sysid, daemon.compid),
-            self._dialect,
-            self._send,
-            self._loop,
-            self._on_event,
-            log_dir=daemon.log_dir,
-            uplink_bytes_per_s=lambda: self._uplink_bytes_per_s(frame.sysid, frame.compid),
-            stream_refusal=lambda px4: self._stream_refusal(frame.sysid, frame.compid, px4),
-            param_cache=self._param_cache,
-            configured=config.named if self.config.vehicles else None,
-            preflight_valid_s=60 * daemon.preflight_valid_minutes,
-            heard=lambda: self._heard(key),
-            journal=self.journal,
-            probes=self._probes,
-        )
-        actor.commands.why_silent = actor.params.why_silent = lambda: self.why_silent(frame.sysid, frame.compid)
+        vehicle.duplicates = self._duplicates
+        configured = config.named if self.config.vehicles else None
+        actor = VehicleActor(vehicle, config, self._services, configured=configured)
         self.components.forget(key)
         self.vehicles[key] = actor
         self._of_system.setdefault(frame.sysid, set()).add(key)
         self._met_on[key] = channel_label
-        self.on_roster()
+        self._links.forget_flows()
         self.world.join(actor)
         actor.on_frame(frame, channel_label, now)
         kind = vehicle.enum_name("MAV_TYPE", vehicle.type)
@@ -671,7 +643,7 @@ class Fleet:
         self._of_system[key >> 8].discard(key)
         del self._met_on[key]
         actor.close()
-        self.on_roster()
+        self._links.forget_flows()
         return actor
 
     def _config_of(self, sysid: int, compid: int) -> VehicleConfig:

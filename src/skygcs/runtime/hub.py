@@ -19,7 +19,7 @@ from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.msgids import HEARTBEAT, SETUP_SIGNING
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.routing.decision import RouteNote, RoutingVerdict
+from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.router import Router
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import Endpoint
@@ -27,7 +27,10 @@ from skygcs.events import Event
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, OwnMessage, StateUpdate
 from skygcs.links.fast_path import new_table
 from skygcs.runtime.channel_policy import channel_policy
+from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.frame_observers import FrameObserver, FrameObservers
+from skygcs.runtime.recorder import Recorder
+from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing
 
 if TYPE_CHECKING:
@@ -59,18 +62,9 @@ _DROPPED = (RoutingVerdict.DUPLICATE, RoutingVerdict.CONFLICT, RoutingVerdict.FI
 
 
 class Hub:
-    """The links' host.
+    """The links' host: routes every frame, records it, and gives it to the fleet.
 
-    ``on_vehicle_frame(key, frame, channel label, now)`` gets every accepted frame (key is sysid<<8|compid);
-    ``record(raw, unix_us)`` gets every accepted frame and every message of ours; ``on_note`` gets route changes;
-    ``on_fault`` gets the first of each kind of unexpected exception behind a frame; ``on_replayed(key, replayed)``
-    is told, before its first frame is shown, that a source is heard in a recording only, or on the air after all;
-    ``on_key(sysid, channel)`` that somebody sent a signing key, which goes nowhere.
-
-    With ``record_many(tlog records, their number)`` and ``state_update_only(key, frame, channel label)`` (the state
-    update for frames like this one, None if each must be shown; `forget_flows` when that changes) links may use the
-    compiled fast path.
-    Without ``on_vehicle_frame`` it is a router and nothing else.
+    Without `connect` it is a router and nothing else.
     """
 
     def __init__(
@@ -78,22 +72,14 @@ class Hub:
         config: FleetConfig,
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
         *,
-        on_vehicle_frame: Callable[[int, Frame, str, float], None] | None,
-        record: Callable[[bytes, int], None] | None,
-        on_note: Callable[[RouteNote, Channel | None], None],
-        on_fault: Callable[[str], None],
-        on_replayed: Callable[[int, bool], None] = lambda key, replayed: None,
+        recorder: Recorder | None = None,
         signing: Signing | None = None,
-        on_key: Callable[[int, Channel], None] = lambda sysid, channel: None,
-        record_many: Callable[[bytes, int], None] | None = None,
-        state_update_only: Callable[[int, Frame, str], StateUpdate | None] | None = None,
-        on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
+        """``recorder`` gets every accepted frame and every message of ours."""
         own = config.daemon
-        self.fast_path: Table | None = None
-        if (record is None or record_many is not None) and (on_vehicle_frame is None or state_update_only is not None):
-            self.fast_path = new_table(dialect, recording=record is not None)
+        self.fast_path: Table | None = new_table(dialect, recording=recorder is not None)
         self.router = Router(
             own.sysid,
             own.compid,
@@ -102,8 +88,6 @@ class Hub:
             duplicates=self.fast_path,
         )
         self.router.on_change = self.forget_flows
-        self._record_many = record_many
-        self._state_update_only = state_update_only
         self._negative_cache: set[int] = set()
         self._renumbering: dict[int, Endpoint] = {}
         """By channel id: what is sent there is changed on the way."""
@@ -115,19 +99,26 @@ class Hub:
         self.dialect = dialect
         self._loop = loop
         self._own = (own.sysid, own.compid)
-        self._on_vehicle_frame = on_vehicle_frame
-        self._record = record
-        self._on_note = on_note
-        self._on_fault = on_fault
-        self._on_replayed = on_replayed
+        self._fleet: Fleet | None = None
+        self._reports: RouteReports | None = None
+        self._recorder = recorder
+        self._record = None if recorder is None else recorder.offer
         self._signing = signing
-        self._on_key = on_key
         self._on_event = on_event
         self._heartbeat: OwnMessage | None = None
         self._fault_kinds: set[str] = set()
         self._next_id = 1
         self._closed_channels: dict[tuple[str, str], dict[int, SourceStats]] = {}
         self._observers = FrameObservers(self.forget_flows)
+
+    def connect(self, fleet: Fleet | None, reports: RouteReports) -> None:
+        """Give the vehicles' frames to the fleet (None: to nothing), and the router's notes to ``reports``. To be
+        called once, before links open."""
+        self._reports = reports
+        self._fleet = fleet
+        if fleet is not None:
+            self.router.known = fleet.known
+            self.router.on_replaced = fleet.replaced
 
     # -- what links call
 
@@ -179,29 +170,17 @@ class Hub:
                 kept -= len(parted.pop(next(iter(parted))))
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
-        """The way of every frame. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""
-        if channel.id not in self.channels:
-            return  # a callback that was under way when the channel closed
-        if channel.signing is not None:
-            frames = channel.signing.admit(channel, frames)
-            if not frames:
-                return  # nothing was heard that counts
-        if channel.endpoint is not None:
-            frames = channel.endpoint.inward(frames)
-        decide = self.router.decide
-        state_sources = self.router.state_sources
-        on_vehicle_frame = self._on_vehicle_frame
-        channels = self.channels
-        channel_id = channel.id
+        """Every frame comes through here. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""
+        frames = self._accepted(channel, frames, now)
+        if not frames:
+            return
+        # what is the same for all of them
+        decide, state_sources = self.router.decide, self.router.state_sources
+        channels, channel_id, sources, label = self.channels, channel.id, channel.sources, channel.link.name
+        on_vehicle_frame = None if self._fleet is None else self._fleet.on_frame
         shown = self._shown_of(channel)
-        sources = channel.sources
         unix_us = time.time_ns() // 1000
-        label = channel.link.name
-        channel.last_rx_at = now
-        if self.fast_path is not None and self.fast_path.records_waiting:
-            self.after_fast_path()  # what came before is recorded before
-        renumbering = self._renumbering
-        observers = self._observers
+        renumbering, observers, record = self._renumbering, self._observers, self._record
         together: list[tuple[Frame, tuple[int, ...]]] | None = None
         if channel.in_datagrams and len(frames) > 1:
             together = []
@@ -219,6 +198,7 @@ class Hub:
                 self._on_key(frame.sysid, channel)  # a key is not forwarded, recorded or shown (the signing guide)
                 continue
             try:
+                # route and forward
                 decision = decide(channel_id, frame, now)
                 counts = True
                 if state_sources and key in state_sources:
@@ -233,8 +213,9 @@ class Hub:
                     together.append((frame, decision.destinations))
                 if decision.verdict in _DROPPED:
                     continue
-                if self._record is not None:
-                    self._record(raw, unix_us)
+                # record, give to the fleet and to observers, and open a flow for the next ones
+                if record is not None:
+                    record(raw, unix_us)
                 if counts and frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
                     on_vehicle_frame(key, frame, label, now)
                 if observers.msgids is None or frame.msgid in observers.msgids:
@@ -251,6 +232,21 @@ class Hub:
         if self.router.notes:
             self._drain_notes()
 
+    def _accepted(self, channel: Channel, frames: list[Frame], now: float) -> list[Frame]:
+        """The frames of an open channel that its signing rule admits, with the ids that we use."""
+        if channel.id not in self.channels:
+            return []  # a callback that was under way when the channel closed
+        if channel.signing is not None:
+            frames = channel.signing.admit(channel, frames)
+            if not frames:
+                return []  # it counts as silence
+        if channel.endpoint is not None:
+            frames = channel.endpoint.inward(frames)
+        channel.last_rx_at = now
+        if self.fast_path is not None and self.fast_path.records_waiting:
+            self.after_fast_path()  # what came earlier is recorded first
+        return frames
+
     def _counts(self, channel: Channel, frame: Frame, verdict: RoutingVerdict, now: float) -> bool:
         """Whether a frame of a vehicle that is heard on several channels counts for its state. A copy that does is
         shown here: the frame that came first did not count."""
@@ -258,8 +254,8 @@ class Hub:
         if verdict in _DROPPED and not copy:
             return False
         counts = self.router.supplies(channel.id, frame, now, copy=copy)
-        if counts and copy and self._on_vehicle_frame is not None:
-            self._on_vehicle_frame(frame.sysid << 8 | frame.compid, frame, channel.link.name, now)
+        if counts and copy and self._fleet is not None:
+            self._fleet.on_frame(frame.sysid << 8 | frame.compid, frame, channel.link.name, now)
         return counts
 
     def _send_together(self, frames: list[tuple[Frame, tuple[int, ...]]]) -> None:
@@ -302,8 +298,8 @@ class Hub:
             self.router.counters[RoutingVerdict.FORWARDED] += forwarded
         if local:
             self.router.counters[RoutingVerdict.LOCAL] += local
-        if count and self._record_many is not None:
-            self._record_many(records, count)
+        if count and self._recorder is not None:
+            self._recorder.offer_many(records, count)
 
     def forget_flows(self) -> None:
         """Close all flows and clear the negative cache: a route or an observer changed."""
@@ -334,8 +330,8 @@ class Hub:
         if len(outs) != len(entry.destinations):
             return None
         update: StateUpdate | None = StateUpdate()
-        if self._state_update_only is not None and self._on_vehicle_frame is not None:
-            update = self._state_update_only(key, frame, channel.link.name)
+        if self._fleet is not None:
+            update = self._fleet.state_update_only(key, frame, channel.link.name)
         if update is None:
             return None
         if frame.msgid != HEARTBEAT:
@@ -363,14 +359,18 @@ class Hub:
         if key not in self.replayed and len(self.replayed) < MAX_REPLAYED:
             self.replayed.add(key)
             self.forget_flows()
-            self._on_replayed(key, True)
+            self._source_changed(key)
         return key in self.replayed
 
     def _shown_live(self, key: int) -> bool:
         if key in self.replayed:
             self.replayed.discard(key)
-            self._on_replayed(key, False)
+            self._source_changed(key)
         return True
+
+    def _source_changed(self, key: int) -> None:
+        if self._fleet is not None:
+            self._fleet.source_changed(key)
 
     def _shown_echo(self, key: int) -> bool:
         """A ground station may hand back what it was shown of a recording."""
@@ -407,9 +407,10 @@ class Hub:
         sysid: int,
         compid: int,
         priority: Priority,
-        key: Hashable | None = None,
+        /,
         *,
         everywhere: bool = False,
+        key: Hashable | None = None,
     ) -> bool:
         """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
 
@@ -466,6 +467,12 @@ class Hub:
             for stats in channel.sources.values():
                 stats.sample(now)
 
+    def on_reboot(self, event: Event) -> None:
+        """A vehicle has restarted."""
+        if self._fleet is not None and event.sysid is not None:
+            for vehicle in self._fleet.vehicles_of(event.sysid):
+                self.restart_source(vehicle.key)
+
     def restart_source(self, key: int) -> None:
         """A system rebooted: its sequence numbers start anew on every channel."""
         self.after_fast_path()  # which would overwrite them with what it has gathered
@@ -497,16 +504,21 @@ class Hub:
         self.forget_flows()  # one may count for it
         return True
 
+    def _on_key(self, sysid: int, channel: Channel) -> None:
+        if self._reports is not None:
+            self._reports.on_key(sysid, channel)
+
     def _drain_notes(self) -> None:
         notes = self.router.notes
         while notes:
             note = notes.popleft()
-            self._on_note(note, self.channels.get(note.channel_id))
+            if self._reports is not None:
+                self._reports.on_note(note, self.channels.get(note.channel_id), self.channels.get(note.present_id))
 
     def fault(self, error: Exception) -> None:
-        """An exception behind a frame or a tick is our bug: counted, told once per kind, never into the loop."""
+        """An exception behind a frame or a tick is our bug: counted, reported once per kind, never into the loop."""
         self.faults += 1
         kind = f"{type(error).__name__}: {error}"[:200]
         if kind not in self._fault_kinds and len(self._fault_kinds) < 64:
             self._fault_kinds.add(kind)
-            self._on_fault(kind)
+            self._on_event(Event("fault", None, None, f"internal fault, please report it: {kind}", {}))

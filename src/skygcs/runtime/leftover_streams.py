@@ -15,10 +15,10 @@ from skygcs.core.radio_link.program_streams import Leftover, Program, ProgramStr
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.events import Event
 from skygcs.links.base import Channel
-from skygcs.runtime.air_planner import OnEvent
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import OnEvent
 
 WATCHED = frozenset({REQUEST_DATA_STREAM, COMMAND_INT, COMMAND_LONG})
 
@@ -96,10 +96,11 @@ class LeftoverStreams:
             if system in (0, actor.sysid) and component in (0, actor.compid)
         ]
 
-    def forget(self, key: int) -> None:
+    def on_reboot(self, event: Event) -> None:
         """The vehicle rebooted: it streams as its parameters say."""
-        self._requests.forget(key)
-        self._tasks.pop(key, None)
+        for vehicle in () if event.sysid is None else self._fleet.vehicles_of(event.sysid):
+            self._requests.forget(vehicle.key)
+            self._tasks.pop(vehicle.key, None)
 
     def tick(self, now: float) -> None:
         """See who is gone, and ask for what is to be put back."""
@@ -113,7 +114,7 @@ class LeftoverStreams:
             actor = self._fleet.vehicles.get(key)
             if actor is None or not self._is_kept(actor):
                 del self._tasks[key]
-            elif actor.vehicle.connected and not actor.flight.pilot.active:
+            elif actor.vehicle.connected and not actor.offboard.controller.active:
                 self._put_back(actor, tasks, now)
                 if not tasks:
                     del self._tasks[key]

@@ -41,7 +41,7 @@ from skygcs.errors import RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.deadline_timer import DeadlineTimer
-from skygcs.runtime.plan_runner import two_of_one_id
+from skygcs.runtime.order_runner import duplicate_refusal
 
 NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_REQUEST_LIST", "MISSION_CLEAR_ALL",
           "MISSION_ACK")  # fmt: skip
@@ -196,7 +196,7 @@ class Missions:
     ) -> Outcome:
         """One transfer after the other, as one outcome that says how far it came."""
         if self._vehicle.duplicate:
-            return two_of_one_id(self._vehicle)
+            return duplicate_refusal(self._vehicle)
         told: list[str] = []
         sent, began = 0, self._loop.time()
         for done, kind in enumerate(kinds):

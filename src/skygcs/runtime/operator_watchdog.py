@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from skygcs.core.control.deadman import DeadMan, Fired
 from skygcs.core.mavlink.frame import Frame
 from skygcs.events import Event
+from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet, Order
 from skygcs.runtime.task_set import TaskSet
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -39,6 +40,11 @@ class OperatorWatchdog:
 
     def on_client(self) -> None:
         self._dead_man.alive("a client of the socket", self._loop.time())
+
+    def on_frame(self, frame: Frame, channel: Channel, now: float) -> None:
+        """A heartbeat from any link; the operator of a recording watches nothing."""
+        if channel.config.type != "replay":
+            self.on_heartbeat(frame, now)
 
     def on_heartbeat(self, frame: Frame, now: float) -> None:
         """Any HEARTBEAT; only a ground station's counts."""

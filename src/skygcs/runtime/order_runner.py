@@ -1,6 +1,8 @@
-"""Carries one vehicle's orders out: from what was asked to the one Outcome that is answered and told.
+"""Runs one vehicle's orders: from the request to the one Outcome that is returned and reported as an event.
 
-No order raises for what the vehicle or skygcs refuses. One that is cancelled tells of it, too.
+An order is planned (`core.vehicle.orders`), then its plan is executed step by step. No order raises for what the
+vehicle or skygcs refuses. One that is cancelled is reported, too. The runner knows which order is the newest that moves
+the vehicle: a newer one takes the place of an older one.
 """
 
 from __future__ import annotations
@@ -11,23 +13,66 @@ from dataclasses import replace
 from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.protocols.command import Outcome
+from skygcs.core.protocols.command import CommandSpec, Outcome
 from skygcs.core.vehicle.arming_refusals import todo_for
+from skygcs.core.vehicle.autopilot import firmware_name
+from skygcs.core.vehicle.order_plan import Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import SUPERSEDED, CommandClient
-from skygcs.runtime.plan_runner import MOVING, Planner, PlanRunner, two_of_one_id
+
+MOVING = frozenset(
+    {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
+)
+"""Orders that take the place of the one in progress."""
+
+EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
+"""Orders that end a flight: they go out over every link to the vehicle from the first transmission on."""
 
 RETRY_S = 1.0
 """ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
 
-NO_USE = frozenset({"refused", "unsupported", "lost", "cancelled"})
+RESEND_S = 0.5
+"""A message whose answer is awaited is sent again after this long: more than a round trip of a busy radio would take
+all its capacity for repeats, and the answer is awaited for a few seconds only."""
+
+FINAL = frozenset({"refused", "unsupported", "lost", "cancelled"})
 """Outcomes that another try a second later would only repeat."""
+
+REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
+"""Answers of a vehicle that refuses."""
+
+UNHEARD = frozenset({"timeout", "lost"})
+"""Outcomes of an order that did not reach the vehicle, or that it took and does not show."""
+
+Planner = Callable[[float], Plan]
+"""What an order means now (the loop's time). Raises RefusedError, and NotReadyError if it may be possible soon."""
+
+Attempt = Callable[[Planner], Coroutine[Any, Any, Outcome]]
+"""Plans and executes."""
+
+
+class _PlanInProgress:
+    """A plan that is being executed: the steps to come, the one in progress, whether it is to end early."""
+
+    __slots__ = ("end_requested", "number", "plan", "queue", "step")
+
+    def __init__(self, plan: Plan, number: int) -> None:
+        self.plan = plan
+        self.number = number
+        """Value of `OrderRunner.number` when it began; another value now: a newer order moves the vehicle."""
+        self.queue = list(plan.steps)
+        self.step: Step | None = None
+        self.end_requested = False
+
+    def ended(self) -> bool:
+        """A call, because the type checker takes an attribute for unchanged across an await."""
+        return self.end_requested
 
 
 class OrderRunner:
-    """One per vehicle. ``release(reason)`` is called before a plan that moves the vehicle is carried out."""
+    """The orders of one vehicle. ``number`` counts those that moved it."""
 
     def __init__(
         self,
@@ -36,86 +81,304 @@ class OrderRunner:
         dialect: Dialect,
         loop: asyncio.AbstractEventLoop,
         on_event: Callable[[Event], None],
-        release: Callable[[str], None],
     ) -> None:
-        self.plans = PlanRunner(vehicle, commands, dialect, loop, self.report)
+        self.number = 0
+        self.before_moving: Callable[[str], None] = lambda reason: None
+        """Called with the reason before a plan that moves the vehicle is executed: flight by setpoints ends then."""
         self._vehicle = vehicle
+        self._commands = commands
+        self._dialect = dialect
         self._loop = loop
         self._on_event = on_event
-        self._release = release
+        self._newest: Plan | None = None
+        self._ending = False
+        self._undoable: dict[asyncio.Task[Outcome], _PlanInProgress] = {}
+        """Plans that can be undone: each has a task of its own, which undoes it even if its caller is cancelled."""
+
+    # -- whole orders
 
     async def run(self, order: str, planner: Planner) -> Outcome:
-        """The whole of a simple order."""
-        return await self.carry(order, self.attempt(planner))
+        """Run a simple order and report its outcome."""
+        return await self.track(order, self.attempt(planner))
 
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
         """As `run`, again and again until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle
         names a reason that time does not cure; the outcome then says what does."""
-        return await self.carry(order, self._tries(order, planner, wait_s))
+        return await self.track(order, self._tries(order, planner, wait_s))
 
-    async def carry(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
-        """The work of an order, and tell how it ended; one that is cancelled has an outcome to tell, too."""
+    async def track(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
+        """Run the work of an order and report its outcome; if it is cancelled, that is its outcome."""
         started = self._loop.time()
         try:
             outcome = await work
         except asyncio.CancelledError:
-            text = "cancelled: whoever gave it is gone; what was sent already cannot be unsent"
-            self.told(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
+            text = "cancelled: the client that gave it is gone; what was sent already cannot be unsent"
+            self.finish(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
             raise
-        return self.told(order, outcome)
+        return self.finish(order, outcome)
+
+    def finish(self, order: str, outcome: Outcome) -> Outcome:
+        """Report the outcome of an order that has ended."""
+        self._publish(f"{order}: {outcome.message}", {"order": order, **outcome.as_dict()})
+        return outcome
+
+    def report_progress(self, order: str, percent: int | None) -> None:
+        """Report that an order is in progress."""
+        progress = "" if percent is None else f" {percent} %"
+        data = {"order": order, "result": "in_progress", "percent": percent}
+        self._publish(f"{order}: in progress{progress}", data)
+
+    # -- one attempt
 
     async def attempt(self, planner: Planner) -> Outcome:
-        """Plan it and carry it out, once, and tell nobody. Whatever moves the vehicle ends its flight by setpoints."""
+        """Plan and execute once, without a report. An order that moves the vehicle ends its flight by setpoints."""
         try:
             plan = planner(self._loop.time())
         except NotReadyError as error:
             return Outcome(False, "temporarily_rejected", f"not ready: {error}")
         except RefusedError as error:
             return Outcome.refused(str(error))
-        if self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate):
-            return two_of_one_id(self._vehicle)
+        if self._is_ambiguous(plan):
+            return duplicate_refusal(self._vehicle)
         if plan.order in MOVING:
-            self._release(f"{plan.order} was ordered")
-        return await self.plans.execute(plan)
+            self.before_moving(f"{plan.order} was ordered")
+        return await self.execute(plan)
 
-    async def attempt_kept(self, planner: Planner) -> Outcome:
-        """An attempt of flight control's own: it ends no control."""
+    async def attempt_in_control(self, planner: Planner) -> Outcome:
+        """An attempt by flight control itself, which does not end control."""
         try:
             plan = planner(self._loop.time())
         except RefusedError as error:
             return Outcome.refused(str(error))
-        return await self.plans.execute(plan)
+        return await self.execute(plan)
 
-    def told(self, order: str, outcome: Outcome) -> Outcome:
-        """An order has ended."""
-        self._tell(f"{order}: {outcome.message}", {"order": order, **outcome.as_dict()})
-        return outcome
+    async def execute(self, plan: Plan) -> Outcome:
+        """Execute a plan; what was done is undone if a later step fails and the done steps can be undone.
 
-    def report(self, order: str, percent: int | None) -> None:
-        """An order is under way."""
-        how_far = "" if percent is None else f" {percent} %"
-        data = {"order": order, "result": "in_progress", "percent": percent}
-        self._tell(f"{order}: in progress{how_far}", data)
+        If its caller is cancelled, or `wind_down` is called, during a step that only prepares later ones (arming for a
+        take-off), that step is undone. Once the last step has begun nothing is undone: the vehicle may be flying by it.
+        """
+        if plan.order in MOVING:
+            self.number += 1
+            self._newest = plan
+            self._commands.supersede(_commands(plan))
+        run = _PlanInProgress(plan, self.number)
+        if all(step.undo is None for step in plan.steps[:-1]):
+            return await self._steps(run)
+        if self._ending:
+            return Outcome.refused("skygcs is shutting down")
+        task = self._loop.create_task(self._steps(run), name=f"{self._vehicle.name} {plan.order}")
+        self._undoable[task] = run
+        task.add_done_callback(self._undoable.pop)
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if not self._end(run):
+                task.cancel()
+            raise
+
+    # -- shutdown
+
+    def wind_down(self) -> None:
+        """The daemon ends: end and undo steps that only prepare later ones."""
+        self._ending = True
+        for run in list(self._undoable.values()):
+            self._end(run)
+
+    async def settled(self) -> None:
+        """After `wind_down`: wait until what was ended is undone."""
+        if undoing := {task for task, run in self._undoable.items() if run.ended()}:
+            await asyncio.wait(undoing)
+
+    # -- a plan in progress
+
+    def _end(self, run: _PlanInProgress) -> bool:
+        """End it before its last step; False if that has begun."""
+        if not run.queue:
+            return False
+        run.end_requested = True
+        if run.step is not None and run.step.command is not None:
+            self._commands.stop(run.step.command.command, "cancelled", "cancelled")
+        self._commands.wake()
+        return True
+
+    async def _steps(self, run: _PlanInProgress) -> Outcome:
+        plan, number, queue = run.plan, run.number, run.queue
+        started = self._loop.time()
+        attempts, texts = 0, []
+        done: list[Step] = []
+        while queue:
+            # before a step: is the plan still wanted, is the step still needed?
+            if run.ended():
+                return await self._ended(run, done, attempts, started)
+            step = run.step = queue.pop(0)
+            if step.skip_if_met and step.expect is not None and step.expect.met(self._vehicle, self._loop.time()):
+                continue
+            outcome = await self._persist(step, plan, run)
+            # ended by its caller or by the shutdown meanwhile
+            if run.ended() and number == self.number:
+                done += [step] if outcome.attempts else []  # what was sent may have been taken
+                return await self._ended(run, done, max(attempts, outcome.attempts), started)
+            attempts = max(attempts, outcome.attempts)  # steps are no repeats of each other
+            texts += [t for t in outcome.status_texts if t not in texts]
+            # an alternative, or a step that may fail
+            if outcome.result == "unsupported" and step.instead:
+                queue[:0] = step.instead
+                continue
+            if not outcome.ok and step.optional and number == self.number:
+                continue
+            # failed: undo what was done, unless a newer order flies the vehicle now
+            if not outcome.ok:
+                outcome = self._explained(outcome, step)
+                message = outcome.message if len(plan.steps) == 1 else f"{step.name}: {outcome.message}"
+                if number == self.number:
+                    message += await self._undo(done, plan)
+                elapsed_s = self._loop.time() - started
+                return replace(
+                    outcome, message=message, attempts=attempts, elapsed_s=elapsed_s, status_texts=tuple(texts)
+                )
+            done.append(step)
+            # superseded between two steps
+            if queue and number != self.number:
+                text = f"a newer order took its place after {step.name!r}"
+                return Outcome(False, "cancelled", text, attempts, self._loop.time() - started, tuple(texts))
+        return Outcome(True, "accepted", plan.done, attempts, self._loop.time() - started, tuple(texts))
+
+    async def _ended(self, run: _PlanInProgress, done: list[Step], attempts: int, started: float) -> Outcome:
+        """The outcome of a plan that was cancelled before its last step."""
+        undone = await self._undo(done, run.plan) if run.number == self.number else ""
+        rest = run.queue[-1].name if run.queue else "the last step"
+        return Outcome(False, "cancelled", f"cancelled before {rest}{undone}", attempts, self._loop.time() - started)
+
+    async def _persist(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
+        """Execute one step, again and again if the plan persists: if nothing answers, perhaps nothing was heard."""
+        started, attempts = self._loop.time(), 0
+        while True:
+            outcome = await self._step(step, plan, run)
+            attempts += outcome.attempts
+            elapsed_s = self._loop.time() - started
+            newer = run.number != self.number and not plan.final
+            if outcome.ok or newer or elapsed_s >= plan.persist_s or outcome.result not in UNHEARD:
+                return replace(outcome, attempts=attempts, elapsed_s=elapsed_s)
+            self.report_progress(plan.order, None)
+
+    async def _step(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
+        """Send the command of a step, or its message, and wait until the vehicle shows the result."""
+        number, expect = run.number, step.expect
+        if self._is_ambiguous(plan):
+            return duplicate_refusal(self._vehicle)
+        if step.message is not None:
+            return await self._message_step(step, number)
+        met = None if expect is None else lambda: expect.met(self._vehicle, self._loop.time())
+        spec = step.command
+        assert spec is not None
+
+        def wanted() -> bool:
+            return self.number == number or (self._newest is not None and spec in _commands(self._newest))
+
+        outcome = await self._commands.run(
+            spec,
+            emergency=plan.emergency,
+            satisfied=met,
+            on_report=lambda percent: self.report_progress(plan.order, percent),
+            everywhere=plan.order in EVERYWHERE,
+            wanted=wanted if plan.order in MOVING and not plan.final else None,
+            with_repeats=step.with_repeats,
+        )
+        # acknowledged: wait until the state shows it
+        if not outcome.ok or met is None or expect is None or step.expect_s == 0:
+            return outcome
+        if await self._commands.until(lambda: met() or self.number != number or run.ended(), step.expect_s):
+            return outcome
+        unmet = expect.unmet(self._vehicle, self._loop.time())
+        return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
+
+    async def _message_step(self, step: Step, number: int) -> Outcome:
+        """A message has no acknowledgement: it is sent again until its answer has come or the time is over."""
+        assert step.message is not None
+        name, values = step.message
+        if name not in self._dialect.by_name:
+            return Outcome(False, "refused", f"dialect {self._dialect.name} has no {name}")
+        started, attempts = self._loop.time(), 0
+
+        def answered() -> bool:
+            return step.expect is not None and step.expect.met(self._vehicle, self._loop.time())
+
+        while True:
+            # send
+            if not self._commands.transmit(name, values):
+                return Outcome(False, "lost", "could not be sent: no link leads to it", attempts)
+            attempts += 1
+            if step.expect is None or step.expect_s == 0:
+                return Outcome(True, "accepted", "sent", attempts)
+            # wait for the answer
+            left_s = started + step.expect_s - self._loop.time()
+            await self._commands.until(lambda: self.number != number or answered(), min(RESEND_S, left_s))
+            elapsed_s = self._loop.time() - started
+            if answered():
+                return Outcome(True, "accepted", "answered", attempts, elapsed_s)
+            if self.number != number:
+                return Outcome(False, "cancelled", SUPERSEDED, attempts, elapsed_s)
+            if left_s <= RESEND_S:
+                unmet = step.expect.unmet(self._vehicle, self._loop.time())
+                return Outcome(False, "timeout", f"timeout: {unmet}", attempts, elapsed_s)
+
+    async def _undo(self, done: list[Step], plan: Plan) -> str:
+        """Undo the steps that were really executed, last first; returns what to add to the message."""
+        added = ""
+        for step in reversed(done):
+            if step.undo is None:
+                continue
+            outcome = await self._step(step.undo, plan, _PlanInProgress(plan, self.number))
+            added += f"; {step.undo.name}" if outcome.ok else f"; could not {step.undo.name}: {outcome.message}"
+        return added
 
     async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
+        """The attempts of `retry`, until one of them is the last."""
         started = self._loop.time()
         attempts = 0
         while True:
-            tried_at, before = self._loop.time(), self.plans.order
+            tried_at, before = self._loop.time(), self.number
             outcome = await self.attempt(planner)
             attempts += outcome.attempts
             outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
+            # a reason that a person has to cure
             todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
             if todo is not None:
                 return replace(outcome, message=f"{outcome.message}; {todo}")
-            superseded = self.plans.order > before + (order in MOVING)
+            # the last try: accepted, refused for good, superseded, or out of time
+            superseded = self.number > before + (order in MOVING)
             over = superseded or tried_at + RETRY_S > started + wait_s
-            if over or outcome.ok or outcome.result in NO_USE:
+            if over or outcome.ok or outcome.result in FINAL:
                 return outcome
-            before = self.plans.order
+            # wait for the next try
+            before = self.number
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
-            if self.plans.order != before:
+            if self.number != before:
                 return replace(outcome, result="cancelled", message=SUPERSEDED)
 
-    def _tell(self, text: str, data: dict[str, Any]) -> None:
+    def _is_ambiguous(self, plan: Plan) -> bool:
+        """True if two vehicles have the system id and the plan is not one that both may take."""
+        return self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate)
+
+    def _explained(self, outcome: Outcome, step: Step) -> Outcome:
+        """A refusal without a reason at least names what was asked."""
+        if outcome.result not in REFUSALS or outcome.status_texts:
+            return outcome
+        why = step.refused or f"{firmware_name(self._vehicle)} gave no reason ({step.name})"
+        return replace(outcome, message=f"{outcome.message}: {why}")
+
+    def _publish(self, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event("command", self._vehicle.name, self._vehicle.sysid, text, data))
+
+
+def duplicate_refusal(vehicle: Vehicle) -> Outcome:
+    """The refusal of an order that could reach either of two vehicles with one system id."""
+    where = vehicle.duplicate_where
+    there = "" if where is None else f" ({where})"
+    text = f"two vehicles with system id {vehicle.sysid} are on the air{there}; give one of them another"
+    return Outcome(False, "refused", f"refused: {text}")
+
+
+def _commands(plan: Plan) -> list[CommandSpec]:
+    return [step.command for step in plan.steps if step.command is not None]

@@ -10,7 +10,7 @@ from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.origin import ORIGIN_MESSAGE, SAME_M, kept, off_m, tell
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.runtime.plan_runner import Attempt, Planner
+from skygcs.runtime.order_runner import Attempt, Planner
 
 TRIES = 3
 """SET_GPS_GLOBAL_ORIGIN has no acknowledgement: it may be lost while the question after it is not."""

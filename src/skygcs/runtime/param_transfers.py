@@ -17,7 +17,6 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.ftp_payload import decode
 from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
@@ -32,11 +31,10 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime import param_file
-from skygcs.runtime.command_client import SendFn
 from skygcs.runtime.deadline_timer import DeadlineTimer
 from skygcs.runtime.param_book import ParamBook
-from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.task_set import fault
+from skygcs.runtime.vehicle_services import VehicleServices
 
 NEEDED = ("PARAM_VALUE", "PARAM_SET", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST")
 
@@ -78,28 +76,17 @@ class Loaded:
 class VehicleParams:
     """See the head of the file. Outcomes tell how everything ended; nothing raises for what the vehicle does."""
 
-    def __init__(
-        self,
-        vehicle: Vehicle,
-        dialect: Dialect,
-        send: SendFn,
-        loop: asyncio.AbstractEventLoop,
-        on_event: Callable[[Event], None],
-        cache: ParamCache,
-        *,
-        own: tuple[int, int] | None = None,
-        link_bytes_per_s: Callable[[], float] = lambda: math.inf,
-    ) -> None:
-        """``own``: our ids, to which a vehicle addresses its files; None: all are taken. ``link_bytes_per_s``: what the
-        link to it leaves, infinite where none is known to be thin."""
+    def __init__(self, vehicle: Vehicle, services: VehicleServices) -> None:
+        dialect = services.dialect
         self.progress: ListProgress | None = None
         """Of the list that is being read."""
         self._vehicle = vehicle
         self._dialect = dialect
-        self._send = send
-        self._loop = loop
-        self._on_event = on_event
-        self._book = ParamBook(vehicle, dialect, cache)
+        self._services = services
+        self._send = services.send
+        self._loop = services.loop
+        self._on_event = services.on_event
+        self._book = ParamBook(vehicle, dialect, services.param_cache)
         self._able = all(name in dialect.by_name for name in NEEDED)
         self._read = value_reader(dialect) if self._able else None
         self._set_info = bits_message(dialect.by_name["PARAM_SET"]) if self._able else None
@@ -114,8 +101,6 @@ class VehicleParams:
         self._hashless = False
         """Whether it has said, by answering all else, that it has no hash."""
         self._count: int | None = None
-        self._own = own
-        self._link_bytes_per_s = link_bytes_per_s
         self._file_session = 0
         self._file_running = False
         self._changed: dict[str, Param] = {}
@@ -125,12 +110,10 @@ class VehicleParams:
         self._closed = False
         self._cancelled = 0
         self._told_at = -math.inf
-        self._timer = DeadlineTimer(loop, self._on_timer)
+        self._timer = DeadlineTimer(services.loop, self._on_timer)
         self._probe = 0
         self._texts: list[str] = []
         """What a PX4 has said of its limits since the last `set` began: "Cruise speed has been constrained by …"."""
-        self.why_silent: Callable[[], str] = lambda: ""
-        """Why it may not answer, beside the link: see `CommandClient`."""
 
     # -- what the vehicle says
 
@@ -160,7 +143,7 @@ class VehicleParams:
         self._set_timer()
 
     def _on_file_reply(self, frame: Frame, now: float) -> None:
-        reply = decode(frame.payload) if self._own is None or frame.target() == self._own else None
+        reply = decode(frame.payload) if frame.target() == self._services.own else None
         for protocol in list(self._running):
             if isinstance(protocol, FileDownload) and reply is not None:
                 self._apply(protocol, protocol.on_reply(reply, now))
@@ -343,7 +326,8 @@ class VehicleParams:
             return protocol.outcome
         if unsent:
             return ParamOutcome(False, "lost", "could not be sent: no link leads to it", name)
-        return replace(protocol.outcome, message=protocol.outcome.message + self.why_silent())
+        why_silent = self._services.links.why_silent(self._vehicle)
+        return replace(protocol.outcome, message=protocol.outcome.message + why_silent)
 
     def _absent_of(self, name: str) -> int:
         """How many parameters its complete list has, if none of them has this name; else 0."""
@@ -380,7 +364,8 @@ class VehicleParams:
             # what changed while it was read is good for now, but nobody will vouch for it
             after = await self._ask_hash() if before is not None else None
             self._book.remember(outcome.params, after if after == before else None)
-        message = outcome.message + why_not + (self.why_silent() if outcome.result == "timeout" else "")
+        why_silent = self._services.links.why_silent(self._vehicle) if outcome.result == "timeout" else ""
+        message = outcome.message + why_not + why_silent
         self._tell("list", f"parameters: {message}", {"received": len(outcome.params), "count": outcome.count})
         return Loaded(
             outcome.ok,
@@ -396,7 +381,8 @@ class VehicleParams:
 
     async def _load_file(self, *, burst: bool, bytes_per_s: float | None) -> Loaded:
         self._file_session = (self._file_session + 16) & 0xFF  # a download may need some
-        started, link = self._loop.time(), self._link_bytes_per_s()
+        started, services = self._loop.time(), self._services
+        link = services.links.setpoint_bytes_per_s(self._vehicle, services.flown())
         protocol = param_file.download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
         self._changed.clear()
         self._file_running = True

@@ -14,11 +14,10 @@ from typing import Any
 
 from skygcs.config.control import POSITION_HZ, VELOCITY_HZ
 from skygcs.config.models import VehicleConfig
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.modes import is_copter
 from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
-from skygcs.core.preflight.facts import Answer, Facts, LinkFacts
+from skygcs.core.preflight.facts import Answer, Facts
 from skygcs.core.preflight.health import FRESH_S
 from skygcs.core.preflight.report import Fix, Report
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
@@ -29,6 +28,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.snapshot import take_snapshot
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.param_transfers import VehicleParams
+from skygcs.runtime.vehicle_services import VehicleServices
 
 AT_ONCE = 8
 """Parameters of one vehicle asked for at the same time: 8 x 45 B are 65 ms of 57600 baud; one it has not takes 7 s."""
@@ -37,7 +37,6 @@ SETTLE_S = 3.0
 """From a parameter that was set until what the vehicle tells of itself knows of it: it looks at its arming checks once
 a second, and SYS_STATUS comes every two."""
 
-Links = Callable[[], Mapping[str, LinkFacts]]
 Request = Callable[[str], Awaitable[Outcome]]
 Confirmed = Mapping[str, float] | None
 
@@ -53,24 +52,18 @@ class Examined:
 
 
 class Preflight:
-    """``request`` asks the vehicle for one message; ``links`` tells how it is heard.
-
-    ``configured``: whether it is in the fleet file; None: that names no vehicle. ``valid_s``: how long a pass lasts.
-    """
+    """``request`` asks the vehicle for one message. ``configured``: whether the fleet file names it; None: the file
+    names no vehicle."""
 
     def __init__(
         self,
         vehicle: Vehicle,
         config: VehicleConfig,
         params: VehicleParams,
-        dialect: Dialect,
+        services: VehicleServices,
         request: Request,
-        loop: asyncio.AbstractEventLoop,
         *,
-        gcs_sysid: int,
         configured: bool | None,
-        valid_s: float,
-        links: Links,
         wall_clock: Callable[[], float] = time.time,
     ) -> None:
         self.required = config.require_preflight
@@ -79,13 +72,12 @@ class Preflight:
         self._vehicle = vehicle
         self._config = config
         self._params = params
-        self._dialect = dialect
+        self._services = services
+        self._dialect = services.dialect
         self._request = request
-        self._loop = loop
-        self._gcs_sysid = gcs_sysid
+        self._loop = services.loop
         self._configured = configured
-        self._valid_s = valid_s
-        self._links = links
+        self._valid_s = services.preflight_valid_s
         self.wall_clock = wall_clock
         """The time of day in Unix seconds, against which the vehicle's clock is held."""
         self._lock = asyncio.Lock()
@@ -169,10 +161,10 @@ class Preflight:
     def _facts(self, answers: Mapping[str, Answer]) -> Facts:
         return Facts(
             state=dict(take_snapshot(self._vehicle, self._loop.time(), self.wall_clock())),
-            gcs_sysid=self._gcs_sysid,
+            gcs_sysid=self._services.own[0],
             configured=self._configured,
             expected_autopilot=self._config.autopilot,
-            links=self._links(),
+            links=self._services.links.facts(self._vehicle.key, self._loop.time()),
             answers=answers,
             copter=is_copter(self._vehicle.type),
         )

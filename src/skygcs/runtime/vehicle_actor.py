@@ -1,39 +1,241 @@
-"""What one vehicle can be ordered: it is given orders, carries out their plans and tells how each ended.
+"""One vehicle at run time: gives each frame to what waits for it, and runs its orders.
 
-Every order answers with one Outcome and never raises for what the vehicle or skygcs refuses. Orders are safe to cancel.
-A newer order that moves the vehicle takes the place of an older one that is still in the making: a takeoff that waits
-for its arming goes no further once a landing is ordered.
+Every order returns one Outcome and never raises for what the vehicle or skygcs refuses. Orders are safe to cancel. A
+newer order that moves the vehicle takes the place of an older one that is still in progress: a takeoff that waits for
+its arming goes no further once a landing is ordered.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import math
+import time
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Unpack
 
+from skygcs.config.models import VehicleConfig
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
 from skygcs.core.mission.item import MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
-from skygcs.core.vehicle.frames import setpoint_from_world
+from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
+from skygcs.core.vehicle.component import describe
+from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.order_plan import Plan
+from skygcs.core.vehicle.snapshot import latest_message, take_snapshot
 from skygcs.core.vehicle.stop import Action
+from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
-from skygcs.runtime.fence_orders import FenceOutcome
-from skygcs.runtime.live_vehicle import LiveVehicle
+from skygcs.events import Event
+from skygcs.links.base import StateUpdate
+from skygcs.runtime.command_client import CommandClient
+from skygcs.runtime.fence_orders import FenceOutcome, VehicleFence
+from skygcs.runtime.mission_transfers import MESSAGES as MISSION_MESSAGES
+from skygcs.runtime.mission_transfers import Missions
+from skygcs.runtime.offboard_engagement import OffboardEngagement
+from skygcs.runtime.order_runner import OrderRunner, duplicate_refusal
 from skygcs.runtime.origin_push import both, home_at, push_origin
-from skygcs.runtime.plan_runner import two_of_one_id
+from skygcs.runtime.param_transfers import VehicleParams
+from skygcs.runtime.preflight_run import Preflight
+from skygcs.runtime.stream_requester import StreamRequester
+from skygcs.runtime.vehicle_services import VehicleServices
+
+SHUTDOWN = "skygcs is shutting down"
 
 
-class VehicleActor(LiveVehicle):
-    """One vehicle of the fleet and its orders, which are the coroutines."""
+class VehicleActor:
+    """One vehicle of the fleet. `on_frame` and `tick` are called by the fleet; the coroutines are its orders.
+
+    Its parts are reached directly: ``commands``, ``offboard`` (flight by setpoints), ``params``, ``missions``,
+    ``fence``, ``preflight``, ``streams`` (the rates of its messages).
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, config: VehicleConfig, services: VehicleServices, *, configured: bool | None = None
+    ) -> None:
+        """``configured``: whether the fleet file names it; None: the file names no vehicle."""
+        self.vehicle = vehicle
+        self.config = config
+        self.channel = ""
+        """Label of the channel that carried its last heartbeat."""
+        self._services = services
+        self._loop = services.loop
+        self._dialect = services.dialect
+        # orders: the commands on the wire, what runs them, flight by setpoints
+        ids = (vehicle.sysid, vehicle.compid)
+        self.commands = CommandClient(
+            ids,
+            services.own,
+            services.dialect,
+            services.send,
+            services.loop,
+            why_silent=lambda: services.links.why_silent(vehicle),
+        )
+        self.streams = StreamRequester(vehicle, self.commands, services.dialect, config.streams)
+        self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event)
+        self.offboard = OffboardEngagement(vehicle, config, self.commands, self._orders, self.streams, services)
+        # MAVLink protocols, and what is built on them
+        self.params = VehicleParams(vehicle, services)
+        self.missions = Missions(
+            vehicle, self.commands, services.dialect, services.loop, self._orders.report_progress, services.on_event
+        )
+        self.fence = VehicleFence(vehicle, self.params, services, self._request)
+        self.preflight = Preflight(vehicle, config, self.params, services, self._request, configured=configured)
+        self.uplink = UplinkWatch(time.time_ns() >> 10)
+        self._probes = services.probes and "TIMESYNC" in services.dialect.by_name
+        self._read: dict[int, Callable[[Frame, float], None]] = {
+            COMMAND_ACK: self._on_ack,
+            TIMESYNC: self._on_timesync,
+            **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
+            **dict.fromkeys(self.params.messages, self.params.on_frame),
+        }
+        """Messages of which every single one is read, and by what."""
+
+    @property
+    def name(self) -> str:
+        return self.vehicle.name
+
+    @property
+    def sysid(self) -> int:
+        return self.vehicle.sysid
+
+    @property
+    def compid(self) -> int:
+        return self.vehicle.compid
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        return self.vehicle.groups
+
+    # -- what is known of it
+
+    def state(self, now: float) -> dict[str, Any]:
+        """Snapshot for people and programs (`core.vehicle.state`)."""
+        state = dict(take_snapshot(self.vehicle, now, time.time()))
+        if self.offboard.controller.state is not OffboardState.OFF:
+            state["control"] = self.control_state(now)
+        self.streams.add_to(state)
+        if self._probes and self.uplink.answered_at is not None:
+            trip_s = self.uplink.trip_s
+            state["uplink"] = {
+                "heard": not self.uplink.lost,
+                "unanswered": self.uplink.unanswered,
+                "rtt_s": None if trip_s is None else round(trip_s, 3),
+                "age_s": round(now - self.uplink.answered_at, 2),
+            }
+        return state
+
+    def control_state(self, now: float) -> dict[str, Any]:
+        """How it is flown, in the fleet's world frame."""
+        return shown(self.offboard.status(now), self.offboard.controller.frame, self.vehicle.origin)
+
+    def describe(self, now: float) -> dict[str, Any]:
+        """Its autopilot as one component of its system; see `component.describe`."""
+        enums, slots = self._dialect.enums, self.vehicle.slots.values()
+        return describe(
+            self.compid,
+            enums.get("MAV_COMPONENT", {}).get(self.compid),
+            enums.get("MAV_TYPE", {}).get(self.vehicle.type, str(self.vehicle.type)),
+            autopilot=True,
+            age_s=now - max((slot.at for slot in slots), default=now),
+            messages=sum(slot.count for slot in slots),
+        )
+
+    def latest(self, message: str | int) -> dict[str, Any] | None:
+        """The last message of one type: its fields, age, rate and count; None if none has come.
+
+        Raises RefusedError for a name the dialect lacks.
+        """
+        msgid, _ = orders.find_message(self._dialect, message)
+        return latest_message(self.vehicle, msgid, self._loop.time())
+
+    # -- frames and time
+
+    def on_frame(self, frame: Frame, channel: str, now: float) -> None:
+        """One frame of this vehicle. Hot; never raises."""
+        events = self.vehicle.on_frame(frame, now)
+        commands = self.commands
+        if events:
+            self._publish(events, now)
+        if frame.msgid == HEARTBEAT:
+            self.channel = channel
+        elif (read := self._read.get(frame.msgid)) is not None:
+            read(frame, now)
+        if commands.busy:
+            commands.wake()
+
+    def state_update_only(self, frame: Frame, channel: str) -> StateUpdate | None:
+        """How the state is updated by frames like this one; None if each has to be given to `on_frame`."""
+        if frame.msgid in self._read:
+            return None
+        if frame.msgid == HEARTBEAT:
+            payload = frame.payload
+            if not self.vehicle.is_last_heartbeat(payload):
+                return None  # from another sender: each has to be looked at
+
+            def again(now: float) -> None:
+                events = self.vehicle.on_heartbeat(payload, now)
+                if events:
+                    self._publish(events, now)
+                self.channel = channel
+
+            return StateUpdate(self.vehicle.slots.get(HEARTBEAT), self.commands.watches, again)
+        slot = self.vehicle.state_update_only(frame.msgid)
+        return None if slot is None else StateUpdate(slot, self.commands.watches)
+
+    def tick(self, now: float) -> None:
+        """Called one to ten times a second."""
+        events = self.vehicle.tick(now)
+        if events:
+            self._publish(events, now)
+        self.streams.tick(now)
+        if self.offboard.controller.active:
+            self.offboard.refresh_budget()
+        if self._probes and self.vehicle.connected and not self.vehicle.replayed:
+            self._probe(now)
+
+    def set_duplicate(self, where: str | None) -> None:
+        """Another vehicle began to send with its ids, and where; None: it has stopped. State and flight by setpoints,
+        which use one channel, go on."""
+        if where is not None:
+            self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air: {where}")
+
+    def set_origin(self, origin: Origin | None, generation: int) -> None:
+        """The fleet's world frame from now on, and its number; see `World`."""
+        self.vehicle.origin = origin
+        self.vehicle.origin_generation = generation
+        self.offboard.origin_changed()
+
+    def restarted(self, text: str, now: float) -> None:
+        """It has restarted, or another vehicle has taken its place: forget what was known of it."""
+        self._publish(self.vehicle.restart(now, text), now)
+
+    async def wind_down(self) -> None:
+        """The daemon ends: begin nothing that would have to be undone, and undo what has begun; wait until it is."""
+        if not self.offboard.controller.active:
+            self.offboard.release(SHUTDOWN)  # an entry that is still checking goes no further
+        self.missions.stop("cancelled", SHUTDOWN)
+        self.params.stop_list()
+        self._orders.wind_down()
+        await asyncio.gather(self.fence.wind_down(), self._orders.settled(), self.offboard.settled())
+
+    def close(self) -> None:
+        self.offboard.close()
+        self.missions.close()
+        self.params.close()
+        self.commands.close()
+
+    # -- orders
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
         """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over, and not before
@@ -89,15 +291,15 @@ class VehicleActor(LiveVehicle):
     async def goto(self, **where: Unpack[orders.Where]) -> Outcome:
         """See `orders.destination`. While it is flown by setpoints it is their reference that goes there."""
         limit_m = self.config.goto_limit_m
-        if not self.flight.flying:
+        if not self.offboard.flying:
             return await self._orders.run("goto", lambda now: orders.goto(self.vehicle, now, limit_m=limit_m, **where))
         try:
             to = orders.destination(self.vehicle, self._loop.time(), limit_m=limit_m, **where)
         except RefusedError as error:
-            return self._orders.told("goto", Outcome.refused(str(error)))
+            return self._orders.finish("goto", Outcome.refused(str(error)))
         yaw = None if to.yaw_deg is None else math.radians(yaw_enu_from_heading_deg(to.yaw_deg))
-        return self._orders.told(
-            "goto", self.flight.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
+        return self._orders.finish(
+            "goto", self.offboard.fly_to(GeodeticPosition(to.lat_deg, to.lon_deg, to.alt_amsl_m), yaw)
         )
 
     async def reboot(self, *, force: bool = False) -> Outcome:
@@ -127,7 +329,7 @@ class VehicleActor(LiveVehicle):
 
     async def push_origin(self, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
         """Tell the vehicle the origin, and with ``home`` make it its home. Armed only with ``force``."""
-        return await self._orders.carry("origin", self._push_origin(origin, home, force))
+        return await self._orders.track("origin", self._push_origin(origin, home, force))
 
     async def _push_origin(self, origin: Origin, home: bool, force: bool) -> Outcome:
         told = await push_origin(self._orders.attempt, self.vehicle, self._dialect, origin, force=force)
@@ -179,22 +381,22 @@ class VehicleActor(LiveVehicle):
     async def upload_plan(self, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False) -> Outcome:
         """See `Missions.bring`."""
         work = self.missions.bring(plan, kinds, limit_m=self.config.goto_limit_m, force=force)
-        return await self._orders.carry("plan upload", work)
+        return await self._orders.track("plan upload", work)
 
     async def clear_plan(self, *, kinds: Collection[MissionType], force: bool = False) -> Outcome:
         """See `Missions.drop`."""
-        return await self._orders.carry("plan clear", self.missions.drop(kinds, force=force))
+        return await self._orders.track("plan clear", self.missions.drop(kinds, force=force))
 
     async def download_plan(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
         """See `Missions.fetch`."""
         outcome, plan = await self.missions.fetch(kinds)
-        return self._orders.told("plan download", outcome), plan
+        return self._orders.finish("plan download", outcome), plan
 
     async def set_fence(
         self, *, radius_m: float | None = None, height_m: float | None = None, action: str | None = None
     ) -> FenceOutcome:
         """See `VehicleFence.set`."""
-        return await self._told_fence(
+        return await self._report_fence(
             "fence", lambda: self.fence.set(radius_m=radius_m, height_m=height_m, action=action)
         )
 
@@ -204,16 +406,16 @@ class VehicleActor(LiveVehicle):
 
     async def test_fence(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
         """See `VehicleFence.test`."""
-        return await self._told_fence(
+        return await self._report_fence(
             "fence test", lambda: self.fence.test(radius_m=radius_m, action=action, timeout_s=timeout_s)
         )
 
-    async def _told_fence(self, order: str, work: Callable[[], Coroutine[Any, Any, FenceOutcome]]) -> FenceOutcome:
+    async def _report_fence(self, order: str, work: Callable[[], Coroutine[Any, Any, FenceOutcome]]) -> FenceOutcome:
         """Tell of it like of any order; a cancelled test has told of itself."""
-        if self.duplicate:
-            return FenceOutcome(self._orders.told(order, two_of_one_id(self.vehicle)))
+        if self.vehicle.duplicate:
+            return FenceOutcome(self._orders.finish(order, duplicate_refusal(self.vehicle)))
         outcome = await work()
-        self._orders.told(order, outcome.outcome)
+        self._orders.finish(order, outcome.outcome)
         return outcome
 
     async def start_mission(self, *, first: int = 1, arm: bool = True, force: bool = False) -> Outcome:
@@ -236,17 +438,17 @@ class VehicleActor(LiveVehicle):
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Fly it by setpoints: "position", "velocity" or "attitude"; "off": no more, and hold."""
         if mode != "off":
-            work = self.flight.engage(ControlMode(mode), force=force)
-            return await self._orders.carry("control", work)
-        if not self.flight.pilot.active:
-            self.flight.release("switched off")
-            return self._orders.told("control", Outcome(True, "accepted", "control is off"))
-        self.flight.release("switched off")
-        return await self._orders.carry("control", self._switched_off())
+            work = self.offboard.engage(ControlMode(mode), force=force)
+            return await self._orders.track("control", work)
+        if not self.offboard.controller.active:
+            self.offboard.release("switched off")
+            return self._orders.finish("control", Outcome(True, "accepted", "control is off"))
+        self.offboard.release("switched off")
+        return await self._orders.track("control", self._switched_off())
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `FlightControl.change_gains`."""
-        return self._orders.told("gains", self.flight.change_gains(changes, force=force))
+        return self._orders.finish("gains", self.offboard.change_gains(changes, force=force))
 
     def setpoint(
         self,
@@ -265,20 +467,19 @@ class VehicleActor(LiveVehicle):
             wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg)
         except RefusedError as error:
             return Outcome.refused(str(error))
-        return self.flight.follow(wanted, valid_s)
+        return self.offboard.follow(wanted, valid_s)
 
     def record_control(self, on: bool) -> str | None:
-        """See `FlightControl.record`."""
-        path = self.flight.record(on)
-        return None if path is None else str(path)
+        """See `OffboardEngagement.record`."""
+        return self.offboard.record(on)
 
     def gains(self) -> dict[str, Any]:
-        """Gains and limits of its control law."""
-        return self.flight.gains()
+        """See `OffboardEngagement.gains`."""
+        return self.offboard.gains()
 
     def plan(self, planner: Callable[[Vehicle, float], Plan]) -> Plan | None:
         """What `orders.land` or `orders.rtl` would do now; None if it would be refused."""
-        if self.duplicate:
+        if self.vehicle.duplicate:
             return None
         try:
             return planner(self.vehicle, self._loop.time())
@@ -287,7 +488,7 @@ class VehicleActor(LiveVehicle):
 
     def refuse(self, order: str, reason: str) -> Outcome:
         """Refuse an order for a reason the fleet knows."""
-        return self._orders.told(order, Outcome.refused(reason))
+        return self._orders.finish(order, Outcome.refused(reason))
 
     def _require_preflight(self, *, force: bool) -> None:
         """Raises RefusedError if it must not be armed now."""
@@ -298,3 +499,77 @@ class VehicleActor(LiveVehicle):
     async def _switched_off(self) -> Outcome:
         outcome = await self._orders.attempt(lambda now: orders.hold(self.vehicle, now))
         return replace(outcome, message=f"control is off; {outcome.message}")
+
+    async def _request(self, message: str) -> Outcome:
+        """Ask for one message, without a report."""
+        return await self._orders.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
+
+    # -- what frames and time lead to
+
+    def _on_ack(self, frame: Frame, now: float) -> None:
+        if self.vehicle.last_ack is not None:
+            if self.vehicle.last_ack.is_for(*self.commands.own) and self.uplink.answered_at is not None:
+                self._on_uplink(self.uplink.heard(now))
+            self.commands.on_ack(self.vehicle.last_ack, now)
+            self.streams.on_ack(self.vehicle.last_ack, now)
+
+    def _probe(self, now: float) -> None:
+        """Send a probe (TIMESYNC) if one is due, and report whether earlier ones were answered."""
+        uplink = self.uplink
+        if uplink.unanswered >= FEWEST:
+            last_frame_at = max((slot.at for slot in self.vehicle.slots.values()), default=-math.inf)
+            if uplink.verdict(now, last_frame_at) is not None:
+                self._on_uplink("lost")
+        links = self._services.links
+        narrow = math.isfinite(links.setpoint_bytes_per_s(self.vehicle, self._services.flown()))
+        if uplink.due(now, armed=self.vehicle.armed, thin=narrow):
+            token = uplink.token()
+            if self.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}):
+                uplink.sent(token, now)
+
+    def _on_timesync(self, frame: Frame, now: float) -> None:
+        """An answer to a probe or a ping of ours; others are ignored."""
+        fields = frame.fields()
+        if fields["tc1"] != 0:
+            ours, change = self.uplink.answered(int(fields["ts1"]), now)
+            self._on_uplink(change)
+            if ours:
+                return
+        self.offboard.on_timesync(frame, now)
+
+    def _on_uplink(self, change: Change | None) -> None:
+        """Report that the vehicle began or ceased to hear us."""
+        if change is None:
+            return
+        if change == "lost":
+            text = (
+                f"it does not hear us: no answer to {self.uplink.unanswered} questions, while its telemetry comes; "
+                "orders do not reach it, and its failsafe for a lost ground station will act"
+            )
+        else:
+            text = "it hears us again"
+        self._services.on_event(Event(f"uplink_{change}", self.name, self.sysid, text, {}))
+
+    def _publish(self, events: tuple[Event, ...], now: float) -> None:
+        """Act on events of the vehicle, then hand them on."""
+        for event in events:
+            if event.kind == "statustext":
+                for reader in (self.commands, self.missions, self.fence, self.params, self.offboard):
+                    reader.on_text(event.text)
+            elif event.kind == "vehicle_lost":
+                self.uplink.forget()
+                self._stop_protocols(f"the vehicle was lost: {event.text}")
+            elif event.kind == "reboot":
+                self.commands.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
+                self._stop_protocols("the vehicle rebooted")
+                self.uplink.forget()
+                self.offboard.release("the vehicle rebooted")
+                self.preflight.forget()
+                self.streams.restart(now)
+            self._services.on_event(event)
+
+    def _stop_protocols(self, text: str) -> None:
+        """End what waits for an answer that will not come."""
+        self.commands.stop_all("lost", text)
+        self.missions.stop("lost", text)
+        self.params.stop_all("lost", text)

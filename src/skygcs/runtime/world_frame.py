@@ -9,8 +9,8 @@ from skygcs.core.geo import EAST_DEG, Origin
 from skygcs.core.vehicle import origin as origins
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.live_vehicle import OnEvent
 from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import OnEvent
 
 
 class World:
@@ -55,7 +55,7 @@ class World:
 
         Raises RefusedError.
         """
-        if actor.duplicate and not force:
+        if actor.vehicle.duplicate and not force:
             raise RefusedError(f"two vehicles speak as system {actor.sysid}: nobody knows whose position that is")
         origin = origins.from_vehicle(actor.vehicle, now, heading=heading, force=force)
         if not heading and self.origin is not None:

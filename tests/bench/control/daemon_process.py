@@ -17,7 +17,7 @@ from array import array
 from pathlib import Path
 
 from skygcs.cli import serve
-from skygcs.runtime import flight_control
+from skygcs.runtime import offboard_engagement
 from skygcs.runtime.control_clock import ControlClock
 
 ROOM = 400_000
@@ -52,7 +52,7 @@ class NotedClock(ControlClock):
 
 def main() -> int:
     file, lateness = sys.argv[1:3]
-    flight_control.ControlClock = NotedClock  # type: ignore[misc]
+    offboard_engagement.ControlClock = NotedClock  # type: ignore[misc]
     profile = cProfile.Profile() if len(sys.argv) > 3 else None
     try:
         if profile is None:

@@ -378,10 +378,10 @@ class TestOrdersForMany:
     async def test_nothing_is_broadcast_where_others_may_hear_it(self) -> None:
         async with Ground() as ground:
             await self.swarm(ground, px4=0, copters=3)
-            ground.may_broadcast = False
+            ground.links.broadcast = False
             assert all(o.ok for o in (await ground.fleet.command_all("all", VehicleActor.land)).values())
             assert [s.sysid for s in self.commands(ground)] == [1, 2, 3]
-            ground.may_broadcast = True
+            ground.links.broadcast = True
             ground.fleet.refused_vehicles = 1  # an autopilot was met that found no place in the fleet
             assert all(o.ok for o in (await ground.fleet.command_all("all", VehicleActor.rtl)).values())
             assert [s.sysid for s in self.commands(ground)] == [1, 2, 3] * 2

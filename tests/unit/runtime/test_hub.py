@@ -17,6 +17,7 @@ from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link, Outgoing
 from skygcs.runtime.channel_policy import channel_policy
 from skygcs.runtime.hub import MAX_CHANNEL_ID, MAX_CLOSED_CHANNELS, MAX_CLOSED_SOURCES, OTHER_SOURCES, Hub
 from support.routed import DIALECT, heartbeat, message
+from support.services import connect, list_recorder
 
 
 class PlainLink(Link):
@@ -54,17 +55,14 @@ class Bench:
         self.recorded: list[bytes] = []
         self.notes: list[tuple[str, int]] = []
         self.faults: list[str] = []
-        self.replayed: list[tuple[int, bool]] = []
         self.hub = Hub(
             FleetConfig.model_validate({"daemon": daemon}),
             DIALECT,
             self.loop,
-            on_vehicle_frame=self.on_vehicle_frame,
-            record=lambda raw, unix_us: self.recorded.append(raw),
-            on_note=self.on_note,
-            on_fault=self.faults.append,
-            on_replayed=lambda key, replayed: self.replayed.append((key, replayed)),
+            lambda event: self.faults.append(event.text),
+            recorder=list_recorder(lambda raw, unix_us: self.recorded.append(raw)),
         )
+        self.fleet = connect(self.hub, self.on_vehicle_frame, self.on_note)
 
     def on_vehicle_frame(self, key: int, frame: Frame, label: str, now: float) -> None:
         if frame.name == "VFR_HUD":
@@ -205,11 +203,11 @@ async def test_a_recorded_vehicle_is_told_from_a_live_one_and_gives_way_to_it() 
     gcs = bench.channel("gcs", role="gcs")
     key = 7 << 8 | 1
     bench.feed(recording, heartbeat(7, seq=1))
-    assert bench.replayed == [(key, True)]
+    assert bench.fleet.changed == [key] and bench.hub.replayed == {key}
     bench.feed(gcs, heartbeat(7, seq=99))
     assert [link for _, _, link in bench.vehicle_frames] == ["flight"], "a ground station's echo of it is not shown"
     bench.feed(radio, heartbeat(7, seq=50))
-    assert bench.replayed == [(key, True), (key, False)]
+    assert bench.fleet.changed == [key, key] and not bench.hub.replayed
     bench.feed(recording, heartbeat(7, seq=2))
     assert [link for _, _, link in bench.vehicle_frames] == ["flight", "radio"]
     assert bench.hub.replayed == set()
@@ -339,4 +337,4 @@ async def test_a_fault_behind_a_whole_datagram_stays_in_the_hub() -> None:
     radio.in_datagrams = True
     gcs.send = fail  # type: ignore[method-assign]
     bench.feed(radio, heartbeat(7) + heartbeat(7, seq=1))
-    assert bench.faults == ["RuntimeError: a fault behind a datagram"]
+    assert bench.faults == ["internal fault, please report it: RuntimeError: a fault behind a datagram"]

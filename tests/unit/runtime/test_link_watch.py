@@ -10,7 +10,7 @@ import pytest
 from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.msgids import RADIO_STATUS
 from skygcs.core.routing.source_statistics import SourceStats
-from skygcs.runtime.link_watch import LinkWatch
+from skygcs.runtime.link_view import LinkWatch
 from support.vehicles import flight_dialect
 
 KEY = 1 << 8 | 1

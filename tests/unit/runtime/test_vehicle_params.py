@@ -29,6 +29,7 @@ from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.param_transfers import VehicleParams
 from support.hosts import until
 from support.param_vehicle import ParamVehicle, big_set
+from support.services import services
 from support.vehicles import ARDUPILOT, PX4, Voice, flight_dialect, parsed
 
 pytestmark = pytest.mark.looptime
@@ -70,7 +71,8 @@ class Rig:
         self.deaf = False
         """No link takes anything."""
         self.params = VehicleParams(
-            self.vehicle, flight_dialect(), self.send, self.loop, self.events.append, ParamCache(cache)
+            self.vehicle,
+            services(flight_dialect(), self.send, self.loop, self.events.append, param_cache=ParamCache(cache)),
         )
         self.info = bits_message(flight_dialect().by_name["PARAM_VALUE"])
         self.vehicle.on_frame(self.voice.beat(autopilot), self.loop.time())
@@ -429,7 +431,7 @@ async def test_progress_is_told_at_most_once_a_second() -> None:
 
 async def test_two_vehicles_of_one_id_are_asked_nothing() -> None:
     rig = Rig(big_set(3), None)
-    rig.vehicle.duplicate_elsewhere = "on udp and on radio"
+    rig.vehicle.duplicates = {rig.vehicle.key: "on udp and on radio"}
     assert (await rig.params.get("X")).result == "refused"
     assert (await rig.params.load()).result == "refused"
     assert rig.sent == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from skygcs.core.geo import Origin, enu_from_geodetic
@@ -82,6 +82,7 @@ class Vehicle:
         groups: tuple[str, ...] = (),
         timeout_s: float = DEFAULT_TIMEOUT_S,
         decoder: Decoder | None = None,
+        replayed: bool = False,
     ) -> None:
         self.sysid = sysid
         self.compid = compid
@@ -92,13 +93,13 @@ class Vehicle:
         self.origin_generation = 0
         """Counts the fleet's origins: positions of the same number are in the same frame."""
         self.connected = False
-        self.duplicate_elsewhere: str | None = None
-        """Set by whoever sees the links: where another vehicle sends with these ids, and where this one does. Nothing
-        of that other vehicle is in here."""
+        self.duplicates: Mapping[int, str] = {}
+        """The fleet's table, by sysid << 8 | compid: where another vehicle sends with these ids, and where this one
+        does. Nothing of that other vehicle is in here."""
         self.duplicate_beside = False
         """Two vehicles send with these ids on the one channel: what is in here is of both."""
-        self.replayed = False
-        """Whether it is heard in a recording only: nobody is there to take an order."""
+        self.replayed = replayed
+        """True if it is heard in a recording only: it takes no orders."""
         self.type = 0
         self.autopilot = 0
         self.base_mode = 0
@@ -215,6 +216,11 @@ class Vehicle:
     @property
     def mode(self) -> str:
         return modes.mode_name(self.autopilot, self.type, self.base_mode, self.custom_mode)
+
+    @property
+    def duplicate_elsewhere(self) -> str | None:
+        """Where another vehicle sends with these ids over another channel; None: nowhere."""
+        return self.duplicates.get(self.key)
 
     @property
     def duplicate(self) -> bool:

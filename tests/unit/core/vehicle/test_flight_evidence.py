@@ -73,7 +73,7 @@ def test_one_that_was_armed_just_now_is_idle_once_it_is_seen_on_the_ground() -> 
 
 def test_a_duplicate_id_is_not_idle() -> None:
     vehicle, voice = disarmed()
-    vehicle.duplicate_elsewhere = "on udp (10.0.0.5:14550) and on radio"
+    vehicle.duplicates = {vehicle.key: "on udp (10.0.0.5:14550) and on radio"}
     assert "10.0.0.5:14550" in str(why_not_idle(vehicle, NOW))
     assert contradiction(vehicle, NOW) is None, "what is known of it is its own"
     vehicle, voice = disarmed()

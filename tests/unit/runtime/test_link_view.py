@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Hashable
-from dataclasses import dataclass
 from typing import Any, cast
 
 import pytest
@@ -13,20 +12,20 @@ import pytest
 from skygcs.config.models import FleetConfig, MemoryLink, SerialLink
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel, ChannelSigning, Outgoing
 from skygcs.links.memory import MemoryLink as Memory
 from skygcs.links.serial import SerialLink as Serial
-from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
-from skygcs.runtime.uplink import setpoint_bytes_per_s
+from skygcs.runtime.link_view import LinkView, LinkWatch
+from skygcs.runtime.linktable import LinkTable
 from support.frames import frame
 from support.routed import DIALECT, heartbeat
+from support.services import connect
 
 
-@dataclass
-class Flown:
-    sysid: int
-    compid: int = 1
+def flown(sysid: int) -> Vehicle:
+    return Vehicle(sysid, 1, DIALECT)
 
 
 class Mute(Channel):
@@ -44,15 +43,10 @@ class Air:
             FleetConfig(),
             DIALECT,
             asyncio.get_running_loop(),
-            on_vehicle_frame=lambda key, heard, label, now: None,
-            record=None,
-            on_note=lambda note, channel: None,
-            on_fault=lambda text: None,
+            lambda event: None,
         )
-        self.vehicles: list[Flown] = []
-
-    def flown(self) -> list[Flown]:
-        return self.vehicles
+        connect(self.hub)
+        self.vehicles: list[Vehicle] = []
 
     def radio(self, name: str, baud: int = 57600) -> Channel:
         config = SerialLink(type="serial", name=name, device="/dev/null", baud=baud, role="radio")
@@ -72,24 +66,24 @@ class Air:
             self.hub.on_frames(channel, channel.parser.feed_datagram(heartbeat(sysid)), now)
 
     def rate_hz(self, sysid: int) -> float:
-        fleet = cast(Fleet, self)  # of which `flown` is all that is asked
-        return setpoint_bytes_per_s(self.hub, fleet, sysid, 1) / FRAME_BYTES["SET_ATTITUDE_TARGET"]
+        view = LinkView(self.hub, cast(LinkTable, None), LinkWatch(self.hub))
+        return view.setpoint_bytes_per_s(flown(sysid), self.vehicles) / FRAME_BYTES["SET_ATTITUDE_TARGET"]
 
 
-@pytest.mark.parametrize(("flown", "rate_hz"), [(1, 28), (2, 14), (3, 9), (9, 3)])
-async def test_a_radio_of_57600_baud_is_divided_among_the_vehicles_flown_over_it(flown: int, rate_hz: int) -> None:
+@pytest.mark.parametrize(("count", "rate_hz"), [(1, 28), (2, 14), (3, 9), (9, 3)])
+async def test_a_radio_of_57600_baud_is_divided_among_the_vehicles_flown_over_it(count: int, rate_hz: int) -> None:
     air = Air()
     air.hear(air.radio("radio"), *range(1, 12))
-    air.vehicles = [Flown(sysid) for sysid in range(1, flown + 1)]
-    assert [math.floor(air.rate_hz(sysid)) for sysid in range(1, flown + 1)] == [rate_hz] * flown
+    air.vehicles = [flown(sysid) for sysid in range(1, count + 1)]
+    assert [math.floor(air.rate_hz(sysid)) for sysid in range(1, count + 1)] == [rate_hz] * count
 
 
 async def test_before_it_is_flown_a_vehicle_is_told_what_it_will_have() -> None:
     air = Air()
     air.hear(air.radio("radio"), 1, 2, 3)
-    air.vehicles = [Flown(2), Flown(3)]
+    air.vehicles = [flown(2), flown(3)]
     before = air.rate_hz(1)
-    air.vehicles.append(Flown(1))
+    air.vehicles.append(flown(1))
     assert air.rate_hz(1) == before == pytest.approx(1440 / 51 / 3)
 
 
@@ -97,7 +91,7 @@ async def test_the_rate_follows_the_baud_and_radios_do_not_share() -> None:
     air = Air()
     air.hear(air.radio("slow"), 1)
     air.hear(air.radio("fast", 115200), 2)
-    air.vehicles = [Flown(1), Flown(2)]
+    air.vehicles = [flown(1), flown(2)]
     assert air.rate_hz(1) == pytest.approx(1440 / 51) and air.rate_hz(2) == pytest.approx(2880 / 51)
 
 
@@ -105,7 +99,7 @@ async def test_a_signature_on_each_setpoint_is_counted() -> None:
     air = Air()
     radio = air.radio("radio")
     air.hear(radio, 1)
-    air.vehicles = [Flown(1)]
+    air.vehicles = [flown(1)]
     radio.signing = cast(ChannelSigning, object())
     assert air.rate_hz(1) == pytest.approx(1440 / (51 + 13))
 
@@ -113,7 +107,7 @@ async def test_a_signature_on_each_setpoint_is_counted() -> None:
 async def test_what_is_no_serial_port_bounds_nothing_nor_does_a_vehicle_nobody_hears() -> None:
     air = Air()
     air.hear(air.cable("wifi"), 1)
-    air.vehicles = [Flown(1)]
+    air.vehicles = [flown(1)]
     assert math.isinf(air.rate_hz(1)) and math.isinf(air.rate_hz(77))
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import AsyncIterator, Callable, Hashable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.control import ControlSettings
+from skygcs.config.models import VehicleConfig
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin, geodetic_from_enu
@@ -25,7 +26,9 @@ from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.events import Event
-from skygcs.runtime.flight_control import NEW_STREAM_S, FlightControl
+from skygcs.runtime.offboard_engagement import NEW_STREAM_S, OffboardEngagement
+from skygcs.runtime.stream_requester import StreamRequester
+from support.services import KnownLinks, services
 from support.vehicles import HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect
 
 pytestmark = pytest.mark.looptime
@@ -94,19 +97,18 @@ class Field:
         self.mode = PX4_LOITER
         self.position_enu_m = (0.0, 0.0, 10.0)
         self.telling = True
-        self.uplink_bytes_per_s = math.inf
-        self.flight = FlightControl(
+        self.links = KnownLinks()
+        commands: Any = self.commands  # all that is used of one
+        runner: Any = SimpleNamespace(execute=self.execute, attempt_in_control=self.attempt)
+        self.offboard = OffboardEngagement(
             self.vehicle,
-            ControlSettings(**settings),
-            self.commands,  # type: ignore[arg-type]  # all that is used of one
-            flight_dialect(),
-            self.loop,
-            execute=self.execute,
-            attempt=self.attempt,
-            position_hz=2.0,
-            on_event=self.events.append,
-            log_dir=log_dir,
-            uplink_bytes_per_s=lambda: self.uplink_bytes_per_s,
+            VehicleConfig(
+                name="alpha", sysid=1, control=ControlSettings(**settings), streams={"GLOBAL_POSITION_INT": 2.0}
+            ),
+            commands,
+            runner,
+            StreamRequester(self.vehicle, commands, flight_dialect(), {}),
+            services(flight_dialect(), None, self.loop, self.events.append, links=self.links, log_dir=log_dir),
         )
         self.beat()
         self.vehicle.on_frame(self.voice.landed(2), self.loop.time())
@@ -123,7 +125,7 @@ class Field:
             await asyncio.sleep(0.02)
 
     async def close(self) -> None:
-        self.flight.close()
+        self.offboard.close()
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
 
@@ -132,7 +134,7 @@ class Field:
 
     def pong(self, ts1: int) -> None:
         frame = self.voice.say(mav.MAVLink_timesync_message(123456789, ts1))
-        self.flight.on_timesync(frame, self.loop.time())
+        self.offboard.on_timesync(frame, self.loop.time())
 
     async def attempt(self, planner: Callable[[float], Plan]) -> Outcome:
         try:
@@ -174,11 +176,11 @@ async def field(log_dir: Path, **settings: Any) -> AsyncIterator[Field]:
 async def test_it_streams_before_the_mode_and_flies_after_it(tmp_path: Path, control_mode: ControlMode) -> None:
     async with field(tmp_path) as f:
         began = f.loop.time()
-        outcome = await f.flight.engage(control_mode)
+        outcome = await f.offboard.engage(control_mode)
         assert outcome.ok and outcome.message == f"flown by {control_mode.value} setpoints", outcome
         assert [plan.order for plan in f.orders][-1] == "control"
         streamed = f.commands.sent[0][0] - began
-        assert f.flight.flying and outcome.elapsed_s > 1.0 + streamed
+        assert f.offboard.flying and outcome.elapsed_s > 1.0 + streamed
         since = f.loop.time()
         await asyncio.sleep(2.0)
         sent = f.ways(since)
@@ -190,8 +192,8 @@ async def test_it_streams_before_the_mode_and_flies_after_it(tmp_path: Path, con
 
 async def test_position_is_asked_for_faster_and_given_back(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(ControlMode.VELOCITY)
-        f.flight.release("land was ordered")
+        await f.offboard.engage(ControlMode.VELOCITY)
+        f.offboard.release("land was ordered")
         await asyncio.sleep(0.2)
         rates = [1e6 / plan.steps[0].command.params[1] for plan in f.orders if plan.order == "interval"]  # type: ignore[union-attr,operator]  # both are given
         assert rates == pytest.approx([10.0, 2.0])
@@ -201,9 +203,9 @@ async def test_position_is_asked_for_faster_and_given_back(tmp_path: Path) -> No
 async def test_a_vehicle_that_does_not_take_the_mode_is_sent_nothing_more(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.enters = False
-        outcome = await f.flight.engage(ControlMode.POSITION)
+        outcome = await f.offboard.engage(ControlMode.POSITION)
         assert not outcome.ok and "not switched over: denied: no" in outcome.message
-        assert f.flight.pilot.state is OffboardState.OFF and not f.flight.clock.running
+        assert f.offboard.controller.state is OffboardState.OFF and not f.offboard.clock.running
         since = f.loop.time()
         await asyncio.sleep(5)
         assert f.ways(since) == []
@@ -213,29 +215,29 @@ async def test_without_an_origin_or_outside_the_fence_nothing_begins(tmp_path: P
     async with field(tmp_path) as f:
         f.position_enu_m = (60.0, 0.0, 10.0)
         await asyncio.sleep(0.1)
-        assert "at x 60.0 m" in (await f.flight.engage(ControlMode.POSITION)).message
+        assert "at x 60.0 m" in (await f.offboard.engage(ControlMode.POSITION)).message
         f.vehicle.origin = None
-        assert "no origin" in (await f.flight.engage(ControlMode.POSITION)).message
+        assert "no origin" in (await f.offboard.engage(ControlMode.POSITION)).message
         assert f.commands.sent == [] and f.orders == []
 
 
 async def test_without_pongs_attitude_is_not_flown(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.commands.rtt_s = None
-        outcome = await f.flight.engage(ControlMode.ATTITUDE)
+        outcome = await f.offboard.engage(ControlMode.ATTITUDE)
         assert outcome.ok and "flown by velocity setpoints and not by attitude: round trip" in outcome.message
         assert ControlMode.ATTITUDE not in f.ways()
 
 
 async def test_the_links_budget_sets_the_pace(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        f.uplink_bytes_per_s = 1440.0
-        assert (await f.flight.engage(ControlMode.ATTITUDE)).ok
+        f.links.bytes_per_s = 1440.0
+        assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
         since = f.loop.time()
         await asyncio.sleep(5)
         assert len(f.ways(since)) == pytest.approx(5 * 28, abs=2) and set(f.ways(since)) == {ControlMode.ATTITUDE}
-        f.uplink_bytes_per_s = 720.0
-        f.flight.refresh_budget()
+        f.links.bytes_per_s = 720.0
+        f.offboard.refresh_budget()
         await asyncio.sleep(0.2)
         since = f.loop.time()
         await asyncio.sleep(1)
@@ -246,24 +248,24 @@ async def test_the_hover_thrust_is_the_files_else_the_vehicles_else_the_seeds(tm
     for told, settings, wanted in ((0.38, {}, 0.38), (None, {}, 0.45), (0.38, {"hover_thrust": 0.5}, 0.5)):
         async with field(tmp_path, **settings) as f:
             f.hover_thrust = told
-            assert (await f.flight.engage(ControlMode.ATTITUDE)).ok
-            assert f.flight.gains()["hover_thrust"] == pytest.approx(wanted)
+            assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+            assert f.offboard.gains()["hover_thrust"] == pytest.approx(wanted)
 
 
 async def test_a_hover_thrust_that_cannot_be_flown_is_refused(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.hover_thrust = 0.95
-        outcome = await f.flight.engage(ControlMode.ATTITUDE)
+        outcome = await f.offboard.engage(ControlMode.ATTITUDE)
         assert outcome.result == "refused" and "hover thrust is 0.95" in outcome.message
-        assert f.flight.pilot.state is OffboardState.OFF
+        assert f.offboard.controller.state is OffboardState.OFF
 
 
 async def test_a_newer_order_during_the_entry_takes_its_place(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        entering = asyncio.create_task(f.flight.engage(ControlMode.VELOCITY))
+        entering = asyncio.create_task(f.offboard.engage(ControlMode.VELOCITY))
         await asyncio.sleep(0.8)
-        assert f.flight.pilot.state is OffboardState.ENGAGING
-        f.flight.release("land was ordered")
+        assert f.offboard.controller.state is OffboardState.ENGAGING
+        f.offboard.release("land was ordered")
         outcome = await entering
         assert not outcome.ok and "control" not in [plan.order for plan in f.orders]
         since = f.loop.time()
@@ -273,32 +275,32 @@ async def test_a_newer_order_during_the_entry_takes_its_place(tmp_path: Path) ->
 
 async def test_a_vehicle_somebody_takes_away_is_given_no_order(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(ControlMode.VELOCITY)
+        await f.offboard.engage(ControlMode.VELOCITY)
         f.mode = PX4_RTL
         orders = len(f.orders)
         await asyncio.sleep(1)
-        assert f.flight.pilot.state is OffboardState.OFF and not f.flight.clock.running
+        assert f.offboard.controller.state is OffboardState.OFF and not f.offboard.clock.running
         assert [plan.order for plan in f.orders[orders:]] == ["interval"]  # the picture's rate again, and nothing else
         assert "took over" in f.texts()
 
 
 async def test_a_vehicle_that_goes_silent_is_held_once(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(ControlMode.VELOCITY)
+        await f.offboard.engage(ControlMode.VELOCITY)
         f.telling = False
         await asyncio.sleep(4)
-        assert f.flight.pilot.state is OffboardState.HELD
+        assert f.offboard.controller.state is OffboardState.HELD
         assert [plan.order for plan in f.orders].count("hold") == 1
-        refused = f.flight.fly_to(place(1, 1, 10), None)
+        refused = f.offboard.fly_to(place(1, 1, 10), None)
         assert refused.result == "refused" and "it is held: state is" in refused.message
 
 
 async def test_a_fault_of_ours_ends_control_and_holds(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(ControlMode.VELOCITY)
+        await f.offboard.engage(ControlMode.VELOCITY)
         f.commands.fails = ValueError("a bug")
         await asyncio.sleep(0.5)
-        assert f.flight.pilot.state is OffboardState.OFF and not f.flight.clock.running
+        assert f.offboard.controller.state is OffboardState.OFF and not f.offboard.clock.running
         assert [plan.order for plan in f.orders].count("hold") == 1
         assert [e.kind for e in f.events].count("fault") == 1 and "ValueError('a bug')" in f.texts()
 
@@ -306,62 +308,62 @@ async def test_a_fault_of_ours_ends_control_and_holds(tmp_path: Path) -> None:
 async def test_places_and_setpoints_are_taken_only_while_it_flies_and_within_the_fence(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         stream = Setpoint(place(1, 2, 10))
-        for refused in (f.flight.fly_to(place(1, 1, 10), None), f.flight.follow(stream, 0.5)):
+        for refused in (f.offboard.fly_to(place(1, 1, 10), None), f.offboard.follow(stream, 0.5)):
             assert not refused.ok and "control set alpha position" in refused.message
-        await f.flight.engage(ControlMode.VELOCITY)
-        assert f.flight.fly_to(place(10, -10, 12), 0.0).ok
-        assert "the fence less 2 m" in f.flight.fly_to(place(49, 0, 12), None).message
-        assert f.flight.follow(stream, 0.5).ok
-        assert "valid_s 60" in f.flight.follow(stream, 60.0).message
-        assert "x 80.0" in f.flight.follow(Setpoint(place(80, 0, 10)), 0.5).message
+        await f.offboard.engage(ControlMode.VELOCITY)
+        assert f.offboard.fly_to(place(10, -10, 12), 0.0).ok
+        assert "the fence less 2 m" in f.offboard.fly_to(place(49, 0, 12), None).message
+        assert f.offboard.follow(stream, 0.5).ok
+        assert "valid_s 60" in f.offboard.follow(stream, 60.0).message
+        assert "x 80.0" in f.offboard.follow(Setpoint(place(80, 0, 10)), 0.5).message
         climb = Setpoint(place(5, 0, 0), (0.0, 0.0, 0.5), free_z=True)
-        assert f.flight.follow(climb, 0.5).ok  # a height it does not have is not held against it
-        assert "up 40.0" in f.flight.follow(Setpoint(place(0, 0, 40), free_xy=True), 0.5).message
+        assert f.offboard.follow(climb, 0.5).ok  # a height it does not have is not held against it
+        assert "up 40.0" in f.offboard.follow(Setpoint(place(0, 0, 40), free_xy=True), 0.5).message
 
 
 async def test_a_stream_in_the_old_frame_ends_with_it(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(ControlMode.VELOCITY)
-        f.flight.follow(Setpoint(place(10, 0, 10)), 0.5)
-        f.flight.origin_changed()
-        assert not f.flight.pilot.streaming and "the origin changed" in f.texts()
-        assert "origin changed under this stream" in f.flight.follow(Setpoint(place(10, 0, 10)), 0.5).message
+        await f.offboard.engage(ControlMode.VELOCITY)
+        f.offboard.follow(Setpoint(place(10, 0, 10)), 0.5)
+        f.offboard.origin_changed()
+        assert not f.offboard.controller.streaming and "the origin changed" in f.texts()
+        assert "origin changed under this stream" in f.offboard.follow(Setpoint(place(10, 0, 10)), 0.5).message
         await asyncio.sleep(NEW_STREAM_S + 0.01)
-        assert f.flight.follow(Setpoint(place(10, 0, 10)), 0.5).ok
+        assert f.offboard.follow(Setpoint(place(10, 0, 10)), 0.5).ok
         f.events.clear()
         await asyncio.sleep(1.0)
-        f.flight.origin_changed()  # nobody leads it now
+        f.offboard.origin_changed()  # nobody leads it now
         assert "the origin changed" not in f.texts()
 
 
 async def test_gains_change_in_flight_and_stay_but_not_to_what_cannot_fly(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
-        await f.flight.engage(ControlMode.ATTITUDE)
-        assert f.flight.change_gains({"xy": {"vel_p": 0.07}, "hover_thrust": 0.5}).ok
-        assert f.flight.gains()["xy"] == {"pos_p_per_s": 0.95, "vel_p": 0.07, "vel_i": 0.02, "vel_d": 0.0}
-        refused = f.flight.change_gains({"hover_thrust": 0.95})
+        await f.offboard.engage(ControlMode.ATTITUDE)
+        assert f.offboard.change_gains({"xy": {"vel_p": 0.07}, "hover_thrust": 0.5}).ok
+        assert f.offboard.gains()["xy"] == {"pos_p_per_s": 0.95, "vel_p": 0.07, "vel_i": 0.02, "vel_d": 0.0}
+        refused = f.offboard.change_gains({"hover_thrust": 0.95})
         assert refused.result == "refused" and "hover_thrust" in refused.message and "\n" not in refused.message
-        assert "force" in f.flight.change_gains({"z": {"vel_p": 2.0}}).message
-        assert f.flight.gains()["hover_thrust"] == 0.5
-        assert f.flight.change_gains({"z": {"vel_p": 2.0}}, force=True).ok
-        f.flight.release("off")
+        assert "force" in f.offboard.change_gains({"z": {"vel_p": 2.0}}).message
+        assert f.offboard.gains()["hover_thrust"] == 0.5
+        assert f.offboard.change_gains({"z": {"vel_p": 2.0}}, force=True).ok
+        f.offboard.release("off")
         await asyncio.sleep(3)
         f.mode = PX4_LOITER
         await asyncio.sleep(0.1)
-        await f.flight.engage(ControlMode.ATTITUDE)
-        assert f.flight.gains()["z"]["vel_p"] == 2.0  # what was changed by hand outlives an engagement
+        await f.offboard.engage(ControlMode.ATTITUDE)
+        assert f.offboard.gains()["z"]["vel_p"] == 2.0  # what was changed by hand outlives an engagement
 
 
 async def test_a_trace_is_a_file_per_flight_with_a_row_per_tick(tmp_path: Path) -> None:
     async with field(tmp_path / "logs") as f:
-        assert f.flight.record(True) is None  # nothing to trace yet
-        await f.flight.engage(ControlMode.ATTITUDE)
-        path = f.flight.recording
-        assert path is not None and f.flight.status(f.loop.time())["recording"] == str(path)
+        assert f.offboard.record(True) is None  # nothing to trace yet
+        await f.offboard.engage(ControlMode.ATTITUDE)
+        path = f.offboard.recording
+        assert path is not None and f.offboard.status(f.loop.time())["recording"] == str(path)
         await asyncio.sleep(1.0)
-        ticks = f.flight.clock.ticks
-        f.flight.release("land was ordered")
-        assert f.flight.recording is None
+        ticks = f.offboard.clock.ticks
+        f.offboard.release("land was ordered")
+        assert f.offboard.recording is None
         with path.open(encoding="ascii", newline="") as lines:
             rows = [entry.row for entry in decode(lines)]
         assert len(rows) == ticks and {row.control_mode for row in rows} >= {"attitude"}
@@ -371,17 +373,17 @@ async def test_a_trace_is_a_file_per_flight_with_a_row_per_tick(tmp_path: Path) 
 async def test_a_full_disk_ends_the_trace_and_not_the_flight(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("no folder")
     async with field(tmp_path / "logs") as f:
-        f.flight.record(True)
-        assert (await f.flight.engage(ControlMode.VELOCITY)).ok
+        f.offboard.record(True)
+        assert (await f.offboard.engage(ControlMode.VELOCITY)).ok
         await asyncio.sleep(1)
-        assert f.flight.flying and f.flight.recording is None and "traced no more" in f.texts()
+        assert f.offboard.flying and f.offboard.recording is None and "traced no more" in f.texts()
         assert f.texts().count("traced no more") == 1
 
 
 async def test_somebody_elses_timesync_is_no_pong(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         request = f.voice.say(mav.MAVLink_timesync_message(0, 5))
-        f.flight.on_timesync(request, f.loop.time())
-        assert f.flight.pilot.delay.strange == 0
-        f.flight.on_timesync(f.voice.say(mav.MAVLink_timesync_message(7, 5)), f.loop.time())
-        assert f.flight.pilot.delay.strange == 1 and f.flight.pilot.delay.rtt_p95_s is None
+        f.offboard.on_timesync(request, f.loop.time())
+        assert f.offboard.controller.delay.strange == 0
+        f.offboard.on_timesync(f.voice.say(mav.MAVLink_timesync_message(7, 5)), f.loop.time())
+        assert f.offboard.controller.delay.strange == 1 and f.offboard.controller.delay.rtt_p95_s is None

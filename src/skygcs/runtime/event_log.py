@@ -1,0 +1,95 @@
+"""Every event of the daemon: limited in rate, logged, kept for a while, and given to subscribers."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import structlog
+
+from skygcs.core.vehicle.event_limiter import EventLimiter
+from skygcs.events import Event
+
+MAX_EVENTS = 1000
+"""Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
+
+QUIET_KINDS = frozenset({"statustext", "command", "route"})
+"""Kinds logged at level debug: they are no changes of the daemon's own state."""
+
+WARNING_KINDS = frozenset({"warning", "fault", "undo", "uplink_lost"})
+
+Handler = Callable[[Event], None]
+Watcher = Callable[[dict[str, Any]], None]
+
+log = structlog.get_logger("skygcs")
+
+
+class EventLog:
+    """`publish` each event, `tick` some times a second, `flush` at the end."""
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self.recent: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
+        self._now = now
+        self._limiter = EventLimiter()
+        self._handlers: defaultdict[str, list[Handler]] = defaultdict(list)
+        self._watchers: list[Watcher] = []
+
+    def publish(self, event: Event) -> None:
+        """Act on it, then log it unless too many of its kind came (`EventLimiter`)."""
+        for handler in self._handlers.get(event.kind, ()):
+            handler(event)
+        self._log_all(self._limiter.offer(event, self._now()))
+
+    def on(self, kind: str, handler: Handler) -> None:
+        """Call ``handler`` with every event of this kind, also with those that are not logged."""
+        self._handlers[kind].append(handler)
+
+    def subscribe(self, watcher: Watcher) -> Callable[[], None]:
+        """Call ``watcher`` with every event from now on; returns how to stop it."""
+        self._watchers.append(watcher)
+
+        def remove() -> None:
+            if watcher in self._watchers:
+                self._watchers.remove(watcher)
+
+        return remove
+
+    def tick(self) -> None:
+        """Log summaries of events that were held back."""
+        self._log_all(self._limiter.tick(self._now()))
+
+    def flush(self) -> None:
+        """Log all that is held back."""
+        self._log_all(self._limiter.flush(self._now()))
+
+    def _log_all(self, events: Iterable[Event]) -> None:
+        for event in events:
+            self._log(event)
+
+    def _log(self, event: Event) -> None:
+        """Log it, keep it, give it to subscribers. A subscriber that fails is removed."""
+        record = {
+            "time_unix_s": round(time.time(), 3),
+            "kind": event.kind,
+            "vehicle": event.vehicle,
+            "sysid": event.sysid,
+            "text": event.text,
+            "data": event.data,
+        }
+        self.recent.append(record)
+        level = log.debug if event.kind in QUIET_KINDS else log.warning if _is_warning(event) else log.info
+        level(event.text, kind=event.kind, **({"vehicle": event.vehicle} if event.vehicle else {}))
+        for watcher in tuple(self._watchers):
+            try:
+                watcher(record)
+            except Exception as error:
+                self._watchers.remove(watcher)
+                log.error("an event watcher failed and was removed", error=repr(error))
+
+
+def _is_warning(event: Event) -> bool:
+    """True for what a person should look at although the daemon goes on: a link that is down (not one that has come to
+    its end), an internal fault, a warning."""
+    return event.kind in WARNING_KINDS or (event.kind == "link_down" and not event.data.get("finished"))

@@ -1,0 +1,189 @@
+"""What the links leave to each vehicle, and how well each vehicle is heard: losses, signal, bytes left to setpoints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.header import SIGNATURE_BYTES
+from skygcs.core.mavlink.msgids import HEARTBEAT
+from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.preflight.losses import LossWindow
+from skygcs.core.radio_link.capacity import FRAME_BYTES, OFFBOARD_LOSS_S, OFFBOARD_MIN_HZ
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.links.base import Channel
+from skygcs.links.serial import SerialLink
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.signing_keys import why_silent
+
+DB_PER_COUNT = 1 / 1.9
+"""Scale of a SiK radio's rssi and noise: dBm = count / 1.9 - 127 (SiK's documentation of RADIO_STATUS)."""
+
+RADIO_FRESH_S = 10.0
+"""A radio reports once a second while it hears the other end."""
+
+UNKNOWN = 255
+"""UINT8_MAX: invalid or unknown (common.xml)."""
+
+SETPOINT_SHARE = 0.25
+"""Share of a serial link's bytes per second for the setpoints of all vehicles behind it. A half-duplex radio shares its
+air between both directions: half of it is the fleet's telemetry (field-notes 10.2), commands and ground stations have
+the rest. At 57600 baud 1440 B/s: 28 attitude setpoints of 51 B a second, for one vehicle or divided among several."""
+
+BUDGET_SHARE = 0.5
+"""Share of a radio's uplink, where that is known better than from the serial rate: its timeslots, its own reports.
+Without them it is the same number, for half of the serial rate is the uplink."""
+
+SIGNED_SHARE = FRAME_BYTES["SET_ATTITUDE_TARGET"] / (FRAME_BYTES["SET_ATTITUDE_TARGET"] + SIGNATURE_BYTES)
+"""What is left where each frame ends in a signature."""
+
+BITS_PER_BYTE = 10
+"""8N1: start bit, eight, stop bit."""
+
+GUIDED_MIN_HZ = 1.0
+"""ArduPilot stops 3 s after the last position or velocity (field-notes 10.5): two may be lost."""
+
+STREAMED = "SET_POSITION_TARGET_LOCAL_NED"
+"""The longest of the setpoints, as long as SET_POSITION_TARGET_GLOBAL_INT."""
+
+
+@dataclass(slots=True)
+class _Radio:
+    margin_db: float
+    at: float
+
+
+class LinkWatch:
+    """`tick` once a second; `on_radio` for every RADIO_STATUS. Never more entries than the hub has sources."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._losses: dict[tuple[int, int], LossWindow] = {}
+        self._radios: dict[int, _Radio] = {}
+
+    def tick(self, now: float) -> None:
+        """Sample the counters of every source of every channel."""
+        seen: dict[tuple[int, int], LossWindow] = {}
+        for channel_id, channel in self._hub.channels.items():
+            for key, stats in channel.sources.items():
+                window = self._losses.get((channel_id, key)) or LossWindow()
+                window.sample(stats.frames, stats.lost, now)
+                seen[channel_id, key] = window
+        self._losses = seen
+        self._radios = {n: radio for n, radio in self._radios.items() if n in self._hub.channels}
+
+    def on_radio(self, frame: Frame, channel: Channel, now: float) -> None:
+        """A radio at our end reports on both ends; a recorded one is ignored."""
+        if channel.config.type == "replay":
+            return
+        if channel.air is not None:
+            channel.air.on_radio(frame, channel.tx_bytes, now)
+        fields = frame.fields()
+        ends = [(fields["rssi"], fields["noise"]), (fields["remrssi"], fields["remnoise"])]
+        margins = [(rssi - noise) * DB_PER_COUNT for rssi, noise in ends if 0 < rssi < UNKNOWN and noise < UNKNOWN]
+        if margins:
+            self._radios[channel.id] = _Radio(min(margins), now)
+
+    def of(self, key: int, now: float) -> dict[str, LinkFacts]:
+        """By link, how a vehicle (sysid << 8 | compid) is heard; if one link has several peers, the one that supplies
+        its state."""
+        facts: dict[str, LinkFacts] = {}
+        for channel_id in self._hub.router.channels_of(key):
+            link = self._hub.channels[channel_id].link.name
+            if link in facts:
+                continue
+            window, radio = self._losses.get((channel_id, key)), self._radios.get(channel_id)
+            facts[link] = LinkFacts(
+                loss=None if window is None else window.loss(),
+                frames=0 if window is None else window.frames(),
+                margin_db=None if radio is None or now - radio.at > RADIO_FRESH_S else radio.margin_db,
+            )
+        return facts
+
+
+class LinkView:
+    """What the fleet asks about the links (`vehicle_services.VehicleLinks`)."""
+
+    def __init__(self, hub: Hub, links: LinkTable, watch: LinkWatch) -> None:
+        self._hub = hub
+        self._links = links
+        self._watch = watch
+
+    def facts(self, key: int, now: float) -> dict[str, LinkFacts]:
+        """See `LinkWatch.of`."""
+        return self._watch.of(key, now)
+
+    def is_replayed(self, key: int) -> bool:
+        """True if this source (sysid << 8 | compid) is heard in a recording only."""
+        return key in self._hub.replayed
+
+    def forget_flows(self) -> None:
+        """See `Hub.forget_flows`."""
+        self._hub.forget_flows()
+
+    def may_broadcast(self) -> bool:
+        """False if a link drops the frames of some sources: a vehicle that is dropped there would still hear us."""
+        return not any(
+            link.enabled
+            and (link.allow_src_sys_in or link.block_src_sys_in or link.allow_src_comp_in or link.block_src_comp_in)
+            for link in self._links.configs.values()
+        )
+
+    def why_silent(self, vehicle: Vehicle) -> str:
+        """Why a vehicle may not answer although it is heard: the end of a sentence, or ""."""
+        slot = vehicle.slots.get(HEARTBEAT)
+        links = [self._hub.channels[i].config for i in self._hub.ways(vehicle.sysid, vehicle.compid)]
+        return why_silent(None if slot is None else slot.frame, links)
+
+    def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
+        """Why no stream of setpoints can be kept up to this vehicle over the radio it is behind; None if it can."""
+        px4 = vehicle.family == "px4"
+        least_hz = OFFBOARD_MIN_HZ if px4 else GUIDED_MIN_HZ
+        needed = least_hz * FRAME_BYTES[STREAMED]
+        instead = "; send it places instead (skygcs-cli goto), fly fewer by setpoints, or raise the radio's air speed"
+        for channel_id in self._hub.ways(vehicle.sysid, vehicle.compid):
+            # only radios are narrow
+            air = self._hub.channels[channel_id].air
+            if air is None:
+                continue
+            # PX4 leaves OFFBOARD between two rounds of a slow multipoint radio
+            round_s = air.pacer.rates.round_s(air.pacer.vehicles)
+            if px4 and round_s is not None and round_s > 1 / OFFBOARD_MIN_HZ:
+                return (
+                    f"the ground's radio sends once a round, every {round_s:.2f} s; PX4 wants setpoints at "
+                    f"{OFFBOARD_MIN_HZ:g} Hz and leaves OFFBOARD after {OFFBOARD_LOSS_S:g} s without one{instead}"
+                )
+            # or the share of the radio is too small
+            share = self.setpoint_bytes_per_s(vehicle, flown)
+            if share < needed:
+                return (
+                    f"the radio leaves {share:.0f} B/s to setpoints for it, and {least_hz:g} Hz of "
+                    f"{FRAME_BYTES[STREAMED]} bytes are {needed:.0f}{instead}"
+                )
+        return None
+
+    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
+        """This vehicle's share of the narrowest channel that leads to it; infinite where none is serial or a radio."""
+        ids = (vehicle.sysid, vehicle.compid)
+        least = math.inf
+        for channel_id in self._hub.ways(*ids):
+            channel = self._hub.channels[channel_id]
+            link = channel.link
+            if channel.air is not None and channel.air.queue.budget is not None:
+                setpoints = BUDGET_SHARE * channel.air.queue.budget.bytes_per_s
+            elif isinstance(link, SerialLink):
+                setpoints = SETPOINT_SHARE * link.baud / BITS_PER_BYTE
+            else:
+                continue
+            if channel.signing is not None:
+                setpoints *= SIGNED_SHARE
+            others = sum(
+                channel_id in self._hub.ways(other.sysid, other.compid)
+                for other in flown
+                if (other.sysid, other.compid) != ids
+            )
+            least = min(least, setpoints / (others + 1))
+        return least

@@ -1,0 +1,101 @@
+"""What the actors of a fleet's vehicles share: the daemon's ids, clock and journal, and what is known of the links."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from skygcs.core.mavlink.dialect import Dialect
+from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
+from skygcs.runtime.command_client import SendFn
+from skygcs.runtime.param_cache import ParamCache
+from skygcs.runtime.undo_journal import UndoJournal
+
+OnEvent = Callable[[Event], None]
+
+
+class VehicleLinks(Protocol):
+    """The links to a fleet's vehicles (`link_view.LinkView`). ``flown``: all vehicles that are flown by setpoints."""
+
+    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
+        """The rate that the links to this vehicle leave to setpoints for it; infinite where none is narrow."""
+        ...
+
+    def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
+        """Why no stream of setpoints can be kept up to this vehicle; None if it can."""
+        ...
+
+    def facts(self, key: int, now: float) -> Mapping[str, LinkFacts]:
+        """How well a vehicle (sysid << 8 | compid) is heard, by link."""
+        ...
+
+    def why_silent(self, vehicle: Vehicle) -> str:
+        """Why a vehicle may not answer although it is heard: the end of a sentence, or ""."""
+        ...
+
+    def may_broadcast(self) -> bool:
+        """True if no link could carry a frame for all vehicles to one that is not in the fleet."""
+        ...
+
+    def is_replayed(self, key: int) -> bool:
+        """True if this source is heard in a recording only."""
+        ...
+
+    def forget_flows(self) -> None:
+        """Vehicles or components came or went: what was cached about how their frames are handled is out of date."""
+        ...
+
+
+class WideLinks:
+    """Links without limits, of which nothing is known."""
+
+    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
+        return math.inf
+
+    def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
+        return None
+
+    def facts(self, key: int, now: float) -> Mapping[str, LinkFacts]:
+        return {}
+
+    def why_silent(self, vehicle: Vehicle) -> str:
+        return ""
+
+    def may_broadcast(self) -> bool:
+        return True
+
+    def is_replayed(self, key: int) -> bool:
+        return False
+
+    def forget_flows(self) -> None:
+        pass
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleServices:
+    """Made once by the fleet and given to every actor."""
+
+    own: tuple[int, int]
+    """Our system and component id."""
+    dialect: Dialect
+    send: SendFn
+    """`Hub.send`."""
+    loop: asyncio.AbstractEventLoop
+    on_event: OnEvent
+    links: VehicleLinks
+    flown: Callable[[], Iterable[Vehicle]]
+    """All vehicles that are flown by setpoints, which share the links."""
+    param_cache: ParamCache
+    journal: UndoJournal
+    """Changes that are to be undone."""
+    log_dir: Path = Path("logs")
+    """For traces of control and records of fence tests."""
+    preflight_valid_s: float = math.inf
+    probes: bool = False
+    """Whether vehicles are asked now and then if they hear us."""
