@@ -57,7 +57,7 @@ def test_two_radios_are_provisioned_and_the_one_that_fails_is_told_from_the_othe
         told = cli(tmp_path, *words, "--json", code=1)
         radios = json.loads(told)["radios"]
         assert [r["ok"] for r in radios] == [True, False]
-        assert radios[1]["told"] == [
+        assert radios[1]["messages"] == [
             "the radio refused DUTY_CYCLE=90 (S11)",
             "nothing was saved; the radio was restarted and is as it was",
         ]

@@ -159,11 +159,11 @@ class Demo:
         if not self.console.is_terminal:
             self.console.print(step)
 
-    def view(self) -> Table:
-        """The live table."""
+    def view(self, columns: int) -> Table:
+        """The live table, for a terminal with so many columns."""
         grid = Table.grid()
         grid.add_row(f"[bold]skygcs demo[/bold]  {self.step}")
-        grid.add_row(status_table(list(self.states.values())))
+        grid.add_row(status_table(list(self.states.values()), width=columns))
         return grid
 
 
@@ -239,7 +239,7 @@ async def _show_flight(script: Demo, daemon: Daemon, console: Console) -> None:
     flying = asyncio.create_task(fly(), name="demo flight")
     stopped = asyncio.create_task(daemon.stopped(), name="demo stopped")
     try:
-        with LiveView(lambda _: script.view(), enabled=console.is_terminal) as view:
+        with LiveView(script.view, enabled=console.is_terminal) as view:
             while not flying.done() and not stopped.done():
                 await asyncio.wait({flying, stopped}, timeout=REFRESH_S, return_when=asyncio.FIRST_COMPLETED)
                 view.refresh(now=True)

@@ -339,6 +339,7 @@ def show_brief(answer: Answer) -> None:
 def show(answer: Answer) -> None:
     """Print the answer for a person."""
     screen = console()
+    # the gains, their loops and margins
     for axis, gains in answer["gains"].items():
         screen.print(f"[bold]{axis}[/bold]  {gains_text(gains)}")
     screen.print()
@@ -351,6 +352,7 @@ def show(answer: Answer) -> None:
             "(λ rule: Kp/λ, Kv/λ, Ki/λ²)"
         )
         screen.print(_suggestions_table(answer))
+    # step responses, and what the plants mean
     screen.print()
     screen.print(_steps_table(answer))
     screen.print()
@@ -360,6 +362,7 @@ def show(answer: Answer) -> None:
             "\nPlant thrust (G = g/hover) is what normalised thrust does: use it for flight. "
             "Plant tilt is the analysis of the UTIAS report."
         )
+    # for the gains of the UTIAS report also its Eq. 16
     if (rows := answer["utias_eq16"]) is not None:
         screen.print("\n[bold]Eq. 16 of the UTIAS report[/bold]: the polynomial as (s + K'Px) (s² + K'Pv s + K'Iv)")
         screen.print(_eq16_table(rows))

@@ -21,33 +21,37 @@ from skygcs.rpc.address import SOCKET_VARIABLE, TOKEN_FILE_VARIABLE
 
 GLOBAL_OPTIONS = ("--socket", "--token-file")
 
-MODULES = {
-    "status": ("status", "components", "watch", "events", "info", "call", "discover"),
-    "preflight": ("preflight",),
-    "orders": (
-        *("arm", "takeoff", "goto", "hold", "mode", "rtl", "land", "disarm", "stop"),
-        *("reboot", "sysid", "forget", "home", "interval", "stream", "command"),
+COMMANDS = (
+    ("status", ("status", "components", "watch", "events", "info")),
+    ("preflight", ("preflight",)),
+    (
+        "orders",
+        (
+            *("arm", "takeoff", "goto", "hold", "mode", "rtl", "land", "disarm", "stop"),
+            *("reboot", "sysid", "forget", "home", "interval", "stream", "command"),
+        ),
     ),
-    "control": ("track", "control"),
-    "setpoint": ("setpoint",),
-    "table": ("table",),
-    "messages": ("message",),
-    "links": ("links", "link"),
-    "origin": ("origin",),
-    "missions": ("mission",),
-    "fences": ("fence", "undo"),
-    "params": ("param",),
-    "radio": ("radio",),
-    "corrections": ("corrections",),
-    "signing": ("signing",),
-    "gains": ("gains",),
-    "plot": ("plot",),
-    "tlog": ("tlog",),
-}
-"""The commands that each module's ``add_to(app)`` adds, in the order of the help. A module is imported when one of its
+    ("control", ("track", "control")),
+    ("setpoint", ("setpoint",)),
+    ("table", ("table",)),
+    ("messages", ("message",)),
+    ("links", ("links", "link")),
+    ("origin", ("origin",)),
+    ("missions", ("mission",)),
+    ("fences", ("fence", "undo")),
+    ("params", ("param",)),
+    ("radio", ("radio",)),
+    ("corrections", ("corrections",)),
+    ("signing", ("signing",)),
+    ("gains", ("gains",)),
+    ("plot", ("plot",)),
+    ("tlog", ("tlog",)),
+    ("status", ("call", "discover")),
+)
+"""Modules, and commands that their ``add_to(app)`` adds, in the order of the help. A module is imported when one of its
 commands is called: importing all of them takes longer than `status` does."""
 
-_MODULE_OF = {name: module for module, names in MODULES.items() for name in names}
+_MODULE_OF = {name: module for module, names in COMMANDS for name in names}
 
 
 class _Commands(Mapping[str, Any]):
@@ -79,7 +83,7 @@ def command_name(command: CommandInfo) -> str | None:
 
 
 class _RootGroup(TyperGroup):
-    """Finds the commands of `MODULES`, and accepts the global options before and after the command."""
+    """Finds the commands of `COMMANDS`, and accepts the global options before and after the command."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)

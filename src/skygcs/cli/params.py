@@ -273,9 +273,11 @@ def diff_(
             print_lines((*difference_lines(first, second, found), *notes))
         return Exit.FAILED if found else Exit.DONE
 
+    # two files: no daemon is needed
     if all(_is_file(name) for name in (first, second)):
         run_offline(lambda: compare(from_file(first), from_file(second)))
 
+    # at least one vehicle
     async def command(gcs: Client) -> int:
         sides = []
         for name in (first, second):
@@ -291,7 +293,7 @@ def diff_(
 
 @params.command("cancel")
 def cancel(targets: Targets) -> None:
-    """Stop all reading and setting of parameters, whoever started it."""
+    """Stop all reading and setting of parameters, by any program."""
 
     async def command(gcs: Client) -> None:
         for name, count in (await gcs.call("params.cancel", targets=targets)).items():

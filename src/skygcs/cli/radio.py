@@ -558,7 +558,7 @@ def _ledger_json(where: str, ledger: Ledger) -> dict[str, Any]:
         "verified": ledger.verified,
         "undone": ledger.undone,
         "differs": ledger.differs,
-        "told": ledger.sentences(),
+        "messages": ledger.sentences(),
     }
 
 

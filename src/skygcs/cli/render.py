@@ -101,7 +101,10 @@ def table(
     right, wrap = frozenset(right), frozenset(wrap)
     for column in columns:
         made.add_column(
-            Text(column), justify="right" if column in right else "left", no_wrap=column not in wrap, overflow="fold"
+            Text(column),
+            justify="right" if column in right else "left",
+            no_wrap=column not in wrap,
+            overflow="fold" if column in wrap else "ellipsis",
         )
     for i, row in enumerate(rows):
         cells = (Text(cell) if isinstance(cell, str) else Text(cell[0], style=cell[1]) for cell in row)

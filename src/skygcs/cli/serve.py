@@ -89,6 +89,7 @@ def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     sim.add_argument("--px4", type=int, default=1, metavar="N", help="number of PX4 quadrotors (default 1)")
     sim.add_argument("--ardupilot", type=int, default=1, metavar="N", help="number of ArduCopters (default 1)")
     sim.add_argument("--first-sysid", type=int, default=1, metavar="ID")
+    # how the vehicles are reached
     where = sim.add_mutually_exclusive_group()
     where.add_argument("--udp", metavar="HOST:PORT", help="send to this address (default 127.0.0.1:14550)")
     where.add_argument("--tcp", metavar="HOST:PORT", help="listen there; every connection receives all vehicles")
@@ -99,6 +100,7 @@ def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
         help="with --pty: emulated multipoint radios of this air speed; loss=0.02, burst_loss, nodes, baud, rtscts",
     )
     sim.add_argument("--separate-ports", action="store_true", help="with --udp: one socket per vehicle")
+    # where they are, and how they fly
     sim.add_argument("--home", default="43.7806,-79.4653,180", metavar="LAT,LON,AMSL")
     sim.add_argument("--seed", type=int, default=1)
     sim.add_argument("--speedup", type=float, default=1.0, help="simulated seconds per second")

@@ -96,6 +96,7 @@ def setpoint(
     From your own program: `./my-planner | skygcs-cli setpoint alpha --stdin`, one line each: {"pos": [5, -3, 10]} or
     5,-3,10. Level flight: `--vel 1 0 - --pos - - 10`. When the setpoints end, vehicles stay where they then are.
     """
+    # the setpoint of the options, or standard input
     given = _given(position, velocity, yaw)
     if stdin and (given or duration_s is not None):
         raise typer.BadParameter("--stdin supplies the setpoints: give no --pos, --vel, --yaw or --for with it")
@@ -104,6 +105,7 @@ def setpoint(
             given = checked(given)
         except LineError as error:
             raise typer.BadParameter(f"{error}: give --pos X Y Z, --vel X Y Z, or --stdin") from None
+    # rate and validity
     within("--rate", rate_hz, LEAST_HZ, LARGEST_HZ)
     within("--for", duration_s, 0.0, 86400.0)
     within("--valid", valid_s, 0.1, LARGEST_VALID_S)
@@ -418,7 +420,7 @@ async def repeat(sender: Sender, targets: str, setpoint: Setpoint, rate_hz: floa
         await asyncio.sleep(began + tick / rate_hz - clock())
 
 
-class Inbox:
+class SetpointInbox:
     """Setpoints that wait to be sent. ``newest_only``: for each vehicle the newest one."""
 
     def __init__(self, targets: str, tally: SetpointTally, report: Callable[[str], None], *, newest_only: bool) -> None:
@@ -490,7 +492,8 @@ async def forward(sender: Sender, targets: str, source: AsyncIterator[bytes], ra
     Without a rate the source sets the pace: a line is sent when it arrives, only the newest if lines arrive faster than
     the daemon answers. With a rate all are sent one after the other, so many per second, for example from a file.
     """
-    inbox = Inbox(targets, sender.tally, sender.report, newest_only=rate_hz is None)
+    # one task reads lines into the inbox
+    inbox = SetpointInbox(targets, sender.tally, sender.report, newest_only=rate_hz is None)
     clock = asyncio.get_running_loop().time
 
     async def fill() -> None:
@@ -503,6 +506,7 @@ async def forward(sender: Sender, targets: str, source: AsyncIterator[bytes], ra
             inbox.feed(b"")
 
     filling = asyncio.create_task(fill(), name="setpoint lines")
+    # this one sends what is in it
     refused = 0
     due = clock()
     try:

@@ -11,9 +11,10 @@ import typer
 import typer.main
 from typer.testing import CliRunner
 
-from skygcs.cli.main import MODULES, app, command_name
+from skygcs.cli.main import COMMANDS, app, command_name
 
-NAMES = [name for names in MODULES.values() for name in names]
+NAMES = [name for _, names in COMMANDS for name in names]
+MODULES = {module: [n for m, names in COMMANDS for n in names if m == module] for module, _ in COMMANDS}
 
 
 @pytest.mark.parametrize("module", MODULES)
@@ -49,9 +50,9 @@ HEAVY = ("numpy", "matplotlib", "pydantic", "serial", "pymavlink", "pyarrow", "u
 )
 def test_a_line_imports_the_module_of_its_command_only(line: str, module: str) -> None:
     code = (
-        "import sys; from skygcs.cli.main import MODULES, app\n"
+        "import sys; from skygcs.cli.main import COMMANDS, app\n"
         "app(sys.argv[1:], standalone_mode=False)\n"
-        "print([m for m in MODULES if f'skygcs.cli.{m}' in sys.modules], file=sys.stderr)\n"
+        "print([m for m, _ in COMMANDS if f'skygcs.cli.{m}' in sys.modules], file=sys.stderr)\n"
     )
     done = subprocess.run([sys.executable, "-c", code, *line.split()], capture_output=True, text=True, timeout=120)
     assert done.stderr.splitlines()[-1] == f"['{module}']"

@@ -10,7 +10,16 @@ from typing import Any
 
 import pytest
 
-from skygcs.cli.setpoint import MOST_REFUSED, MOST_WAITING, Inbox, Sender, SetpointTally, bytes_of, forward, repeat
+from skygcs.cli.setpoint import (
+    MOST_REFUSED,
+    MOST_WAITING,
+    Sender,
+    SetpointInbox,
+    SetpointTally,
+    bytes_of,
+    forward,
+    repeat,
+)
 from skygcs.errors import RpcError
 from support.controlled import Commanded, commanded
 
@@ -225,7 +234,7 @@ async def test_a_vehicle_that_keeps_refusing_ends_it() -> None:
 
 def test_of_more_vehicles_than_there_can_be_the_oldest_go() -> None:
     tally = SetpointTally()
-    inbox = Inbox("alpha", tally, lambda _: None, newest_only=True)
+    inbox = SetpointInbox("alpha", tally, lambda _: None, newest_only=True)
     for i in range(MOST_WAITING + 5):
         inbox.feed(f'{{"vehicle": "v{i}", "pos": [1, 2, 3]}}\n'.encode())
     assert tally.skipped == 5
