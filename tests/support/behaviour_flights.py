@@ -369,7 +369,8 @@ def beyond_the_fence(rig: Rig) -> Figures:
     rig.stream = lambda t: local_target(rig, VELOCITY_MASK, vel=(0, 3, 0))
     rig.run(0.3)
     if rig.px4:
-        rig.set_mode(PX4_OFFBOARD)
+        assert rig.set_mode(PX4_OFFBOARD) == 0
+        rig.wait(lambda: rig.mode == PX4_OFFBOARD, 3, "it is in OFFBOARD")
     first = len(rig.modes)
     rig.wait(lambda: rig.here.north_m > 20 or len(rig.modes) > first, 20)
     rig.run(4)
@@ -387,20 +388,30 @@ def beyond_the_fence(rig: Rig) -> Figures:
     return figures
 
 
+def home_of(rig: Rig) -> tuple[float, float]:
+    """Where its home is, east and north of the place of the take-off: an ArduCopter keeps one that was set."""
+    rig.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_HOME_POSITION)
+    rig.run(0.5)
+    home = rig.heard["HOME_POSITION"]
+    east_m, north_m = FIELD.to_local(home.latitude / 1e7, home.longitude / 1e7)
+    return east_m - rig.base[0], north_m - rig.base[1]
+
+
 def returns(rig: Rig) -> Figures:
     """From 20, 6 and 1 m away: how high it climbs, how long it takes and how far from home it ends."""
     figures: Figures = {}
-    for north in (20.0, 6.0, 1.0):
+    for away in (20.0, 6.0, 1.0):
         take_off(rig)
-        assert go(rig, 0, north, HEIGHT_M) == 0
-        rig.wait(lambda n=north: at(rig, 0, n, HEIGHT_M), 60, "it is there")
+        east, north = home_of(rig)
+        assert go(rig, east, north + away, HEIGHT_M) == 0
+        rig.wait(lambda e=east, n=north + away: at(rig, e, n, HEIGHT_M), 60, "it is there")
         rig.run(4)
         since = rig.now
         assert rig.set_mode(PX4_RTL if rig.px4 else RTL) == 0
         rig.wait(lambda: not rig.armed, 200, "it has returned")
         later = [s for s in rig.track if s.t_s > since]
-        off = hypot(rig.here.east_m, rig.here.north_m)
-        figures[f"{north:g} m"] = (
+        off = hypot(rig.here.east_m - east, rig.here.north_m - north)
+        figures[f"{away:g} m"] = (
             round(max(s.up_m for s in later), 1),
             round(rig.disarmed_at - since, 1),
             round(off, 1),

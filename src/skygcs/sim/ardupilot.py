@@ -524,11 +524,13 @@ class CopterVehicle(SimVehicle):
         if c.p1 == 1 or nowhere:  # handle_command_do_set_home
             if not self.position_ok:
                 return m.MAV_RESULT_FAILED
+            self.home_fixed = self.firmware.home_here_is_fixed.simulated
             self.set_home_here()
             return m.MAV_RESULT_ACCEPTED
         up = up_of(self, m.MAV_FRAME_GLOBAL if c.frame is None else c.frame, c.p7)
         if up is None or not is_position(c.lat_deg, c.lon_deg):
             return m.MAV_RESULT_DENIED
+        self.home_fixed = True
         self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), up))
         return m.MAV_RESULT_ACCEPTED
 

@@ -323,6 +323,8 @@ class Firmware:
     idle_disarm: Fact[tuple[str, float]]
     """Armed on the ground and not taken off: parameter (s), and what is added to it."""
     answers: Fact[Answers]
+    home_here_is_fixed: Fact[bool]
+    """DO_SET_HOME to where it is keeps that home over the next arming, as one elsewhere does on both."""
 
     # flight
     spool_up_s: Fact[float]
@@ -403,6 +405,10 @@ COPTER: Final = Firmware(
         ),
         "libraries/GCS_MAVLink/GCS_Common.cpp: handle_command_int_packet, set_message_interval, "
         "handle_command_do_set_mission_current; ArduCopter/GCS_Mavlink.cpp (each measured)",
+    ),
+    home_here_is_fixed=Fact(
+        True,
+        "ArduCopter/commands.cpp: set_home_to_current_location (locks it); AP_Arming.cpp: AP_Arming_Copter::arm",
     ),
     spool_up_s=Fact(
         2.0,
@@ -559,6 +565,7 @@ PX4: Final = Firmware(
         "commander/Commander.cpp: handle_command; mavlink/mavlink_receiver.cpp: "
         "handle_message_command_both (each measured)",
     ),
+    home_here_is_fixed=Fact(False, "commander/HomePosition.cpp: setHomePosition (manual_home), setManually"),
     spool_up_s=Fact(
         2.5,
         "commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",

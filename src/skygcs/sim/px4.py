@@ -548,9 +548,11 @@ class Px4Vehicle(SimVehicle):
         if c.p1 == 1:
             if not self.position_ok:
                 return m.MAV_RESULT_TEMPORARILY_REJECTED
+            self.home_fixed = self.firmware.home_here_is_fixed.simulated
             self.set_home_here()
             return m.MAV_RESULT_ACCEPTED
         if not (is_position(c.lat_deg, c.lon_deg) and is_altitude(c.p7)):
             return m.MAV_RESULT_DENIED
+        self.home_fixed = True
         self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), c.p7 - self.where.alt_amsl_m))
         return m.MAV_RESULT_ACCEPTED

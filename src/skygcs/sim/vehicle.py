@@ -88,6 +88,8 @@ class SimVehicle(ABC):
     """FENCE_BREACH: which side of its fence it is beyond, flying or not."""
     fence_breaches: int
     """Since boot."""
+    home_fixed: bool
+    """A ground station has set home: arming leaves it."""
     failsafe: bool
     """A failsafe has chosen the mode."""
     setpoint_at: float
@@ -393,7 +395,8 @@ class SimVehicle(ABC):
         self.armed = True
         self.armed_at = now
         self.flown_since_arming = False
-        self.set_home_here()
+        if not self.home_fixed:
+            self.set_home_here()
 
     def disarm(self) -> None:
         self.armed = False
@@ -462,6 +465,7 @@ class SimVehicle(ABC):
         self.landed_at = now
         self.flown_since_arming = False
         self.home = None
+        self.home_fixed = False
         self.local_zero = None
         self.calibration: requests.Calibration | None = None
         self.param_queue: list[int] = []

@@ -347,6 +347,18 @@ def test_home_is_set_here_or_there_and_told(make: type[SimVehicle]) -> None:
 
 
 @BOTH
+def test_a_home_that_was_set_outlives_the_next_arming(make: type[SimVehicle]) -> None:
+    pilot = Pilot(make())
+    pilot.get_ready()
+    if make is copter:
+        pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 4)
+    assert pilot.command_int(mav.MAV_CMD_DO_SET_HOME, 0, x=437810000, y=-794660000, z=190.0) == 0
+    assert pilot.command(mav.MAV_CMD_COMPONENT_ARM_DISARM, 1) == mav.MAV_RESULT_ACCEPTED
+    pilot.command(mav.MAV_CMD_GET_HOME_POSITION)
+    assert pilot.last("HOME_POSITION").altitude == 190_000
+
+
+@BOTH
 def test_without_a_position_there_is_no_home_and_the_estimator_says_so(make: type[SimVehicle]) -> None:
     vehicle = make()
     vehicle.faults.gps_lost = True
