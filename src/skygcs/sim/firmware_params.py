@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from skygcs.sim import protocol as m
+from skygcs.sim import qgc_params
 from skygcs.sim.param_table import Param
 
 _TYPES = {
@@ -19,10 +20,17 @@ _TYPES = {
 
 
 def _table(text: str) -> tuple[tuple[str, float, int], ...]:
-    """Words of the form NAME=value:type; a line that begins with # is a comment."""
-    words = " ".join(line for line in text.splitlines() if not line.strip().startswith("#")).split()
-    parts = [(word.partition("=")[0], *word.partition("=")[2].split(":")) for word in words]
-    return tuple((name, float(value), _TYPES[kind]) for name, value, kind in parts)
+    """Words of the form NAME=value:type; {a-b} in a name stands for each number from a to b."""
+    found: list[tuple[str, float, int]] = []
+    for word in text.split():
+        name, _, rest = word.partition("=")
+        value, _, kind = rest.partition(":")
+        before, numbers, after = (*name.partition("{")[::2], "") if "{" in name else (name, "", "")
+        numbers, _, after = numbers.partition("}")
+        first, _, last = numbers.partition("-")
+        names = [f"{before}{n}{after}" for n in range(int(first), int(last) + 1)] if numbers else [name]
+        found.extend((each, float(value), _TYPES[kind]) for each in names)
+    return tuple(found)
 
 
 _PX4 = _table("""
@@ -92,8 +100,10 @@ station that asks for nothing still sees a landing.
 
 
 def px4_params(sysid: int) -> list[Param]:
-    return [Param(*p) for p in _PX4] + [Param("MAV_SYS_ID", sysid, m.MAV_PARAM_TYPE_INT32)]
+    return [Param(*p) for p in (*_PX4, *_table(qgc_params.PX4))] + [Param("MAV_SYS_ID", sysid, m.MAV_PARAM_TYPE_INT32)]
 
 
 def copter_params(sysid: int) -> list[Param]:
-    return [Param(*p) for p in _COPTER] + [Param("SYSID_THISMAV", sysid, m.MAV_PARAM_TYPE_INT16)]
+    return [Param(*p) for p in (*_COPTER, *_table(qgc_params.COPTER))] + [
+        Param("SYSID_THISMAV", sysid, m.MAV_PARAM_TYPE_INT16)
+    ]
