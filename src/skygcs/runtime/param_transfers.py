@@ -286,7 +286,7 @@ class VehicleParams:
         if not self._able:
             return "refused", f"refused: dialect {self._dialect.name} has no parameter messages"
         if self._vehicle.replayed:
-            return "refused", "refused: it is heard in a recording only"
+            return "refused", "refused: it is heard only in a recording"
         if self._vehicle.duplicate:
             text = f"two vehicles with system id {self._vehicle.sysid} are on the air; give one of them another"
             return "refused", f"refused: {text}"

@@ -162,7 +162,7 @@ def test_fix_as_json_has_nobody_to_ask(served: Served) -> None:
 
 @pytest.mark.parametrize("columns", [40, 60, 80])
 def test_a_narrow_terminal_is_not_overrun(columns: int) -> None:
-    long = finding("home", "fail", "danger", "it has no home: a return would go nowhere at all", "set it " * 12)
+    long = finding("home", "fail", "danger", "it has no home position, so it could not return at all", "set it " * 12)
     lines = list(preflight.report_lines({"alpha": report(long)}, columns, everything=True))
     assert max(len(row) for line in lines for row in line.splitlines()) <= columns
 

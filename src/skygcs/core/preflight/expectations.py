@@ -1,4 +1,4 @@
-"""Everything that is expected of one vehicle before it flies."""
+"""The conditions that one vehicle must meet before it flies."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Literal
 from skygcs.core.preflight.rules import Rule
 
 ControlMode = Literal["attitude", "velocity", "position"]
-"""How skygcs is to fly it by setpoints."""
+"""The control mode with which skygcs will fly the vehicle."""
 
 FIXES = ("no_gps", "no_fix", "2d", "3d", "dgps", "rtk_float", "rtk_fixed")
-"""GPS fixes by what they are worth, as `vehicle.fold` names them; "static" and "ppp" are above all of them."""
+"""GPS fixes in ascending quality, named as in `core/vehicle/decoding.py`; "static" and "ppp" are above all of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +23,11 @@ class Expectations:
     """
 
     params: Mapping[str, Rule] = field(default_factory=dict)
-    """By name; of two generations' names either."""
+    """By name, that of ArduPilot 4.6 or of 4.7."""
     battery_min_percent: float = 30.0
-    """Half of what is above it is the flight, the rest a second approach. The guard holds a vehicle at 20."""
+    """Half of the charge above this is for the flight, the rest for a second approach. The guard holds a vehicle at 20."""
     gps_fix_min: str = "3d"
-    """One of `FIXES`; "no_gps": off, as for a fleet indoors."""
+    """One of `FIXES`; "no_gps" switches the check off, for indoor fleets."""
     satellites_min: int = 6
     """EKF2_REQ_NSATS (PX4) and ArduPilot's own pre-arm check."""
     hdop_max: float = 2.0
@@ -36,25 +36,25 @@ class Expectations:
     prearm: bool = True
     """Whether the autopilot's own arming checks must be passed as well."""
     sensors_required: tuple[str, ...] = ()
-    """Names of sensors that must be there, enabled and healthy; what is enabled must be healthy anyhow."""
+    """Names of sensors that must be present, enabled and healthy. Every enabled sensor must be healthy in any case."""
     sensors_ignored: tuple[str, ...] = ()
     home_max_m: float = 50.0
-    """A home farther from where it stands is another place's, or another flight's."""
+    """A home farther away than this belongs to another place or another flight."""
     clock_max_s: float = 5.0
-    """More than a bad radio delays a message: logs of two clocks cannot be laid over each other."""
+    """More than a bad radio delays a message. With a larger difference logs cannot be compared."""
     firmware_min: str | None = None
     firmware: tuple[str, ...] = ()
-    """Any of these versions, exactly."""
+    """Exactly one of these versions."""
     loss_max_percent: float = 20.0
-    """Of its frames, lately; exchanges are made for 20 % each way."""
+    """Recent loss of its frames; the protocols are designed for 20 % each way."""
     radio_margin_min_db: float = 10.0
-    """Signal above noise at either end of a radio: the least with which SiK radios keep their loss low."""
+    """Signal above noise at both ends of a radio: the minimum with which SiK radios keep their loss low."""
     rtl_height_m: tuple[float, float] = (0.0, 120.0)
     """Above home; 120 m is the ceiling for open flights in Europe and, as 400 ft, in Canada and the USA."""
     geofence_required: bool = False
     transmitter: bool | None = None
-    """Whether a pilot's transmitter belongs to it; None: not said."""
+    """Whether a pilot's transmitter belongs to it; None: not specified."""
     control: ControlMode | None = None
-    """None: it is not to be flown by setpoints."""
+    """None: it will not be flown by setpoints."""
     setpoint_hz: float = 5.0
-    """Of the slowest way of control in use, which falls back from attitude to position."""
+    """The rate of the slowest control mode in use: control falls back from attitude to position."""

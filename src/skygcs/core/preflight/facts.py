@@ -1,4 +1,4 @@
-"""What the checks look at: one vehicle's state, its parameters, its link and its place in the fleet."""
+"""The input of the checks: one vehicle's state, parameters and links, and its entry in the fleet file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from skygcs.core.params.names import other_name
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What became of asking for a parameter: what it is, or why that is not known.
+    """The result of reading a parameter: its value, or why it is unknown.
 
     ``absent``: the vehicle answers, and has none of this name. ``why``: of any other failure.
     """
@@ -60,12 +60,12 @@ class Facts:
 
     @property
     def able(self) -> bool:
-        """Whether anything it says of itself is to be believed and acted on: it is there, and it is one."""
+        """Whether its reports can be trusted: it is connected, live, and the only one with its system id."""
         state = self.state
         return bool(state["connected"]) and not state["duplicate_sysid"] and not state["replayed"]
 
     def answer(self, name: str) -> Answer:
-        """Of a parameter that was asked for, by its name of either generation; what is no finite number is none."""
+        """The value of a parameter that was read, by its name of 4.6 or 4.7; a value that is not finite counts as missing."""
         answers = self.answers or {}
         answer = answers.get(name) or answers.get(other_name(name) or "") or Answer(why="it was not asked for")
         if answer.param is not None and not math.isfinite(answer.param.value):
@@ -73,11 +73,11 @@ class Facts:
         return answer
 
     def value(self, name: str) -> Value | None:
-        """None if it is not known, or there is none."""
+        """The value; None if it is unknown or the firmware does not have it."""
         param = self.answer(name).param
         return None if param is None else param.value
 
     def fresh(self, section: str, limit_s: float) -> Mapping[str, Any] | None:
-        """A section of the state that is not older than this; None if there is none."""
+        """A telemetry group of the state that is not older than this, else None."""
         part: Mapping[str, Any] | None = self.state.get(section)
         return part if part is not None and part["age_s"] <= limit_s else None

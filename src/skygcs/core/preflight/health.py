@@ -1,4 +1,4 @@
-"""Checks of what a vehicle tells of itself, and of how it is heard."""
+"""Checks of what a vehicle reports about itself, and of how well it is received."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from skygcs.core.preflight.report import Finding, failed, passed, skipped, unkno
 from skygcs.core.vehicle.decoding import ESTIMATE_NEEDED
 
 FRESH_S = 15.0
-"""Older tells nothing of now: three periods of the slowest message asked for by default (0.2 Hz)."""
+"""Older values do not describe the present: three periods of the slowest message requested by default (0.2 Hz)."""
 
 TEXT_FRESH_S = 60.0
 """ArduPilot repeats why it would not arm every 30 s."""
@@ -23,10 +23,10 @@ MAX_TEXTS = 3
 
 PREARM_SENSOR = "prearm_check"
 PREARM_TEXTS = ("prearm:", "arm:", "preflight fail:", "arming denied")
-"""How ArduPilot and PX4 begin their texts about it."""
+"""How ArduPilot and PX4 begin their texts about failed arming checks."""
 
-PX4_TELLS_PREARM = (1, 14)
-"""From this version on, where its checks of health and arming are one (SYS_STATUS.hpp)."""
+PX4_REPORTS_PREARM = (1, 14)
+"""PX4 reports its arming checks from this version on (SYS_STATUS.hpp)."""
 
 _NEEDED = (
     (1, "no attitude"),
@@ -35,18 +35,18 @@ _NEEDED = (
     (16, "no position on earth"),
     (32, "no height"),
 )
-"""Of `ESTIMATE_NEEDED`, what is missing without each bit."""
+"""Bits of `ESTIMATE_NEEDED`, and what is missing without each."""
 
 _VERSION = re.compile(r"(\d+)\.(\d+)(?:\.(\d+))?(?:-(dev|alpha|beta|rc)(\d*))?")
 _STAGES = ("dev", "alpha", "beta", "rc")
 
-ASK_AGAIN = "ask again in a moment"
+ASK_AGAIN = "repeat the preflight in a moment"
 
 
 def reachable(facts: Facts, wanted: Expectations) -> Finding:
     state = facts.state
     if state["replayed"]:
-        return failed("it is heard in a recording only", "nobody is there to fly: end the replay link")
+        return failed("it is heard only in a recording", "there is no vehicle to fly: remove the replay link")
     if not state["connected"]:
         age = state["last_heartbeat_age_s"]
         heard = "never" if age is None else f"{age:.0f} s ago"
@@ -56,7 +56,7 @@ def reachable(facts: Facts, wanted: Expectations) -> Finding:
 
 def single(facts: Facts, wanted: Expectations) -> Finding:
     if not facts.state["duplicate_sysid"]:
-        return passed("the only one of its system id")
+        return passed("its system id is unique")
     sysid = facts.state["sysid"]
     return failed(
         f"two vehicles with system id {sysid} are on the air",
@@ -89,7 +89,10 @@ def failsafe(facts: Facts, wanted: Expectations) -> Finding:
     if not facts.state["failsafe"]:
         return passed("no failsafe")
     text = f"its own failsafe is active, system status {facts.state['system_status']}"
-    return failed(text + _because(_texts(facts, ())), "find the cause in its status texts; a reboot ends what is over")
+    return failed(
+        text + _because(_texts(facts, ())),
+        "find the cause in its status texts; a reboot clears a failsafe whose cause is gone",
+    )
 
 
 def estimator(facts: Facts, wanted: Expectations) -> Finding:
@@ -97,15 +100,17 @@ def estimator(facts: Facts, wanted: Expectations) -> Finding:
         return skipped("estimator = false")
     part = facts.fresh("estimator", FRESH_S)
     if part is None:
-        return unknown("its estimator is not known: it told nothing of it when asked", ASK_AGAIN)
+        return unknown("the estimator's state is unknown: the vehicle did not report it on request", ASK_AGAIN)
     if part["ok"]:
         return passed("estimator good")
     wrong = [text for bit, text in _NEEDED if bit & ESTIMATE_NEEDED & ~part["flags"]]
     wrong += [f"{name} innovation {ratio:.2f}" for name, ratio in part["ratios"].items() if ratio and ratio >= 0.8]
-    told = {n.lower().removeprefix("estimator_").removeprefix("ekf_") for n in part["names"]}
-    wrong += sorted(n.replace("_", " ") for n in told & {"gps_glitch", "gps_glitching", "accel_error", "uninitialized"})
+    reported = {n.lower().removeprefix("estimator_").removeprefix("ekf_") for n in part["names"]}
+    wrong += sorted(
+        n.replace("_", " ") for n in reported & {"gps_glitch", "gps_glitching", "accel_error", "uninitialized"}
+    )
     return failed(
-        "its estimator is not good enough to navigate by" + (f": {', '.join(wrong)}" if wrong else ""),
+        "the estimator is not good enough for navigation" + (f": {', '.join(wrong)}" if wrong else ""),
         "wait until it has converged with a clear sky; if it does not, reboot it where it stands",
     )
 
@@ -115,7 +120,7 @@ def position(facts: Facts, wanted: Expectations) -> Finding:
         return skipped("no position on earth is expected")
     part = facts.fresh("position", FRESH_S)
     if part is None:
-        return unknown("it tells no position, also when asked (GLOBAL_POSITION_INT)", "wait for a GPS fix")
+        return unknown("it reports no position, not even on request (GLOBAL_POSITION_INT)", "wait for a GPS fix")
     if part["lat_deg"] is None:
         return failed("it does not know its position", "wait for a GPS fix")
     return passed("knows its position")
@@ -127,7 +132,7 @@ def gps_fix(facts: Facts, wanted: Expectations) -> Finding:
         return skipped('gps_fix_min = "no_gps"')
     part = facts.fresh("gps", FRESH_S)
     if part is None:
-        return unknown("its GPS is not known: it told nothing of it when asked", ASK_AGAIN)
+        return unknown("the GPS state is unknown: the vehicle did not report it on request", ASK_AGAIN)
     fix = _fix_word(part["fix"])
     if part["fix_type"] >= least:
         return passed(f"GPS fix {fix}")
@@ -140,45 +145,49 @@ def gps_fix(facts: Facts, wanted: Expectations) -> Finding:
 def satellites(facts: Facts, wanted: Expectations) -> Finding:
     part = None if wanted.gps_fix_min == "no_gps" else facts.fresh("gps", FRESH_S)
     if not wanted.satellites_min or part is None:
-        return skipped("not expected" if not wanted.satellites_min else "no GPS to ask")
+        return skipped("not expected" if not wanted.satellites_min else "no GPS data")
     seen = part["satellites"]
     if seen is None:
-        return unknown("its GPS does not say how many satellites it has", "satellites_min = 0 does without")
+        return unknown("the GPS does not report how many satellites it uses", "satellites_min = 0 skips this check")
     if seen >= wanted.satellites_min:
         return passed(f"{seen} satellites")
-    return failed(f"{seen} satellites (at least {wanted.satellites_min})", "wait, or go where the sky is open")
+    return failed(f"{seen} satellites (at least {wanted.satellites_min})", "wait, or move to a place with open sky")
 
 
 def hdop(facts: Facts, wanted: Expectations) -> Finding:
     part = None if wanted.gps_fix_min == "no_gps" else facts.fresh("gps", FRESH_S)
     if not wanted.hdop_max or part is None:
-        return skipped("not expected" if not wanted.hdop_max else "no GPS to ask")
+        return skipped("not expected" if not wanted.hdop_max else "no GPS data")
     if part["hdop"] is None:
         if part["fix_type"] < FIXES.index("3d"):
             return skipped("no fix yet")
-        return unknown("its GPS does not tell its HDOP", "hdop_max = 0 does without")
+        return unknown("the GPS does not report its HDOP", "hdop_max = 0 skips this check")
     if part["hdop"] <= wanted.hdop_max:
         return passed(f"HDOP {part['hdop']:g}")
-    return failed(f"HDOP {part['hdop']:g} (at most {wanted.hdop_max:g})", "wait, or go where the sky is open")
+    return failed(f"HDOP {part['hdop']:g} (at most {wanted.hdop_max:g})", "wait, or move to a place with open sky")
 
 
 def sensors(facts: Facts, wanted: Expectations) -> Finding:
     part = facts.fresh("sensors", FRESH_S)
     if part is None:
-        return unknown("its sensors are not known: it sent no SYS_STATUS when asked", ASK_AGAIN)
+        return unknown("the sensors' state is unknown: the vehicle sent no SYS_STATUS on request", ASK_AGAIN)
     ignored = {*wanted.sensors_ignored, PREARM_SENSOR}
     bad = [name for name in part["unhealthy"] if name not in ignored]
     working = set(part["present"]) & set(part["enabled"])
     gone = [name for name in wanted.sensors_required if name not in working]
     if not bad and not gone:
         return passed(f"{len(working)} sensors healthy")
-    told = [f"unhealthy: {', '.join(bad)}"] * bool(bad) + [f"not there or off: {', '.join(gone)}"] * bool(gone)
-    todo = "check or calibrate them; what may be so goes into sensors_ignored" if bad else "connect and enable them"
-    return failed("sensors " + "; ".join(told) + _because(_texts(facts, PREARM_TEXTS)), todo)
+    found = [f"unhealthy: {', '.join(bad)}"] * bool(bad) + [f"missing or disabled: {', '.join(gone)}"] * bool(gone)
+    todo = (
+        "check or calibrate them; sensors_ignored lists those that may be unhealthy"
+        if bad
+        else "connect and enable them"
+    )
+    return failed("sensors " + "; ".join(found) + _because(_texts(facts, PREARM_TEXTS)), todo)
 
 
 def arming_mode(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether its mode lets it arm: an ArduCopter's pre-arm checks, and the bit that reports them, leave it out."""
+    """Whether its mode allows arming: an ArduCopter's pre-arm checks, and the bit that reports them, leave that out."""
     mode = facts.state["mode"]
     if not wanted.prearm:
         return skipped("prearm = false")
@@ -206,17 +215,17 @@ def prearm(facts: Facts, wanted: Expectations) -> Finding:
     if facts.state["armed"]:
         return skipped("it is armed already")
     part = facts.fresh("sensors", FRESH_S)
-    if part is None or not (PREARM_SENSOR in part["present"] or _px4_tells(facts)):
-        return skipped("it does not tell whether it would arm")
+    if part is None or not (PREARM_SENSOR in part["present"] or _px4_reports(facts)):
+        return skipped("it does not report whether it would arm")
     if PREARM_SENSOR in part["health"]:
         return passed("its own arming checks pass")
     text = f"its own arming checks fail in {facts.state['mode']}" + _because(_texts(facts, PREARM_TEXTS))
-    return failed(text, "put right what its status texts name; the last ones: skygcs-cli status --json")
+    return failed(text, "correct what its status texts name; skygcs-cli status --json shows the latest")
 
 
-def _px4_tells(facts: Facts) -> bool:
+def _px4_reports(facts: Facts) -> bool:
     """PX4 sets the bit of the arming checks in ``health`` alone, neither in ``present`` nor in ``enabled``."""
-    return facts.family == "px4" and _version(facts.state["firmware"] or "") >= PX4_TELLS_PREARM
+    return facts.family == "px4" and _version(facts.state["firmware"] or "") >= PX4_REPORTS_PREARM
 
 
 def battery(facts: Facts, wanted: Expectations) -> Finding:
@@ -226,9 +235,9 @@ def battery(facts: Facts, wanted: Expectations) -> Finding:
     part = facts.fresh("battery", FRESH_S)
     percent = None if part is None else part["percent"]
     if percent is None:
-        text = "its battery's charge is not known: it told none when asked"
+        text = "the battery's charge is unknown: the vehicle did not report it on request"
         return unknown(
-            text, "set its battery monitor up (BAT1_SOURCE, BATT_MONITOR); battery_min_percent = 0 does without"
+            text, "set its battery monitor up (BAT1_SOURCE, BATT_MONITOR); battery_min_percent = 0 skips this check"
         )
     if percent >= limit:
         return passed(f"battery {percent:g} %")
@@ -242,9 +251,9 @@ def home(facts: Facts, wanted: Expectations) -> Finding:
     name = facts.state["name"]
     part, here = facts.state["home"], facts.fresh("position", FRESH_S)
     if part is None:
-        return failed("it has no home: a return would go nowhere", f"wait for a fix, or skygcs-cli home {name}")
+        return failed("it has no home position, so it could not return", f"wait for a fix, or skygcs-cli home {name}")
     if here is None or here["lat_deg"] is None:
-        return unknown("how far its home is cannot be told without its position", "wait for a GPS fix")
+        return unknown("the distance to its home is unknown without its position", "wait for a GPS fix")
     away_m = distance_m(here["lat_deg"], here["lon_deg"], part["lat_deg"], part["lon_deg"])
     if away_m <= wanted.home_max_m:
         return passed(f"home {away_m:.0f} m away")
@@ -260,14 +269,14 @@ def clock(facts: Facts, wanted: Expectations) -> Finding:
     offset_s = facts.state["clock_offset_s"]
     if offset_s is None:
         return unknown(
-            "its clock is not known (SYSTEM_TIME)", "it has the date from GPS: wait; clock_max_s = 0 does without"
+            "its clock is unknown (no SYSTEM_TIME)", "wait: it gets the time from GPS; clock_max_s = 0 skips this check"
         )
     if abs(offset_s) <= wanted.clock_max_s:
         return passed(f"clock {offset_s:+.1f} s")
-    way = "ahead of" if offset_s > 0 else "behind"
+    direction = "ahead of" if offset_s > 0 else "behind"
     return failed(
-        f"its clock is {abs(offset_s):.1f} s {way} ours (at most {wanted.clock_max_s:g} s)",
-        "see which is wrong (this computer: timedatectl); logs of both would not fit together",
+        f"its clock is {abs(offset_s):.1f} s {direction} ours (at most {wanted.clock_max_s:g} s)",
+        "find out which clock is wrong (this computer: timedatectl); logs of both could not be compared",
     )
 
 
@@ -276,7 +285,7 @@ def firmware(facts: Facts, wanted: Expectations) -> Finding:
         return skipped("no version is expected")
     version = facts.state["firmware"]
     if version is None:
-        return unknown("its firmware's version is not known: it did not tell when asked", ASK_AGAIN)
+        return unknown("the firmware version is unknown: the vehicle did not report it on request", ASK_AGAIN)
     if wanted.firmware and version not in wanted.firmware:
         return failed(f"firmware {version} (must be {' or '.join(wanted.firmware)})", "flash that version")
     least = wanted.firmware_min
@@ -290,12 +299,12 @@ def loss(facts: Facts, wanted: Expectations) -> Finding:
     if not limit:
         return skipped("loss_max_percent = 0")
     links = facts.links or {}
-    told = {name: link.loss for name, link in links.items() if link.loss is not None}
-    if not told:
+    losses = {name: link.loss for name, link in links.items() if link.loss is not None}
+    if not losses:
         most = max((link.frames for link in links.values()), default=0)
-        return unknown(f"how much of it is lost is not known: {most} frames so far", "ask again in half a minute")
-    best = min(told, key=lambda name: told[name])
-    percent = 100 * told[best]
+        return unknown(f"the frame loss is unknown: {most} frames so far", "repeat the preflight in half a minute")
+    best = min(losses, key=lambda name: losses[name])
+    percent = 100 * losses[best]
     if percent <= limit:
         return passed(f"{percent:.0f} % lost on {best}")
     return failed(
@@ -306,13 +315,13 @@ def loss(facts: Facts, wanted: Expectations) -> Finding:
 
 def radio_margin(facts: Facts, wanted: Expectations) -> Finding:
     limit = wanted.radio_margin_min_db
-    told = {name: link.margin_db for name, link in (facts.links or {}).items() if link.margin_db is not None}
-    if not limit or not told:
-        return skipped("no radio told its signal")
-    best = max(told, key=lambda name: told[name])
-    if told[best] >= limit:
-        return passed(f"{told[best]:.0f} dB above noise on {best}")
-    text = f"the signal is {told[best]:.0f} dB above the noise on {best} (at least {limit:g} dB)"
+    margins = {name: link.margin_db for name, link in (facts.links or {}).items() if link.margin_db is not None}
+    if not limit or not margins:
+        return skipped("no radio reports its signal")
+    best = max(margins, key=lambda name: margins[name])
+    if margins[best] >= limit:
+        return passed(f"{margins[best]:.0f} dB above noise on {best}")
+    text = f"the signal is {margins[best]:.0f} dB above the noise on {best} (at least {limit:g} dB)"
     return failed(text, "check antennas, distance and what else sends on this band")
 
 
@@ -321,7 +330,7 @@ def _fix_word(fix: str) -> str:
 
 
 def _texts(facts: Facts, beginnings: tuple[str, ...]) -> list[str]:
-    """The newest status texts that begin so, or are warnings if it does not matter how."""
+    """The newest status texts with one of these beginnings; with none given, the newest warnings."""
     entries: list[Mapping[str, Any]] = [t for t in facts.state["status_texts"] if t["age_s"] <= TEXT_FRESH_S]
     entries.sort(key=lambda t: t["age_s"])
     if beginnings:
@@ -341,7 +350,7 @@ def version_problem(text: str) -> str | None:
 
 
 def _version(text: str) -> tuple[int, ...]:
-    """To be compared; a development stage comes before its release."""
+    """The version as numbers that can be compared; a development stage comes before its release."""
     match = _VERSION.match(text)
     if match is None:
         return (0,)

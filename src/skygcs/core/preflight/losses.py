@@ -1,4 +1,4 @@
-"""How much of a source was lost lately: the counters of `linkstats` only tell since the link was opened."""
+"""Recent loss of a source. The counters of `core/routing/source_statistics.py` count since the link was opened."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections import deque
 WINDOW_S = 30.0
 SAMPLE_S = 1.0
 LEAST_FRAMES = 20
-"""With fewer than these one lost frame is 5 % and more."""
+"""With fewer frames a single lost one is 5 % or more."""
 
 
 class LossWindow:
-    """`sample` once a second with the counters of one source; they may begin anew at any time. Bounded memory."""
+    """Call `sample` once a second with the counters of one source, which may restart at any time. Bounded memory."""
 
     __slots__ = ("_marks",)
 
@@ -24,7 +24,7 @@ class LossWindow:
         self._marks.append((now, frames, lost))
 
     def frames(self) -> int:
-        """Received within the window."""
+        """Frames received within the window."""
         return self._marks[-1][1] - self._marks[0][1] if self._marks else 0
 
     def loss(self) -> float | None:

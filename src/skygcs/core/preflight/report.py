@@ -1,4 +1,4 @@
-"""What the checks found, and what it adds up to."""
+"""The findings of the checks, and their summary."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skygcs.core.mavlink.param_encoding import Value
 
 
 class Verdict(StrEnum):
-    """``UNKNOWN`` is no pass: what a check needs could not be learned. ``SKIPPED``: nothing is expected of it here."""
+    """``UNKNOWN`` is not a pass: the data that the check needs did not come. ``SKIPPED``: the check does not apply."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -20,19 +20,19 @@ class Verdict(StrEnum):
 
 
 class Severity(IntEnum):
-    """Of a failure: what would become of a flight with it."""
+    """The consequence of a failure for a flight."""
 
     DANGER = 3
-    """It would do what nobody wants: fly away, fall, obey another."""
+    """It could fly away, fall, or follow another station."""
     FAULT = 2
-    """It would most likely refuse to fly, or end the flight early."""
+    """It would probably refuse to fly, or end the flight early."""
     NOTE = 1
-    """It would fly, and not as the fleet file says it should."""
+    """It would fly, but not as the fleet file specifies."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fix:
-    """A parameter that would put it right: by the vehicle's own name for it, from what to what."""
+    """A parameter change that corrects the failure, with the vehicle's own name of the parameter."""
 
     name: str
     value: Value
@@ -41,18 +41,18 @@ class Fix:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One check's verdict. ``text`` says what is so, with the figure and the limit; ``todo`` what to do about it."""
+    """The verdict of one check. ``text``: the finding, with the figure and its limit; ``todo``: what to do about it."""
 
     verdict: Verdict
     text: str
     todo: str = ""
     fixes: tuple[Fix, ...] = ()
     severity: Severity | None = None
-    """None: the check's own."""
+    """None: the severity of the check."""
     check: str = ""
 
     def named(self, check: str, severity: Severity) -> Finding:
-        """As the finding of this check; its own severity, if it has one, stands."""
+        """The same as a finding of this check. A severity of its own takes precedence."""
         return replace(self, check=check, severity=self.severity or severity)
 
     def as_dict(self) -> dict[str, Any]:
@@ -90,18 +90,18 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Whether it is ready: nothing failed, and nothing that matters is unknown."""
+        """Whether the vehicle is ready: no check failed, and none that matters is unknown."""
         return not self.complaints
 
     @property
     def complaints(self) -> tuple[Finding, ...]:
-        """What failed, worst first, then what is not known."""
+        """The failures, worst first, then the unknowns."""
         wrong = [f for f in self.findings if f.verdict in (Verdict.FAIL, Verdict.UNKNOWN)]
         return tuple(sorted(wrong, key=lambda f: (f.verdict is Verdict.UNKNOWN, -(f.severity or 0))))
 
     @property
     def fixes(self) -> tuple[Fix, ...]:
-        """Parameters that would put something right, each once; where two checks disagree the first has it."""
+        """The corrections, one per parameter; where two checks disagree, the first one counts."""
         by_name: dict[str, Fix] = {}
         for finding in self.complaints:
             for fix in finding.fixes:
@@ -109,7 +109,7 @@ class Report:
         return tuple(by_name.values())
 
     def summary(self, most: int = 2) -> str:
-        """The worst of it in a line."""
+        """The worst findings in one line."""
         wrong = self.complaints
         if not wrong:
             return f"ready: {sum(f.verdict is Verdict.PASS for f in self.findings)} checks passed"

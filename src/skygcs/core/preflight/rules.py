@@ -1,4 +1,4 @@
-"""What a parameter is expected to be: one comparison or several, in words, and the value that would satisfy them."""
+"""The rule for a parameter's value: one or more comparisons, their text, and a value that satisfies them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from skygcs.core.params.compare import equal
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """All that is said must hold. An empty rule holds for any value: it takes a lower level's rule away.
+    """All comparisons must hold. An empty rule accepts any value: it removes the rule of a lower level.
 
     ``one_of``: any of these values. ``least``, ``most``: bounds that belong to it. ``bits``, ``no_bits``: a mask of
     bits that must be set, or clear (whole numbers only). ``set_to``: what makes it right where the rule itself does not
@@ -31,7 +31,7 @@ class Rule:
         return not (self.one_of or self.bits or self.no_bits) and self.least is None and self.most is None
 
     def holds(self, value: Value) -> bool:
-        """Whether a value a vehicle holds is as expected; its 32-bit float may be a digit off what was written."""
+        """Whether a value that a vehicle holds satisfies the rule; a 32-bit float may differ in its last digit."""
         if self.one_of and not any(equal(value, wanted) for wanted in self.one_of):
             return False
         if self.least is not None and value < self.least and not equal(value, self.least):
@@ -43,7 +43,7 @@ class Rule:
         return value == int(value) and int(value) & self.bits == self.bits and not int(value) & self.no_bits
 
     def fix(self, value: Value) -> Value | None:
-        """What to set it to, as near to what it is as the rule allows; None if nothing single-valued follows."""
+        """The value to set, as near to the present one as the rule allows; None if the rule gives no single value."""
         if self.set_to is not None:
             wanted: Value | None = self.set_to
         elif self.one_of:
@@ -59,7 +59,7 @@ class Rule:
         return wanted if wanted is not None and self.holds(wanted) else None
 
     def __str__(self) -> str:
-        """The expectation in words, after "must be": "0 or 2", "5 to 30", "at most 3000"."""
+        """The rule as text that follows "must be": "0 or 2", "5 to 30", "at most 3000"."""
         parts = []
         if self.one_of:
             parts.append(" or ".join(map(value_text, self.one_of)))

@@ -1,6 +1,6 @@
-"""Checks of a vehicle's parameters: those that are the same for every vehicle, and those the fleet file names.
+"""Checks of a vehicle's parameters: those that apply to every vehicle, and those that the fleet file names.
 
-Each of the former knows what its parameters mean in either firmware, and in either generation of ArduPilot's names.
+Each of the former knows the meaning of its parameters in PX4 and in ArduPilot, with ArduPilot's names of 4.6 and 4.7.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from skygcs.core.vehicle.offboard_entry import (
 )
 
 LOST_PERIODS = 3
-"""So many setpoints in a row may be lost on the way before the vehicle takes it for the end of them."""
+"""Setpoints that may be lost in a row before the vehicle concludes that no more will come."""
 
 STICKS_OFF = 4
 """COM_RC_IN_MODE: stick input disabled."""
@@ -31,10 +31,10 @@ HOLD = 5
 """COM_OBL_RC_ACT."""
 
 GF_WARN = 1
-"""GF_ACTION: 0 none, 1 a warning only."""
+"""GF_ACTION: 0 is no action, 1 only a warning."""
 
 FENCE_ALT = 1
-"""FENCE_TYPE's bit of FENCE_ALT_MAX."""
+"""The bit of FENCE_TYPE that enables FENCE_ALT_MAX."""
 
 CM = 100.0
 
@@ -69,7 +69,7 @@ def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
     if watched == facts.gcs_sysid:
         return passed(f"watches for our system id {facts.gcs_sysid}")
     return failed(
-        f"{name} is {value_text(watched)}, we are {facts.gcs_sysid}: our heartbeats are nobody's to its failsafe "
+        f"{name} is {value_text(watched)}, we are {facts.gcs_sysid}: its GCS failsafe ignores our heartbeats "
         f"(FS_GCS_ENABLE {value_text(enabled)})",
         f"set {name} to {facts.gcs_sysid}, or daemon.sysid to {value_text(watched)}",
         Fix(name, facts.gcs_sysid, watched),
@@ -77,7 +77,7 @@ def gcs_id(facts: Facts, wanted: Expectations) -> Finding:
 
 
 def gcs_failsafe(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether it acts wherever our orders leave the vehicle."""
+    """Whether the GCS failsafe acts in every mode that our orders leave the vehicle in."""
     if facts.family != "ardupilot" or not facts.copter:
         return skipped("an ArduCopter's alone")
     enabled, options = facts.value("FS_GCS_ENABLE"), facts.value("FS_OPTIONS")
@@ -193,12 +193,12 @@ def _px4_transmitter(facts: Facts, there: bool) -> Finding:
     if source is None:
         return _not_known(facts, "COM_RC_IN_MODE")
     if there and source in (1, STICKS_OFF):
-        text = f"COM_RC_IN_MODE is {value_text(source)}: its transmitter would not be listened to"
+        text = f"COM_RC_IN_MODE is {value_text(source)}: its transmitter would be ignored"
         return failed(text, "set COM_RC_IN_MODE to 0", Fix("COM_RC_IN_MODE", 0, source))
     if not there and source != STICKS_OFF:
         return failed(
             f"COM_RC_IN_MODE is {value_text(source)}, and no transmitter belongs to it: it may refuse to arm, and "
-            "takes the silence for a lost pilot",
+            "takes the missing input for a lost transmitter",
             f"set COM_RC_IN_MODE to {STICKS_OFF} (sticks disabled)",
             Fix("COM_RC_IN_MODE", STICKS_OFF, source),
         )
@@ -206,9 +206,9 @@ def _px4_transmitter(facts: Facts, there: bool) -> Finding:
 
 
 def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
-    """Long enough for the rate in use, short enough for attitude."""
+    """Whether the time-out is long enough for the setpoint rate and short enough for attitude setpoints."""
     if wanted.control is None:
-        return skipped("it is not to be flown by setpoints")
+        return skipped("it will not be flown by setpoints")
     name = "COM_OF_LOSS_T" if facts.family == "px4" else "GUID_TIMEOUT"
     value = facts.value(name)
     if value is None:
@@ -217,13 +217,13 @@ def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
     if value < least_s:
         return failed(
             f"{name} is {value_text(value)} s: at {wanted.setpoint_hz:g} setpoints a second {LOST_PERIODS} lost ones "
-            f"take {least_s:.2f} s, and it would take that for the end",
+            f"take {least_s:.2f} s, and it would leave the mode",
             f"set {name} to at least {least_s:.2f}, or raise position_hz and velocity_hz",
             Fix(name, max(least_s, LONGEST_LEAN_S), value),
         )
     if wanted.control == "attitude" and value > LONGEST_LEAN_S:
         return failed(
-            f"{name} is {value_text(value)} s: should the setpoints cease, it would lean on for so long "
+            f"{name} is {value_text(value)} s: if the setpoints stop, it keeps its last tilt for that time "
             f"(at most {LONGEST_LEAN_S:g} s)",
             f"set {name} to {LONGEST_LEAN_S:g}",
             Fix(name, LONGEST_LEAN_S, value),
@@ -234,7 +234,7 @@ def setpoint_timeout(facts: Facts, wanted: Expectations) -> Finding:
 
 def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
     if wanted.control is None or facts.family != "px4":
-        return skipped("it is not to be flown by setpoints" if wanted.control is None else "PX4's alone")
+        return skipped("it will not be flown by setpoints" if wanted.control is None else "PX4's alone")
     action = facts.value("COM_OBL_RC_ACT")
     if action is None:
         return _not_known(facts, "COM_OBL_RC_ACT")
@@ -242,21 +242,21 @@ def setpoint_loss(facts: Facts, wanted: Expectations) -> Finding:
     if action not in BY_STICKS or sticks:
         return passed(f"COM_OBL_RC_ACT {value_text(action)}")
     return failed(
-        f"COM_OBL_RC_ACT is {value_text(action)}: should the setpoints cease, it goes to {BY_STICKS[int(action)]} "
-        "mode, and nobody has the sticks",
+        f"COM_OBL_RC_ACT is {value_text(action)}: if the setpoints stop, it changes to {BY_STICKS[int(action)]} "
+        "mode, and no pilot has the sticks",
         f"set COM_OBL_RC_ACT to {HOLD} (Hold) or 3 (Return)",
         Fix("COM_OBL_RC_ACT", HOLD, action),
     )
 
 
 def thrust(facts: Facts, wanted: Expectations) -> Finding:
-    """Whether the thrust of attitude setpoints would be taken for thrust."""
+    """Whether the autopilot interprets the thrust of attitude setpoints as thrust."""
     if wanted.control != "attitude":
-        return skipped("it is not to be flown by attitude")
+        return skipped("it will not be flown by attitude setpoints")
     name = "MAV_TYPE" if facts.family == "px4" else "GUID_OPTIONS"
     value = facts.value(name)
     if facts.answer("GUID_OPTIONS").absent:
-        text = "it has no GUID_OPTIONS: the thrust of attitude setpoints would be taken for a climb rate"
+        text = "it has no GUID_OPTIONS: the thrust of attitude setpoints would be interpreted as a climb rate"
         return failed(text, "fly it by velocity (control_mode), or update it: ArduCopter has had the option since 4.1")
     if value is None:
         return _not_known(facts, name)
@@ -269,7 +269,7 @@ def thrust(facts: Facts, wanted: Expectations) -> Finding:
         return passed(f"GUID_OPTIONS {value_text(value)}")
     to = int(value) | THRUST_AS_THRUST
     return failed(
-        f"GUID_OPTIONS is {value_text(value)}: the thrust of attitude setpoints would be taken for a climb rate",
+        f"GUID_OPTIONS is {value_text(value)}: the thrust of attitude setpoints would be interpreted as a climb rate",
         f"set bit 3 (GUID_OPTIONS to {to})",
         Fix("GUID_OPTIONS", to, value),
     )
@@ -296,14 +296,14 @@ def parameter(name: str, rule: Rule) -> Callable[[Facts, Expectations], Finding]
             return failed(text, f"set {held}, or change what the fleet file expects")
         todo = f"set {held} to {value_text(to)}, or change what the fleet file expects"
         if sort_of(held) == "identity":  # nothing reaches it by its old id after the next start
-            return failed(text, f"{todo}; by hand, and then reboot it: this is who it is")
+            return failed(text, f"{todo}; by hand, then reboot it: this parameter is its identity")
         return failed(text, todo, Fix(held, to, value))
 
     return check
 
 
 def _rtl_name(facts: Facts) -> tuple[str, float]:
-    """The parameter, and how many of its units are a metre: RTL_ALT was in centimetres up to ArduPilot 4.6."""
+    """The name of the parameter, and its units per metre: RTL_ALT was in centimetres up to ArduPilot 4.6."""
     if facts.family == "px4":
         return "RTL_RETURN_ALT", 1.0
     return (
@@ -317,7 +317,7 @@ def _rtl_name(facts: Facts) -> tuple[str, float]:
 
 
 def _ceiling(facts: Facts) -> tuple[float | None, str]:
-    """Of the fence, above home, and the parameter that says so; None without one that acts."""
+    """The height of the fence's ceiling above home and its parameter; None if no ceiling is enforced."""
     if facts.family == "px4":
         high = facts.value("GF_MAX_VER_DIST")
         acts = (facts.value("GF_ACTION") or 0) > GF_WARN
@@ -338,4 +338,4 @@ def _not_known(facts: Facts, name: str) -> Finding:
         other = other_name(name)
         named = name if other is None else f"{name} or {other}"
         return skipped(f"it has no {named}")
-    return unknown(f"{name} is not known: {answer.why}", "ask again; on a busy radio one vehicle at a time")
+    return unknown(f"{name} is unknown: {answer.why}", "repeat the preflight; on a busy radio one vehicle at a time")

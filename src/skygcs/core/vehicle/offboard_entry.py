@@ -158,7 +158,7 @@ def loss_note(vehicle: Vehicle) -> str | None:
     if vehicle.family != "px4" or action not in BY_STICKS:
         return None
     return (
-        f"its COM_OBL_RC_ACT is {action:g}: should the setpoints cease, it goes to {BY_STICKS[int(action)]} mode and "
+        f"its COM_OBL_RC_ACT is {action:g}: if the setpoints stop, it changes to {BY_STICKS[int(action)]} mode and "
         "needs a hand on the sticks; without a transmitter set it to 5 (Hold) or 3 (Return)"
     )
 

@@ -325,7 +325,7 @@ def _near_commands(wanted: str, names: Sequence[str]) -> list[str]:
 def require_live(vehicle: Vehicle) -> None:
     """Raises RefusedError for a vehicle of a recording."""
     if vehicle.replayed:
-        raise RefusedError("it is heard in a recording only: nobody is there to take an order")
+        raise RefusedError("it is heard only in a recording: nobody is there to take an order")
 
 
 def require_connected(vehicle: Vehicle, now: float) -> None:

@@ -204,7 +204,7 @@ def test_sensors_by_name() -> None:
     assert finding.text == "sensors unhealthy: 3d_mag (PreArm: Compass not healthy)"
     assert health.sensors(facts(sensors=part), Expectations(sensors_ignored=("3d_mag",))).verdict is Verdict.PASS
     wanted = Expectations(sensors_ignored=("3d_mag",), sensors_required=("rangefinder",))
-    assert "not there or off: rangefinder" in health.sensors(facts(sensors=part), wanted).text
+    assert "missing or disabled: rangefinder" in health.sensors(facts(sensors=part), wanted).text
     assert health.sensors(facts(sensors={**part, "age_s": 60.0}), WANTED).verdict is Verdict.UNKNOWN
 
 
