@@ -12,7 +12,7 @@ ControlMode = Literal["attitude", "velocity", "position"]
 """The control mode with which skygcs will fly the vehicle."""
 
 FIXES = ("no_gps", "no_fix", "2d", "3d", "dgps", "rtk_float", "rtk_fixed")
-"""GPS fixes in ascending quality, named as in `core/vehicle/decoding.py`; "static" and "ppp" are above all of them."""
+"""GPS fixes in ascending quality, named as in `core.vehicle.decoding`; "static" and "ppp" are the best."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,7 +65,7 @@ class Facts:
         return bool(state["connected"]) and not state["duplicate_sysid"] and not state["replayed"]
 
     def answer(self, name: str) -> Answer:
-        """The value of a parameter that was read, by its name of 4.6 or 4.7; a value that is not finite counts as missing."""
+        """The value of a parameter that was read, by its name of 4.6 or 4.7; a NaN counts as missing."""
         answers = self.answers or {}
         answer = answers.get(name) or answers.get(other_name(name) or "") or Answer(why="it was not asked for")
         if answer.param is not None and not math.isfinite(answer.param.value):
