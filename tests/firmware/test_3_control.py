@@ -17,6 +17,9 @@ SPEED_MPS = 1.5
 STEP_M = 5.0
 CIRCLE_S = 30.0
 RATE_HZ = 20.0
+ATTEMPTS = 3
+"""On a computer that does other things setpoints come late now and then, and the guard flies on in another mode."""
+
 RMS_LIMIT_M = {"position": 4.0, "velocity": 1.5, "attitude": 1.5}
 """Horizontal error that the circle may have. `position` has no feed-forward: the autopilot trails by its own lag."""
 
@@ -53,11 +56,28 @@ MODES = [pytest.param("position", marks=pytest.mark.minutes), "velocity", "attit
 
 @pytest.mark.parametrize("mode", MODES)
 def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> None:
+    for _ in range(ATTEMPTS):
+        fell_back = step_and_circle(air, figures, mode)
+        if fell_back is None:
+            break
+        air.takeoff()
+    else:
+        pytest.skip(f"this computer is too busy for it: {fell_back}")
+    figures["circle RMS m"], figures["circle largest m"] = trace_rms(newest_trace(air), CIRCLE_S - 5)
+    assert figures["circle RMS m"] < RMS_LIMIT_M[mode]
+    figures["after off"] = air.truth(air.one).mode
+
+
+def step_and_circle(air: Field, figures: dict[str, Any], mode: str) -> str | None:
+    """Why the guard did not fly it in this mode to the end; None if it did."""
     since = time.monotonic()
+
+    def fell_back() -> str | None:
+        reports = [e["text"] for e in air.watcher.events_since(since, "control", vehicle=air.one)]
+        return next((text for text in reports if text.startswith(("flown by", "holding")) and "limit" in text), None)
+
     air.order("control.set", air.one, mode=mode, force=True)
     air.daemon.call("control.record", targets=air.one, on=True)
-    figures["control_mode"] = air.control(air.one)["control_mode"]
-    assert figures["control_mode"] == mode, air.control(air.one)
     try:
         steps: dict[str, Any] = {"pos_enu_m": [0.0, 0.0, HEIGHT_M]}
         with Stream(air.daemon.socket, air.one, lambda t: steps, RATE_HZ) as stream:
@@ -69,26 +89,24 @@ def test_a_step_and_a_circle(air: Field, figures: dict[str, Any], mode: str) -> 
                 far = max(far, air.enu(air.one)[0] - RADIUS_M)
                 assert time.monotonic() - began < 40, f"the step never settles; {air.summary()}"
                 time.sleep(0.05)
+        if (why := fell_back()) is not None:
+            return why
         assert not stream.refused, stream.refused[:2]
         figures["step settles s"] = time.monotonic() - began
         figures["overshoot m"] = far
         with Stream(air.daemon.socket, air.one, circle, RATE_HZ) as stream:
             time.sleep(CIRCLE_S)
             status = air.control(air.one)
-        reports = [e["text"] for e in air.watcher.events_since(since, "control", vehicle=air.one)]
-        fell_back = [text for text in reports if text.startswith(("flown by", "holding"))]
-        if fell_back:
-            pytest.skip(f"this computer is too busy for it: {fell_back[0]}")
+        if (why := fell_back()) is not None:
+            return why
         assert not stream.refused, stream.refused[:2]
         assert status["control_mode"] == mode, status
         figures["state age s"], figures["delay p95 s"] = status["state_age_s"], status["delay_p95_s"]
         figures["late ticks"] = status["late"]
+        return None
     finally:
         air.daemon.call("control.record", targets=air.one, on=False)
         air.daemon.call("control.set", targets=air.one, mode="off")
-    figures["circle RMS m"], figures["circle largest m"] = trace_rms(newest_trace(air), CIRCLE_S - 5)
-    assert figures["circle RMS m"] < RMS_LIMIT_M[mode]
-    figures["after off"] = air.truth(air.one).mode
 
 
 def newest_trace(field: Field) -> Path:
