@@ -119,6 +119,8 @@ def test_a_stream_that_ends_leaves_it_where_it_is(air: Field, figures: dict[str,
         time.sleep(4)
     truth = air.truth(air.one)
     at = (truth.lat_deg, truth.lon_deg)
+    figures["speed m/s"] = truth.speed_mps
+    assert truth.speed_mps > 0.8, "it never flew"
     figures["standing s"] = air.wait(lambda: truth.speed_mps < 0.4, 15, "it stands")
     figures["stopped after m"] = truth.metres_from(*at)
     assert figures["stopped after m"] < 5

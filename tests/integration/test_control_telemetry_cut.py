@@ -98,6 +98,21 @@ async def test_a_velocity_is_not_flown_on_blindly(tmp_path: Path) -> None:
         assert "its velocity setpoints end: it stays where it is" in gcs.texts(cut)
 
 
+async def test_velocities_that_go_on_coming_are_reported_once_as_not_flown(tmp_path: Path) -> None:
+    """Seen on real firmware: an event for each of them, five a second."""
+    async with flown(tmp_path) as gcs:
+        await gcs.fly("velocity")
+        cut = gcs.now
+        gcs.sim().faults.mute = True
+        while gcs.now < cut + 6.0:
+            if gcs.now > cut + 1.5:
+                gcs.sim().faults.mute = False
+            await gcs("control.setpoint", targets="v1", vel_enu_mps=[1.0, 0.0, 0.0], valid_s=1.0)
+            await asyncio.sleep(0.05)
+        assert gcs.control()["control_mode"] == "position"
+        assert gcs.texts(cut).count("its velocity setpoints end: it stays where it is") == 1
+
+
 @KINDS
 async def test_a_daemon_that_is_stopped_has_them_hold_first(tmp_path: Path, kind: dict[str, int]) -> None:
     async with flown(tmp_path, **kind) as gcs:

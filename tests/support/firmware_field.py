@@ -384,6 +384,9 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
                 self.wait(lambda n=name: not self.state(n)["failsafe"], 20, f"{name}'s failsafe is over")  # type: ignore[misc]
                 self.order("vehicles.goto", name, enu_m=[*self.stand(name), height_m])
             else:
+                if self.truth(name).armed:  # an end of its own, as after a failsafe: it lands just now
+                    self.wait(lambda n=name: not self.truth(n).armed, 60, f"{name} has landed")  # type: ignore[misc]
+                    self.wait_idle(name)
                 self.order("vehicles.takeoff", name, height_m=height_m, wait_s=60)
         began = time.monotonic()
         self.wait(
@@ -418,14 +421,15 @@ fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}
         self.wait_idle()
         return landed_s
 
-    def wait_idle(self) -> None:
-        """Until the daemon takes all for disarmed and on the ground: before that it does nothing to them that would be
-        dangerous in the air."""
-        self.wait(lambda: not any(self.state(n)["armed"] for n in self.names), 20, "all are seen disarmed")
+    def wait_idle(self, *names: str) -> None:
+        """Until the daemon takes them (all, unless some are named) for disarmed and on the ground: before that it does
+        nothing to them that would be dangerous in the air."""
+        which = names or tuple(self.names)
+        self.wait(lambda: not any(self.state(n)["armed"] for n in which), 20, f"{which} are seen disarmed")
         self.wait(
-            lambda: all(self.state(n)["landed"] in ("on_ground", None) for n in self.names), 20, "all are seen landed"
+            lambda: all(self.state(n)["landed"] in ("on_ground", None) for n in which), 20, f"{which} are seen landed"
         )
-        self.wait(lambda: all(self.truth(n).armed_at < time.monotonic() - RECENTLY_S for n in self.names), 10, "idle")
+        self.wait(lambda: all(self.truth(n).armed_at < time.monotonic() - RECENTLY_S for n in which), 10, "idle")
 
     def ready_on_ground(self) -> None:
         """All disarmed, in a mode that arms, and near where they began."""

@@ -128,6 +128,8 @@ class OffboardController:
         self._until: float | None = None
         self._obeys = -1
         self._last = _Last()
+        self._velocity_ended = False
+        """Reported; a program that goes on sending velocities is not answered with an event for each."""
 
     # -- what a person asks
 
@@ -281,7 +283,11 @@ class OffboardController:
         if verdict.control_mode is POSITION and self.wanted is not POSITION and self._free():
             # a velocity is flown on by no way the guard has refused it to
             self._stay(yaw_rad=self._reference.yaw_rad)
-            events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
+            if not self._velocity_ended:
+                events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
+            self._velocity_ended = True
+        elif verdict.control_mode is not POSITION:
+            self._velocity_ended = False
         if verdict.action == "hold" or verdict.control_mode is None:
             self.state, self.control_mode, self._until = HELD, None, None
             return Tick(events=tuple(events), hold=True)
