@@ -292,7 +292,7 @@ class CopterVehicle(SimVehicle):
         self.enter(mode, now)
         leg = self.plan.leg
         pause_s = self.firmware.failsafe_land_pause_s.simulated
-        if mode == CopterMode.LAND and isinstance(leg, Land) and pause_s > 0.0:
+        if mode == CopterMode.LAND and isinstance(leg, Land | Descend) and pause_s > 0.0:
             self.plan.fly(replace(leg, not_before=now + pause_s))
         self.failsafe = True
 

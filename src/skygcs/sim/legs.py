@@ -57,9 +57,10 @@ class Land:
 
 @dataclass(frozen=True, slots=True)
 class Descend:
-    """Down without a position: level, drifting with the wind, until the ground is met."""
+    """Down without a position: level, drifting with the wind, until the ground is met; see `Land`."""
 
     speed_mps: float
+    not_before: float = 0.0
 
 
 Leg = GoTo | Follow | Wait | Land | Descend
@@ -129,8 +130,8 @@ def _steer(leg: Leg, motion: Body, limits: Limits, now: float) -> tuple[Setpoint
             return Setpoint(
                 (leg.east_m, leg.north_m, None), (None, None, -_landing_speed(leg, motion, limits, now))
             ), limits
-        case Descend(speed_mps):
-            return AttitudeSetpoint(None, climb_mps=-speed_mps), limits
+        case Descend(speed_mps, not_before):
+            return AttitudeSetpoint(None, climb_mps=0.0 if now < not_before else -speed_mps), limits
         case _:
             assert_never(leg)
 

@@ -382,7 +382,7 @@ def test_losing_gps_in_the_air_lands_it_with_a_failsafe(make: type[SimVehicle]) 
     pilot = Pilot(vehicle)
     pilot.hovering(8)
     vehicle.faults.gps_lost = True
-    pilot.run(7)
+    pilot.run(vehicle.firmware.position_lost_s.simulated + 1.5)
     assert pilot.last("HEARTBEAT").system_status == mav.MAV_STATE_CRITICAL
     assert pilot.last("EXTENDED_SYS_STATE").landed_state == mav.MAV_LANDED_STATE_LANDING
     pilot.run(25)
