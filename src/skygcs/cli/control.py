@@ -93,7 +93,7 @@ def gains(
     ] = False,
     json_output: Json = False,
 ) -> None:
-    """Show the gains, or change them until the daemon ends (also in flight). `gains` shows what delay they tolerate."""
+    """Show the gains, or change them until the daemon ends (also in flight). `skygcs-cli gains` shows their margins."""
     xy = _given(pos_p_per_s=xy_pos_p, vel_p=xy_vel_p, vel_i=xy_vel_i, vel_d=xy_vel_d)
     z = _given(pos_p_per_s=z_pos_p, vel_p=z_vel_p, vel_i=z_vel_i, vel_d=z_vel_d)
     changes = _given(xy=xy or None, z=z or None, hover_thrust=hover)
