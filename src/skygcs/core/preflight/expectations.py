@@ -25,7 +25,7 @@ class Expectations:
     params: Mapping[str, Rule] = field(default_factory=dict)
     """By name, that of ArduPilot 4.6 or of 4.7."""
     battery_min_percent: float = 30.0
-"""GPS fixes in ascending quality, named as by `core.vehicle.decoding`; "static" and "ppp" are the best."""
+    """Half of the charge above this is for the flight, the rest for a second approach. The guard holds at 20."""
     gps_fix_min: str = "3d"
     """One of `FIXES`; "no_gps" switches the check off, for indoor fleets."""
     satellites_min: int = 6
