@@ -21,8 +21,9 @@ from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
-from skygcs.links.base import Channel, OwnMessage
+from skygcs.links.base import Channel
 from skygcs.links.memory import MemoryLink
+from skygcs.links.outgoing import OwnMessage
 from skygcs.rpc.methods import METHODS
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.behaviours import CopterMode, Px4Mode

@@ -16,7 +16,8 @@ from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.heartbeat import discovers
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.events import Event
-from skygcs.links.base import Channel, OwnMessage
+from skygcs.links.base import Channel
+from skygcs.links.outgoing import OwnMessage
 
 
 @cache

@@ -17,7 +17,7 @@ from skygcs.config.radio import EmulatedRadio
 from skygcs.config.sim_params import load_param_set
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import LinkError
-from skygcs.links.simulated_radio import emulated
+from skygcs.links.simulated import emulated
 from skygcs.sim import protocol as m
 from skygcs.sim.conditions import CALM, Conditions, conditions_of
 from skygcs.sim.kinematics import LocalFrame

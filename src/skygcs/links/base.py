@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from skygcs.config.models import LinkConfig
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.frame import Frame, encode_payload
-from skygcs.core.mavlink.msgids import SETUP_SIGNING
+from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import Endpoint
 from skygcs.events import Event
+from skygcs.links.outgoing import Outgoing, OwnMessage
+from skygcs.links.paced import AirBudget
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath, Out, Table
-    from skygcs.links.paced import AirBudget
 
 
 class StateUpdate(NamedTuple):
@@ -54,27 +54,6 @@ MAX_SOURCES_PER_CHANNEL = 512
 """Bound of the per-source table of one channel; what comes from further sources is counted together."""
 
 
-class OwnMessage:
-    """A message of our own on its way to one or more channels. It gets its sequence number when it is written, so that
-    what was dropped or replaced while waiting does not look like loss to the vehicle."""
-
-    __slots__ = ("compid", "info", "payload", "recorded", "sysid")
-
-    def __init__(self, info: MessageInfo, payload: bytes, sysid: int, compid: int) -> None:
-        self.info = info
-        self.payload = payload
-        self.sysid = sysid
-        self.compid = compid
-        self.recorded = info.msgid == SETUP_SIGNING
-        """Nobody is to write it down any more: it was done, or it holds a key."""
-
-    def encode(self, seq: int, version: int) -> bytes:
-        """The frame for one channel. An id above 255 is sent as MAVLink 2 whatever the channel prefers."""
-        if self.info.msgid > 255:
-            version = 2
-        return encode_payload(self.info, self.payload, sysid=self.sysid, compid=self.compid, seq=seq, version=version)
-
-
 class ChannelSigning(Protocol):
     """How a channel with a signing key treats what comes and what is ours."""
 
@@ -89,10 +68,6 @@ class ChannelSigning(Protocol):
     def counters(self) -> dict[str, int]:
         """Frames since the channel was opened, by what became of them."""
         ...
-
-
-Outgoing = bytes | OwnMessage
-"""Received bytes forwarded as they are, or a message of our own."""
 
 
 class LinkHost(Protocol):

@@ -17,7 +17,7 @@ from skygcs.core.radio_link.admission_frames import is_emergency, is_order, pars
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.core.radio_link.pacing import Pacer, RadioRates, report_of
 from skygcs.core.radio_link.transmit_queue import ByteBudget, Priority, TxQueue
-from skygcs.links.base import Outgoing, OwnMessage
+from skygcs.links.outgoing import Outgoing, OwnMessage
 
 FRAME_OVERHEAD_BYTES = HEADER_V2_BYTES + CRC_BYTES
 """Of MAVLink 2, unsigned."""

@@ -11,7 +11,8 @@ from skygcs.config import models
 from skygcs.config.regular_file import open_regular
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import LinkError
-from skygcs.links.base import Channel, Link, LinkHost, Outgoing
+from skygcs.links.base import Channel, Link, LinkHost
+from skygcs.links.outgoing import Outgoing
 from skygcs.links.stream import StreamIntake
 from skygcs.tlog.files import WINDOW_BYTES, FileWindow
 from skygcs.tlog.format import sniff

@@ -21,7 +21,7 @@ from skygcs.config.radio import radio_rates
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
 from skygcs.links.paced import third_party_rules
-from skygcs.links.stream import StreamChannel
+from skygcs.links.stream import StreamChannel, WriteLimits
 
 TRY_BAUD_S = 5.0
 """How long one rate of a list is tried: five heartbeats of a vehicle at 1 Hz (mavlink-router takes the same time)."""
@@ -58,8 +58,7 @@ class SerialLink(Link):
                 self.config.device,
                 fd,
                 self._on_broken,
-                outstanding=partial(_bytes_outstanding, fd),
-                bytes_per_s=self.baud / BITS_PER_BYTE,
+                WriteLimits(partial(_bytes_outstanding, fd), self.baud / BITS_PER_BYTE),
                 radio=radio_rates(self.config, self.baud) if self.config.role == "radio" else None,
                 third_party=third_party_rules(self.config.third_party, self.host.dialect),
             )

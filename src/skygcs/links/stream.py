@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import asyncio
 import os
+import select
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Any
 
 from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
-from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.links.base import Channel, Link, Outgoing
-from skygcs.links.queued import QueuedChannel
-from skygcs.links.readiness import DescriptorWatcher
+from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
+from skygcs.links.base import Channel, Link
+from skygcs.links.outgoing import Outgoing
+from skygcs.links.paced import AirBudget
 
 RESCUE_AFTER_S = 0.1
 """Silence after which what the parser holds back is searched for whole frames. The longest frame takes 49 ms at 57600
@@ -27,7 +30,7 @@ READ_BYTES = 8192
 64 kB, 32 clients that flooded a server kept the loop for 0.44 s at a time, with this for 0.08 s."""
 
 SHALLOW_BYTES = 256
-"""Outstanding bytes in the kernel at which we stop writing: 44 ms at 57600 baud is what an urgent frame then waits."""
+"""Outstanding bytes in the kernel at which writing stops: an urgent frame then waits at most 44 ms at 57600 baud."""
 
 SHALLOW_S = 0.02
 """The same as a time, for fast ports, where 256 bytes would be gone before the next look."""
@@ -36,8 +39,44 @@ MIN_LOOK_S = 0.002
 """Shortest time between two looks at the kernel's buffer."""
 
 
+class DescriptorWatcher:
+    """Calls ``on_ready`` while ``fd`` can be read, has hung up, or (after `want_write`) can be written.
+
+    The descriptor is in an epoll of its own, and the loop watches that epoll. Reason: libuv (uvloop) stops watching a
+    descriptor for good at its first EPOLLERR, which an unplugged serial port or a reset connection gives while there is
+    still something to read, and a connected UDP socket each time its peer is not there. An epoll in an epoll can only
+    become readable.
+    """
+
+    __slots__ = ("_epoll", "_fd", "_loop", "_writing")
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, fd: int, on_ready: Callable[[], None]) -> None:
+        self._loop = loop
+        self._fd = fd
+        self._writing = False
+        self._epoll = select.epoll(1)
+        try:
+            self._epoll.register(fd, select.EPOLLIN)
+            loop.add_reader(self._epoll.fileno(), on_ready)
+        except BaseException:
+            self._epoll.close()
+            raise
+
+    def want_write(self, wanted: bool) -> None:
+        """Whether writability counts as ready too."""
+        if wanted != self._writing and not self._epoll.closed:
+            self._writing = wanted
+            self._epoll.modify(self._fd, select.EPOLLIN | select.EPOLLOUT if wanted else select.EPOLLIN)
+
+    def close(self) -> None:
+        """Stop watching; to be called before the descriptor is closed. Idempotent."""
+        if not self._epoll.closed:
+            self._loop.remove_reader(self._epoll.fileno())
+            self._epoll.close()
+
+
 class StreamIntake:
-    """Hands what comes on one stream to the channel's host, and looks for held-back frames after a silence."""
+    """Hands the frames of one stream to the channel's host, and searches for held-back frames after a silence."""
 
     __slots__ = ("_channel", "_loop", "_timer", "_touched_at")
 
@@ -84,14 +123,60 @@ class StreamIntake:
         self.rescue()
 
 
-class StreamChannel(QueuedChannel):
-    """A channel over a non-blocking descriptor, which stays its owner's to close (after `close`).
+class QueuedChannel(Channel):
+    """A channel with a queue: a plain one, or the sender's side of a radio (`paced.AirBudget`).
 
-    ``on_broken(channel, reason)`` is called once, from the loop, after the descriptor reported its end or an error or,
-    with ``stuck_after_s``, after the other end took nothing for that long. ``outstanding`` tells how many written bytes
-    the kernel still holds and ``bytes_per_s`` how fast they go: with them the kernel's buffer is kept shallow, so that
-    priorities mean something; without, it is filled until it takes no more. ``radio``: there is one at the other end,
-    and no more is sent than it bears, and of what others send no more than ``third_party`` allows.
+    What waits is in ``_line``. Subclasses use `_offer` and `_pop`, which count what was dropped or refused.
+    """
+
+    def __init__(self, link: Link, peer: str, radio: RadioRates | None, third_party: ThirdPartyRules | None) -> None:
+        """``radio``: of the radio at the other end; ``third_party``: what other programs may send into it."""
+        super().__init__(link, peer)
+        self.queue: TxQueue[Outgoing] = TxQueue()
+        if radio is not None:
+            self.air = AirBudget(self.queue, radio, link.loop.time(), third_party, link.host.dialect)
+        self._line: TxQueue[Outgoing] | AirBudget = self.queue if self.air is None else self.air
+
+    def counters(self) -> dict[str, Any]:
+        return {**super().counters(), "tx_waiting": len(self._line)}
+
+    def _offer(self, outgoing: Outgoing, priority: Priority, now: float, key: Hashable | None) -> bool:
+        """Queue it; False if it was dropped or refused."""
+        if self.air is None:
+            counters = self.queue.counters[priority]
+            lost = counters.dropped + counters.refused
+            taken = self.queue.offer(outgoing, priority, now, key)
+            self.tx_dropped += counters.dropped + counters.refused - lost
+        else:
+            taken = self.air.offer(outgoing, priority, now, key, signed=self.signing is not None)
+            self.tx_dropped += self.air.take_lost()
+        return taken
+
+    def _pop(self, now: float) -> tuple[Outgoing, Priority] | None:
+        """What is to be written now; None if nothing waits or the budget is spent."""
+        popped = self._line.pop(now)
+        if self.air is not None:
+            self.tx_dropped += self.air.take_lost()
+        return popped
+
+
+@dataclass(frozen=True, slots=True)
+class WriteLimits:
+    """How a descriptor is written. With ``outstanding`` (written bytes that the kernel still holds) and ``bytes_per_s``
+    (how fast they go) the kernel's buffer is kept shallow, so that priorities have an effect; without them it is
+    filled. ``stuck_after_s``: the channel breaks if the other end takes nothing for this long."""
+
+    outstanding: Callable[[], int] | None = None
+    bytes_per_s: float = 5760.0
+    stuck_after_s: float | None = None
+
+
+class StreamChannel(QueuedChannel):
+    """A channel over a non-blocking descriptor, which its owner closes after `close`.
+
+    ``on_broken(channel, reason)`` is called once, from the loop, after the descriptor reported its end or an error, or
+    after the other end took nothing for ``limits.stuck_after_s``. With ``radio``, no more is sent than the radio at the
+    other end can carry, and no more of other programs' frames than ``third_party`` allows.
     """
 
     def __init__(
@@ -100,21 +185,19 @@ class StreamChannel(QueuedChannel):
         peer: str,
         fd: int,
         on_broken: Callable[[StreamChannel, str], None],
+        limits: WriteLimits = WriteLimits(),
         *,
-        outstanding: Callable[[], int] | None = None,
-        bytes_per_s: float = 5760.0,
-        stuck_after_s: float | None = None,
         radio: RadioRates | None = None,
         third_party: ThirdPartyRules | None = None,
     ) -> None:
         super().__init__(link, peer, radio, third_party)
-        self.bytes_per_s = bytes_per_s
+        self.bytes_per_s = limits.bytes_per_s
         self.intake = StreamIntake(self)
         self._fd = fd
         self._loop = link.loop
         self._on_broken = on_broken
-        self._outstanding = outstanding
-        self._stuck_after_s = stuck_after_s
+        self._outstanding = limits.outstanding
+        self._stuck_after_s = limits.stuck_after_s
         self._rest = b""
         self._blocked = False
         self._progress_at = 0.0

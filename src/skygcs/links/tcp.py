@@ -15,8 +15,7 @@ from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
 from skygcs.links.base import Channel, Link, LinkHost
-from skygcs.links.readiness import DescriptorWatcher
-from skygcs.links.stream import StreamChannel
+from skygcs.links.stream import DescriptorWatcher, StreamChannel, WriteLimits
 
 CONNECT_TIMEOUT_S = 5.0
 """Per address. A LAN answers in milliseconds and Linux' own limit is two minutes."""
@@ -170,7 +169,7 @@ class TcpServerLink(Link):
         _set_options(sock)
         try:
             channel = StreamChannel(
-                self, format_address(address), sock.fileno(), self._drop, stuck_after_s=STUCK_AFTER_S
+                self, format_address(address), sock.fileno(), self._drop, WriteLimits(stuck_after_s=STUCK_AFTER_S)
             )
         except OSError:  # no descriptor left for it
             self._short_of_descriptors += 1
@@ -237,7 +236,7 @@ class TcpClientLink(Link):
         try:
             _set_options(sock)
             self._channel = StreamChannel(
-                self, format_address(address), sock.fileno(), self._on_broken, stuck_after_s=STUCK_AFTER_S
+                self, format_address(address), sock.fileno(), self._on_broken, WriteLimits(stuck_after_s=STUCK_AFTER_S)
             )
             self.host.attach(self._channel)
         except BaseException:

@@ -26,8 +26,9 @@ from skygcs.core.routing.peer_places import Peer
 from skygcs.errors import LinkError
 from skygcs.links.address import Address, explain, format_address, format_host, resolve
 from skygcs.links.allow_from import Admission
-from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost, Outgoing
+from skygcs.links.base import Channel, ForwardingPath, Link, LinkHost
 from skygcs.links.fast_path import new_fast_path, new_out
+from skygcs.links.outgoing import Outgoing
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import FastPath

@@ -12,7 +12,8 @@ from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES
 from skygcs.core.radio_link.pacing import HALF_DUPLEX_SHARE
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.events import Event
-from skygcs.links.base import Channel, OwnMessage
+from skygcs.links.base import Channel
+from skygcs.links.outgoing import OwnMessage
 from skygcs.links.paced import AirBudget
 from skygcs.runtime.hub import Hub
 

@@ -24,8 +24,9 @@ from skygcs.core.routing.router import Router
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.routing.sysid_translation import Endpoint
 from skygcs.events import Event
-from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, OwnMessage, StateUpdate
+from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, StateUpdate
 from skygcs.links.fast_path import new_table
+from skygcs.links.outgoing import OwnMessage
 from skygcs.runtime.channel_policy import channel_policy
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.frame_observers import FrameObserver, FrameObservers

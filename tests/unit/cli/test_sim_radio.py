@@ -16,7 +16,7 @@ from skygcs.config.radio import EmulatedRadio
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import LinkError
-from skygcs.links.simulated_radio import emulated
+from skygcs.links.simulated import emulated
 from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.tdm import GROUND
 from skygcs.sim.vehicle_group import make_vehicles

@@ -14,8 +14,9 @@ from skygcs.config import models
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.errors import LinkError
-from skygcs.links.base import Channel, OwnMessage
+from skygcs.links.base import Channel
 from skygcs.links.factory import make_link
+from skygcs.links.outgoing import OwnMessage
 from skygcs.links.simulated import SimulatedVehiclesLink
 from skygcs.sim.kinematics import Motion
 from skygcs.sim.quad import Quad

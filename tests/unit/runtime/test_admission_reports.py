@@ -13,7 +13,7 @@ from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
 from skygcs.events import Event
-from skygcs.links.base import OwnMessage
+from skygcs.links.outgoing import OwnMessage
 from skygcs.links.paced import AirBudget
 from skygcs.runtime.admission_reports import TEXT_BYTES, AdmissionReports
 from skygcs.runtime.hub import Hub

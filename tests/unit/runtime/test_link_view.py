@@ -13,8 +13,9 @@ from skygcs.config.models import FleetConfig, MemoryLink, SerialLink
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.links.base import Channel, ChannelSigning, Outgoing
+from skygcs.links.base import Channel, ChannelSigning
 from skygcs.links.memory import MemoryLink as Memory
+from skygcs.links.outgoing import Outgoing
 from skygcs.links.serial import SerialLink as Serial
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.link_view import LinkView, LinkWatch
