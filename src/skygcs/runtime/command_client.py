@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Collection, Hashable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
@@ -87,39 +87,32 @@ class _Line:
         self.quieted = asyncio.Event()
 
 
+@dataclass(frozen=True, slots=True)
+class _Request:
+    """One call of `CommandClient.run`; see its parameters."""
+
+    spec: CommandSpec
+    satisfied: Check | None
+    on_report: Callable[[int | None], None] | None
+    everywhere: bool
+    moving: bool
+    with_repeats: Follower | None
+
+
 class _Running:
-    __slots__ = (
-        "done",
-        "everywhere",
-        "moving",
-        "not_taken",
-        "on_report",
-        "priority",
-        "protocol",
-        "satisfied",
-        "with_repeats",
-    )
+    """A request in flight."""
+
+    __slots__ = ("done", "not_taken", "priority", "protocol", "request", "satisfied")
 
     def __init__(
-        self,
-        protocol: CommandProtocol,
-        done: asyncio.Future[Outcome],
-        priority: Priority,
-        satisfied: Check | None,
-        on_report: Callable[[int | None], None] | None,
-        *,
-        everywhere: bool,
-        moving: bool,
-        with_repeats: Follower | None,
+        self, request: _Request, protocol: CommandProtocol, done: asyncio.Future[Outcome], priority: Priority
     ) -> None:
+        self.request = request
         self.protocol = protocol
         self.done = done
         self.priority = priority
-        self.satisfied = satisfied
-        self.on_report = on_report
-        self.everywhere = everywhere
-        self.moving = moving
-        self.with_repeats = with_repeats
+        # a state that is there already says nothing about this command
+        self.satisfied = None if request.satisfied is not None and request.satisfied() else request.satisfied
         self.not_taken = 0
 
 
@@ -178,34 +171,28 @@ class CommandClient:
         wanted: Check | None = None,
         with_repeats: Follower | None = None,
     ) -> Outcome:
-        """Send it and wait for its outcome. ``satisfied`` tells whether the state shows already what is wanted: then
-        a lost ack does not matter. Cancelling forgets the command; what was sent cannot be unsent.
+        """Send it and wait for its outcome. ``satisfied``: true once the state shows what is wanted, so that a lost ack
+        does not matter. Cancelling forgets the command; what was sent cannot be unsent.
 
         The first transmission takes the best link, repeats take every one that leads to the vehicle: the best may be
         the very one that loses them. ``everywhere``: the first one as well. ``wanted``: it moves the vehicle, and a
         newer order may take its place (`supersede`); asked when its turn has come. An emergency's turn is at once.
         ``with_repeats``: a message that goes out right after each repeat, the same ways (`Step.with_repeats`).
         """
+        # what cannot be packed is refused
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
             return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
         try:
             self._dialect.by_name[spec.message].pack(spec.values(*self.target, 0))
         except ValueError as error:
             return Outcome(False, "refused", f"refused: {error}")
+        request = _Request(spec, satisfied, on_report, everywhere or emergency, wanted is not None, with_repeats)
         line = self._lines.setdefault(spec.command, _Line())
+        # an emergency takes the place of a command of its kind
         if emergency:
             self.stop(spec.command, "cancelled", "an emergency order took its place")
-            return await self._protocol(
-                line,
-                spec,
-                Priority.EMERGENCY,
-                EMERGENCY_TIMERS_S,
-                satisfied,
-                on_report,
-                everywhere=True,
-                moving=wanted is not None,
-                with_repeats=with_repeats,
-            )
+            return await self._protocol(line, request, Priority.EMERGENCY, EMERGENCY_TIMERS_S)
+        # any other command waits for its turn
         if line.waiting >= MAX_WAITING:
             return Outcome(False, "refused", f"{line.waiting} commands of the same kind are waiting already")
         line.waiting += 1
@@ -216,25 +203,14 @@ class CommandClient:
         try:
             ending = self._running.get(spec.command)
             if ending is not None and ending.done.done():
-                await asyncio.sleep(
-                    0
-                )  # an emergency that was superseded just now leaves, and its acks are to be counted
+                await asyncio.sleep(0)  # let a superseded emergency leave: its outstanding acks have to be counted
             await self._quiet(line)
             if spec.command in self._running:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
             if wanted is not None and not wanted():
                 return Outcome(False, "cancelled", SUPERSEDED)
-            return await self._protocol(
-                line,
-                spec,
-                Priority.COMMAND,
-                tuple(max(wait_s, self._min_retry_s) for wait_s in RETRY_TIMERS_S),
-                satisfied,
-                on_report,
-                everywhere=everywhere,
-                moving=wanted is not None,
-                with_repeats=with_repeats,
-            )
+            timers_s = tuple(max(wait_s, self._min_retry_s) for wait_s in RETRY_TIMERS_S)
+            return await self._protocol(line, request, Priority.COMMAND, timers_s)
         finally:
             line.lock.release()
 
@@ -329,7 +305,7 @@ class CommandClient:
         """A newer order moves the vehicle: older ones are not repeated any more. One of the very same commands goes on,
         and so does one that was run without ``wanted``."""
         for command, running in list(self._running.items()):
-            if running.moving and running.protocol.spec not in specs:
+            if running.request.moving and running.protocol.spec not in specs:
                 self.stop(command, "cancelled", SUPERSEDED)
 
     def close(self) -> None:
@@ -353,32 +329,12 @@ class CommandClient:
             await asyncio.sleep(echo_s)
 
     async def _protocol(
-        self,
-        line: _Line,
-        spec: CommandSpec,
-        priority: Priority,
-        timers: tuple[float, ...],
-        satisfied: Check | None,
-        on_report: Callable[[int | None], None] | None,
-        *,
-        everywhere: bool,
-        moving: bool,
-        with_repeats: Follower | None,
+        self, line: _Line, request: _Request, priority: Priority, timers_s: tuple[float, ...]
     ) -> Outcome:
-        protocol = CommandProtocol(spec, timers)
-        if satisfied is not None and satisfied():
-            satisfied = None  # it tells nothing about this command
-        done: asyncio.Future[Outcome] = self._loop.create_future()
-        running = _Running(
-            protocol,
-            done,
-            priority,
-            satisfied,
-            on_report,
-            everywhere=everywhere,
-            moving=moving,
-            with_repeats=with_repeats,
-        )
+        """Run the command protocol to its outcome, and note how many acks may still come late."""
+        spec = request.spec
+        protocol = CommandProtocol(spec, timers_s)
+        running = _Running(request, protocol, self._loop.create_future(), priority)
         self._running[spec.command] = running
         now = self._loop.time()
         carried = self._broadcast is not None and not self._broadcast.sent and self._broadcast.spec == spec
@@ -404,17 +360,17 @@ class CommandClient:
                 spec = running.protocol.spec
                 values = spec.values(*self.target, effect.attempt)
                 info = self._dialect.by_name[spec.message]
-                everywhere = {"everywhere": True} if running.everywhere or effect.attempt else {}
+                everywhere = {"everywhere": True} if running.request.everywhere or effect.attempt else {}
                 if not self._send(info, values, *self.target, running.priority, **everywhere):
                     running.not_taken += 1
-                if effect.attempt and running.with_repeats is not None:
-                    name, fields = running.with_repeats
+                if effect.attempt and running.request.with_repeats is not None:
+                    name, fields = running.request.with_repeats
                     if (follower := self._dialect.by_name.get(name)) is not None:
                         addressed = {**fields, **self._address(follower)}
                         self._send(follower, addressed, *self.target, running.priority, everywhere=True)
             elif isinstance(effect, Report):
-                if running.on_report is not None:
-                    running.on_report(effect.percent)
+                if running.request.on_report is not None:
+                    running.request.on_report(effect.percent)
             elif not running.done.done():
                 assert running.protocol.outcome is not None
                 running.done.set_result(running.protocol.outcome)

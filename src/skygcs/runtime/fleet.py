@@ -145,7 +145,7 @@ class Fleet:
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
         """All components beside the autopilots of ``vehicles``."""
         self._configs = {c.sysid: c for c in config.vehicle_configs()}
-        self.expected: dict[int, Expected] = {}
+        self._expected: dict[int, Expected] = {}
         """By the system id under which a vehicle will come back (`Renumbering`)."""
 
     def on_frame(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
@@ -316,6 +316,18 @@ class Fleet:
         text = f"{actor.name} (system {actor.sysid}) is forgotten, last heard {ago} ago"
         self._on_event(Event("vehicle_forgotten", actor.name, actor.sysid, text, {"compid": actor.compid}))
         return Outcome(True, "accepted", text)
+
+    def expect(self, sysid: int, expected: Expected | None) -> None:
+        """A known vehicle will come back under this system id and keep its name; None: no longer."""
+        if expected is None:
+            self._expected.pop(sysid, None)
+        else:
+            self._expected[sysid] = expected
+
+    def expect_when_lost(self, sysid: int) -> None:
+        """Take what comes under this system id for the expected vehicle only once that is no longer heard."""
+        if (expected := self._expected.get(sysid)) is not None:
+            self._expected[sysid] = expected._replace(when_lost=True)
 
     def configured_name(self, sysid: int) -> str | None:
         """The vehicle to which the fleet file gives this system id, after any `Renumbering`."""
@@ -620,7 +632,7 @@ class Fleet:
 
     def _make_way(self, heartbeat: Frame, link: str, now: float) -> None:
         """If this is a vehicle that was given this system id, the entry of its old one goes and its name stays."""
-        expected = self.expected.get(heartbeat.sysid)
+        expected = self._expected.get(heartbeat.sysid)
         if expected is None or now > expected.until or link != expected.link:
             return
         old = self.vehicles.get(expected.key)
@@ -629,7 +641,7 @@ class Fleet:
             return
         if expected.when_lost and old.vehicle.connected:
             return
-        del self.expected[heartbeat.sysid]
+        del self._expected[heartbeat.sysid]
         config = self._configs.pop(old.sysid, None)
         if config is not None and heartbeat.sysid not in self._configs:
             self._configs[heartbeat.sysid] = config.model_copy(update={"sysid": heartbeat.sysid})

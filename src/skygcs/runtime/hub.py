@@ -182,13 +182,10 @@ class Hub:
         shown = self._shown_of(channel)
         unix_us = time.time_ns() // 1000
         renumbering, observers, record = self._renumbering, self._observers, self._record
-        together: list[tuple[Frame, tuple[int, ...]]] | None = None
-        if channel.in_datagrams and len(frames) > 1:
-            together = []
+        together: list[tuple[Frame, tuple[int, ...]]] | None = [] if channel.in_datagrams and len(frames) > 1 else None
         for frame in frames:
-            raw = frame.raw
+            raw, key = frame.raw, frame.sysid << 8 | frame.compid
             size = len(raw)
-            key = frame.sysid << 8 | frame.compid
             channel.rx_frames += 1
             channel.rx_bytes += size
             stats = sources.get(key)

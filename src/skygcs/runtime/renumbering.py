@@ -91,8 +91,7 @@ class Renumbering:
             raise
         finally:
             self._busy = None
-            if (expected := self._fleet.expected.get(sysid)) is not None:
-                self._fleet.expected[sysid] = expected._replace(when_lost=True)
+            self._fleet.expect_when_lost(sysid)
         return {name: self._told(name, before, sysid, replace(outcome, elapsed_s=self._loop.time() - started))}
 
     # -- before
@@ -143,12 +142,12 @@ class Renumbering:
     async def _carry(self, actor: VehicleActor, sysid: int) -> Outcome:
         fleet, before, link = self._fleet, actor.sysid, actor.channel
         parameter = PARAMETERS[actor.vehicle.family]
-        fleet.expected[sysid] = Expected(actor.vehicle.key, link, self._loop.time() + KEPT_S)
+        fleet.expect(sysid, Expected(actor.vehicle.key, link, self._loop.time() + KEPT_S))
         key = sysid << 8 | actor.compid
         outcomes = await self._unless_met(key, actor.params.set({parameter: float(sysid)}))
         if outcomes is not None and not (outcome := next(iter(outcomes.values()))).ok and key not in fleet.vehicles:
             if outcome.result in ("denied", "unknown", "refused"):
-                fleet.expected.pop(sysid, None)
+                fleet.expect(sysid, None)
                 return Outcome(
                     False, outcome.result, f"{parameter} was not set, nothing has changed: {outcome.message}"
                 )
