@@ -16,7 +16,7 @@ import uvloop
 from hypothesis import HealthCheck, settings
 
 import skygcs.rpc.methods
-import skygcs.rpc.session  # noqa: F401 - a daemon imports them in a thread, which virtual time would not wait for
+import skygcs.rpc.sessions  # noqa: F401 - a daemon imports them in a thread, which virtual time would not wait for
 from support.virtual_uvloop import VirtualUvloop
 
 settings.register_profile("suite", max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 import os
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,6 @@ from skygcs.config.models import FleetConfig
 from skygcs.config.regular_file import open_regular
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
-from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
 from skygcs.errors import LinkError
 from skygcs.events import Event
@@ -219,18 +218,6 @@ class Daemon:
 
     # -- what a person asks
 
-    def send_message(
-        self,
-        name: str,
-        fields: Mapping[str, Any],
-        target: str | list[str] | None = None,
-        link: str | None = None,
-        *,
-        force: bool = False,
-    ) -> dict[str, Any]:
-        """Any message of the dialect by name; see `MessageSender.send`."""
-        return self.message_sender.send(name, fields, target, link, force=force)
-
     @property
     def events(self) -> deque[dict[str, Any]]:
         """The newest events."""
@@ -255,31 +242,6 @@ class Daemon:
         """See `EventLog.subscribe`."""
         return self.event_log.subscribe(watcher)
 
-    def subscribe_messages(
-        self, names: set[str] | None, keys: set[int] | None, watcher: Callable[[Frame, Channel, float], None]
-    ) -> Callable[[], None]:
-        """Call ``watcher`` with every accepted frame of these names and sources; KeyError for an unknown name."""
-        msgids = None if names is None else {self.dialect.find(n).msgid for n in names}
-        return self.hub.add_observer(msgids, keys, watcher)
-
-    # -- links
-
-    async def add_link(self, name: str, link: Mapping[str, Any]) -> None:
-        """See `LinkTable.add`."""
-        await self.links.add(name, link)
-
-    async def change_link(self, name: str, link: Mapping[str, Any]) -> None:
-        """See `LinkTable.change`."""
-        await self.links.change(name, link)
-
-    async def remove_link(self, name: str) -> None:
-        """See `LinkTable.remove`."""
-        await self.links.remove(name)
-
-    def client_alive(self) -> None:
-        """A client of the socket asked for something."""
-        self.operator_watchdog.on_client()
-
     def now(self) -> float:
         """The loop's clock."""
         return self.loop.time()
@@ -300,22 +262,6 @@ class Daemon:
             "clients": self.rpc.stats(),
             "to_undo": len(self.fleet.journal.left()),
         }
-
-    def air_status(self) -> list[dict[str, Any]]:
-        """See `AirPlanner.status`."""
-        return self.air.status(self.now())
-
-    def select_vehicles(self, keys: set[int]) -> None:
-        """See `AirPlanner.select`."""
-        self.air.select(keys)
-
-    def send_corrections(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
-        """See `CorrectionFeed.send`."""
-        return self.corrections.send(source, data, end=end)
-
-    def corrections_status(self) -> dict[str, Any]:
-        """See `CorrectionFeed.status`."""
-        return self.corrections.status()
 
     def open_links(self) -> list[str]:
         """Names of the links that are open now."""
@@ -375,11 +321,6 @@ class Daemon:
                 if cid in self.hub.channels
             ],
         }
-
-    def recorder_status(self) -> dict[str, Any]:
-        if self.recorder is None:
-            return {"recording": False}
-        return self.recorder.status()
 
 
 def _read_token(path: Path | None) -> str | None:

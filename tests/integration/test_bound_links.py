@@ -40,7 +40,7 @@ class Program(PymavPeer):
     @classmethod
     async def start(cls, air: OnAir, vehicle: int | str, **keys: Any) -> Program:
         name = f"p{vehicle}"
-        await air.daemon.add_link(name, {"type": "memory", "role": "gcs", "vehicles": [vehicle], **keys})
+        await air.daemon.links.add(name, {"type": "memory", "role": "gcs", "vehicles": [vehicle], **keys})
         await air.until(lambda: air.daemon.links.link(name).channels)  # type: ignore[union-attr]
         return cls(air, name)
 
@@ -170,7 +170,7 @@ async def test_two_vehicles_of_one_program_are_never_meant_both(tmp_path: Path) 
     async with on_air(tmp_path, **RADIO) as air:
         heard = overhear(air)
         await air.until(lambda: len(air.daemon.fleet.vehicles) == len(VEHICLES))
-        await air.daemon.add_link("pair", {"type": "memory", "role": "gcs", "vehicles": [2, 6]})
+        await air.daemon.links.add("pair", {"type": "memory", "role": "gcs", "vehicles": [2, 6]})
         await air.until(lambda: air.daemon.links.link("pair").channels)  # type: ignore[union-attr]
         program = Program(air, "pair")
         program.peer.send(program.command(0, 0, p1=1.0, p2=float(FORCE)))
@@ -200,8 +200,8 @@ async def test_nothing_of_ours_is_sent_to_a_program_not_even_on_request(tmp_path
         program = await Program.start(air, 6)
         await program.wait_heartbeat()
         with pytest.raises(RefusedError, match="bound to vehicles"):
-            air.daemon.send_message("STATUSTEXT", {"text": "hello"}, link="p6")
-        air.daemon.send_message("SYSTEM_TIME", {})
+            air.daemon.message_sender.send("STATUSTEXT", {"text": "hello"}, link="p6")
+        air.daemon.message_sender.send("SYSTEM_TIME", {})
         await asyncio.sleep(3)
         assert program.sources() == {6}
 
@@ -209,11 +209,11 @@ async def test_nothing_of_ours_is_sent_to_a_program_not_even_on_request(tmp_path
 async def test_a_link_that_cannot_be_bound_so_is_refused_at_run_time(tmp_path: Path) -> None:
     async with on_air(tmp_path, **RADIO) as air:
         with pytest.raises(LinkError, match='needs role = "gcs"'):
-            await air.daemon.add_link("x", {"type": "memory", "vehicles": [6]})
+            await air.daemon.links.add("x", {"type": "memory", "vehicles": [6]})
         with pytest.raises(LinkError, match="no vehicle 'kite'"):
-            await air.daemon.add_link("x", {"type": "memory", "role": "gcs", "vehicles": ["kite"]})
+            await air.daemon.links.add("x", {"type": "memory", "role": "gcs", "vehicles": ["kite"]})
         with pytest.raises(ConfigError):
-            await air.daemon.add_link("x", {"type": "memory", "role": "gcs", "vehicles": [6], "present_as": 300})
+            await air.daemon.links.add("x", {"type": "memory", "role": "gcs", "vehicles": [6], "present_as": 300})
         program = await Program.start(air, "v6")
         await program.wait_heartbeat()
         row = next(row for row in air.daemon.links_status() if row["name"] == "pv6")

@@ -73,7 +73,7 @@ async def test_a_ground_stations_heartbeat_keeps_it_quiet_until_it_ceases(tmp_pa
 async def test_a_recorded_ground_station_is_nobody(tmp_path: Path) -> None:
     """A recording that is replayed beside the fleet has its operator's heartbeats in it."""
     async with flown(tmp_path, settings=SETTINGS) as gcs:
-        await gcs.daemon.add_link("old", {"type": "replay", "file": str(CAPTURE), "speed": 1.0})
+        await gcs.daemon.links.add("old", {"type": "replay", "file": str(CAPTURE), "speed": 1.0})
         await gcs.fly("velocity", targets="v1")
         since = gcs.now
         await gcs.until(lambda: warnings(gcs, since), 10.0)

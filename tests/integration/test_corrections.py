@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from skygcs.errors import RefusedError
-from skygcs.rpc.corrections import CorrectionsStatus, CorrectionsTaken
+from skygcs.rpc.links import CorrectionsStatus, CorrectionsTaken
 from support.flown import Flown
 from support.grounded import on_the_ground
 from support.rtcm import STANDARD_1005, rtcm_frame
@@ -97,7 +97,7 @@ async def test_two_bases_at_a_time_are_refused(tmp_path: Path) -> None:
 
 async def test_what_no_link_takes_is_told(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path) as gcs:
-        await gcs.daemon.remove_link("air")
+        await gcs.daemon.links.remove("air")
         told = await send(gcs, STANDARD_1005)
         assert (told["links"], told["messages"], told["refused"]) == (0, 0, 1)
         assert (await gcs("corrections.status"))["refused"] == 1
@@ -105,7 +105,7 @@ async def test_what_no_link_takes_is_told(tmp_path: Path) -> None:
 
 async def test_a_ground_station_hears_nothing_of_them(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path) as gcs:
-        await gcs.daemon.add_link("gcs", {"type": "memory", "role": "gcs"})
+        await gcs.daemon.links.add("gcs", {"type": "memory", "role": "gcs"})
         await asyncio.sleep(1)
         await send(gcs, STANDARD_1005)
         await asyncio.sleep(1)

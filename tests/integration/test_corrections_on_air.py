@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import base64
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,7 +22,7 @@ OBSERVATIONS = (1077, 1087, 1097, 1127)
 
 def ask(air: OnAir, name: str, **params: Any) -> Any:
     method = METHODS[name]
-    return method.handler(air, method.params.model_validate(params))  # type: ignore[arg-type]
+    return method.handler(SimpleNamespace(services=air.daemon), method.params.model_validate(params))  # type: ignore[arg-type]
 
 
 def epoch_of(second: int) -> bytes:

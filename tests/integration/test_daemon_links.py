@@ -78,13 +78,13 @@ async def test_a_link_added_changed_and_removed_at_run_time(tmp_path: Path) -> N
 async def test_a_wrong_description_changes_nothing_and_says_what_is_wrong(tmp_path: Path) -> None:
     async with running(tmp_path, radio={}) as daemon:
         with pytest.raises(ConfigError, match="ATITUDE"):
-            await daemon.change_link("radio", {"allow_msg_id_in": ["ATITUDE"]})
+            await daemon.links.change("radio", {"allow_msg_id_in": ["ATITUDE"]})
         with pytest.raises(ConfigError, match="port"):
-            await daemon.add_link("x", {"type": "udp_server", "port": "many"})
+            await daemon.links.add("x", {"type": "udp_server", "port": "many"})
         with pytest.raises(LinkError, match="already"):
-            await daemon.add_link("radio", {"type": "memory"})
+            await daemon.links.add("radio", {"type": "memory"})
         with pytest.raises(LinkError, match="no link 'y'; there are: radio"):
-            await daemon.remove_link("y")
+            await daemon.links.remove("y")
         assert [row["state"] for row in daemon.links_status()] == ["up"]
 
 
@@ -94,10 +94,10 @@ async def test_a_conflict_is_an_event_and_both_directions_are_on_the_tlog(tmp_pa
         peer.send(heartbeat(255, 25, gcs=True))
         peer.send(heartbeat(7))
         await until(lambda: 7 << 8 | 1 in daemon.fleet.vehicles)
-        answer = daemon.send_message("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        answer = daemon.message_sender.send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
         assert answer == {"sent": 1, "message": "PARAM_REQUEST_READ"}
         with pytest.raises(RefusedError, match="was not sent"):
-            daemon.send_message("PARAM_REQUEST_READ", {"target_system": 99})
+            daemon.message_sender.send("PARAM_REQUEST_READ", {"target_system": 99})
         assert [e["kind"] for e in daemon.events].count("conflict") == 1
         await until(lambda: any(raw[5] == 255 and raw[7] == 0 for raw in peer.received))
     [tlog] = (tmp_path / "logs").glob("*.tlog")
@@ -121,9 +121,9 @@ async def test_over_a_terrible_network_every_vehicle_is_still_found(tmp_path: Pa
 
 async def test_changes_that_race_leave_no_link_behind(tmp_path: Path) -> None:
     async with running(tmp_path, gcs={"role": "gcs"}) as daemon:
-        attempts = [daemon.change_link("gcs", {"seed": n}) for n in range(5)]
-        attempts += [daemon.add_link("new", {"type": "memory"}) for _ in range(3)]
-        attempts += [daemon.remove_link("gcs"), daemon.add_link("gcs", {"type": "memory", "role": "gcs"})]
+        attempts = [daemon.links.change("gcs", {"seed": n}) for n in range(5)]
+        attempts += [daemon.links.add("new", {"type": "memory"}) for _ in range(3)]
+        attempts += [daemon.links.remove("gcs"), daemon.links.add("gcs", {"type": "memory", "role": "gcs"})]
         results = await asyncio.gather(*attempts, return_exceptions=True)
         assert all(isinstance(r, LinkError) for r in results if r is not None)
         await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
@@ -135,7 +135,7 @@ async def test_changes_that_race_leave_no_link_behind(tmp_path: Path) -> None:
 
 async def test_a_change_whose_asker_goes_away_is_carried_through(tmp_path: Path) -> None:
     async with running(tmp_path, gcs={"role": "gcs"}) as daemon:
-        change = asyncio.create_task(daemon.change_link("gcs", {"seed": 7}))
+        change = asyncio.create_task(daemon.links.change("gcs", {"seed": 7}))
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         change.cancel()
@@ -150,16 +150,16 @@ async def test_a_link_in_conflict_with_another_is_refused_and_the_old_one_stays(
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     async with running(tmp_path, radio={}) as daemon:
-        await daemon.add_link("gcs", {"type": "udp_server", "host": "127.0.0.1", "port": port, "enabled": False})
-        await daemon.add_link("loop", {"type": "udp_client", "host": "127.0.0.1", "port": port})
+        await daemon.links.add("gcs", {"type": "udp_server", "host": "127.0.0.1", "port": port, "enabled": False})
+        await daemon.links.add("loop", {"type": "udp_client", "host": "127.0.0.1", "port": port})
         with pytest.raises(LinkError, match=f"links.loop.port: {port} is our own link gcs"):
-            await daemon.change_link("gcs", {"enabled": True})
-        await daemon.change_link("loop", {"enabled": False})
-        await daemon.add_link("sim", {"type": "simulated", "px4": 2, "first_sysid": 5})
+            await daemon.links.change("gcs", {"enabled": True})
+        await daemon.links.change("loop", {"enabled": False})
+        await daemon.links.add("sim", {"type": "simulated", "px4": 2, "first_sysid": 5})
         with pytest.raises(LinkError, match="first_sysid: 6 is also a vehicle of the simulated link sim"):
-            await daemon.add_link("sim2", {"type": "simulated", "px4": 1, "first_sysid": 6})
+            await daemon.links.add("sim2", {"type": "simulated", "px4": 1, "first_sysid": 6})
         with pytest.raises(LinkError, match="system ids above 255"):
-            await daemon.change_link("sim", {"first_sysid": 255})
+            await daemon.links.change("sim", {"first_sysid": 255})
         assert [row["state"] for row in daemon.links_status() if row["name"] in ("radio", "sim")] == ["up", "up"]
 
 
@@ -167,16 +167,16 @@ async def test_a_link_is_switched_off_and_on_at_run_time(tmp_path: Path) -> None
     async with running(tmp_path, radio={}, spare={"enabled": False}) as daemon:
         states = {row["name"]: row["state"] for row in daemon.links_status()}
         assert states == {"radio": "up", "spare": "disabled"}
-        await daemon.change_link("radio", {"enabled": False})
-        await daemon.change_link("spare", {"enabled": True})
+        await daemon.links.change("radio", {"enabled": False})
+        await daemon.links.change("spare", {"enabled": True})
         await until(lambda: any(row["state"] == "up" for row in daemon.links_status()))
         states = {row["name"]: row["state"] for row in daemon.links_status()}
         assert states == {"radio": "disabled", "spare": "up"}
         assert [c.link.name for c in daemon.hub.channels.values()] == ["spare"]
         assert daemon.links.link("radio") is None
         with pytest.raises(LinkError, match="already"):
-            await daemon.add_link("radio", {"type": "memory"})
-        await daemon.remove_link("radio")
+            await daemon.links.add("radio", {"type": "memory"})
+        await daemon.links.remove("radio")
         assert [row["name"] for row in daemon.links_status()] == ["spare"]
 
 
@@ -198,7 +198,7 @@ def sent_to(daemon: Daemon, link: str, name: str) -> list[dict[str, Any]]:
 
 async def test_the_target_field_is_filled_whatever_its_name(tmp_path: Path) -> None:
     async with with_vehicles(tmp_path) as daemon:
-        assert daemon.send_message("MANUAL_CONTROL", {"x": 100}, "8") == {"sent": 1, "message": "MANUAL_CONTROL"}
+        assert daemon.message_sender.send("MANUAL_CONTROL", {"x": 100}, "8") == {"sent": 1, "message": "MANUAL_CONTROL"}
         await until(lambda: sent_to(daemon, "radio", "MANUAL_CONTROL"))
         [fields] = sent_to(daemon, "radio", "MANUAL_CONTROL")
         assert (fields["target"], fields["x"]) == (8, 100)
@@ -210,18 +210,18 @@ async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_sa
         with pytest.raises(
             RefusedError, match=r"COMMAND_LONG is for somebody: give a target .* its field target_system"
         ):
-            daemon.send_message("COMMAND_LONG", {"command": 400, "param1": 1.0})
+            daemon.message_sender.send("COMMAND_LONG", {"command": 400, "param1": 1.0})
         with pytest.raises(RefusedError, match="its field target "):
-            daemon.send_message("MANUAL_CONTROL", {"x": 1})
+            daemon.message_sender.send("MANUAL_CONTROL", {"x": 1})
         with pytest.raises(RefusedError, match="not both"):
-            daemon.send_message("COMMAND_LONG", {"command": 400}, "7", "radio")
+            daemon.message_sender.send("COMMAND_LONG", {"command": 400}, "7", "radio")
         with pytest.raises(RefusedError, match="another target"):
-            daemon.send_message("COMMAND_LONG", {"command": 512, "target_system": 7}, "8")
+            daemon.message_sender.send("COMMAND_LONG", {"command": 512, "target_system": 7}, "8")
         await asyncio.sleep(0.05)
         assert sent_to(daemon, "radio", "COMMAND_LONG") == sent_to(daemon, "other", "COMMAND_LONG") == []
-        daemon.send_message("COMMAND_LONG", {"command": 1, "target_system": 0})
-        daemon.send_message("COMMAND_LONG", {"command": 2}, link="other")
-        assert daemon.send_message("COMMAND_LONG", {"command": 3}, "all")["sent"] == 3
+        daemon.message_sender.send("COMMAND_LONG", {"command": 1, "target_system": 0})
+        daemon.message_sender.send("COMMAND_LONG", {"command": 2}, link="other")
+        assert daemon.message_sender.send("COMMAND_LONG", {"command": 3}, "all")["sent"] == 3
         await until(lambda: len(sent_to(daemon, "other", "COMMAND_LONG")) == 3)
         seen = [(f["command"], f["target_system"]) for f in sent_to(daemon, "radio", "COMMAND_LONG")]
         assert seen == [(1, 0), (3, 7), (3, 8)]
@@ -232,10 +232,10 @@ async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_sa
 async def test_a_message_without_target_says_who_else_gets_it_and_goes_out_once_a_link(tmp_path: Path) -> None:
     async with with_vehicles(tmp_path) as daemon:
         values = {"text": "hello"}
-        answer = daemon.send_message("STATUSTEXT", values, "7")
+        answer = daemon.message_sender.send("STATUSTEXT", values, "7")
         assert answer["note"] == "STATUSTEXT has no target field: on the same link v8 got it as well"
-        assert "note" not in daemon.send_message("STATUSTEXT", values, "9")
-        assert daemon.send_message("STATUSTEXT", values, "all") == {"sent": 2, "message": "STATUSTEXT"}
+        assert "note" not in daemon.message_sender.send("STATUSTEXT", values, "9")
+        assert daemon.message_sender.send("STATUSTEXT", values, "all") == {"sent": 2, "message": "STATUSTEXT"}
         await until(lambda: len(sent_to(daemon, "radio", "STATUSTEXT")) == 2)
 
 
@@ -276,7 +276,7 @@ async def test_no_broadcast_goes_out_while_a_link_keeps_sources_out(tmp_path: Pa
     async with running(tmp_path, radio={"role": "radio"}) as daemon:
         peer_of(daemon, "radio").send(heartbeat(7) + heartbeat(8))
         await until(lambda: len(daemon.fleet.vehicles) == 2)
-        await daemon.add_link("kept", {"type": "memory", key: [1]})
+        await daemon.links.add("kept", {"type": "memory", key: [1]})
         landing = asyncio.create_task(daemon.fleet.command_all("all", VehicleActor.land))
         await until(lambda: len(sent_to(daemon, "radio", "COMMAND_LONG")) >= 2)
         targets = {f["target_system"] for f in sent_to(daemon, "radio", "COMMAND_LONG") if f["command"] == 21}
@@ -290,10 +290,10 @@ async def test_messages_give_way_to_orders_and_heartbeats(tmp_path: Path, monkey
         used: list[Priority] = []
         for channel in daemon.hub.channels.values():
             monkeypatch.setattr(channel, "send", lambda out, priority, key=None: used.append(priority) or True)
-        daemon.send_message("STATUSTEXT", {}, "7")
-        daemon.send_message("STATUSTEXT", {}, link="radio")
-        daemon.send_message("STATUSTEXT", {})
-        daemon.send_message("COMMAND_LONG", {"target_system": 7})
+        daemon.message_sender.send("STATUSTEXT", {}, "7")
+        daemon.message_sender.send("STATUSTEXT", {}, link="radio")
+        daemon.message_sender.send("STATUSTEXT", {})
+        daemon.message_sender.send("COMMAND_LONG", {"target_system": 7})
         assert set(used) <= {Priority.PROTOCOL, Priority.HEARTBEAT}
         assert used.count(Priority.PROTOCOL) == 5
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -35,7 +36,7 @@ class Asker:
 
     async def __call__(self, name: str, **params: Any) -> Any:
         method = METHODS[name]
-        answer = method.handler(self, method.params.model_validate(params))
+        answer = method.handler(SimpleNamespace(services=self.daemon), method.params.model_validate(params))
         return await answer if asyncio.iscoroutine(answer) else answer
 
     async def done(self, name: str, **params: Any) -> None:

@@ -133,7 +133,7 @@ async def test_who_is_selected_gets_more(tmp_path: Path) -> None:
     async with on_air(tmp_path, px4=3, ardupilot=0, radio={"air_kbps": 250}, link=link) as air:
         await air.settled(3)
         alike = {v["planned_bytes_per_s"] for v in air.air()["vehicles"]}
-        air.daemon.select_vehicles({2 << 8 | 1})
+        air.daemon.air.select({2 << 8 | 1})
         await asyncio.sleep(2)
         assert len(alike) == 1
         assert air.vehicle(2)["planned_bytes_per_s"] > max(alike) > air.vehicle(1)["planned_bytes_per_s"]
@@ -188,7 +188,7 @@ async def test_a_vehicle_that_is_heard_badly_is_told_of_once_and_again_when_it_i
 async def test_a_link_that_is_no_radio_is_neither_planned_nor_paced(tmp_path: Path) -> None:
     async with on_air(tmp_path, link={"role": "vehicle"}) as air:
         await asyncio.sleep(30)
-        assert air.daemon.air_status() == [] and air.channel.air is None
+        assert air.daemon.air.status(air.daemon.now()) == [] and air.channel.air is None
         assert "VFR_HUD" in air.rates(1), "what comes by itself goes on"
         assert not air.daemon.fleet.find("1").streams.planned
 

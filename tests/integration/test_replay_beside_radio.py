@@ -79,7 +79,7 @@ def got(daemon: Daemon, name: str) -> list[Frame]:
 
 async def play(daemon: Daemon, path: Path) -> None:
     write_tlog(path)
-    await daemon.add_link("flight", {"type": "replay", "file": str(path), "speed": 0})
+    await daemon.links.add("flight", {"type": "replay", "file": str(path), "speed": 0})
     await until(lambda: daemon.links_status()[-1]["state"] == "finished")
 
 
@@ -113,7 +113,7 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
             assert outcome.result == "refused"
             assert "recording" in outcome.message
         try:
-            daemon.send_message("PARAM_REQUEST_LIST", {}, "2")
+            daemon.message_sender.send("PARAM_REQUEST_LIST", {}, "2")
             raise AssertionError("it was sent")
         except RefusedError as error:
             assert "in a recording only" in str(error)
@@ -122,7 +122,7 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
         peer(daemon, "radio").send(heartbeat(2, seq=9))
         await until(lambda: daemon.fleet.vehicles.get(2 << 8 | 1) not in (None, recorded))
         assert daemon.fleet.vehicles[2 << 8 | 1].state(daemon.now())["replayed"] is False
-        assert daemon.send_message("PARAM_REQUEST_LIST", {}, "2")["sent"] == 1
+        assert daemon.message_sender.send("PARAM_REQUEST_LIST", {}, "2")["sent"] == 1
 
 
 async def test_it_is_warned_of_when_it_is_added(tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ async def test_a_vehicle_that_signs_is_heard_and_takes_our_signed_orders(tmp_pat
         peer = SignedPeer(wire(daemon))
         peer.beat()
         await until(lambda: VEHICLE in daemon.fleet.vehicles)
-        daemon.send_message("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        daemon.message_sender.send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
         await until(lambda: any(m.get_type() == "PARAM_REQUEST_READ" for m in peer.good()))
         assert all(m.get_signed() and m.get_link_id() == 4 for m in peer.good())
         assert peer.mav.signing.badsig_count == 0
@@ -292,7 +292,7 @@ async def test_a_clock_that_was_pinned_before_is_told_and_mended(tmp_path: Path,
         peer = SignedPeer(wire(daemon))
         peer.beat()
         await until(lambda: VEHICLE in daemon.fleet.vehicles)
-        daemon.send_message("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
+        daemon.message_sender.send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
         await until(lambda: any(m.get_type() == "PARAM_REQUEST_READ" for m in peer.good()))
     async with running(tmp_path, radio=radio) as daemon:
         assert not [e for e in daemon.events if e["kind"] == "warning"]
@@ -345,7 +345,7 @@ async def test_a_vehicle_gets_a_key_and_signs(tmp_path: Path) -> None:
     ):
         await discovered(daemon, 1)
         seen: list[str] = []
-        daemon.subscribe_messages(None, None, lambda frame, channel, now: seen.append(frame.name))
+        daemon.hub.add_observer(None, None, lambda frame, channel, now: seen.append(frame.name))
         answer = await gcs.call("signing.setup", targets="1", key_file=str(path))
         assert answer["outcomes"]["v1"]["ok"], answer
         assert key_id(KEY) in answer["outcomes"]["v1"]["message"]
@@ -452,7 +452,7 @@ async def test_a_key_from_elsewhere_is_not_forwarded_recorded_or_shown(tmp_path:
         wire(daemon).send(PymavPeer(7, 1).heartbeat())
         await discovered(daemon, 1)
         seen: list[str] = []
-        daemon.subscribe_messages(None, None, lambda frame, channel, now: seen.append(frame.name))
+        daemon.hub.add_observer(None, None, lambda frame, channel, now: seen.append(frame.name))
         other = PymavPeer(254, 190)
         for target in (7, 0):
             message = mav.MAVLink_setup_signing_message(target, target and 1, list(OTHER), 1)
@@ -466,7 +466,7 @@ async def test_a_key_from_elsewhere_is_not_forwarded_recorded_or_shown(tmp_path:
             "or use skygcs-cli signing setup"
         ]
         with pytest.raises(RefusedError, match="signing setup"):
-            daemon.send_message("SETUP_SIGNING", {"secret_key": list(OTHER)}, "7")
+            daemon.message_sender.send("SETUP_SIGNING", {"secret_key": list(OTHER)}, "7")
     assert OTHER not in b"".join(p.read_bytes() for p in (tmp_path / "logs").iterdir())
 
 
@@ -485,12 +485,12 @@ async def test_a_bad_key_at_run_time_changes_nothing(tmp_path: Path) -> None:
     async with running(tmp_path, radio={"signing": good}) as daemon:
         bad = key_file(tmp_path, OTHER, "bad", mode=0o604)
         with pytest.raises(KeyFileError, match="0604"):
-            await daemon.change_link("radio", {"signing": {"key_file": str(bad)}})
+            await daemon.links.change("radio", {"signing": {"key_file": str(bad)}})
         with pytest.raises(LinkError, match="link_id"):
-            await daemon.add_link("two", {"type": "memory", "signing": {"key_file": str(good.key_file)}})
+            await daemon.links.add("two", {"type": "memory", "signing": {"key_file": str(good.key_file)}})
         copy = key_file(tmp_path, KEY, "copy")
         with pytest.raises(KeyFileError, match=r"is the key of links\.radio as well"):
-            await daemon.add_link("two", {"type": "memory", "signing": {"key_file": str(copy)}})
+            await daemon.links.add("two", {"type": "memory", "signing": {"key_file": str(copy)}})
         assert stat.S_IMODE(copy.stat().st_mode) == 0o600
         peer = SignedPeer(wire(daemon))
         peer.beat()

@@ -10,6 +10,7 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -100,7 +101,9 @@ class Port:
 
     async def outcome(self, method: str, **params: Any) -> dict[str, Any]:
         found = METHODS[method]
-        answer = found.handler(self, found.params.model_validate({"targets": "v1", **params}))
+        answer = found.handler(
+            SimpleNamespace(services=self.daemon), found.params.model_validate({"targets": "v1", **params})
+        )
         assert asyncio.iscoroutine(answer)
         (outcome,) = (await answer)["outcomes"].values()
         return dict(outcome)

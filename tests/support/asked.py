@@ -19,8 +19,7 @@ from skygcs.daemon import Daemon
 from skygcs.links.memory import MemoryLink
 from skygcs.rpc.dispatch import Dispatcher
 from skygcs.rpc.methods import METHODS
-from skygcs.rpc.session import Session
-from skygcs.rpc.sessions import Sessions
+from skygcs.rpc.sessions import Session, Sessions
 from support.hosts import until
 from support.pymav import PymavPeer
 

@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
@@ -429,8 +430,47 @@ class FakeFleet:
         return part in ("all", vehicle.name, str(vehicle.sysid), *vehicle.groups)
 
 
+class FakeLinks(dict[str, dict[str, Any]]):
+    """The links by name, and their configurations."""
+
+    async def add(self, name: str, link: dict[str, Any]) -> None:
+        if name in self:
+            raise LinkError(f"there is a link {name} already")
+        if "type" not in link:
+            raise ConfigError(f"links.{name}", [f"links.{name}.type: is missing", f"links.{name}.port: is missing"])
+        self[name] = link
+
+    async def change(self, name: str, link: dict[str, Any]) -> None:
+        await self.remove(name)
+        await self.add(name, link)
+
+    async def remove(self, name: str) -> None:
+        if name not in self:
+            raise LinkError(f"no link {name}; there are: {', '.join(self)}")
+        del self[name]
+
+
+class FakeCorrections(list[tuple[str, bytes, bool]]):
+    """What was sent; a test sets what is answered."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fails: Exception | None = None
+        self.answer: dict[str, Any] = {}
+        self.told: dict[str, Any] = {}
+
+    def send(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
+        if self.fails is not None:
+            raise self.fails
+        self.append((source, data, end))
+        return dict(self.answer)
+
+    def status(self) -> dict[str, Any]:
+        return dict(self.told)
+
+
 class FakeDaemon:
-    """Everything `skygcs.rpc.ports.Daemon` asks for."""
+    """Everything `skygcs.rpc.context.Services` asks for."""
 
     def __init__(self, vehicle_count: int = 3) -> None:
         self.requests_seen = 0
@@ -445,20 +485,22 @@ class FakeDaemon:
         )
         self.events: deque[dict[str, Any]] = deque(maxlen=1000)
         self.sent: list[tuple[str, dict[str, Any], str | None, str | None]] = []
-        self.links: dict[str, dict[str, Any]] = {"radio": {"type": "serial", "device": "/dev/ttyUSB0"}}
+        self.links = FakeLinks(radio={"type": "serial", "device": "/dev/ttyUSB0"})
         self.link_states: dict[str, dict[str, Any]] = {}
-        self.corrections: list[tuple[str, bytes, bool]] = []
-        self.corrections_fail: Exception | None = None
-        self.corrections_taken: dict[str, Any] = {}
-        self.corrections_told: dict[str, Any] = {}
+        self.corrections = FakeCorrections()
+        self.message_sender = SimpleNamespace(send=self._send)
+        self.hub = SimpleNamespace(add_observer=self._add_observer)
+        self.operator_watchdog = SimpleNamespace(on_client=self._on_client)
+        self.recorder = SimpleNamespace(status=lambda: {"recording": True, "file": "logs/a.tlog", "dropped": 0})
+        self.air = SimpleNamespace(status=lambda now: [], select=lambda keys: None)
         self._on_event: list[Callable[[Mapping[str, Any]], None]] = []
-        self._on_frame: list[tuple[set[str] | None, set[int] | None, Callable[[Frame, Any, float], None]]] = []
+        self._on_frame: list[tuple[set[int] | None, set[int] | None, Callable[[Frame, Any, float], None]]] = []
         self.emit("vehicle_discovered", "alpha", "alpha (1) discovered on radio")
 
     def vehicle(self, name: str) -> FakeVehicle:
         return self.fleet.resolve(name)[0]
 
-    def client_alive(self) -> None:
+    def _on_client(self) -> None:
         self.requests_seen += 1
 
     def now(self) -> float:
@@ -471,21 +513,6 @@ class FakeDaemon:
 
     def link_quality(self, key: int) -> dict[str, Any]:
         return {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
-
-    def air_status(self) -> list[dict[str, Any]]:
-        return []
-
-    def select_vehicles(self, keys: set[int]) -> None:
-        self.selected = keys
-
-    def send_corrections(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
-        if self.corrections_fail is not None:
-            raise self.corrections_fail
-        self.corrections.append((source, data, end))
-        return dict(self.corrections_taken)
-
-    def corrections_status(self) -> dict[str, Any]:
-        return dict(self.corrections_told)
 
     def links_status(self) -> list[dict[str, Any]]:
         return [
@@ -516,22 +543,6 @@ class FakeDaemon:
             for name, link in self.links.items()
         ]
 
-    async def add_link(self, name: str, link: dict[str, Any]) -> None:
-        if name in self.links:
-            raise LinkError(f"there is a link {name} already")
-        if "type" not in link:
-            raise ConfigError(f"links.{name}", [f"links.{name}.type: is missing", f"links.{name}.port: is missing"])
-        self.links[name] = link
-
-    async def change_link(self, name: str, link: dict[str, Any]) -> None:
-        await self.remove_link(name)
-        await self.add_link(name, link)
-
-    async def remove_link(self, name: str) -> None:
-        if name not in self.links:
-            raise LinkError(f"no link {name}; there are: {', '.join(self.links)}")
-        del self.links[name]
-
     @property
     def renumbering(self) -> FakeDaemon:
         return self
@@ -547,10 +558,7 @@ class FakeDaemon:
     def router_stats(self) -> dict[str, Any]:
         return {"forwarded": 17, "routes": {}}
 
-    def recorder_status(self) -> dict[str, Any]:
-        return {"recording": True, "file": "logs/a.tlog", "dropped": 0}
-
-    def send_message(
+    def _send(
         self, name: str, fields: dict[str, Any], target: str | None, link: str | None, *, force: bool = False
     ) -> dict[str, Any]:
         self.sent.append((name, fields, target, link))
@@ -566,10 +574,10 @@ class FakeDaemon:
         self._on_event.append(callback)
         return lambda: self._on_event.remove(callback)
 
-    def subscribe_messages(
-        self, names: set[str] | None, keys: set[int] | None, callback: Callable[[Frame, Any, float], None]
+    def _add_observer(
+        self, msgids: set[int] | None, keys: set[int] | None, callback: Callable[[Frame, Any, float], None]
     ) -> Callable[[], None]:
-        entry = (names, keys, callback)
+        entry = (msgids, keys, callback)
         self._on_frame.append(entry)
         return lambda: self._on_frame.remove(entry)
 
@@ -598,8 +606,8 @@ class FakeDaemon:
         """A message arrives."""
         info = self.dialect.by_name[name]
         frame = Frame(encode(info, fields, sysid=sysid, compid=compid, seq=0), 0, sysid, compid, info.msgid, info)
-        for names, keys, callback in list(self._on_frame):
-            if (names is None or name in names) and (keys is None or sysid << 8 | compid in keys):
+        for msgids, keys, callback in list(self._on_frame):
+            if (msgids is None or info.msgid in msgids) and (keys is None or sysid << 8 | compid in keys):
                 callback(frame, None, self.now())
 
 

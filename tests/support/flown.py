@@ -12,6 +12,7 @@ import math
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
@@ -117,9 +118,9 @@ class Flown:
         return self.daemon.now()
 
     async def __call__(self, method_name: str, /, **params: Any) -> Any:
-        self.daemon.client_alive()
+        self.daemon.operator_watchdog.on_client()
         method = METHODS[method_name]
-        answer = method.handler(self, method.params.model_validate(params))
+        answer = method.handler(SimpleNamespace(services=self.daemon), method.params.model_validate(params))
         return await answer if asyncio.iscoroutine(answer) else answer
 
     async def outcome(self, name: str, targets: str = "v1", **params: Any) -> dict[str, Any]:

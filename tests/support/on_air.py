@@ -46,7 +46,7 @@ class OnAir:
 
     def air(self) -> dict[str, Any]:
         """What link.status tells of the radio."""
-        (told,) = self.daemon.air_status()
+        (told,) = self.daemon.air.status(self.daemon.now())
         return told
 
     def vehicle(self, sysid: int) -> dict[str, Any]:
@@ -73,7 +73,7 @@ class OnAir:
         """All are planned and follow."""
         return await self.until(
             lambda: (
-                self.daemon.air_status()
+                self.daemon.air.status(self.daemon.now())
                 and len(self.air()["vehicles"]) == vehicles
                 and all(v["settled"] for v in self.air()["vehicles"])
             ),

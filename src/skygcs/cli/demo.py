@@ -273,7 +273,7 @@ def _summarise(script: Demo, daemon: Daemon, console: Console) -> None:
     for line in script.log:
         if script.failed:
             console.print(f"  {line}")
-    recorded = daemon.recorder_status()
+    recorded = {} if daemon.recorder is None else daemon.recorder.status()
     if recorded.get("file"):
         console.print(f"tlog: {os.path.relpath(recorded['file'])}  (skygcs-cli tlog info FILE reads it)")
     console.print(

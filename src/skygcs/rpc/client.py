@@ -24,13 +24,13 @@ import math
 import os
 import pwd
 import socket
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self, cast
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import client_address, tcp_address
-from skygcs.rpc.inbox import Inbox, Latest, Queue
 
 _OnAnswer = Callable[[Any, "RpcError | None"], None]
 Targets = str | int | Sequence[str | int]
@@ -41,6 +41,9 @@ Outcomes = dict[str, dict[str, Any]]
 CONNECT_WITHIN_S = 10.0
 CONNECT_AGAIN_S = 0.01
 """A daemon takes connections every few milliseconds, 100 at a time."""
+
+INBOX = 1000
+"""Events or messages waiting for a slow ``async for``; older ones are then dropped and counted."""
 
 EVENT_KINDS = (
     "vehicle_discovered",
@@ -170,10 +173,19 @@ class Client:
         return await self._order("disarm", targets, force=force, confirm=confirm)
 
     async def takeoff(
-        self, targets: Targets, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0
+        self,
+        targets: Targets,
+        height_m: float | None = None,
+        *,
+        arm: bool = True,
+        wait_s: float = 0.0,
+        force: bool = False,
     ) -> Outcomes:
-        """To a height above the ground it stands on; None: the fleet file's. ``wait_s`` as for `arm`."""
-        return await self._order("takeoff", targets, height_m=height_m, arm=arm, wait_s=wait_s)
+        """To a height above the ground it stands on; None: the fleet file's. ``wait_s`` as for `arm`.
+
+        ``force``: without a required preflight.
+        """
+        return await self._order("takeoff", targets, height_m=height_m, arm=arm, wait_s=wait_s, force=force)
 
     async def land(self, targets: Targets) -> Outcomes:
         return await self._order("land", targets)
@@ -289,6 +301,82 @@ async def _connected_to(path: str) -> socket.socket:
     except BaseException:
         sock.close()
         raise
+
+
+class Inbox:
+    """What came and was not iterated over yet. Never holds up replies on the same connection."""
+
+    def __init__(self) -> None:
+        self._arrived = asyncio.Event()
+        self._error: RpcError | None = None
+
+    def put(self, params: dict[str, Any]) -> None:
+        self._keep(params)
+        self._arrived.set()
+
+    def fail(self, error: RpcError) -> None:
+        self._error = error
+        self._arrived.set()
+
+    async def get(self) -> dict[str, Any]:
+        while not self:
+            if self._error is not None:
+                raise self._error
+            self._arrived.clear()
+            await self._arrived.wait()
+        return self._take()
+
+    def __bool__(self) -> bool:
+        raise NotImplementedError
+
+    def _keep(self, params: dict[str, Any]) -> None:
+        raise NotImplementedError
+
+    def _take(self) -> dict[str, Any]:
+        raise NotImplementedError
+
+
+class Latest(Inbox):
+    """The newest state of each vehicle; the one that waits longest first."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._by_name: dict[str, dict[str, Any]] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._by_name)
+
+    def _keep(self, params: dict[str, Any]) -> None:
+        state = params["state"]
+        self._by_name[state["name"]] = state
+
+    def _take(self) -> dict[str, Any]:
+        return self._by_name.pop(next(iter(self._by_name)))
+
+
+class Queue(Inbox):
+    """In order; the oldest are dropped and counted, as those that the daemon dropped."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__()
+        self._key = key
+        self._waiting: deque[dict[str, Any]] = deque()
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
+
+    def _keep(self, params: dict[str, Any]) -> None:
+        content = params[self._key]
+        dropped = params.get("dropped", 0)
+        if dropped:
+            content["dropped"] = dropped
+        if len(self._waiting) >= INBOX:
+            lost = 1 + self._waiting.popleft().get("dropped", 0)
+            self._waiting[0]["dropped"] = self._waiting[0].get("dropped", 0) + lost
+        self._waiting.append(content)
+
+    def _take(self) -> dict[str, Any]:
+        return self._waiting.popleft()
 
 
 class Subscription:

@@ -1,39 +1,135 @@
-"""What a method knows of who asks, and what several groups of methods do alike."""
+"""What a method of the socket acts on, and what several groups of methods do alike."""
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
-from skygcs.rpc import models as m
-from skygcs.rpc.ports import Daemon, JsonObject, Vehicle, resolve
-from skygcs.runtime.fleet import Order
+from skygcs.events import Event
+from skygcs.rpc import dispatch
+from skygcs.rpc.dispatch import Method
+from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
+from skygcs.runtime.air_planner import AirPlanner
+from skygcs.runtime.correction_feed import CorrectionFeed
+from skygcs.runtime.fleet import KEPT, Fleet, Order
+from skygcs.runtime.hub import Hub
+from skygcs.runtime.linktable import LinkTable
+from skygcs.runtime.message_sender import MessageSender
+from skygcs.runtime.operator_watchdog import OperatorWatchdog
+from skygcs.runtime.recorder import Recorder
+from skygcs.runtime.renumbering import Renumbering
+from skygcs.runtime.signing_setup import SigningSetup
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+JsonObject = dict[str, Any]
+
+
+class Services(Protocol):
+    """The parts of a running daemon that methods act on; `skygcs.daemon.Daemon` has all of them."""
+
+    dialect: Dialect
+    fleet: Fleet
+    hub: Hub
+    links: LinkTable
+    air: AirPlanner
+    corrections: CorrectionFeed
+    message_sender: MessageSender
+    renumbering: Renumbering
+    signing_setup: SigningSetup
+    operator_watchdog: OperatorWatchdog
+    recorder: Recorder | None
+
+    @property
+    def events(self) -> deque[JsonObject]:
+        """The newest events, as they are sent to clients."""
+        ...
+
+    @property
+    def stopping(self) -> bool: ...
+    def now(self) -> float: ...
+    def info(self) -> JsonObject: ...
+    def on_event(self, event: Event) -> None: ...
+    def subscribe_events(self, watcher: Callable[[JsonObject], None]) -> Callable[[], None]: ...
+    def link_quality(self, key: int) -> JsonObject: ...
+    def links_status(self) -> list[JsonObject]: ...
+    def router_stats(self) -> JsonObject: ...
+    def signing_status(self) -> JsonObject: ...
 
 
 class Context(Protocol):
-    """What a method knows of who asks: the daemon, and the session's subscriptions."""
+    """The client that called a method: the daemon it is connected to, and its subscriptions."""
 
     @property
-    def daemon(self) -> Daemon: ...
-    def subscribe(self, params: m.SubscribeParams) -> int: ...
+    def services(self) -> Services: ...
+    def subscribe(self, params: SubscribeParams) -> int: ...
     def unsubscribe(self, number: int) -> None: ...
 
 
-async def order(context: Context, order: Order, params: m.TargetsParams) -> JsonObject:
-    """An order whose arguments are the parameters."""
-    return await outcomes(context, params.targets, order, **params.model_dump(exclude={"targets"}))
+class HasDict(Protocol):
+    """`Outcome`, `FenceOutcome`, `ParamOutcome`."""
+
+    def as_dict(self) -> JsonObject: ...
 
 
-async def outcomes(context: Context, targets: str | list[str], order: Order, **arguments: Any) -> JsonObject:
-    """The same order to every target at the same time, and what became of it on each."""
-    told = await context.daemon.fleet.command_all(targets, order, **arguments)
-    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+def as_json(outcomes: Mapping[str, HasDict]) -> JsonObject:
+    """The result of an order: the outcome of each vehicle by its name."""
+    return {"outcomes": {name: outcome.as_dict() for name, outcome in outcomes.items()}}
 
 
-def one_vehicle(daemon: Daemon, target: str) -> Vehicle:
+async def command(context: Context, targets: str | list[str], order: Order, **arguments: Any) -> JsonObject:
+    """Give one order to all targets at the same time; see `Fleet.command_all`."""
+    return as_json(await context.services.fleet.command_all(targets, order, **arguments))
+
+
+async def command_with(context: Context, order: Order, params: TargetsParams) -> JsonObject:
+    """An order whose arguments are the method's parameters."""
+    return await command(context, params.targets, order, **params.model_dump(exclude={"targets"}))
+
+
+def order_method(
+    name: str,
+    params: type[TargetsParams],
+    order: Order,
+    description: str,
+    *,
+    result: type[Result] = Outcomes,
+    errors: tuple[int, ...] = (dispatch.TARGET_ERROR,),
+) -> Method[Context]:
+    """The method of an order whose arguments are its parameters.
+
+    An order that ends a flight is carried on to its outcome if its client leaves, and is accepted from a client that
+    came when all places were taken and while the daemon shuts down.
+    """
+
+    async def handler(context: Context, given: TargetsParams) -> JsonObject:
+        return await command_with(context, order, given)
+
+    handler.__doc__ = description
+    ends_flight = order in KEPT
+    return Method(name, params, handler, result, errors, outlives_client=ends_flight, always=ends_flight)
+
+
+def resolve(services: Services, targets: str | list[str]) -> list[VehicleActor]:
+    """The vehicles of a target expression. Raises TargetError if it names none, except for "all"."""
+    if targets in ("all", ["all"]):
+        return sorted(services.fleet.vehicles.values(), key=lambda v: (v.sysid, v.compid))
+    return services.fleet.resolve(targets)
+
+
+def one_vehicle(services: Services, target: str) -> VehicleActor:
     """The vehicle of a target expression. Raises TargetError unless it names exactly one."""
-    vehicles = resolve(daemon, target)
+    vehicles = resolve(services, target)
     if len(vehicles) != 1:
         names = ", ".join(v.name for v in vehicles[:10]) or "none"
         raise TargetError(f"{target} names {len(vehicles)} vehicles ({names}); give one")
     return vehicles[0]
+
+
+def state_of(services: Services, vehicle: VehicleActor) -> JsonObject:
+    """A vehicle's state with the quality of the links it is heard on."""
+    state = vehicle.state(services.now())
+    state["links"] = services.link_quality(vehicle.sysid << 8 | vehicle.compid)
+    return state

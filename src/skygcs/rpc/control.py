@@ -1,60 +1,186 @@
-"""The methods of flight control: `METHODS` is their part of the table."""
+"""The methods of flight by setpoints. `METHODS` is their part of the table."""
 
 from __future__ import annotations
 
-from skygcs.rpc import control_models as c
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
 from skygcs.rpc import dispatch
-from skygcs.rpc import models as m
-from skygcs.rpc.context import Context, outcomes
+from skygcs.rpc.context import Context, JsonObject, as_json, command, resolve
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.ports import JsonObject, resolve
+from skygcs.rpc.models import ListParams, Outcomes, Params, Result, TargetsParams
 from skygcs.runtime.vehicle_actor import VehicleActor
 
+Gain = Annotated[float, Field(ge=0, le=100)]
 
-async def control_set(context: Context, params: c.ControlSetParams) -> JsonObject:
+
+Mode = Literal["off", "position", "velocity", "attitude"]
+
+
+Axes = Annotated[
+    list[float | None],
+    Field(min_length=3, max_length=3, description="[x, y, up] in the fleet's frame; null: not given."),
+]
+
+
+class ControlSetParams(TargetsParams):
+    """Who closes the loops: the autopilot all (position) or the velocity loop (velocity), or skygcs (attitude)."""
+
+    mode: Mode = Field(
+        description="What is sent: attitude and thrust, velocities, or places; off: nothing, and hold. See "
+        "docs/explanation/flight-control.md."
+    )
+    force: bool = Field(
+        False, description="Attitude also where the autopilot would lean on long after a lost setpoint."
+    )
+
+
+class AxisChange(Params):
+    """Gains of one axis; what is left out stays."""
+
+    pos_p_per_s: Gain | None = Field(None, description="m/s per metre.")
+    vel_p: Gain | None = Field(None, description="Thrust per m/s.")
+    vel_i: Gain | None = Field(None, description="Thrust per metre.")
+    vel_d: Gain | None = Field(None, description="Thrust per m/s².")
+
+
+class ControlGainsParams(TargetsParams):
+    """Without changes the gains are read."""
+
+    xy: AxisChange | None = Field(None, description="Any of pos_p_per_s, vel_p, vel_i, vel_d; the rest stays.")
+    z: AxisChange | None = Field(None, description="The same of the vertical axis.")
+    hover_thrust: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None, description="Normalised thrust that carries the weight."
+    )
+    force: bool = Field(False, description="Also gains that the measured delay leaves too little margin.")
+
+    def changes(self) -> dict[str, Any]:
+        """What is to change, nested as it came."""
+        told = self.model_dump(exclude={"targets", "force"}, exclude_none=True)
+        return {key: value for key, value in told.items() if value != {}}
+
+
+class SetpointParams(TargetsParams):
+    """A position, a velocity, or of each axis one of them; good for ``valid_s``."""
+
+    pos_enu_m: Axes | None = None
+    vel_enu_mps: Axes | None = None
+    acc_enu_mps2: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
+        None, description="Fed forward, in attitude mode only: [x, y, up] along the fleet's axes."
+    )
+    yaw_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+        None, description="From the frame's x axis, counter-clockwise; without it the yaw stays."
+    )
+    valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(
+        0.5, description="When no newer setpoint has come by then, the vehicle stays where it is."
+    )
+
+    @model_validator(mode="after")
+    def _say_every_axis(self) -> SetpointParams:
+        position = self.pos_enu_m or [None, None, None]
+        velocity = self.vel_enu_mps or [None, None, None]
+        if (position[0] is None) != (position[1] is None):
+            raise ValueError("pos_enu_m: give x and y together, or neither")
+        for i, axis in enumerate(("x", "y", "up")):
+            if position[i] is None and velocity[i] is None:
+                raise ValueError(f"{axis} is given neither in pos_enu_m nor in vel_enu_mps")
+        return self
+
+
+class ControlRecordParams(TargetsParams):
+    on: bool = Field(description="Write every tick to a CSV file in the log directory while it flies.")
+
+
+class GainsOfVehicle(Result):
+    xy: dict[str, float]
+    z: dict[str, float]
+    hover_thrust: float
+    limits: dict[str, float] = Field(description="thrust_min, thrust_max, tilt_max_deg, vel_xy_max_mps, vel_z_max_mps.")
+
+
+class GainsAnswer(Result):
+    outcomes: dict[str, dict[str, Any]] = Field(description="Of each vehicle, if gains were to change.")
+    gains: dict[str, GainsOfVehicle]
+
+
+class Files(Result):
+    files: dict[str, str | None] = Field(description="By vehicle: what is written, or was until now; null: nothing.")
+
+
+class ControlState(Result):
+    """The state's ``control`` section, with the vehicle's name where it stands alone."""
+
+    vehicle: str
+    mode: str | None = Field(description="The way that was wanted; null: off.")
+    control_mode: str | None = Field(description="The way it is flown now: attitude, velocity or position.")
+    state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
+    reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
+    reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")
+    error_enu_m: list[float] | None = Field(
+        description="Reference minus position along the fleet's axes; 0 for a height that follows its velocity."
+    )
+    error_m: float | None
+    state_age_s: float | None = Field(description="Age of the newest position.")
+    delay_p95_s: float | None = Field(description="State age and round trip, 95th percentile: what the guard judges.")
+    rtt_s: float | None = Field(description="Round trip, 95th percentile.")
+    rate_hz: float | None
+    ticks: int
+    late: int
+    skipped: int
+    lateness_p99_s: float | None
+    saturation: list[str]
+    integral_enu: list[float]
+    thrust: float | None
+    roll_deg: float | None
+    pitch_deg: float | None
+    recording: str | None
+
+
+async def control_set(context: Context, params: ControlSetParams) -> JsonObject:
     """Fly vehicles by setpoints of skygcs, or leave them to their autopilots again.
 
     The whole sequence: checks, a stream of setpoints, the autopilot's mode (OFFBOARD, GUIDED), its verification; undone
     on failure. A vehicle begins by staying where it is. With "off" it is told to hold.
     """
-    return await outcomes(context, params.targets, VehicleActor.control, mode=params.mode, force=params.force)
+    return await command(context, params.targets, VehicleActor.control, mode=params.mode, force=params.force)
 
 
-async def control_gains(context: Context, params: c.ControlGainsParams) -> JsonObject:
+async def control_gains(context: Context, params: ControlGainsParams) -> JsonObject:
     """Read the gains of the control law, or change some of them from the next tick on."""
     changes = params.changes()
     told: JsonObject = {}
     if changes:
-        answer = await outcomes(context, params.targets, VehicleActor.change_gains, changes=changes, force=params.force)
+        answer = await command(context, params.targets, VehicleActor.change_gains, changes=changes, force=params.force)
         told = answer["outcomes"]
-    vehicles = context.daemon.fleet.resolve(params.targets)
+    vehicles = context.services.fleet.resolve(params.targets)
     return {"outcomes": told, "gains": {vehicle.name: vehicle.gains() for vehicle in vehicles}}
 
 
-def control_setpoint(context: Context, params: c.SetpointParams) -> JsonObject:
+def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
     """One setpoint of a stream: made for 50 a second. See control.set first."""
-    told = context.daemon.fleet.setpoint(params.targets, **params.model_dump(exclude={"targets"}))
-    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+    return as_json(context.services.fleet.setpoint(params.targets, **params.model_dump(exclude={"targets"})))
 
 
-def control_status(context: Context, params: m.ListParams) -> list[JsonObject]:
+def control_status(context: Context, params: ListParams) -> list[JsonObject]:
     """How each vehicle is flown: way, error, ages, ticks. The state of a vehicle has the same under "control"."""
-    now = context.daemon.now()
-    return [{"vehicle": v.name, **v.control_state(now)} for v in resolve(context.daemon, params.targets)]
+    now = context.services.now()
+    return [{"vehicle": v.name, **v.control_state(now)} for v in resolve(context.services, params.targets)]
 
 
-def control_record(context: Context, params: c.ControlRecordParams) -> JsonObject:
+def control_record(context: Context, params: ControlRecordParams) -> JsonObject:
     """Trace control at its full rate to a CSV file per vehicle (docs/reference/control-trace.md)."""
-    files = {v.name: v.record_control(params.on) for v in context.daemon.fleet.resolve(params.targets)}
+    files = {v.name: v.record_control(params.on) for v in context.services.fleet.resolve(params.targets)}
     return {"files": files}
 
 
 _TARGET = (dispatch.TARGET_ERROR,)
 
+
 METHODS: tuple[Method[Context], ...] = (
-    Method("control.set", c.ControlSetParams, control_set, m.Outcomes, _TARGET),
-    Method("control.gains", c.ControlGainsParams, control_gains, c.GainsAnswer, _TARGET),
-    Method("control.setpoint", c.SetpointParams, control_setpoint, m.Outcomes, _TARGET),
-    Method("control.status", m.ListParams, control_status, list[c.ControlState], _TARGET),
-    Method("control.record", c.ControlRecordParams, control_record, c.Files, _TARGET),
+    Method("control.set", ControlSetParams, control_set, Outcomes, _TARGET),
+    Method("control.gains", ControlGainsParams, control_gains, GainsAnswer, _TARGET),
+    Method("control.setpoint", SetpointParams, control_setpoint, Outcomes, _TARGET),
+    Method("control.status", ListParams, control_status, list[ControlState], _TARGET),
+    Method("control.record", ControlRecordParams, control_record, Files, _TARGET),
 )

@@ -55,6 +55,8 @@ class Method(Generic[C]):
 
     A handler that is a plain function runs at once, without a task; the first line of its docstring is the summary.
     ``outlives_client``: once asked for it is carried out to its end, whether or not the client stays for the answer.
+    ``always``: it is answered to a client that came when all places were taken, and while the daemon shuts down: what
+    ends a flight or shows what flies. ``while_stopping``: it is answered while the daemon shuts down (5 s at most).
     """
 
     name: str
@@ -63,6 +65,8 @@ class Method(Generic[C]):
     result: Any = dict
     errors: tuple[int, ...] = ()
     outlives_client: bool = False
+    always: bool = False
+    while_stopping: bool = False
 
 
 Reply = bytes | Coroutine[Any, Any, bytes] | None
@@ -74,6 +78,8 @@ class Dispatcher(Generic[C]):
 
     def __init__(self, methods: Mapping[str, Method[C]]) -> None:
         self._methods = methods
+        self.always = frozenset(m.name for m in methods.values() if m.always)
+        self.while_stopping = self.always | {m.name for m in methods.values() if m.while_stopping}
         self._coroutines = frozenset(m.name for m in methods.values() if inspect.iscoroutinefunction(m.handler))
 
     def start(self, context: C, request: object) -> Reply:

@@ -1,4 +1,7 @@
-"""The methods of missions, fences and rally points: `METHODS` is their part of the table."""
+"""The methods of missions, fences and rally points, and of the fence that parameters make.
+
+`METHODS` and `FENCE` are their parts of the table.
+"""
 
 from __future__ import annotations
 
@@ -10,56 +13,61 @@ from skygcs.core.mission.formats import read_plan
 from skygcs.core.mission.item import MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.mission.qgc import write_qgc
+from skygcs.core.vehicle.fence_params import FenceAction
 from skygcs.errors import PlanFileError
 from skygcs.rpc import dispatch
-from skygcs.rpc import models as m
-from skygcs.rpc.context import Context, one_vehicle, outcomes
+from skygcs.rpc.context import Context, JsonObject, command, command_with, one_vehicle, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.ports import JsonObject, resolve
+from skygcs.rpc.models import ListParams, OutcomeResult, Outcomes, Result, TargetParams, TargetsParams
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 ListName = Literal["mission", "fence", "rally"]
+
+
 Lists = Annotated[list[ListName], Field(min_length=1, max_length=3)]
+
+
 ALL_LISTS: list[ListName] = ["mission", "fence", "rally"]
+
 
 ItemNumber = Annotated[int, Field(ge=1, le=65535, description="An item of the mission, counted from 1.")]
 
 
-class PlanUploadParams(m.TargetsParams):
+class PlanUploadParams(TargetsParams):
     plan: str = Field(min_length=1, description="The content of a .plan or QGC WPL 110 file.")
     name: str = Field("plan", max_length=200, description="What to call it in error texts: the file's name.")
     lists: Lists | None = Field(None, description="Which of mission, fence, rally; null: those that the plan holds.")
     force: bool = Field(False, description="Although the plan has errors, or the vehicle flies its mission.")
 
 
-class PlanDownloadParams(m.TargetParams):
+class PlanDownloadParams(TargetParams):
     lists: Lists = Field(ALL_LISTS, description="Which of mission, fence, rally.")
 
 
-class PlanClearParams(m.TargetsParams):
+class PlanClearParams(TargetsParams):
     lists: Lists = Field(["mission"], description="Which of mission, fence, rally.")
     force: bool = Field(False, description="Although it flies its mission, or is in the air without a fence then.")
 
 
-class MissionStartParams(m.TargetsParams):
+class MissionStartParams(TargetsParams):
     first: ItemNumber = 1
     arm: bool = Field(True, description="Arm first if it is not armed.")
     force: bool = Field(False, description="Although preflight is required and not passed.")
 
 
-class MissionItemParams(m.TargetsParams):
+class MissionItemParams(TargetsParams):
     item: ItemNumber
 
 
-class PlanDownload(m.Result):
-    outcome: m.Outcome
+class PlanDownload(Result):
+    outcome: OutcomeResult
     plan: str | None = Field(description="The content of a .plan file; null if a list could not be read.")
     mission: list[dict[str, Any]] = Field(description="Items: number, command, frame, params (7), autocontinue.")
     fence: list[dict[str, Any]]
     rally: list[dict[str, Any]]
 
 
-class MissionStatus(m.Result):
+class MissionStatus(Result):
     """What a vehicle tells of its mission."""
 
     vehicle: str
@@ -87,12 +95,12 @@ async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObj
     except PlanFileError as error:
         raise InvalidParams(("plan", str(error))) from None
     kinds = plan.holds() if params.lists is None else _kinds(params.lists)
-    return await outcomes(context, params.targets, VehicleActor.upload_plan, plan=plan, kinds=kinds, force=params.force)
+    return await command(context, params.targets, VehicleActor.upload_plan, plan=plan, kinds=kinds, force=params.force)
 
 
 async def missions_download(context: Context, params: PlanDownloadParams) -> JsonObject:
     """Read a vehicle's mission, fence and rally points."""
-    outcome, plan = await one_vehicle(context.daemon, params.target).download_plan(_kinds(params.lists))
+    outcome, plan = await one_vehicle(context.services, params.target).download_plan(_kinds(params.lists))
     answer = outcome.as_dict()
     return {
         "outcome": answer,
@@ -103,7 +111,7 @@ async def missions_download(context: Context, params: PlanDownloadParams) -> Jso
 
 async def missions_clear(context: Context, params: PlanClearParams) -> JsonObject:
     """Empty lists of vehicles."""
-    return await outcomes(
+    return await command(
         context, params.targets, VehicleActor.clear_plan, kinds=_kinds(params.lists), force=params.force
     )
 
@@ -111,29 +119,29 @@ async def missions_clear(context: Context, params: PlanClearParams) -> JsonObjec
 async def missions_start(context: Context, params: MissionStartParams) -> JsonObject:
     """Fly the mission that is on board, from an item on."""
     arguments = {"first": params.first, "arm": params.arm, "force": params.force}
-    return await outcomes(context, params.targets, VehicleActor.start_mission, **arguments)
+    return await command(context, params.targets, VehicleActor.start_mission, **arguments)
 
 
-async def missions_pause(context: Context, params: m.TargetsParams) -> JsonObject:
+async def missions_pause(context: Context, params: TargetsParams) -> JsonObject:
     """Stop and hold position; missions.resume goes on with the current item."""
-    return await outcomes(context, params.targets, VehicleActor.hold)
+    return await command(context, params.targets, VehicleActor.hold)
 
 
-async def missions_resume(context: Context, params: m.TargetsParams) -> JsonObject:
+async def missions_resume(context: Context, params: TargetsParams) -> JsonObject:
     """Go on with the current item."""
-    return await outcomes(context, params.targets, VehicleActor.resume_mission)
+    return await command(context, params.targets, VehicleActor.resume_mission)
 
 
 async def missions_set_current(context: Context, params: MissionItemParams) -> JsonObject:
     """Make an item the current one: a vehicle that flies its mission goes there."""
-    return await outcomes(context, params.targets, VehicleActor.set_mission_item, item=params.item)
+    return await command(context, params.targets, VehicleActor.set_mission_item, item=params.item)
 
 
-def missions_status(context: Context, params: m.ListParams) -> list[JsonObject]:
+def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
     """Where each vehicle is in its mission, what it holds, and what is being transferred."""
     told = []
-    for vehicle in resolve(context.daemon, params.targets):
-        has_fence = "FENCE_STATUS" in context.daemon.dialect.by_name
+    for vehicle in resolve(context.services, params.targets):
+        has_fence = "FENCE_STATUS" in context.services.dialect.by_name
         fence = vehicle.latest("FENCE_STATUS") if has_fence else None
         told.append({"vehicle": vehicle.name, **vehicle.missions.status(), "fence": fence and fence["fields"]})
     return told
@@ -161,15 +169,68 @@ def _item(number: int, item: MissionItem) -> JsonObject:
     }
 
 
+class FenceSetParams(TargetsParams):
+    radius_m: float | None = Field(None, ge=0, le=100_000, description="About home; 0 takes it away; null leaves it.")
+    height_m: float | None = Field(None, ge=0, le=10_000, description="Above home; 0 takes it away; null leaves it.")
+    action: FenceAction | None = Field(None, description="What it does beyond the fence; none: no fence. null: as is.")
+
+
+class FenceTestParams(TargetsParams):
+    radius_m: float = Field(2.0, ge=1, le=50, description="Of the test's fence, about home.")
+    action: FenceAction = Field("return", description="What it is to do beyond it.")
+    timeout_s: float = Field(120.0, ge=5, le=1800, description="For the walk.")
+
+
+class FenceResult(OutcomeResult):
+    fence: dict[str, Any] | None = Field(
+        description="enabled, action, radius_m, height_m, follows_list (whether polygons and circles are watched); "
+        "of fence.status also breached, breaches, from_home_m, last_text."
+    )
+    record: dict[str, Any] | None = Field(description="Of fence.test: what was seen, and the file that holds it.")
+
+
+class FenceResults(Result):
+    outcomes: dict[str, FenceResult] = Field(description="By vehicle name.")
+
+
+async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
+    """Set the fence about home by the autopilot's parameters (PX4 GF_*, ArduCopter FENCE_*), and read it back."""
+    if params.radius_m is None and params.height_m is None and params.action is None:
+        raise InvalidParams(("radius_m", "give a radius, a height or an action"))
+    return await command_with(context, VehicleActor.set_fence, params)
+
+
+async def fence_status(context: Context, params: ListParams) -> JsonObject:
+    """The fence of each vehicle, read now, and what it tells of breaches."""
+    return await command(context, params.targets, VehicleActor.read_fence)
+
+
+async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
+    """Test the fence on foot, propellers off: a small one is set, the vehicle is carried out of it, and what it says
+    and does is recorded to a file in the log directory; then its fence is put back, also when the caller goes away.
+
+    Progress comes as events of kind fence. Ok: it told of the breach, and did what it is to do if it was armed.
+    """
+    return await command_with(context, VehicleActor.test_fence, params)
+
+
 _TARGET = (dispatch.TARGET_ERROR,)
 
+
 METHODS: tuple[Method[Context], ...] = (
-    Method("missions.upload", PlanUploadParams, missions_upload, m.Outcomes, _TARGET),
+    Method("missions.upload", PlanUploadParams, missions_upload, Outcomes, _TARGET),
     Method("missions.download", PlanDownloadParams, missions_download, PlanDownload, _TARGET),
-    Method("missions.clear", PlanClearParams, missions_clear, m.Outcomes, _TARGET),
-    Method("missions.start", MissionStartParams, missions_start, m.Outcomes, _TARGET),
-    Method("missions.pause", m.TargetsParams, missions_pause, m.Outcomes, _TARGET),
-    Method("missions.resume", m.TargetsParams, missions_resume, m.Outcomes, _TARGET),
-    Method("missions.set_current", MissionItemParams, missions_set_current, m.Outcomes, _TARGET),
-    Method("missions.status", m.ListParams, missions_status, list[MissionStatus], _TARGET),
+    Method("missions.clear", PlanClearParams, missions_clear, Outcomes, _TARGET),
+    Method("missions.start", MissionStartParams, missions_start, Outcomes, _TARGET),
+    Method("missions.pause", TargetsParams, missions_pause, Outcomes, _TARGET),
+    Method("missions.resume", TargetsParams, missions_resume, Outcomes, _TARGET),
+    Method("missions.set_current", MissionItemParams, missions_set_current, Outcomes, _TARGET),
+    Method("missions.status", ListParams, missions_status, list[MissionStatus], _TARGET),
+)
+
+
+FENCE: tuple[Method[Context], ...] = (
+    Method("fence.set", FenceSetParams, fence_set, FenceResults, _TARGET),
+    Method("fence.status", ListParams, fence_status, FenceResults, _TARGET),
+    Method("fence.test", FenceTestParams, fence_test, FenceResults, _TARGET),
 )

@@ -1,4 +1,4 @@
-"""The methods of the world frame: `METHODS` is their part of the table."""
+"""The methods of the fleet's world frame. `METHODS` is their part of the table."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ from pydantic import Field
 
 from skygcs.core.geo import EAST_DEG, Origin
 from skygcs.rpc import dispatch
-from skygcs.rpc import models as m
-from skygcs.rpc.context import Context
+from skygcs.rpc.context import Context, JsonObject, as_json
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.ports import JsonObject
+from skygcs.rpc.models import Lat, Lon, NoParams, Outcomes, Params, Result, TargetParams, TargetsParams
 
 
-class OriginSetParams(m.Params):
-    lat_deg: m.Lat
-    lon_deg: m.Lon
+class OriginSetParams(Params):
+    lat_deg: Lat
+    lon_deg: Lon
     alt_amsl_m: float = Field(description="Metres above mean sea level; up is counted from here.")
     x_heading_deg: float | None = Field(
         None, ge=-360, le=360, description="Compass heading of the x axis; null: as it is, 90 (plain ENU) at first."
@@ -22,12 +21,12 @@ class OriginSetParams(m.Params):
     force: bool = Field(False, description="Although a vehicle is farther than 20 km from it.")
 
 
-class OriginFromParams(m.TargetParams):
+class OriginFromParams(TargetParams):
     heading: bool = Field(False, description="Point x along the vehicle's nose; else it stays as it is.")
     force: bool = Field(False, description="Without a 3D fix, too, and although another vehicle is farther than 20 km.")
 
 
-class OriginPushParams(m.TargetsParams):
+class OriginPushParams(TargetsParams):
     home: bool = Field(
         False,
         description="Set their homes there as well: they would all return to that one place. The checks of a home.",
@@ -35,23 +34,23 @@ class OriginPushParams(m.TargetsParams):
     force: bool = Field(False, description="Although it is armed, and a home in the air or beyond the goto limit.")
 
 
-class OriginPlace(m.Result):
+class OriginPlace(Result):
     lat_deg: float
     lon_deg: float
     alt_amsl_m: float
     x_heading_deg: float
 
 
-class OriginStatus(m.Result):
+class OriginStatus(Result):
     """The fleet's world frame."""
 
     origin: OriginPlace | None = Field(description="null: there is none, and no position in it.")
     generation: int = Field(description="Increases with every change; positions tell theirs as origin_generation.")
 
 
-def origin_get(context: Context, _: m.NoParams) -> JsonObject:
+def origin_get(context: Context, _: NoParams) -> JsonObject:
     """The origin of the fleet's world frame."""
-    return context.daemon.fleet.origin_status()
+    return context.services.fleet.origin_status()
 
 
 def origin_set(context: Context, params: OriginSetParams) -> JsonObject:
@@ -59,7 +58,7 @@ def origin_set(context: Context, params: OriginSetParams) -> JsonObject:
 
     It is kept until the daemon ends; the fleet file is not changed.
     """
-    fleet = context.daemon.fleet
+    fleet = context.services.fleet
     heading_deg = params.x_heading_deg
     if heading_deg is None:
         heading_deg = EAST_DEG if fleet.origin is None else fleet.origin.x_heading_deg
@@ -69,7 +68,7 @@ def origin_set(context: Context, params: OriginSetParams) -> JsonObject:
 
 def origin_from_vehicle(context: Context, params: OriginFromParams) -> JsonObject:
     """Set the origin to where a vehicle is now; as origin.set."""
-    fleet = context.daemon.fleet
+    fleet = context.services.fleet
     fleet.set_origin_from(params.target, heading=params.heading, force=params.force)
     return fleet.origin_status()
 
@@ -80,16 +79,18 @@ async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
     Nothing of skygcs needs it: it moves the vehicle's own local frame, for programs on board. ArduPilot takes it only
     while it has no origin yet.
     """
-    told = await context.daemon.fleet.push_origin(params.targets, home=params.home, force=params.force)
-    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+    return as_json(await context.services.fleet.push_origin(params.targets, home=params.home, force=params.force))
 
 
 _REFUSED = (dispatch.REFUSED,)
+
+
 _VEHICLE = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
+
 METHODS: tuple[Method[Context], ...] = (
-    Method("origin.get", m.NoParams, origin_get, OriginStatus),
+    Method("origin.get", NoParams, origin_get, OriginStatus),
     Method("origin.set", OriginSetParams, origin_set, OriginStatus, _REFUSED),
     Method("origin.from_vehicle", OriginFromParams, origin_from_vehicle, OriginStatus, _VEHICLE),
-    Method("origin.push", OriginPushParams, origin_push, m.Outcomes, _VEHICLE),
+    Method("origin.push", OriginPushParams, origin_push, Outcomes, _VEHICLE),
 )

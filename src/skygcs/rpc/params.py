@@ -1,9 +1,13 @@
-"""The methods of parameters: `METHODS` is their part of the table."""
+"""The methods of parameters, of preflight (which reads and mends them) and of changes left to be undone.
+
+`METHODS`, `PREFLIGHT` and `UNDO` are their parts of the table.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
@@ -11,16 +15,18 @@ from pydantic import AfterValidator, Field
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
 from skygcs.core.protocols.parameter_list import BYTES_PER_S
 from skygcs.rpc import dispatch
-from skygcs.rpc import models as m
-from skygcs.rpc.context import Context
+from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.ports import JsonObject, Vehicle
+from skygcs.rpc.models import NoParams, Outcomes, Params, Result, TargetsParams
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_NAMES = 2000
 """In one request: more than any autopilot has."""
 
+
 AT_ONCE = 8
 """Parameters of one vehicle asked for at the same time: 8 x 45 B are 65 ms of 57600 baud."""
+
 
 MAX_WITH_VALUES = 40
 """Vehicles whose values fit into one answer: each takes some 100 kB, and a client's unread output is bounded."""
@@ -35,11 +41,11 @@ def _name(text: str) -> str:
 Name = Annotated[str, AfterValidator(_name)]
 
 
-class ParamGetParams(m.TargetsParams):
+class ParamGetParams(TargetsParams):
     names: list[Name] = Field(min_length=1, max_length=MAX_NAMES, description="Names of parameters.")
 
 
-class ParamSetParams(m.TargetsParams):
+class ParamSetParams(TargetsParams):
     params: dict[Name, float] = Field(
         min_length=1, max_length=MAX_NAMES, description="Values by name; set in this order, each read back."
     )
@@ -50,7 +56,7 @@ class ParamSetParams(m.TargetsParams):
     )
 
 
-class ParamListParams(m.TargetsParams):
+class ParamListParams(TargetsParams):
     refresh: bool = Field(False, description="Read all, although the vehicle vouches for what is known.")
     burst: bool = Field(
         False, description="Have the vehicle send all at once, then fill gaps: quicker, but it drowns a shared radio."
@@ -64,7 +70,7 @@ class ParamListParams(m.TargetsParams):
     values: bool = Field(True, description="Whether the answer has the values, or only how it went.")
 
 
-class ParamOutcome(m.Result):
+class ParamResult(Result):
     """How getting or setting one parameter ended."""
 
     ok: bool
@@ -81,17 +87,17 @@ class ParamOutcome(m.Result):
     elapsed_s: float
 
 
-class ParamOutcomes(m.Result):
-    outcomes: dict[str, dict[str, ParamOutcome]] = Field(description="By vehicle's name, then by name asked for.")
+class ParamResults(Result):
+    outcomes: dict[str, dict[str, ParamResult]] = Field(description="By vehicle's name, then by name asked for.")
 
 
-class ParamEntry(m.Result):
+class ParamEntry(Result):
     name: str
     value: float | None = Field(description="null: no finite number.")
     type: str
 
 
-class ParamsOfVehicle(m.Result):
+class ParamsOfVehicle(Result):
     """All parameters of one vehicle."""
 
     ok: bool
@@ -111,11 +117,11 @@ class ParamsOfVehicle(m.Result):
     params: list[ParamEntry] | None = Field(description="In the vehicle's order; null unless values were asked for.")
 
 
-class ParamLists(m.Result):
+class ParamListResults(Result):
     lists: dict[str, ParamsOfVehicle] = Field(description="By vehicle's name.")
 
 
-class ParamStatus(m.Result):
+class ParamStatus(Result):
     """What is known of a vehicle's parameters, and what is going on."""
 
     known: int
@@ -128,7 +134,7 @@ class ParamStatus(m.Result):
 async def params_get(context: Context, params: ParamGetParams) -> JsonObject:
     """Read parameters by name."""
 
-    async def read(vehicle: Vehicle) -> JsonObject:
+    async def read(vehicle: VehicleActor) -> JsonObject:
         slots = asyncio.Semaphore(AT_ONCE)
 
         async def one(name: str) -> JsonObject:
@@ -145,7 +151,7 @@ async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
     """Set parameters one after another, each read back; every one has an outcome, also when it was cancelled."""
     values = {name: int(v) if v.is_integer() else v for name, v in params.params.items()}
 
-    async def write(vehicle: Vehicle) -> JsonObject:
+    async def write(vehicle: VehicleActor) -> JsonObject:
         told = await vehicle.params.set(values, settle=params.settle)
         return {name: outcome.as_dict() for name, outcome in told.items()}
 
@@ -159,7 +165,7 @@ async def params_list(context: Context, params: ParamListParams) -> JsonObject:
     only by its firmware and their number.
     """
     lists = {}
-    vehicles = context.daemon.fleet.resolve(params.targets)
+    vehicles = context.services.fleet.resolve(params.targets)
     if params.values and len(vehicles) > MAX_WITH_VALUES:
         text = (
             f"{len(vehicles)} vehicles' values are too much for one answer; ask for at most {MAX_WITH_VALUES} at once"
@@ -170,7 +176,7 @@ async def params_list(context: Context, params: ParamListParams) -> JsonObject:
     return {"lists": lists}
 
 
-async def _list(context: Context, vehicle: Vehicle, params: ParamListParams) -> JsonObject:
+async def _list(context: Context, vehicle: VehicleActor, params: ParamListParams) -> JsonObject:
     loaded = await vehicle.params.load(refresh=params.refresh, burst=params.burst, bytes_per_s=params.bytes_per_s)
     entries = [
         {"name": p.name, "value": p.value if math.isfinite(p.value) else None, "type": p.type.name}
@@ -187,38 +193,180 @@ async def _list(context: Context, vehicle: Vehicle, params: ParamListParams) -> 
         "elapsed_s": round(loaded.elapsed_s, 3),
         "sysid": vehicle.sysid,
         "compid": vehicle.compid,
-        "autopilot": vehicle.state(context.daemon.now())["autopilot"],
+        "autopilot": vehicle.state(context.services.now())["autopilot"],
         "params": entries if params.values else None,
     }
 
 
-def params_status(context: Context, params: m.TargetsParams) -> JsonObject:
+def params_status(context: Context, params: TargetsParams) -> JsonObject:
     """What is known of vehicles' parameters without asking them, and how far a list is."""
-    return {v.name: v.params.status() for v in context.daemon.fleet.resolve(params.targets)}
+    return {v.name: v.params.status() for v in context.services.fleet.resolve(params.targets)}
 
 
-def params_cancel(context: Context, params: m.TargetsParams) -> JsonObject:
+def params_cancel(context: Context, params: TargetsParams) -> JsonObject:
     """Stop reading and setting parameters; what a vehicle has taken already it keeps.
 
     The answer is how many requests were under way, by vehicle.
     """
-    return {v.name: v.params.cancel() for v in context.daemon.fleet.resolve(params.targets)}
+    return {v.name: v.params.cancel() for v in context.services.fleet.resolve(params.targets)}
 
 
-async def _each(context: Context, params: m.TargetsParams, work: Any) -> JsonObject:
+async def _each(
+    context: Context, params: TargetsParams, work: Callable[[VehicleActor], Coroutine[Any, Any, JsonObject]]
+) -> JsonObject:
     """The same for all vehicles at once."""
-    vehicles = context.daemon.fleet.resolve(params.targets)
+    vehicles = context.services.fleet.resolve(params.targets)
     async with asyncio.TaskGroup() as group:
         tasks = {v.name: group.create_task(work(v), name=f"parameters of {v.name}") for v in vehicles}
     return {name: task.result() for name, task in tasks.items()}
 
 
-_ORDER = (dispatch.TARGET_ERROR,)
+class PreflightParams(TargetsParams):
+    fix: bool = Field(
+        False, description="Set the parameters that would put something right, read them back, and examine it again."
+    )
+    confirmed: dict[str, dict[Name, float]] | None = Field(
+        None,
+        description="With fix: only these values, by vehicle's name, then by parameter's, as somebody has agreed to "
+        "them; null: all.",
+    )
+
+
+class PreflightFix(Result):
+    """A parameter that would put something right."""
+
+    name: str
+    before: float
+    value: float
+
+
+class PreflightFinding(Result):
+    """One check's verdict."""
+
+    check: str = Field(description="What was checked; a parameter's name for those of the fleet file.")
+    verdict: str = Field(description="pass, fail, unknown (which is no pass) or skipped (nothing is expected of it).")
+    severity: str = Field(description="Of a failure: danger, fault, note.")
+    text: str = Field(description="What is so, with the figure and the limit.")
+    todo: str = Field(description="What to do about it.")
+    fixes: list[PreflightFix]
+
+
+class PreflightReport(Result):
+    """How ready one vehicle is."""
+
+    ok: bool
+    summary: str = Field(description="The worst of it in a line.")
+    sysid: int
+    autopilot: str = Field(description="Empty for a vehicle of the fleet file that was never heard.")
+    findings: list[PreflightFinding] = Field(description="In the order of the checks.")
+    fixes: list[PreflightFix] = Field(description="All of them, each parameter once.")
+    fixed: dict[str, ParamResult] = Field(description="What was set, and how that ended, by name.")
+    unfixed: str = Field(description="Why nothing was set although it was asked for; else empty.")
+
+
+class PreflightAnswer(Result):
+    ok: bool = Field(description="Whether every one of them is ready.")
+    vehicles: dict[str, PreflightReport] = Field(
+        description="By name, also those of the fleet file that are meant and have not been heard."
+    )
+
+
+class PreflightStatus(Result):
+    """What is known of a vehicle without asking it again."""
+
+    state: str = Field(description="never (since it started), failed, passed, expired.")
+    required: bool = Field(description="Whether it is armed only with a pass (require_preflight).")
+    age_s: float | None
+    valid_s: float | None = Field(description="How long its pass still lasts; null without one.")
+    refusal: str | None = Field(description="Why an order to arm would be refused here now; null: it would not.")
+    report: PreflightReport | None
+
+
+async def preflight_run(context: Context, params: PreflightParams) -> JsonObject:
+    """Examine vehicles before a flight: parameters, sensors, estimator, GPS, battery, home, clock, link.
+
+    Asks each for what is not known; some seconds a vehicle. With fix, parameters are set: not on a vehicle that is
+    armed, and never its system id. Some take effect only after a reboot.
+    """
+    told: dict[str, Any] = await context.services.fleet.preflight(
+        params.targets, fix=params.fix, confirmed=params.confirmed
+    )
+    return {"ok": all(report["ok"] for report in told.values()), "vehicles": told}
+
+
+def preflight_status(context: Context, params: TargetsParams) -> JsonObject:
+    """The last preflight of each vehicle since it started, and whether it may be armed."""
+    return context.services.fleet.preflight_status(params.targets)
+
+
+class UndoParams(Params):
+    id: str = Field(min_length=1, max_length=128, description="Of undo.list.")
+
+
+class UndoRunParams(UndoParams):
+    force: bool = Field(False, description="Although it is armed, or somebody else has changed the parameters since.")
+
+
+class UndoChange(Result):
+    """Parameters that a daemon changed for a while and did not put back."""
+
+    id: str
+    vehicle: str
+    sysid: int
+    autopilot: str
+    what: str = Field(description="The order that changed them.")
+    began: str = Field(description="UTC.")
+    before: dict[str, float] = Field(description="What they were, in the order in which they are put back.")
+    changed: dict[str, float] = Field(description="What they were set to.")
+
+
+class UndoLeft(Result):
+    changes: list[UndoChange]
+    problems: list[str] = Field(description="Files in the journal that cannot be read.")
+
+
+def undo_list(context: Context, _: NoParams) -> JsonObject:
+    """What was changed in vehicles for a while and could not be put back: the daemon was killed, or the vehicle was out
+    of reach."""
+    return context.services.fleet.undo.left()
+
+
+async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
+    """Put back what one of them changed, and read it back.
+
+    Refused to an armed vehicle, and where a parameter holds neither the value of before nor that of the change, unless
+    forced.
+    """
+    outcome = await context.services.fleet.undo.run(params.id, force=params.force)
+    return {"outcomes": {params.id: outcome.as_dict()}}
+
+
+def undo_drop(context: Context, params: UndoParams) -> JsonObject:
+    """Forget one of them: it stays as it is."""
+    context.services.fleet.undo.drop(params.id)
+    return {"dropped": params.id}
+
+
+_TARGET = (dispatch.TARGET_ERROR,)
+
 
 METHODS: tuple[Method[Context], ...] = (
-    Method("params.get", ParamGetParams, params_get, ParamOutcomes, _ORDER),
-    Method("params.set", ParamSetParams, params_set, ParamOutcomes, _ORDER),
-    Method("params.list", ParamListParams, params_list, ParamLists, _ORDER),
-    Method("params.status", m.TargetsParams, params_status, dict[str, ParamStatus], _ORDER),
-    Method("params.cancel", m.TargetsParams, params_cancel, dict[str, int], _ORDER),
+    Method("params.get", ParamGetParams, params_get, ParamResults, _TARGET),
+    Method("params.set", ParamSetParams, params_set, ParamResults, _TARGET),
+    Method("params.list", ParamListParams, params_list, ParamListResults, _TARGET),
+    Method("params.status", TargetsParams, params_status, dict[str, ParamStatus], _TARGET),
+    Method("params.cancel", TargetsParams, params_cancel, dict[str, int], _TARGET),
+)
+
+
+PREFLIGHT: tuple[Method[Context], ...] = (
+    Method("preflight.run", PreflightParams, preflight_run, PreflightAnswer, _TARGET),
+    Method("preflight.status", TargetsParams, preflight_status, dict[str, PreflightStatus], _TARGET),
+)
+
+
+UNDO: tuple[Method[Context], ...] = (
+    Method("undo.list", NoParams, undo_list, UndoLeft),
+    Method("undo.run", UndoRunParams, undo_run, Outcomes, (dispatch.REFUSED,)),
+    Method("undo.drop", UndoParams, undo_drop, dict[str, str], (dispatch.REFUSED,)),
 )

@@ -25,8 +25,8 @@ import structlog
 
 from skygcs.errors import LinkError
 
-if TYPE_CHECKING:
-    from skygcs.rpc.ports import Daemon, JsonObject
+if TYPE_CHECKING:  # pydantic and its models are heavy: see above
+    from skygcs.rpc.context import JsonObject, Services
     from skygcs.rpc.sessions import Sessions
 
 MAX_SUN_PATH_BYTES = 107
@@ -43,7 +43,7 @@ class RpcServer:
 
     def __init__(
         self,
-        daemon: Daemon,
+        services: Services,
         socket_path: str | os.PathLike[str],
         tcp_port: int | None = None,
         token: str | None = None,
@@ -53,7 +53,7 @@ class RpcServer:
             raise ValueError("a TCP port needs a token")
         self.socket_path = Path(socket_path)
         self.tcp_address: tuple[str, int] | None = None
-        self._daemon = daemon
+        self._services = services
         self._tcp_port = tcp_port
         self._token = token
         self._hub: Sessions | None = None
@@ -91,13 +91,12 @@ class RpcServer:
         loop = asyncio.get_running_loop()
         try:
             await _import_beside("skygcs.rpc.methods")
-            await _import_beside("skygcs.rpc.session")
+            await _import_beside("skygcs.rpc.sessions")
             from skygcs.rpc.dispatch import Dispatcher
             from skygcs.rpc.methods import METHODS
-            from skygcs.rpc.session import Session
-            from skygcs.rpc.sessions import Sessions
+            from skygcs.rpc.sessions import Session, Sessions
 
-            self._hub = hub = Sessions(self._daemon, Dispatcher(METHODS), loop)
+            self._hub = hub = Sessions(self._services, Dispatcher(METHODS), loop)
             listener = self._bind()
             server = await loop.create_unix_server(lambda: Session(hub, None), sock=listener, backlog=BACKLOG)
             self._servers.append(server)

@@ -1,9 +1,9 @@
-"""What all sessions of a server share: their places, their turns, and the orders that no session's end may end.
+"""One client of the socket, and what all clients share: their places, their turns, and orders that outlive a client.
 
 a place is free (MAX_SESSIONS)        whoever comes gets it
 else                                  the session that was idle for longest, IDLE_S at least, is closed for it
 else                                  it is let in beyond the places (MAX_RESERVE), for one request that ends a flight
-                                      or shows what flies (`session.EMERGENCY_METHODS`), to be asked within RESERVE_S
+                                      or shows what flies (`Method.always`), to be asked within RESERVE_S
 those too are all there               the one that came first and has asked for nothing yet goes
 TCP, before the token is there        takes no place; the one that came first goes when MAX_UNAUTHENTICATED wait
 """
@@ -11,56 +11,491 @@ TCP, before the token is there        takes no place; the one that came first go
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import hmac
+import os
+import select
+import socket
+import struct
 from collections import Counter, deque
 from collections.abc import Coroutine
-from typing import TYPE_CHECKING, Any
+from typing import Any, cast
 
 import structlog
 
 from skygcs.events import Event
-from skygcs.rpc.context import Context
-from skygcs.rpc.dispatch import Dispatcher
-from skygcs.rpc.ports import Daemon, JsonObject
-from skygcs.rpc.subscriptions import Feeds
-
-if TYPE_CHECKING:
-    from skygcs.rpc.session import Session
-
-_log = structlog.get_logger(__name__)
+from skygcs.rpc import dispatch
+from skygcs.rpc.context import Context, JsonObject, Services
+from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
+from skygcs.rpc.models import SubscribeParams
+from skygcs.rpc.subscriptions import Feeds, Subscription
 
 MAX_SESSIONS = 64
 """A fleet has a few dashboards and scripts; each open socket costs a file descriptor of the usual 1024."""
+
 
 MAX_RESERVE = 128
 """Connections beyond. More than the system hands over at one wake-up (a backlog of 100), so that a flood of connections
 does not put one out before what it sent with its connection was read."""
 
+
 RESERVE_S = 2.0
 """In which a connection beyond the places has to say what it wants; skygcs-cli does so at once."""
 
+
 MAX_UNAUTHENTICATED = 128
 """As MAX_RESERVE: whoever has no token neither uses up the places of those who have, nor keeps them out."""
+
 
 IDLE_S = 10.0
 """A session that has asked for nothing for so long, and subscribed to nothing, gives way. A dashboard asks once a
 second or subscribes."""
 
+
 AMPLE_SHARE = 0.9
 """Places that may be taken at most before it is said that there are free ones again."""
+
 
 TURN_S = 0.002
 """All clients' requests together are worked on this long, then it is everybody else's turn (routing, too)."""
 
+
 LINGER_S = 5.0
+
+
 MAX_LINGERING = 64
 """Connections that were closed and whose last answer has not been read: none of them longer, and no more of them."""
+
 
 EVENT_QUIET_S = 10.0
 """Places that fill and empty more often than this are reported once in this time."""
 
+
 MAX_WITHOUT_CLIENT = 256
 """Landings and the like that go on after their clients have gone; beyond that they end with the client. One client
 that connects, orders and leaves in a loop must not make the daemon keep more and more."""
+
+
+MAX_LINE_BYTES = 1 << 20
+"""A request is a few hundred bytes, a full batch of the largest messages some 100 kB."""
+
+
+MAX_LINE_BEFORE_AUTH_BYTES = 4096
+
+
+AUTH_TIMEOUT_S = 5.0
+"""A TCP client that does not say its token by then is closed."""
+
+
+MAX_BATCH = 128
+
+
+MAX_IN_FLIGHT = 64
+"""Orders that one client waits for at the same time; one order to 250 vehicles is one of them."""
+
+
+MAX_SUBSCRIPTIONS = 32
+
+
+HIGH_WATER_BYTES = 256 * 1024
+"""Beyond this much unread output a client gets no telemetry, and no further request of its own is read."""
+
+
+MAX_OUTPUT_BYTES = 8 << 20
+"""Beyond this much unread output it is closed. Replies of 1 MB (250 states) still fit several times."""
+
+
+_log = structlog.get_logger(__name__)
+
+
+class Session(asyncio.Protocol):
+    """A connection. ``token`` is None where the socket's mode is the protection."""
+
+    def __init__(self, hub: Sessions, token: str | None) -> None:
+        self.services = hub.services
+        self.tasks: set[asyncio.Task[None]] = set()
+        self.authenticated = token is None
+        self.restricted = False
+        """Whether it came when all places were taken: one request, of those that are `always` answered."""
+        self.used_at = hub.loop.time()
+        """When its last whole line came."""
+        self.writable = True
+        self._hub = hub
+        self._token = token
+        self._transport: asyncio.Transport | None = None
+        self._buffer = bytearray()
+        self._scanned = 0
+        self._skipping = False
+        self._answered = False
+        self._unread_since = 0.0
+        self._in_flight = 0
+        self._subscriptions: dict[int, Subscription] = {}
+        self._next_subscription = 1
+        self._deadline: asyncio.TimerHandle | None = None
+        self._eof = False
+
+    # -- asyncio.Protocol
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport = cast(asyncio.Transport, transport)  # uvloop's is one in all but its class
+        hub = self._hub
+        self._transport = transport
+        transport.set_write_buffer_limits(high=HIGH_WATER_BYTES)
+        hub.counters["connections"] += 1
+        hub.admit(self)
+        if not self.authenticated:
+            self.close_after(AUTH_TIMEOUT_S)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._end()
+
+    def data_received(self, data: bytes) -> None:
+        if self._transport is None:
+            return
+        self._buffer += data
+        self._hub.turns.add(self)
+
+    def eof_received(self) -> bool:
+        """The client sends no more. One that is still there (`echo … | nc -NU`) gets its answers, then it is closed;
+        what one that is gone waits for is cancelled, unless it outlives it."""
+        if self._transport is None or not self._peer_still_reads():
+            return False
+        self._eof = True
+        if self._buffer and not self._buffer.endswith(b"\n"):
+            self._buffer += b"\n"
+        self._hub.turns.add(self)
+        return True
+
+    def pause_writing(self) -> None:
+        self.writable = False
+        self._unread_since = self._hub.loop.time()
+
+    def resume_writing(self) -> None:
+        self.writable = True
+        for subscription in list(self._subscriptions.values()):
+            subscription.flush()
+        self._hub.feeds.resume()
+        self._hub.turns.add(self)
+
+    # -- the session as methods see it (Context) and as subscriptions see it (Sink)
+
+    def write(self, data: bytes) -> None:
+        transport = self._transport
+        if transport is None:
+            return
+        transport.write(data)
+        if transport.get_write_buffer_size() > MAX_OUTPUT_BYTES:
+            self._hub.counters["closed_unread"] += 1
+            _log.warning("rpc client closed: it does not read its replies", unread_bytes=MAX_OUTPUT_BYTES)
+            transport.abort()
+            self._end()
+
+    def subscribe(self, params: SubscribeParams) -> int:
+        if len(self._subscriptions) >= MAX_SUBSCRIPTIONS:
+            raise LimitExceeded(f"at most {MAX_SUBSCRIPTIONS} subscriptions per client; unsubscribe some")
+        number = self._next_subscription
+        self._subscriptions[number] = self._hub.feeds.add(self, number, params)
+        self._next_subscription += 1
+        return number
+
+    def unsubscribe(self, number: int) -> None:
+        subscription = self._subscriptions.pop(number, None)
+        if subscription is None:
+            have = ", ".join(map(str, self._subscriptions)) or "none"
+            raise InvalidParams(("subscription", f"this client has no subscription {number}; it has: {have}"))
+        self._hub.feeds.remove(subscription)
+
+    def close(self) -> None:
+        """Close; what was written still goes out, unless the client does not read."""
+        if self._transport is not None:
+            if self.writable:
+                self._hub.close_in_time(self._transport)
+            else:
+                self._transport.abort()
+        self._end()
+
+    # -- its place (Sessions)
+
+    @property
+    def busy(self) -> bool:
+        """Whether it waits for the outcome of what it asked for."""
+        return bool(self.tasks)
+
+    def idle_s(self, now: float) -> float:
+        """For how long it has wanted nothing, nor taken what it subscribed to; 0 if it does."""
+        if self.tasks:
+            return 0.0
+        if self._subscriptions:
+            return now - self._unread_since if not self.writable else 0.0
+        return now - self.used_at
+
+    def close_after(self, seconds: float) -> None:
+        """Close it then, unless a later call says otherwise or a request of it is answered first."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._deadline = self._hub.loop.call_later(seconds, self._on_deadline)
+
+    def keep(self) -> None:
+        """Close it no more at a certain time."""
+        if self._deadline is not None:
+            self._deadline.cancel()
+
+    def dismiss(self, reason: str) -> None:
+        """Close it with an error that says why."""
+        if self.writable:
+            self._reply(error_reply(None, dispatch.LIMIT_EXCEEDED, reason))
+        self.close()
+
+    def peer_pid(self) -> int | None:
+        """The process at the other end of a Unix socket."""
+        sock = self._transport.get_extra_info("socket") if self._transport is not None else None
+        if sock is None or sock.family != socket.AF_UNIX:
+            return None
+        with (
+            contextlib.suppress(OSError),
+            socket.socket(fileno=os.dup(sock.fileno())) as peer,
+        ):  # uvloop's has no options
+            credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+            return int(struct.unpack("3i", credentials)[0])
+        return None
+
+    def _on_deadline(self) -> None:
+        if not self.tasks:
+            self.close()
+
+    # -- lines
+
+    def work(self) -> bool:
+        """Work on one line that has come whole; whether there may be another one."""
+        if not self.writable or self._answered or (line := self._next_line()) is None:
+            self._pace_reading(more=False)
+            self._close_if_idle()
+            return False
+        self.used_at = self._hub.loop.time()
+        self._on_line(line)
+        return self._transport is not None
+
+    def hold_back(self) -> None:
+        """Read no more of it before what has come is worked on."""
+        self._pace_reading(more=True)
+
+    def _pace_reading(self, *, more: bool) -> None:
+        transport = self._transport
+        if transport is None or transport.is_closing() or self._eof:
+            return
+        if more or not self.writable or self._answered:
+            transport.pause_reading()
+        elif not transport.is_reading():
+            transport.resume_reading()
+
+    def _next_line(self) -> bytes | None:
+        """The next line within the length limit; longer ones are answered with an error and skipped."""
+        limit = MAX_LINE_BYTES if self.authenticated else MAX_LINE_BEFORE_AUTH_BYTES
+        buffer = self._buffer
+        while self._transport is not None:
+            end = buffer.find(b"\n", self._scanned)
+            length = end if end >= 0 else len(buffer)
+            if length > limit and not self._skipping:
+                self._skipping = True
+                self._hub.counters["lines_too_long"] += 1
+                self._reply(error_reply(None, dispatch.INVALID_REQUEST, f"a line has at most {limit} bytes"))
+                if not self.authenticated:
+                    self._hang_up()
+                    return None
+            if end < 0:
+                if self._skipping:
+                    buffer.clear()
+                self._scanned = len(buffer)
+                return None
+            line = bytes(buffer[:end])
+            del buffer[: end + 1]
+            self._scanned = 0
+            if self._skipping:
+                self._skipping = False
+            elif line.strip():
+                return line
+        return None
+
+    def _on_line(self, line: bytes) -> None:
+        self._hub.counters["lines"] += 1
+        try:
+            request = parse(line)
+        except ValueError as error:
+            self._hub.counters["parse_errors"] += 1
+            self._reply(error_reply(None, dispatch.PARSE_ERROR, f"not JSON: {error}"))
+            if not self.authenticated:
+                self._hang_up()
+            return
+        if not self.authenticated:
+            self._authenticate(request)
+        elif self._refused_for_now(request):
+            pass
+        elif type(request) is list:
+            self._on_batch(request)
+        else:
+            reply = self._start(request)
+            if isinstance(reply, bytes):
+                self._reply(reply)
+            elif reply is not None:
+                self._run([reply], batch=False)
+
+    def _refused_for_now(self, request: object) -> bool:
+        """Whether this is not answered since all places are taken. A connection beyond them has one request."""
+        if not self.restricted or self._hub.promote(self):
+            return False
+        self._answered = True
+        method = request.get("method") if isinstance(request, dict) else None
+        if isinstance(method, str) and method in self._hub.dispatcher.always:
+            return False
+        self._hub.counters["requests_refused"] += 1
+        request_id = request.get("id") if isinstance(request, dict) else None
+        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float | None):
+            request_id = None
+        answered = ", ".join(sorted(self._hub.dispatcher.always))
+        text = f"too many clients: {self._hub.why_restricted()}; one request for {answered}"
+        self._reply(error_reply(request_id, dispatch.LIMIT_EXCEEDED, f"{text} is answered all the same"))
+        return True
+
+    def _start(self, request: object) -> dispatch.Reply:
+        """Begin one request, unless the client already waits for too many."""
+        if self._in_flight >= MAX_IN_FLIGHT:
+            request_id = request.get("id") if isinstance(request, dict) else None
+            text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
+            return error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
+        self._hub.services.operator_watchdog.on_client()
+        if self._hub.services.stopping and isinstance(request, dict):
+            method, request_id = request.get("method"), request.get("id")
+            answered = self._hub.dispatcher.while_stopping
+            if isinstance(method, str) and method not in answered and isinstance(request_id, str | int | None):
+                text = "skygcs is shutting down: it takes no further orders but those that end a flight"
+                return error_reply(request_id, dispatch.REFUSED, text) if "id" in request else None
+        reply = self._hub.dispatcher.start(self, request)
+        if isinstance(reply, Coroutine):
+            self._in_flight += 1
+            if self._hub.dispatcher.outlives_client(request):
+                return self._hub.outlive(reply)
+        return reply
+
+    def _on_batch(self, requests: list[Any]) -> None:
+        if not requests:
+            return self._reply(error_reply(None, dispatch.INVALID_REQUEST, "a batch is not empty"))
+        if len(requests) > MAX_BATCH:
+            text = f"a batch has at most {MAX_BATCH} requests, this one {len(requests)}"
+            return self._reply(error_reply(None, dispatch.LIMIT_EXCEEDED, text))
+        replies: list[dispatch.Reply] = []
+        size = 0
+        for request in requests:
+            reply = self._start(request)
+            if isinstance(reply, bytes):
+                size += len(reply)
+                if size > MAX_OUTPUT_BYTES // 2:
+                    request_id = request.get("id") if isinstance(request, dict) else None
+                    text = f"the replies of this batch exceed {MAX_OUTPUT_BYTES // 2} bytes"
+                    reply = error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
+            replies.append(reply)
+        if any(isinstance(reply, Coroutine) for reply in replies):
+            self._run(replies, batch=True)
+        else:
+            self._reply(_joined([r for r in replies if isinstance(r, bytes)]))
+
+    def _run(self, replies: list[dispatch.Reply], *, batch: bool) -> None:
+        """Finish what takes time in a task of its own, which ends with the client at the latest.
+
+        What a task of the hub does (`Sessions.outlive`) is only waited for here.
+        """
+        coroutines = [reply for reply in replies if isinstance(reply, Coroutine)]
+
+        async def finish() -> None:
+            if not batch:
+                self._reply(await coroutines[0])
+                return
+            late = iter(await asyncio.gather(*coroutines))
+            self._reply(_joined([next(late) if isinstance(r, Coroutine) else r or b"" for r in replies]))
+
+        def on_done(task: asyncio.Task[None]) -> None:
+            self.tasks.discard(task)
+            self._in_flight -= len(coroutines)
+            for coroutine in coroutines:
+                coroutine.close()  # those of a task that was cancelled before it began
+            if not task.cancelled() and (error := task.exception()) is not None:
+                _log.error("rpc request failed", exc_info=error)
+            self._close_if_idle()
+
+        task = self._hub.loop.create_task(finish(), name="rpc request")
+        self.tasks.add(task)
+        task.add_done_callback(on_done)
+
+    def _reply(self, reply: bytes) -> None:
+        if reply:
+            self.write(reply + b"\n")
+
+    # -- TCP
+
+    def _authenticate(self, request: object) -> None:
+        """The first request, and the only one a client without the token gets: auth {"token": …}."""
+        request_id = request.get("id") if isinstance(request, dict) else None
+        token = None
+        if isinstance(request, dict) and request.get("method") == "auth" and isinstance(request.get("params"), dict):
+            token = request["params"].get("token")
+        given = token.encode() if isinstance(token, str) else b""
+        assert self._token is not None
+        if not isinstance(request_id, str | int | None) or not hmac.compare_digest(given, self._token.encode()):
+            self._hub.counters["auth_failures"] += 1
+            text = "the token is wrong" if given else 'a token is wanted; the first request is: auth {"token": "…"}'
+            self._reply(error_reply(None, dispatch.NOT_AUTHENTICATED, text))
+            self._hang_up()
+            return
+        self.authenticated = True
+        self.keep()
+        self._reply(dispatch.result_reply(request_id, "auth", {"ok": True}))
+        self._hub.admit(self)
+
+    def _hang_up(self) -> None:
+        """Close after what was written has gone out."""
+        if self._transport is not None:
+            self._hub.close_in_time(self._transport)
+        self._end()
+
+    # -- the end
+
+    def _peer_still_reads(self) -> bool:
+        """After an end of file: whether the client has only shut down its sending side.
+
+        On a Unix socket poll tells (POLLHUP: both directions are shut); on TCP nothing does, so it counts as gone.
+        """
+        peer = self._transport.get_extra_info("socket") if self._transport is not None else None
+        if peer is None or peer.family != socket.AF_UNIX:
+            return False
+        poll = select.poll()
+        poll.register(peer.fileno(), 0)
+        return not poll.poll(0)
+
+    def _close_if_idle(self) -> None:
+        """After the client's end of file, or its one request: close once nothing is left to answer or to tell."""
+        if self._transport is None or self.tasks:
+            return
+        if self._answered or (self._eof and not (self._subscriptions or self._buffer)):
+            self._hang_up()
+
+    def _end(self) -> None:
+        """Forget everything of this client. Its waiting calls are cancelled, except those that outlive it."""
+        self._transport = None
+        self.writable = False
+        self._hub.remove(self)
+        self.keep()
+        subscriptions, self._subscriptions = self._subscriptions, {}
+        for subscription in subscriptions.values():
+            self._hub.feeds.remove(subscription)
+        for task in self.tasks:
+            task.cancel()
+        self._buffer.clear()
+        self._scanned = 0
+
+
+def _joined(replies: list[bytes]) -> bytes:
+    """A batch's reply; empty if all of it were notifications."""
+    wanted = [reply for reply in replies if reply]
+    return b"[" + b",".join(wanted) + b"]" if wanted else b""
 
 
 class Turns:
@@ -112,11 +547,11 @@ class Turns:
 class Sessions:
     """What all sessions share."""
 
-    def __init__(self, daemon: Daemon, dispatcher: Dispatcher[Context], loop: asyncio.AbstractEventLoop) -> None:
-        self.daemon = daemon
+    def __init__(self, services: Services, dispatcher: Dispatcher[Context], loop: asyncio.AbstractEventLoop) -> None:
+        self.services = services
         self.dispatcher = dispatcher
         self.loop = loop
-        self.feeds = Feeds(daemon, loop)
+        self.feeds = Feeds(services, loop)
         self.turns = Turns(loop)
         self.counters: Counter[str] = Counter()
         self.lasting: set[asyncio.Task[bytes]] = set()
@@ -167,7 +602,7 @@ class Sessions:
         if self._full and len(self._placed) <= AMPLE_SHARE * MAX_SESSIONS:
             self._full = False
             text = "clients: there are free places again"
-            self.daemon.on_event(Event("warning", None, None, text, {"change": "not_full"}))
+            self.services.on_event(Event("warning", None, None, text, {"change": "not_full"}))
 
     def close_in_time(self, transport: asyncio.Transport) -> None:
         """Close it once what was written is read, or after LINGER_S."""
@@ -206,7 +641,7 @@ class Sessions:
                 f"clients: all {MAX_SESSIONS} places are taken, {self._holders()}; further ones may stop, hold, land, "
                 "return and disarm vehicles and read their state, nothing else; close some"
             )
-            self.daemon.on_event(Event("warning", None, None, text, {"change": "full", "places": MAX_SESSIONS}))
+            self.services.on_event(Event("warning", None, None, text, {"change": "full", "places": MAX_SESSIONS}))
         self.counters["connections_restricted"] += 1
         if len(self._reserve) >= MAX_RESERVE:
             silent = next((other for other in self._reserve if not other.busy), None)

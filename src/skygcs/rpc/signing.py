@@ -1,4 +1,4 @@
-"""The methods of message signing: `METHODS` is their part of the table. No key passes through here, only its file."""
+"""The methods of message signing. `METHODS` is their part of the table. No key is sent over RPC, only its file name."""
 
 from __future__ import annotations
 
@@ -7,29 +7,28 @@ from pathlib import Path
 from pydantic import Field
 
 from skygcs.rpc import dispatch
-from skygcs.rpc import models as m
-from skygcs.rpc.context import Context
+from skygcs.rpc.context import Context, JsonObject, as_json
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.ports import JsonObject
+from skygcs.rpc.models import NoParams, Outcomes, Params, Result, TargetsParams
 
 
-class SigningSetupParams(m.TargetsParams):
+class SigningSetupParams(TargetsParams):
     key_file: str = Field(
         min_length=1, max_length=4096, description="Absolute path of the key file, on the daemon's machine."
     )
     force: bool = Field(False, description="Although others can hear the link; the key goes out in clear.")
 
 
-class SigningResetParams(m.Params):
+class SigningResetParams(Params):
     key_id: str = Field(min_length=1, max_length=64, description="As signing.status names the key.")
     force: bool = Field(False, description="Although a vehicle is armed.")
 
 
-class SigningReset(m.Result):
+class SigningReset(Result):
     message: str
 
 
-class SigningKeyState(m.Result):
+class SigningKeyState(Result):
     """A key in use."""
 
     key_id: str = Field(description="Tells keys apart; the key cannot be had from it.")
@@ -39,7 +38,7 @@ class SigningKeyState(m.Result):
     links: list[str]
 
 
-class SigningChannelState(m.Result):
+class SigningChannelState(Result):
     """Frames of one channel since it was opened, by what became of them."""
 
     peer: str
@@ -54,7 +53,7 @@ class SigningChannelState(m.Result):
     sent_signed: int = Field(description="Our own messages.")
 
 
-class SigningLinkState(m.Result):
+class SigningLinkState(Result):
     """A link with a key."""
 
     link: str
@@ -66,7 +65,7 @@ class SigningLinkState(m.Result):
     channels: list[SigningChannelState]
 
 
-class SigningStatus(m.Result):
+class SigningStatus(Result):
     keys: list[SigningKeyState]
     links: list[SigningLinkState]
 
@@ -82,19 +81,17 @@ async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObj
         raise InvalidParams(("key_file", "holds a NUL character"))
     if not path.is_absolute():
         raise InvalidParams(("key_file", "must be an absolute path: the daemon's folder is not yours"))
-    told = await context.daemon.signing_setup.setup(params.targets, path, force=params.force)
-    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+    return as_json(await context.services.signing_setup.setup(params.targets, path, force=params.force))
 
 
-async def signing_off(context: Context, params: m.TargetsParams) -> JsonObject:
+async def signing_off(context: Context, params: TargetsParams) -> JsonObject:
     """Have vehicles forget their signing key, and wait until they no longer sign; not while armed."""
-    told = await context.daemon.signing_setup.off(params.targets)
-    return {"outcomes": {name: outcome.as_dict() for name, outcome in told.items()}}
+    return as_json(await context.services.signing_setup.off(params.targets))
 
 
-def signing_status(context: Context, _: m.NoParams) -> JsonObject:
+def signing_status(context: Context, _: NoParams) -> JsonObject:
     """Keys in use with their clocks; links that have one, with what they accepted and dropped."""
-    return context.daemon.signing_status()
+    return context.services.signing_status()
 
 
 def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObject:
@@ -103,14 +100,15 @@ def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObj
     Streams that are ahead of it are forgotten. Vehicles that have followed the later time take no order of ours until
     they get their key again over a cable (signing.setup).
     """
-    return {"message": context.daemon.signing_setup.reset_clock(params.key_id, force=params.force)}
+    return {"message": context.services.signing_setup.reset_clock(params.key_id, force=params.force)}
 
 
 _TOLD = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
+
 METHODS: tuple[Method[Context], ...] = (
-    Method("signing.status", m.NoParams, signing_status, SigningStatus),
-    Method("signing.setup", SigningSetupParams, signing_setup, m.Outcomes, _TOLD),
+    Method("signing.status", NoParams, signing_status, SigningStatus),
+    Method("signing.setup", SigningSetupParams, signing_setup, Outcomes, _TOLD),
     Method("signing.reset_clock", SigningResetParams, signing_reset_clock, SigningReset, (dispatch.REFUSED,)),
-    Method("signing.off", m.TargetsParams, signing_off, m.Outcomes, _TOLD),
+    Method("signing.off", TargetsParams, signing_off, Outcomes, _TOLD),
 )

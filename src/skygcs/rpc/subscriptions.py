@@ -1,22 +1,405 @@
-"""What clients are told without asking: telemetry, events, messages.
+"""What clients are sent without asking: telemetry, events, messages.
 
 A client that reads slowly never makes the daemon keep more: telemetry is coalesced per vehicle (fewer, fresher
-updates), events and messages wait in bounded queues whose losses are counted and told with the next one.
+updates), events and messages wait in bounded queues; what they lost is counted and sent with the next one.
 """
 
 from __future__ import annotations
 
 import asyncio
-import difflib
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Protocol
 
-from skygcs.core.mavlink.dialect import Dialect, MessageInfo
+import structlog
+from pydantic_core import to_json
+
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.state import VehicleState
+from skygcs.errors import TargetError
+from skygcs.rpc.context import Services, resolve, state_of
 from skygcs.rpc.dispatch import InvalidParams
-from skygcs.rpc.models import SubscribeParams, VehicleState
-from skygcs.rpc.notices import EventFeed, EventSubscription, MessageFeed, MessageSubscription
-from skygcs.rpc.ports import Daemon, Sink
-from skygcs.rpc.telemetry import TelemetryFeed, TelemetrySubscription
+from skygcs.rpc.messages import find_message
+from skygcs.rpc.models import SubscribeParams
+from skygcs.runtime.vehicle_actor import VehicleActor
 
 DEFAULT_TELEMETRY_HZ = 2.0
+
+
+GRID_S = 0.05
+"""All telemetry goes out on one grid of 20 Hz, so that every subscriber of a tick shares the encoded state."""
+
+
+SLICE_S = 0.002
+"""Telemetry gives way to everything else in the loop after this long: routing must not wait for 250 snapshots."""
+
+
+VEHICLES_PER_WRITE = 16
+"""Then the client's buffer is looked at again."""
+
+
+QUEUED = 256
+"""Events or messages waiting per subscription: seconds of a busy fleet; further ones push out the oldest."""
+
+
+MAX_RATED_SOURCES = 4096
+"""Different (sysid, compid, message) one rate limit keeps apart; noise cannot grow the table further."""
+
+
+_log = structlog.get_logger(__name__)
+
+
+class Sink(Protocol):
+    """A client's output, as subscriptions see it."""
+
+    @property
+    def writable(self) -> bool:
+        """False while the client has not taken what was written before."""
+        ...
+
+    def write(self, data: bytes) -> None: ...
+
+
+class TelemetrySubscription:
+    """Some vehicles' states at some rate. ``pending`` is what the client has not been sent of this round."""
+
+    def __init__(self, sink: Sink, number: int, targets: str | list[str], rate_hz: float, names: frozenset[str]):
+        self.sink = sink
+        self.targets = targets
+        self.rate_hz = rate_hz
+        self.names = names
+        self.tail = b',"subscription":%d}}\n' % number
+        self.pending: dict[int, VehicleActor] = {}
+        self.vehicles: dict[int, VehicleActor] = {}
+        self.known: list[VehicleActor] = []
+
+    def due(self, before: int, tick: int) -> bool:
+        """Whether an update belongs to the grid ticks (before, tick]. Equal rates are due together."""
+        return math.floor(tick * GRID_S * self.rate_hz) != math.floor(before * GRID_S * self.rate_hz)
+
+    def next_due(self, tick: int) -> int:
+        period = 1 / (GRID_S * self.rate_hz)
+        following = math.ceil((math.floor(tick * GRID_S * self.rate_hz) + 1) * period)
+        return max(following, tick + 1)
+
+    def flush(self) -> None:
+        """Nothing to do: the feed goes on with what is pending at its next slice."""
+
+
+class TelemetryFeed:
+    """Encodes each vehicle's state once per tick and hands it to whoever is due and able to take it."""
+
+    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
+        self._services = services
+        self._loop = loop
+        self._subscriptions: dict[TelemetrySubscription, None] = {}
+        self._encoded: dict[tuple[int, frozenset[str]], bytes] = {}
+        self._encoded_at = -math.inf
+        self._timer: asyncio.TimerHandle | None = None
+        self._draining = False
+        self._tick_done = 0
+        self._failed: set[int] = set()
+
+    def add(self, subscription: TelemetrySubscription) -> None:
+        """Begins with one update at once. Raises TargetError."""
+        self._find_vehicles(subscription, first=True)
+        self._subscriptions[subscription] = None
+        subscription.pending = dict(subscription.vehicles)
+        self._start_drain()
+        self._arm()
+
+    def remove(self, subscription: TelemetrySubscription) -> None:
+        self._subscriptions.pop(subscription, None)
+        if not self._subscriptions:
+            self.close()
+
+    def close(self) -> None:
+        self._subscriptions.clear()
+        self._encoded.clear()
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def resume(self) -> None:
+        """A client takes data again."""
+        self._start_drain()
+
+    def _arm(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        now_tick = self._now_tick()
+        if self._timer is None:
+            self._tick_done = now_tick
+        following = min(s.next_due(now_tick) for s in self._subscriptions)
+        self._timer = self._loop.call_at(following * GRID_S, self._on_tick)
+
+    def _now_tick(self) -> int:
+        """Loops run timers up to their resolution early, uvloop a millisecond: that is the tick meant."""
+        return int(self._loop.time() / GRID_S + 0.05)
+
+    def _on_tick(self) -> None:
+        tick = self._now_tick()
+        for subscription in self._subscriptions:
+            if subscription.due(self._tick_done, tick):
+                self._find_vehicles(subscription)
+                subscription.pending.update(subscription.vehicles)
+        self._tick_done = tick
+        self._start_drain()
+        self._arm()
+
+    def _find_vehicles(self, subscription: TelemetrySubscription, *, first: bool = False) -> None:
+        """Vehicles that came since the last time belong to "all", a group or a range as well."""
+        there = list(self._services.fleet.vehicles.values())
+        if not first and subscription.known == there:  # the very same ones: identity decides, which is quick
+            return
+        try:
+            found = resolve(self._services, subscription.targets)
+        except TargetError:
+            if first:
+                raise
+            found = []  # they were forgotten
+        subscription.known = there
+        subscription.vehicles = {v.sysid << 8 | v.compid: v for v in found}
+
+    def _start_drain(self) -> None:
+        if not self._draining and any(s.pending for s in self._subscriptions):
+            if self._loop.time() - self._encoded_at > GRID_S / 2:
+                self._encoded.clear()
+                self._encoded_at = self._loop.time()
+            self._draining = True
+            self._loop.call_soon(self._drain)
+
+    def _drain(self) -> None:
+        self._draining = False
+        deadline = self._loop.time() + SLICE_S
+        for subscription in list(self._subscriptions):
+            while subscription.pending and subscription.sink.writable:
+                self._write_some(subscription)
+                if self._loop.time() > deadline:
+                    if self._subscriptions.pop(subscription, subscription) is None:
+                        self._subscriptions[subscription] = None  # to the end: it is the others' turn
+                    self._draining = True
+                    self._loop.call_soon(self._drain)
+                    return
+
+    def _write_some(self, subscription: TelemetrySubscription) -> None:
+        pieces: list[bytes] = []
+        pending = subscription.pending
+        for key in list(pending)[:VEHICLES_PER_WRITE]:
+            vehicle = pending.pop(key)
+            if subscription.vehicles.pop(key, None) is not None:
+                subscription.vehicles[key] = vehicle  # to the end: next round begins with who waited longest
+            body = self._encode(key, vehicle, subscription.names)
+            if body:
+                pieces.append(body)
+                pieces.append(subscription.tail)
+        if pieces:
+            subscription.sink.write(b"".join(pieces))
+
+    def _encode(self, key: int, vehicle: VehicleActor, names: frozenset[str]) -> bytes:
+        body = self._encoded.get((key, names))
+        if body is None:
+            try:
+                state = state_of(self._services, vehicle)
+                if names:
+                    state = {k: v for k, v in state.items() if k in names or k in ("name", "sysid")}
+                body = b'{"jsonrpc":"2.0","method":"telemetry","params":{"state":' + to_json(state, inf_nan_mode="null")
+                self._failed.discard(key)
+            except Exception as error:  # one vehicle's fault is not the others'
+                body = b""
+                if key not in self._failed:
+                    self._failed.add(key)
+                    _log.error("state cannot be sent", vehicle=vehicle.name, exc_info=error)
+            self._encoded[key, names] = body
+        return body
+
+
+class QueuedSubscription:
+    """Encoded events or messages in order, at most QUEUED waiting; what was pushed out is told with the next one."""
+
+    def __init__(self, sink: Sink, number: int, loop: asyncio.AbstractEventLoop) -> None:
+        self._sink = sink
+        self._loop = loop
+        self._tail = b',"subscription":%d' % number
+        self._queue: deque[tuple[bytes, float]] = deque()
+        self._dropped = 0
+        self._flush_due = False
+
+    def offer(self, body: bytes, now: float) -> None:
+        """Queue one, for the end of this loop turn: what came in one datagram leaves in one write."""
+        if len(self._queue) >= QUEUED:
+            self._queue.popleft()
+            self._dropped += 1
+        self._queue.append((body, now))
+        if not self._flush_due:
+            self._flush_due = True
+            self._loop.call_soon(self.flush)
+
+    def flush(self) -> None:
+        """Write what waits, if the client takes it."""
+        self._flush_due = False
+        if not self._queue or not self._sink.writable:
+            return
+        pieces: list[bytes] = []
+        for body, then in self._queue:
+            pieces += (body, self._closing(then))
+        self._queue.clear()
+        self._sink.write(b"".join(pieces))
+
+    def _closing(self, then: float) -> bytes:
+        if not self._dropped:
+            return self._tail + b"}}\n"
+        dropped, self._dropped = self._dropped, 0
+        return b'%b,"dropped":%d}}\n' % (self._tail, dropped)
+
+
+class EventSubscription(QueuedSubscription):
+    """Events of some kinds and vehicles."""
+
+    def __init__(
+        self,
+        sink: Sink,
+        number: int,
+        loop: asyncio.AbstractEventLoop,
+        services: Services,
+        targets: str | list[str],
+        kinds: frozenset[str],
+    ) -> None:
+        super().__init__(sink, number, loop)
+        self._services = services
+        self._targets = targets
+        self._kinds = kinds
+        if targets != "all":
+            services.fleet.resolve_any(targets)
+
+    def wants(self, event: Mapping[str, Any]) -> bool:
+        if self._kinds and event.get("kind") not in self._kinds:
+            return False
+        if self._targets == "all":
+            return True
+        try:
+            wanted = self._services.fleet.resolve_any(self._targets)
+        except TargetError:
+            return False
+        component = (event.get("sysid"), (event.get("data") or {}).get("compid"))
+        return any(s.name == event.get("vehicle") or (s.sysid, s.compid) == component for s in wanted)
+
+
+class EventFeed:
+    """Encodes each event once for all."""
+
+    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop = loop
+        self._services = services
+        self._subscriptions: set[EventSubscription] = set()
+        self._unsubscribe: Callable[[], object] | None = None
+
+    def add(self, subscription: EventSubscription) -> None:
+        self._subscriptions.add(subscription)
+        if self._unsubscribe is None:
+            self._unsubscribe = self._services.subscribe_events(self._on_event)
+
+    def remove(self, subscription: EventSubscription) -> None:
+        self._subscriptions.discard(subscription)
+        if not self._subscriptions:
+            self.close()
+
+    def close(self) -> None:
+        self._subscriptions.clear()
+        if self._unsubscribe is not None:
+            self._unsubscribe()
+            self._unsubscribe = None
+
+    def _on_event(self, event: Mapping[str, Any]) -> None:
+        body = b""
+        for subscription in self._subscriptions:
+            if not subscription.wants(event):
+                continue
+            if not body:
+                encoded = to_json(dict(event), inf_nan_mode="null", serialize_unknown=True)
+                body = b'{"jsonrpc":"2.0","method":"event","params":{"event":' + encoded
+            subscription.offer(body, self._loop.time())
+
+
+class MessageSubscription(QueuedSubscription):
+    """Decoded messages of some names and vehicles, at most ``rate_hz`` of each name and source."""
+
+    def __init__(self, sink: Sink, number: int, loop: asyncio.AbstractEventLoop, rate_hz: float | None) -> None:
+        super().__init__(sink, number, loop)
+        self.rate_hz = rate_hz
+        self._last: dict[tuple[int, int, int], float] = {}
+
+    def passes(self, frame: Frame, now: float) -> bool:
+        """Whether the rate lets this one through (a tenth of a period early is in time: senders jitter)."""
+        if self.rate_hz is None:
+            return True
+        key = (frame.sysid, frame.compid, frame.msgid)
+        last = self._last.get(key)
+        if last is not None and now - last < 0.9 / self.rate_hz:
+            return False
+        if last is None and len(self._last) >= MAX_RATED_SOURCES:
+            return False
+        self._last[key] = now
+        return True
+
+    def _closing(self, then: float) -> bytes:
+        age = max(self._loop.time() - then, 0.0)
+        return b',"age_s":%.3f}%b' % (age, super()._closing(then))
+
+
+class MessageFeed:
+    """Decodes and encodes each frame once, however many want it."""
+
+    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
+        self._services = services
+        self._loop = loop
+        self._unsubscribes: dict[MessageSubscription, Callable[[], object]] = {}
+        self._last: tuple[Frame | None, bytes] = (None, b"")
+
+    def add(self, subscription: MessageSubscription, names: Iterable[str] | None, targets: str | list[str]) -> None:
+        """Raises TargetError. ``names`` are the dialect's own spelling."""
+        keys: set[int] | None = None
+        if targets != "all":
+            keys = self._services.fleet.sources(targets)
+
+        def on_frame(frame: Frame, _channel: object, _now: float) -> None:
+            now = self._loop.time()
+            if frame.info is not None and subscription.passes(frame, now):
+                subscription.offer(self._encode(frame), now)
+
+        dialect = self._services.dialect
+        msgids = None if names is None else {dialect.by_name[name].msgid for name in names}
+        self._unsubscribes[subscription] = self._services.hub.add_observer(msgids, keys, on_frame)
+
+    def remove(self, subscription: MessageSubscription) -> None:
+        unsubscribe = self._unsubscribes.pop(subscription, None)
+        if unsubscribe is not None:
+            unsubscribe()
+
+    def close(self) -> None:
+        for subscription in list(self._unsubscribes):
+            self.remove(subscription)
+        self._last = (None, b"")
+
+    def _encode(self, frame: Frame) -> bytes:
+        last, body = self._last
+        if last is frame:
+            return body
+        vehicle, source = self._services.fleet.names_of(frame.sysid, frame.compid)
+        message = {
+            "vehicle": vehicle,
+            "source": source,
+            "sysid": frame.sysid,
+            "compid": frame.compid,
+            "name": frame.name,
+            "fields": frame.fields(),
+        }
+        encoded = to_json(message, inf_nan_mode="null")
+        body = b'{"jsonrpc":"2.0","method":"message","params":{"message":' + encoded[:-1]
+        self._last = (frame, body)
+        return body
+
 
 Subscription = TelemetrySubscription | EventSubscription | MessageSubscription
 
@@ -24,12 +407,12 @@ Subscription = TelemetrySubscription | EventSubscription | MessageSubscription
 class Feeds:
     """The sources of all subscriptions of all clients."""
 
-    def __init__(self, daemon: Daemon, loop: asyncio.AbstractEventLoop) -> None:
-        self._daemon = daemon
+    def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
+        self._services = services
         self._loop = loop
-        self._telemetry = TelemetryFeed(daemon, loop)
-        self._events = EventFeed(daemon, loop)
-        self._messages = MessageFeed(daemon, loop)
+        self._telemetry = TelemetryFeed(services, loop)
+        self._events = EventFeed(services, loop)
+        self._messages = MessageFeed(services, loop)
 
     def add(self, sink: Sink, number: int, params: SubscribeParams) -> Subscription:
         """Begin to tell ``sink``. Raises TargetError and InvalidParams."""
@@ -42,13 +425,13 @@ class Feeds:
                 self._telemetry.add(telemetry)
                 return telemetry
             case "events":
-                events = EventSubscription(sink, number, self._loop, self._daemon, params.targets, texts)
+                events = EventSubscription(sink, number, self._loop, self._services, params.targets, texts)
                 self._events.add(events)
                 return events
             case "messages":
                 names = None
                 if params.names is not None:
-                    names = [find_message(self._daemon.dialect, name, "names").name for name in params.names]
+                    names = [find_message(self._services.dialect, name, "names").name for name in params.names]
                 messages = MessageSubscription(sink, number, self._loop, params.rate_hz)
                 self._messages.add(messages, names, params.targets)
                 return messages
@@ -73,17 +456,7 @@ class Feeds:
 
 
 def _check_sections(names: frozenset[str]) -> None:
-    unknown = sorted(names - VehicleState.model_fields.keys())
+    unknown = sorted(names - VehicleState.__annotations__.keys())
     if unknown:
-        there_is = ", ".join(VehicleState.model_fields)
+        there_is = ", ".join(VehicleState.__annotations__)
         raise InvalidParams(("names", f"a vehicle's state has no {', '.join(unknown)[:80]}; it has: {there_is}"))
-
-
-def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:
-    """The message of that name or id. Raises InvalidParams for ``param``."""
-    try:
-        return dialect.find(name)
-    except KeyError as error:
-        close = difflib.get_close_matches(str(name)[:80].upper(), dialect.by_name, n=3)
-        hint = f"did you mean {', '.join(close)}?" if close else "messages.list lists them"
-        raise InvalidParams((param, f"{error.args[0]}; {hint}")) from None

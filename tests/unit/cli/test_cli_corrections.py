@@ -147,7 +147,7 @@ TAKEN = {**NOTHING, "messages": 1, "bytes": 25, "types": {"1005": 1}, "links": 1
 def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded]:
     monkeypatch.setenv("SKYGCS_SOCKET", "overridden by --socket, and restored after the test")
     with commanded(tmp_path) as fleet:
-        fleet.daemon.corrections_taken = dict(TAKEN)
+        fleet.daemon.corrections.answer = dict(TAKEN)
         yield fleet
 
 
@@ -161,7 +161,7 @@ def test_a_file_is_sent_and_its_end_told(fleet: Commanded, tmp_path: Path) -> No
 
 
 def test_a_file_without_corrections_fails_and_says_so(fleet: Commanded, tmp_path: Path) -> None:
-    fleet.daemon.corrections_taken |= NOTHING | {"types": {}}
+    fleet.daemon.corrections.answer |= NOTHING | {"types": {}}
     (tmp_path / "empty").touch()
     assert "no input" in fleet.run("corrections", "send", str(tmp_path / "empty"), code=FAILED)
     (tmp_path / "log.ubx").write_bytes(b"\xb5b" * 1500)
@@ -170,7 +170,7 @@ def test_a_file_without_corrections_fails_and_says_so(fleet: Commanded, tmp_path
 
 
 def test_the_daemons_refusal_is_told(fleet: Commanded, tmp_path: Path) -> None:
-    fleet.daemon.corrections_fail = RefusedError("roof sends corrections already")
+    fleet.daemon.corrections.fails = RefusedError("roof sends corrections already")
     (tmp_path / "base.rtcm3").write_bytes(STANDARD_1005)
     assert "roof sends" in fleet.run("corrections", "send", str(tmp_path / "base.rtcm3"), code=FAILED)
 
@@ -237,7 +237,7 @@ STATUS = {
 
 
 def test_the_status_tells_what_went_and_the_fixes(fleet: Commanded) -> None:
-    fleet.daemon.corrections_told = STATUS
+    fleet.daemon.corrections.told = STATUS
     assert fleet.json("corrections", "status") == STATUS
     assert fleet.run("corrections", "status").splitlines() == [
         "from roof: 103 messages, 14,230 B, 1,412 B/s, the last 0 s ago",

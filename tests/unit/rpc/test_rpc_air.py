@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from skygcs.errors import TargetError
-from skygcs.rpc.air import RadioAir
+from skygcs.rpc.links import RadioAir
 from skygcs.rpc.methods import METHODS
 from support.on_air import OnAir, on_air
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.looptime
 
 def ask(air: OnAir, name: str, **params: Any) -> Any:
     method = METHODS[name]
-    return method.handler(air, method.params.model_validate(params))  # type: ignore[arg-type]
+    return method.handler(SimpleNamespace(services=air.daemon), method.params.model_validate(params))  # type: ignore[arg-type]
 
 
 async def test_the_status_is_what_its_schema_says_and_json(tmp_path: Path) -> None:

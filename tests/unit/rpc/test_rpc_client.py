@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
-from skygcs.rpc import inbox
+from skygcs.rpc import client
 from skygcs.rpc.address import client_address, default_socket_path
 from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
@@ -146,7 +146,7 @@ async def test_waiting_for_an_event_can_be_given_up_and_taken_up_again(served: S
 async def test_events_lost_to_a_slow_program_are_told(
     served: Served, gcs: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inbox, "INBOX", 10)
+    monkeypatch.setattr(client, "INBOX", 10)
     events = gcs.events()
     await gcs.call("daemon.info")
     for i in range(25):

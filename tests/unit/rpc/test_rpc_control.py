@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import TypeAdapter
 
+from skygcs.core.vehicle.state import VehicleState
 from skygcs.errors import RpcError
-from skygcs.rpc import models
 from skygcs.rpc.client import Client, connect
-from skygcs.rpc.control_models import ControlState, GainsAnswer
+from skygcs.rpc.control import ControlState, GainsAnswer
 from skygcs.rpc.server import RpcServer
 from support.controlled import FLYING, OFF, ControlledFleet, ControlledVehicle
 from support.fake_daemon import NAMES, FakeDaemon, FakeOutcome
@@ -144,7 +145,7 @@ async def test_status_names_the_vehicle_and_has_the_described_shape(fleet: Contr
 async def test_a_vehicles_state_has_the_same_section(fleet: Controlled) -> None:
     fleet.vehicles["alpha"].control_told = FLYING
     state = await fleet.gcs.call("vehicles.get", target="alpha")
-    models.VehicleState.model_validate(state)
+    TypeAdapter(VehicleState).validate_python(state)
     assert state["control"] == FLYING
 
 

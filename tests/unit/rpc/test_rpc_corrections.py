@@ -7,14 +7,14 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from skygcs.rpc.corrections import MAX_DATA_CHARS, CorrectionsParams, corrections_send
 from skygcs.rpc.dispatch import InvalidParams
+from skygcs.rpc.links import MAX_DATA_CHARS, CorrectionsParams, corrections_send
 from support.fake_daemon import FakeDaemon
 
 
 class Session:
     def __init__(self) -> None:
-        self.daemon = FakeDaemon()
+        self.services = FakeDaemon()
 
 
 def ask(session: Any, **params: Any) -> Any:
@@ -23,10 +23,10 @@ def ask(session: Any, **params: Any) -> Any:
 
 def test_the_bytes_and_whose_they_are_reach_the_daemon() -> None:
     session = Session()
-    session.daemon.corrections_taken = {"messages": 1}
+    session.services.corrections.answer = {"messages": 1}
     assert ask(session, data="0wAT", source="roof") == {"messages": 1}
     assert ask(session, data="", end=True) == {"messages": 1}
-    assert session.daemon.corrections == [("roof", b"\xd3\x00\x13", False), ("rpc", b"", True)]
+    assert session.services.corrections == [("roof", b"\xd3\x00\x13", False), ("rpc", b"", True)]
 
 
 @pytest.mark.parametrize("data", ["0wA", "0w A", "d3 00 13", "0wAT\n", "Ó"])
@@ -34,7 +34,7 @@ def test_what_is_not_base64_is_refused(data: str) -> None:
     session = Session()
     with pytest.raises(InvalidParams, match="data: is not base64"):
         ask(session, data=data)
-    assert session.daemon.corrections == []
+    assert session.services.corrections == []
 
 
 @pytest.mark.parametrize("params", [{"data": "A" * (MAX_DATA_CHARS + 4)}, {"data": "", "source": ""}, {}])

@@ -7,13 +7,17 @@ import json
 from typing import Any
 
 import pytest
+from pydantic import TypeAdapter
 
-from skygcs.core.vehicle.state import VehicleState as CoreState
-from skygcs.rpc import models, openrpc
+from skygcs.core.vehicle.orders import Where
+from skygcs.core.vehicle.state import VehicleState
+from skygcs.rpc import methods
+from skygcs.rpc.client import Client
 from skygcs.rpc.methods import METHODS
+from skygcs.runtime.vehicle_actor import VehicleActor
 from support.fake_daemon import FakeDaemon
 
-DOCUMENT: dict[str, Any] = json.loads(json.dumps(openrpc.document(METHODS.values())))
+DOCUMENT: dict[str, Any] = json.loads(json.dumps(methods.document(METHODS.values())))
 
 CONTRACT = {
     "daemon": "info",
@@ -64,14 +68,57 @@ def test_every_reference_leads_somewhere() -> None:
         assert reference.removeprefix("#/components/schemas/") in DOCUMENT["components"]["schemas"]
 
 
-def test_the_described_state_has_the_keys_of_the_real_one() -> None:
-    assert list(models.VehicleState.model_fields) == list(CoreState.__annotations__)
+def test_every_group_of_the_state_is_described() -> None:
+    state = DOCUMENT["components"]["schemas"]["VehicleState"]
+    assert list(state["properties"]) == list(VehicleState.__annotations__)
+    assert state["properties"]["gps"]["description"].startswith("fix, fix_type")
+    assert state["properties"]["status_texts"]["items"] == {"$ref": "#/components/schemas/StatusTextEntry"}
+
+
+ORDERS = {
+    "arm": VehicleActor.arm,
+    "disarm": VehicleActor.disarm,
+    "takeoff": VehicleActor.takeoff,
+    "land": VehicleActor.land,
+    "rtl": VehicleActor.rtl,
+    "hold": VehicleActor.hold,
+    "stop": VehicleActor.stop,
+    "goto": VehicleActor.goto,
+    "reboot": VehicleActor.reboot,
+    "set_home": VehicleActor.set_home,
+    "interval": VehicleActor.set_message_interval,
+    "request": VehicleActor.request_message,
+    "stream": VehicleActor.request_stream,
+    "command": VehicleActor.command,
+}
+CHECKED_BY_THE_FLEET = {"targets", "confirm", "same_place"}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_parameters_of_an_order_are_those_of_the_actors_method(order: str) -> None:
+    given = METHODS[f"vehicles.{order}"].params.model_fields.keys() - CHECKED_BY_THE_FLEET
+    parameters = inspect.signature(ORDERS[order]).parameters
+    if "where" in parameters:
+        assert given == Where.__annotations__.keys()
+    else:
+        assert given == parameters.keys() - {"self"}
+
+
+@pytest.mark.parametrize("order", ["arm", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "mode"])
+def test_the_clients_method_of_an_order_has_its_parameters(order: str) -> None:
+    fields = METHODS[f"vehicles.{order}"].params.model_fields
+    parameters = inspect.signature(getattr(Client, order)).parameters
+    assert set(parameters) - {"self"} == set(fields)
+    for name, field in fields.items():
+        if name != "targets":
+            expected = inspect.Parameter.empty if field.is_required() else field.default
+            assert parameters[name].default == expected, name
 
 
 def test_a_state_of_the_fake_vehicle_is_one_of_the_described_kind() -> None:
     state = FakeDaemon().vehicle("alpha").state(0.0)
-    models.VehicleState.model_validate(state)
-    assert set(state) == set(models.VehicleState.model_fields)
+    TypeAdapter(VehicleState).validate_python(state)
+    assert set(state) == set(VehicleState.__annotations__)
 
 
 @pytest.mark.parametrize("name", METHODS)

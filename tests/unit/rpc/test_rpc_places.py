@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
-from skygcs.rpc import session, sessions
+from skygcs.rpc import sessions
 from skygcs.rpc.client import connect
+from skygcs.rpc.dispatch import Dispatcher
+from skygcs.rpc.methods import METHODS
 from support.rpc_bench import Bench, Peer, running
 
 
@@ -52,7 +54,7 @@ async def test_64_clients_refuse_no_stop(bench: Bench) -> None:
     assert bench.server.stats()["restricted"] == 0
 
 
-@pytest.mark.parametrize("method", sorted(session.EMERGENCY_METHODS))
+@pytest.mark.parametrize("method", sorted(Dispatcher(METHODS).always))
 async def test_what_ends_a_flight_or_shows_it_is_answered_beyond_the_places(bench: Bench, method: str) -> None:
     await fill(bench)
     params: dict[str, Any] = {"targets": "all"} if method.startswith("vehicles.") else {}

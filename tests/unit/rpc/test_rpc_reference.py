@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from skygcs.rpc import openrpc, session, sessions
+from skygcs.rpc import methods, sessions
 from skygcs.rpc.methods import METHODS
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "rpc.md"
@@ -35,7 +35,7 @@ def description(param: dict[str, Any]) -> str:
 def reference() -> str:
     """The "Methods" part of the page, as it must be there: run this module to print it."""
     lines: list[str] = []
-    for method in openrpc.document(METHODS.values())["methods"]:
+    for method in methods.document(METHODS.values())["methods"]:
         lines += [f"### {method['name']}", "", method["description"], ""]
         if method["params"]:
             lines += ["| parameter | type | default | |", "|---|---|---|---|"]
@@ -54,21 +54,21 @@ def test_every_method_and_parameter_is_described_as_it_is() -> None:
 def test_the_limits_are_those_of_the_server() -> None:
     text = PAGE.read_text(encoding="utf-8")
     for row in (
-        f"| a line | {session.MAX_LINE_BYTES >> 20} MiB |",
-        f"| requests in a batch | {session.MAX_BATCH} |",
+        f"| a line | {sessions.MAX_LINE_BYTES >> 20} MiB |",
+        f"| requests in a batch | {sessions.MAX_BATCH} |",
         f"| clients | {sessions.MAX_SESSIONS} |",
         f"| connections beyond | {sessions.MAX_RESERVE} |",
         f"| TCP clients that have not said the token | {sessions.MAX_UNAUTHENTICATED} |",
-        f"| requests of one client under way | {session.MAX_IN_FLIGHT} |",
-        f"| subscriptions of one client | {session.MAX_SUBSCRIPTIONS} |",
-        f"| unread output of one client | {session.MAX_OUTPUT_BYTES >> 20} MiB |",
+        f"| requests of one client under way | {sessions.MAX_IN_FLIGHT} |",
+        f"| subscriptions of one client | {sessions.MAX_SUBSCRIPTIONS} |",
+        f"| unread output of one client | {sessions.MAX_OUTPUT_BYTES >> 20} MiB |",
     ):
         assert row in text
 
 
 def test_every_error_code_is_explained() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    for code in (-32700, -32600, -32601, -32602, -32603, *openrpc.ERRORS):
+    for code in (-32700, -32600, -32601, -32602, -32603, *methods.ERRORS):
         assert f"| {code} |" in text
 
 

@@ -16,8 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skygcs.errors import LinkError
-from skygcs.rpc import session
-from skygcs.rpc import sessions as session_table
+from skygcs.rpc import sessions
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
 from support.rpc_bench import Bench, Peer, running
@@ -196,7 +195,7 @@ async def test_a_batch_is_answered_as_one_without_its_notifications(bench: Bench
     answers = await peer.answer()
     assert [a["id"] for a in answers] == [1, None, 2, "x", 4]
     assert [a.get("error", {}).get("code") for a in answers] == [None, -32600, None, None, -32601]
-    peer.send([info, info], [], [info] * (session.MAX_BATCH + 1))
+    peer.send([info, info], [], [info] * (sessions.MAX_BATCH + 1))
     assert (await peer.answer())["error"]["code"] == -32600
     assert (await peer.answer())["error"]["code"] == -32005
 
@@ -212,7 +211,7 @@ async def test_garbage_is_answered_and_the_next_request_works(bench: Bench) -> N
 async def test_a_line_that_is_too_long_is_skipped_and_nothing_is_kept_of_it(bench: Bench) -> None:
     peer = await bench.connect()
     for _ in range(5):
-        peer.writer.write(b"x" * session.MAX_LINE_BYTES)
+        peer.writer.write(b"x" * sessions.MAX_LINE_BYTES)
         await peer.writer.drain()
     peer.send(b"the end of the line")
     assert "at most" in (await peer.answer())["error"]["message"]
@@ -241,12 +240,12 @@ async def test_calls_in_flight_are_limited_per_client_only(bench: Bench) -> None
     greedy, other = await bench.connect(), await bench.connect()
     alpha = bench.daemon.vehicle("alpha")
     alpha.delay_s = 30.0
-    greedy.send(*(arm(i, "alpha") for i in range(session.MAX_IN_FLIGHT + 1)))
+    greedy.send(*(arm(i, "alpha") for i in range(sessions.MAX_IN_FLIGHT + 1)))
     answer = await greedy.answer()
-    assert answer["id"] == session.MAX_IN_FLIGHT and answer["error"]["code"] == -32005
+    assert answer["id"] == sessions.MAX_IN_FLIGHT and answer["error"]["code"] == -32005
     assert (await other.call("vehicles.arm", targets="bravo"))["result"]["outcomes"]["bravo"]["ok"]
     await greedy.close()
-    await bench.until(lambda: alpha.cancelled == session.MAX_IN_FLIGHT)
+    await bench.until(lambda: alpha.cancelled == sessions.MAX_IN_FLIGHT)
 
 
 async def test_what_a_vanished_client_waits_for_is_cancelled(bench: Bench) -> None:
@@ -291,7 +290,7 @@ async def test_a_landing_counts_although_its_client_is_gone_before_it_has_begun(
 async def test_orders_without_client_are_bounded_and_end_with_the_daemon(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session_table, "MAX_WITHOUT_CLIENT", 2)
+    monkeypatch.setattr(sessions, "MAX_WITHOUT_CLIENT", 2)
     peer = await bench.connect()
     alpha = bench.daemon.vehicle("alpha")
     alpha.delay_s = 30.0
@@ -331,10 +330,10 @@ async def test_a_client_that_never_reads_is_stopped_without_growing_the_daemon(b
         assert "result" in await other.call("daemon.info")
         await asyncio.sleep(0.01)
     assert not flooding.done()  # it waits: the daemon reads no more of its requests
-    sessions = bench.server._hub.sessions  # type: ignore[union-attr]
-    unread = max(s._transport.get_write_buffer_size() for s in sessions)  # type: ignore[union-attr]
-    assert 0 < unread < session.MAX_OUTPUT_BYTES
-    assert max(len(s._buffer) for s in sessions) < session.MAX_LINE_BYTES
+    clients = bench.server._hub.sessions  # type: ignore[union-attr]
+    unread = max(s._transport.get_write_buffer_size() for s in clients)  # type: ignore[union-attr]
+    assert 0 < unread < sessions.MAX_OUTPUT_BYTES
+    assert max(len(s._buffer) for s in clients) < sessions.MAX_LINE_BYTES
     flooding.cancel()
     lazy.writer.transport.abort()
 
@@ -342,7 +341,7 @@ async def test_a_client_that_never_reads_is_stopped_without_growing_the_daemon(b
 async def test_a_client_whose_unread_replies_exceed_the_bound_is_closed(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(session, "MAX_OUTPUT_BYTES", 300_000)
+    monkeypatch.setattr(sessions, "MAX_OUTPUT_BYTES", 300_000)
     lazy = await bench.connect()
     lazy.reader._transport.pause_reading()  # type: ignore[union-attr]
     bench.daemon.vehicle("alpha").delay_s = 0.05
@@ -352,7 +351,7 @@ async def test_a_client_whose_unread_replies_exceed_the_bound_is_closed(
 
 
 async def test_the_replies_of_one_batch_are_bounded(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "MAX_OUTPUT_BYTES", 1_000_000)
+    monkeypatch.setattr(sessions, "MAX_OUTPUT_BYTES", 1_000_000)
     peer = await bench.connect()
     peer.send([{"jsonrpc": "2.0", "id": i, "method": "messages.list"} for i in range(20)])
     answers = await peer.answer()
@@ -501,7 +500,7 @@ async def test_tcp_does_nothing_for_a_client_without_the_token(bench: Bench, fir
 
 
 async def test_a_silent_tcp_client_is_closed(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "AUTH_TIMEOUT_S", 0.02)
+    monkeypatch.setattr(sessions, "AUTH_TIMEOUT_S", 0.02)
     peer = await bench.connect_tcp()
     assert await peer.answer() is None
 

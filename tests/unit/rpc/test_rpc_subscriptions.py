@@ -11,8 +11,7 @@ import pytest
 from skygcs.errors import TargetError
 from skygcs.rpc.dispatch import InvalidParams
 from skygcs.rpc.models import SubscribeParams
-from skygcs.rpc.notices import QUEUED
-from skygcs.rpc.subscriptions import Feeds, Subscription
+from skygcs.rpc.subscriptions import QUEUED, Feeds, Subscription
 from support.fake_daemon import FakeDaemon
 
 

@@ -1,12 +1,15 @@
 """The state of a vehicle as programs and people see it: JSON-able, SI units, degrees, ENU, None for what is not known.
 
-`Vehicle.snapshot` makes it. A section is None until a message has told of it, and carries ``age_s``, the time since it
-came; whoever acts on a section looks at its age first. The sections' contents are made in `fold`.
+`Vehicle.snapshot` makes it. A telemetry group is None until a message of it has come, and carries ``age_s``, the time
+since then; check the age before acting on a group. `core.vehicle.decoding` makes the groups' contents. The docstrings
+of the keys are their descriptions in `rpc.discover`.
 """
 
 from __future__ import annotations
 
-from typing import Any, TypedDict
+from typing import Any
+
+from typing_extensions import TypedDict  # typing's is not described by pydantic before Python 3.12
 
 SYSTEM_STATUS = (
     "uninit",
@@ -40,25 +43,46 @@ def name_of(names: tuple[str, ...], value: int) -> str:
 
 
 Part = dict[str, Any]
-"""One section; see `fold` for its keys, plus ``age_s``."""
+"""One telemetry group; see `core.vehicle.decoding` for its keys, plus ``age_s``."""
 
 
 class StatusTextEntry(TypedDict):
+    """A STATUSTEXT of one component of the system."""
+
     severity: str
     level: int
     text: str
     compid: int
+    """The component that sent it."""
     age_s: float
 
 
+class ComponentEntry(TypedDict):
+    """One component of a system."""
+
+    compid: int
+    name: str | None
+    """What its id is meant for (MAV_COMPONENT), as ONBOARD_COMPUTER."""
+    type: str | None
+    """Its MAV_TYPE, from its heartbeat; null: it has sent none."""
+    autopilot: bool
+    """It is a vehicle's autopilot, with a state of its own."""
+    age_s: float
+    """Since its newest message."""
+    messages: int
+    """How many messages were received from it."""
+
+
 class MessageRate(TypedDict):
+    """How often a message comes."""
+
     rate_hz: float
     age_s: float
     count: int
 
 
 class VehicleState(TypedDict):
-    """Everything known of one vehicle at one moment."""
+    """Everything known of one vehicle at one moment: null where unknown; SI units, degrees, ENU. Groups have age_s."""
 
     name: str
     sysid: int
@@ -68,9 +92,12 @@ class VehicleState(TypedDict):
     firmware: str | None
     groups: list[str]
     gcs_sysid: int | None
+    """Whose heartbeats its GCS failsafe watches, once that parameter was read."""
     connected: bool
     duplicate_sysid: bool
+    """Two vehicles send with this system id: the state may be a mixture of both."""
     replayed: bool
+    """It is heard in a recording only: orders to it are refused."""
     last_heartbeat_age_s: float | None
     uptime_s: float | None
     clock_offset_s: float | None
@@ -80,30 +107,56 @@ class VehicleState(TypedDict):
     landed: str
     failsafe: bool
     control: Part | None
-    """How skygcs flies it by setpoints (`worldview.shown`); None: it does not."""
+    """How skygcs flies it by setpoints, as in control.status; null: it does not."""
     uplink: Part | None
-    """Whether it hears us (`uplink_watch`); None: not known."""
+    """heard (whether it answers our requests), unanswered (requests since), rtt_s; age_s is the time since it last did;
+    null: not known"""
     gps: Part | None
+    """fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec"""
     position: Part | None
+    """lat_deg, lon_deg, alt_amsl_m, alt_rel_m, heading_deg, vel_enu_mps (true east, north, up), time_boot_s;
+    takeoff_alt_amsl_m and alt_takeoff_m (the ground it took off from and the height above it; null if it was not seen
+    on the ground); in the fleet's frame: enu_m, vel_world_mps, yaw_world_deg, origin_generation"""
     local: Part | None
+    """The autopilot's own frame, rotated to ENU: pos_enu_m, vel_enu_mps, time_boot_s"""
     attitude: Part | None
+    """roll_deg, pitch_deg, yaw_deg (clockwise from north), rates_dps, quaternion (w, x, y, z)"""
     battery: Part | None
+    """volts, amps, percent, consumed_mah, temperature_degc, remaining_s"""
     home: Part | None
+    """The autopilot's home: lat_deg, lon_deg, alt_amsl_m"""
     ekf_origin: Part | None
+    """The autopilot's local origin: lat_deg, lon_deg, alt_amsl_m"""
     estimator: Part | None
+    """flags, ok (good enough to navigate by), names, ratios, accuracy_m"""
     sensors: Part | None
+    """present, enabled, health, unhealthy: lists of names; load_percent"""
     vfr: Part | None
+    """airspeed_mps, groundspeed_mps, heading_deg, throttle_percent, alt_m, climb_mps"""
     rc: Part | None
+    """channels, rssi"""
     imu: Part | None
+    """accel_mps2, gyro_radps, mag_gauss, pressure_hpa, temperature_degc"""
     servos: Part | None
+    """pwm_us"""
     mission: Part | None
+    """seq, count, last_ack (of the last transfer)"""
     target_global: Part | None
+    """The autopilot's target: lat_deg, lon_deg, alt_m and more"""
     target_local: Part | None
+    """The same in its local frame: pos_enu_m, vel_enu_mps, yaw_deg"""
     target_attitude: Part | None
+    """quaternion, thrust, type_mask"""
     time: Part | None
+    """unix_s, boot_s"""
     high_latency: Part | None
+    """HIGH_LATENCY2: position, battery, failures in one message"""
     last_ack: Part | None
+    """The last COMMAND_ACK"""
     status_texts: list[StatusTextEntry]
-    components: list[dict[str, Any]]
+    components: list[ComponentEntry]
+    """All components heard of its system, its autopilot among them."""
     messages: dict[str, MessageRate]
+    """By message name."""
     links: dict[str, Any]
+    """By link: frames, bytes, lost, loss_ratio, frames_per_s, bytes_per_s, age_s."""

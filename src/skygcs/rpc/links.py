@@ -1,0 +1,195 @@
+"""The methods of links, of the router, of radios and of what is sent to all of them (RTK corrections).
+
+`METHODS`, `AIR` and `CORRECTIONS` are their parts of the table.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+
+from skygcs.rpc import dispatch
+from skygcs.rpc.context import Context, JsonObject, resolve
+from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.models import NoParams, Params, Result, Targets
+
+LinkName = Annotated[str, Field(min_length=1, max_length=64, description="The link's name.")]
+
+
+def _new_link_name(name: str) -> str:
+    if not re.fullmatch(r"[\w.:-]+", name, re.ASCII):
+        raise ValueError("a link's name is made of letters, digits, _ - . and :")
+    return name
+
+
+class LinkParams(Params):
+    name: LinkName
+    link: dict[str, Any] = Field(description="The link's table as in the fleet file, with its type.")
+
+
+class LinkAddParams(LinkParams):
+    name: Annotated[LinkName, AfterValidator(_new_link_name)]
+
+
+class LinkNameParams(Params):
+    name: LinkName
+
+
+class SelectParams(Params):
+    targets: Targets | None = Field(None, description="null: none; the selection before this one ends.")
+
+
+class RadioAir(Result):
+    """One radio. Rates are bytes per second."""
+
+    link: str
+    peer: str
+    vehicles: list[dict[str, Any]] = Field(
+        description="name, sysid, weight (1, selected 2, flown by setpoints 4), planned_bytes_per_s, "
+        "measured_bytes_per_s, loss (0 to 1, last half minute; null: too few frames), round_trip_s, settled, scaled "
+        "(it gets less than it would send), streams (planned_hz and measured_hz by message)"
+    )
+    down: dict[str, Any] = Field(
+        description="budget_bytes_per_s, per_vehicle_bytes_per_s (its timeslot), planned_bytes_per_s, "
+        "measured_bytes_per_s, factor (below 1 after losses)"
+    )
+    up: dict[str, Any] = Field(
+        description="base_bytes_per_s (from baud and air speed), bytes_per_s (now), paced_by (rates or reports), "
+        "round_s, radio (its last report), classes (waiting, sent, sent_bytes, replaced, dropped, refused, wait_p50_s, "
+        "wait_p95_s of each class), third_party (what others send: bytes_per_s they may have, param_lists with what is "
+        "running and waiting, and of each source sent, sent_bytes and counts by what became of the rest), corrections "
+        "(RTCM)"
+    )
+    poor: list[str] = Field(description="What is degraded now: txbuf, signal, or a vehicle's name for its losses.")
+    history: list[dict[str, Any]] = Field(description="The radio's reports of the last minute, oldest first.")
+
+
+MAX_DATA_CHARS = 65536
+"""48 kB, a minute of the richest base."""
+
+
+class CorrectionsParams(Params):
+    data: str = Field(
+        max_length=MAX_DATA_CHARS,
+        description="The next bytes of an RTCM 3 stream, in base64; they may begin and end anywhere in a message.",
+    )
+    source: str = Field(
+        "rpc",
+        min_length=1,
+        max_length=64,
+        description="Whose stream it is. Another one is refused until this one has ended or was silent for 10 s.",
+    )
+    end: bool = Field(False, description="This is its last piece: another source may follow at once.")
+
+
+class CorrectionsTaken(Result):
+    """What became of the messages that this piece completed."""
+
+    messages: int = Field(description="Handed to links; what a narrow radio carries of it tells corrections.status.")
+    bytes: int = Field(description="Of RTCM in them.")
+    types: dict[str, int] = Field(description="Messages by RTCM type.")
+    refused: int = Field(description="Messages that no link took.")
+    too_long: int = Field(description="Messages of more than 720 bytes, which GPS_RTCM_DATA cannot carry.")
+    bad_crc: int = Field(description="Starts of messages whose checksum was wrong.")
+    skipped_bytes: int = Field(description="Bytes that belong to no sound message.")
+    links: int = Field(description="Open channels that may carry vehicles. 0: nobody to send to.")
+
+
+class CorrectionsStatus(Result):
+    """What went since the daemon began, without what ground stations send by themselves."""
+
+    source: str | None = Field(description="Whose stream comes now.")
+    age_s: float | None = Field(description="Since the last message; null: none yet.")
+    bytes_per_s: float = Field(description="Of RTCM, in the last 10 s.")
+    messages: int
+    bytes: int
+    refused: int
+    too_long: int
+    bad_crc: int
+    skipped_bytes: int
+    types: dict[str, Any] = Field(description="By RTCM type: messages, bytes, age_s (of the last one).")
+    radios: list[dict[str, Any]] = Field(
+        description="Of each radio with a budget: link, peer, bytes_per_s (its share for corrections), source "
+        "(sysid/compid), what waits and what was sent, replaced, dropped. Ground stations' included."
+    )
+    vehicles: list[dict[str, Any]] = Field(description="name, fix (rtk_fixed, rtk_float, 3d, ...), satellites.")
+
+
+def links_list(context: Context, _: NoParams) -> list[JsonObject]:
+    """Every link: its kind, state, vehicles if it is bound to some, channels, and counters per channel and source."""
+    return context.services.links_status()
+
+
+async def links_add(context: Context, params: LinkAddParams) -> list[JsonObject]:
+    """Add a link at run time (until the daemon ends; the fleet file is not changed)."""
+    await context.services.links.add(params.name, params.link)
+    return context.services.links_status()
+
+
+async def links_change(context: Context, params: LinkParams) -> list[JsonObject]:
+    """Close a link and open it again with a new configuration."""
+    await context.services.links.change(params.name, params.link)
+    return context.services.links_status()
+
+
+async def links_remove(context: Context, params: LinkNameParams) -> list[JsonObject]:
+    """Close a link and forget it."""
+    await context.services.links.remove(params.name)
+    return context.services.links_status()
+
+
+def router_stats(context: Context, _: NoParams) -> JsonObject:
+    """Routes, and counters of what was forwarded, filtered and dropped."""
+    return context.services.router_stats()
+
+
+def link_status(context: Context, _: NoParams) -> list[JsonObject]:
+    """How each radio's air is used: budgets, classes, vehicles, losses, the radio's own reports."""
+    return context.services.air.status(context.services.now())
+
+
+def link_select(context: Context, params: SelectParams) -> JsonObject:
+    """Give some vehicles twice the others' part of a radio that is too narrow for all, until the next selection."""
+    chosen = [] if params.targets is None else resolve(context.services, params.targets)
+    context.services.air.select({v.sysid << 8 | v.compid for v in chosen})
+    return {"selected": [v.name for v in chosen]}
+
+
+def corrections_send(context: Context, params: CorrectionsParams) -> JsonObject:
+    """Send RTK corrections (RTCM 3) to all vehicles, as GPS_RTCM_DATA."""
+    try:
+        data = base64.b64decode(params.data, validate=True)
+    except ValueError as error:
+        raise InvalidParams(("data", f"is not base64: {error}")) from None
+    return context.services.corrections.send(params.source, data, end=params.end)
+
+
+def corrections_status(context: Context, _: NoParams) -> JsonObject:
+    """What corrections went, what each radio made of them, and the fix of every vehicle."""
+    return context.services.corrections.status()
+
+
+_LINK = (dispatch.LINK_ERROR, dispatch.REFUSED)
+
+METHODS: tuple[Method[Context], ...] = (
+    Method("links.list", NoParams, links_list, list[dict[str, Any]], always=True),
+    Method("links.add", LinkAddParams, links_add, list[dict[str, Any]], _LINK),
+    Method("links.change", LinkParams, links_change, list[dict[str, Any]], _LINK),
+    Method("links.remove", LinkNameParams, links_remove, list[dict[str, Any]], _LINK),
+    Method("router.stats", NoParams, router_stats),
+)
+
+
+AIR: tuple[Method[Context], ...] = (
+    Method("link.status", NoParams, link_status, list[RadioAir]),
+    Method("link.select", SelectParams, link_select, dict[str, Any], (dispatch.TARGET_ERROR,)),
+)
+
+
+CORRECTIONS: tuple[Method[Context], ...] = (
+    Method("corrections.send", CorrectionsParams, corrections_send, CorrectionsTaken, (dispatch.REFUSED,)),
+    Method("corrections.status", NoParams, corrections_status, CorrectionsStatus),
+)

@@ -1,0 +1,329 @@
+"""The methods that name messages and commands of the dialect. `METHODS` is their part of the table."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from skygcs.core.mavlink.dialect import Dialect, FieldInfo, MessageInfo
+from skygcs.core.radio_link.stream_rates import LEAST_RATE_HZ, MAX_RATE_HZ, rate_problem
+from skygcs.rpc import dispatch
+from skygcs.rpc.context import Context, JsonObject, command_with
+from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.models import (
+    MessageName,
+    NameOrId,
+    NoParams,
+    OrderTargets,
+    Outcomes,
+    Params,
+    Result,
+    Target,
+    TargetParams,
+    Targets,
+    TargetsParams,
+)
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+
+def _rate_or_off(rate_hz: float) -> float:
+    problem = rate_problem(rate_hz)
+    if problem is not None:
+        raise ValueError(problem)
+    return rate_hz
+
+
+class IntervalParams(TargetsParams):
+    targets: OrderTargets
+    message: MessageName
+    rate_hz: Annotated[float, AfterValidator(_rate_or_off)] | None = Field(
+        ge=0,
+        le=MAX_RATE_HZ,
+        description=f"Messages per second: 0 stops it, else {LEAST_RATE_HZ:g} to {MAX_RATE_HZ:g}; "
+        "null is the autopilot's own rate.",
+    )
+
+
+class RequestParams(TargetsParams):
+    targets: OrderTargets
+    message: MessageName
+
+
+class StreamParams(TargetsParams):
+    targets: OrderTargets
+    stream: NameOrId = Field(description='A MAV_DATA_STREAM by number or name, e.g. "POSITION".')
+    rate_hz: float = Field(
+        ge=0, le=MAX_RATE_HZ, description=f"Messages per second: 0 stops the stream, else 1 to {MAX_RATE_HZ:g}."
+    )
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if 0 < self.rate_hz < 1:
+            raise ValueError(f"rate_hz must be 0 (off) or 1 to {MAX_RATE_HZ:g}, not {self.rate_hz:g}")
+        return self
+
+
+class CommandParams(TargetsParams):
+    targets: OrderTargets
+    command: NameOrId = Field(description='A MAV_CMD by number or name, e.g. "MAV_CMD_DO_SET_SERVO" or "DO_SET_SERVO".')
+    params: list[float | None] = Field(
+        default_factory=list, max_length=7, description="param1 to param7; null is NaN (unset), missing ones are 0."
+    )
+    int_frame: NameOrId | None = Field(None, description="Send COMMAND_INT with this MAV_FRAME, by name or number.")
+    x: int | None = Field(None, description="COMMAND_INT's x as on the wire (latitude in 1e-7 degrees).")
+    y: int | None = Field(None, description="COMMAND_INT's y as on the wire (longitude in 1e-7 degrees).")
+    z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
+    force: bool = Field(
+        False, description="Although it would fly a vehicle or stop its motors past the checks of an order."
+    )
+
+    @model_validator(mode="after")
+    def _whole_place(self) -> Self:
+        if (self.x is None) != (self.y is None):
+            raise ValueError("give both x and y, or neither")
+        if self.int_frame is None and (self.x is not None or self.z is not None):
+            raise ValueError("x, y and z are for COMMAND_INT: give int_frame, too")
+        return self
+
+
+class LatestParams(TargetParams):
+    target: Annotated[Target, Field(description='One vehicle, or one component: "7/191", "alpha/191".')]
+    name: MessageName
+
+
+class SendParams(Params):
+    name: MessageName
+    fields: dict[str, Any] = Field(
+        default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."
+    )
+    target: Targets | None = Field(
+        None, description='Vehicles or components to send it to, each with its ids filled in; "all": everyone.'
+    )
+    link: str | None = Field(None, description="Send on this link only, to all that is there.")
+    force: bool = Field(
+        False, description="Although it would fly a vehicle or stop its motors past the checks of an order."
+    )
+
+
+class MessageReading(Result):
+    """The last message of one name."""
+
+    name: str
+    sysid: int
+    compid: int = Field(description="The component that sent it.")
+    fields: dict[str, Any]
+    age_s: float
+    rate_hz: float
+    count: int
+
+
+class MessageType(Result):
+    """One message of the dialect."""
+
+    id: int
+    name: str
+    fields: list[dict[str, Any]] = Field(description="name, type, units, enum of each field.")
+
+
+class CommandType(Result):
+    """One MAV_CMD of the dialect."""
+
+    id: int
+    name: str = Field(description="Without MAV_CMD_.")
+
+
+COMMAND_PREFIX = "MAV_CMD_"
+_INTEGER = re.compile(r"(u?)int(8|16|32|64)_t")
+
+
+async def vehicles_interval(context: Context, params: IntervalParams) -> JsonObject:
+    """Ask for one message at a rate (SET_MESSAGE_INTERVAL)."""
+    find_message(context.services.dialect, params.message, "message")
+    return await command_with(context, VehicleActor.set_message_interval, params)
+
+
+async def vehicles_request(context: Context, params: RequestParams) -> JsonObject:
+    """Ask for one message once; it is there (messages.latest) when the outcome is good."""
+    find_message(context.services.dialect, params.message, "message")
+    return await command_with(context, VehicleActor.request_message, params)
+
+
+async def vehicles_stream(context: Context, params: StreamParams) -> JsonObject:
+    """Ask for a group of messages at a rate (REQUEST_DATA_STREAM)."""
+    _check_entry(context.services.dialect, "MAV_DATA_STREAM", params.stream, "stream")
+    return await command_with(context, VehicleActor.request_stream, params)
+
+
+async def vehicles_command(context: Context, params: CommandParams) -> JsonObject:
+    """Send any MAV_CMD and wait for its acknowledgement. What does the same as an order without its checks is refused
+    for a vehicle that is not known to be disarmed, arming and motor tests for every vehicle, unless forced."""
+    _check_command(context.services.dialect, params.command)
+    if params.int_frame is not None:
+        _check_entry(context.services.dialect, "MAV_FRAME", params.int_frame, "int_frame")
+    return await command_with(context, VehicleActor.command, params)
+
+
+def messages_latest(context: Context, params: LatestParams) -> JsonObject | None:
+    """The last message of one name from one vehicle, or null if none came yet.
+
+    For a vehicle: its autopilot's, or, if that has sent none, the newest one of its system's other components, which
+    compid names. "7/191" or "alpha/191" is one component.
+    """
+    info = find_message(context.services.dialect, params.name, "name")
+    return context.services.fleet.latest(params.target, info.name)
+
+
+def messages_send(context: Context, params: SendParams) -> JsonObject:
+    """Send any message of the dialect, checked field by field.
+
+    A message with a target field (COMMAND_LONG, MANUAL_CONTROL, …) needs target, link or that field; "all", or 0 in the
+    field, is everyone. Others go to everyone unless told otherwise. Setpoints, and whatever else does what an order
+    does without its checks, are refused for vehicles that are not known to be disarmed, unless forced.
+    """
+    info = find_message(context.services.dialect, params.name, "name")
+    fields = _checked_fields(context.services.dialect, info, params.fields)
+    if params.target is not None and params.link is not None:
+        raise InvalidParams(("link", "give target or link, not both: a target is sent to where it is heard"))
+    field = next((f.name for f in info.fields if f.offset == info.target_system_offset), None)
+    if field is not None and field not in fields and params.target is None and params.link is None:
+        raise InvalidParams(
+            ("target", f'{info.name} is addressed: give target ("all": everyone), link, or the field {field}')
+        )
+    return context.services.message_sender.send(info.name, fields, params.target, params.link, force=params.force)
+
+
+def messages_list(context: Context, _: NoParams) -> list[JsonObject]:
+    """Every message of the dialect with its fields, by id."""
+    messages = context.services.dialect.messages
+    return [_describe(messages[msgid]) for msgid in sorted(messages)]
+
+
+def commands_list(context: Context, _: NoParams) -> list[JsonObject]:
+    """Every MAV_CMD of the dialect, by number."""
+    names = context.services.dialect.enums.get("MAV_CMD", {})
+    return [{"id": number, "name": names[number].removeprefix(COMMAND_PREFIX)} for number in sorted(names)]
+
+
+def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:
+    """The message of that name or id. Raises InvalidParams for ``param``."""
+    try:
+        return dialect.find(name)
+    except KeyError as error:
+        close = difflib.get_close_matches(str(name)[:80].upper(), dialect.by_name, n=3)
+        hint = f"did you mean {', '.join(close)}?" if close else "messages.list lists them"
+        raise InvalidParams((param, f"{error.args[0]}; {hint}")) from None
+
+
+def _check_command(dialect: Dialect, command: str | int) -> None:
+    """Raises InvalidParams for a name that is none, once instead of for each vehicle; any number may be sent."""
+    if isinstance(command, int) or command.isdigit():
+        return
+    known = [name.removeprefix(COMMAND_PREFIX) for name in dialect.enums.get("MAV_CMD", {}).values()]
+    wanted = command.upper().removeprefix(COMMAND_PREFIX)
+    if wanted in known:
+        return
+    words = [word for word in wanted.split("_") if len(word) > 2]
+    near = difflib.get_close_matches(wanted[: dispatch.MAX_ECHO_CHARS], known, n=5)
+    near += sorted((n for n in known if any(w in n for w in words)), key=lambda n: -sum(w in n for w in words))
+    hint = f"; did you mean {', '.join(list(dict.fromkeys(near))[:5])}?" if near else ""
+    text = f"dialect {dialect.name} has no command {command[: dispatch.MAX_ECHO_CHARS]!r}{hint}"
+    raise InvalidParams(
+        ("command", f"{text} commands.list lists them" if near else f"{text}; commands.list lists them")
+    )
+
+
+def _check_entry(dialect: Dialect, enum: str, given: str | int, param: str) -> None:
+    """Raises InvalidParams for a name that is no entry of ``enum``, with or without its prefix; any number may be."""
+    if isinstance(given, int) or given.isdigit():
+        return
+    known = [name.removeprefix(f"{enum}_") for name in dialect.enums.get(enum, {}).values()]
+    if given.upper().removeprefix(f"{enum}_") not in known:
+        echo = given[: dispatch.MAX_ECHO_CHARS]
+        raise InvalidParams((param, f"{enum} has no entry {echo!r}; it has: {', '.join(known)}"))
+
+
+def _checked_fields(dialect: Dialect, info: MessageInfo, fields: JsonObject) -> JsonObject:
+    """Fields as the dialect packs them; every wrong one is told, not only the first."""
+    by_name = {f.name: f for f in info.fields}
+    problems: list[tuple[str, str]] = []
+    result: JsonObject = {}
+    for name, value in fields.items():
+        field = by_name.get(name)
+        try:
+            result[name] = value if field is None else _field_value(dialect, field, value)
+            info.pack({name: result[name]})
+        except ValueError as error:
+            problems.append((f"fields.{name}"[:100], str(error)))
+    if problems:
+        raise InvalidParams(*problems)
+    return result
+
+
+def _field_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
+    """JSON's null as NaN, digits as text where the field is text, enum entries ("A" or "A|B") by their value."""
+    if field.array_length and field.type != "char":
+        if not isinstance(value, list):
+            raise ValueError(f"is {field.type}[{field.array_length}]: give a list of numbers, not {_echo(value)}")
+        return [_number_value(dialect, field, v) for v in value]
+    return _number_value(dialect, field, value)
+
+
+def _number_value(dialect: Dialect, field: FieldInfo, value: object) -> object:
+    if field.type in ("float", "double") and value is None:
+        return float("nan")
+    if field.type == "char":
+        return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+    if isinstance(value, str) and field.enum:
+        return sum(_entry(dialect, field.enum, part.strip()) for part in set(value.split("|")))
+    if isinstance(value, str):
+        raise ValueError(f"is {field.type}, not {_echo(value)}")
+    if isinstance(value, int) and (match := _INTEGER.fullmatch(field.type)) is not None:
+        bits = int(match[2])
+        least, most = (0, 2**bits - 1) if match[1] else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        if not least <= value <= most:
+            raise ValueError(f"is {field.type}: {least} to {most}, not {_echo(value)}")
+    return value
+
+
+def _entry(dialect: Dialect, enum: str, name: str) -> int:
+    """The value of an enum's entry. Raises ValueError that names close ones: a name often lacks only its prefix."""
+    try:
+        return dialect.enum_value(enum, name)
+    except KeyError as error:
+        known = list(dialect.enums.get(enum, {}).values())
+        close = [entry for entry in known if entry.endswith(f"_{name.upper()}")]
+        close = close or difflib.get_close_matches(name.upper()[: dispatch.MAX_ECHO_CHARS], known, n=3)
+        raise ValueError(error.args[0] + (f"; did you mean {', '.join(close)}?" if close else "")) from None
+
+
+def _echo(value: object) -> str:
+    return repr(value)[: dispatch.MAX_ECHO_CHARS]
+
+
+def _describe(info: MessageInfo) -> JsonObject:
+    fields = []
+    for f in info.fields:
+        kind = f"{f.type}[{f.array_length}]" if f.array_length else f.type
+        fields.append({"name": f.name, "type": kind, "units": f.units, "enum": f.enum})
+    return {"id": info.msgid, "name": info.name, "fields": fields}
+
+
+_TARGET = (dispatch.TARGET_ERROR,)
+_SEND = (*_TARGET, dispatch.REFUSED, dispatch.LINK_ERROR)
+
+ORDERS: tuple[Method[Context], ...] = (
+    Method("vehicles.interval", IntervalParams, vehicles_interval, Outcomes, _TARGET),
+    Method("vehicles.request", RequestParams, vehicles_request, Outcomes, _TARGET),
+    Method("vehicles.stream", StreamParams, vehicles_stream, Outcomes, _TARGET),
+    Method("vehicles.command", CommandParams, vehicles_command, Outcomes, _TARGET),
+)
+
+METHODS: tuple[Method[Context], ...] = (
+    Method("messages.latest", LatestParams, messages_latest, MessageReading | None, _TARGET, while_stopping=True),
+    Method("messages.send", SendParams, messages_send, dict[str, Any], _SEND),
+    Method("messages.list", NoParams, messages_list, list[MessageType]),
+    Method("commands.list", NoParams, commands_list, list[CommandType]),
+)

@@ -1,0 +1,211 @@
+"""The methods of vehicles: their state and their orders. `METHODS` is their part of the table.
+
+An order whose arguments are its parameters is one row of the table: it names the method of `VehicleActor` that carries
+it out, and the daemon calls that for every target (`Fleet.command_all`).
+"""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from skygcs.core.vehicle.state import ComponentEntry, MessageRate, StatusTextEntry, VehicleState
+from skygcs.rpc import dispatch
+from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve, state_of
+from skygcs.rpc.dispatch import Method
+from skygcs.rpc.models import Enu, Lat, ListParams, Lon, NoParams, Outcomes, TargetParams, TargetsParams
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+StateConfig = ConfigDict(use_attribute_docstrings=True, extra="allow")
+for _typed in (StatusTextEntry, ComponentEntry, MessageRate, VehicleState):
+    _typed.__pydantic_config__ = StateConfig  # type: ignore[union-attr]  # where pydantic looks for it
+
+
+class SystemComponent(ComponentEntry):
+    """One component, and whose."""
+
+    __pydantic_config__ = StateConfig  # type: ignore[misc]
+
+    sysid: int
+    vehicle: str | None
+    """The vehicle to whose system it belongs; null: no autopilot was heard."""
+
+
+class ArmParams(TargetsParams):
+    force: bool = Field(
+        False,
+        description="Arm although the autopilot's checks fail (magic number 21196), or a required preflight is not "
+        "passed.",
+    )
+    wait_s: float = Field(
+        0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to arm yet."
+    )
+
+
+class DisarmParams(TargetsParams):
+    force: bool = Field(False, description="Disarm in flight as well: the vehicle falls.")
+    confirm: str | None = Field(
+        None,
+        max_length=100,
+        description='Only while two vehicles send with one system id, and both would get it: "disarm-" and the number '
+        'of vehicles, as "disarm-2"; without it the refusal names their links and the word.',
+    )
+
+
+class ModeParams(TargetsParams):
+    mode: str = Field(min_length=1, description='Flight mode by name, e.g. "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter).')
+
+
+class TakeoffParams(TargetsParams):
+    height_m: float | None = Field(
+        None, gt=0, le=500, description="Metres above the ground it stands on; null: the fleet file's."
+    )
+    arm: bool = Field(True, description="Arm first if it is not armed.")
+    wait_s: float = Field(
+        0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to fly yet."
+    )
+    force: bool = Field(
+        False, description="Although preflight is required and not passed; the autopilot's own checks remain."
+    )
+
+
+class StopParams(TargetsParams):
+    action: Literal["hold", "land", "kill"] = Field(
+        "hold", description="hold where it is, land there, or kill: stop the motors, and what flies falls."
+    )
+    confirm: str | None = Field(
+        None,
+        max_length=100,
+        description='kill only: "kill-" and the number of vehicles it is for, as "kill-3"; without it the refusal names'
+        " them and the word. Two vehicles that send with one system id count twice.",
+    )
+
+
+class GotoParams(TargetsParams):
+    lat_deg: Lat | None = None
+    lon_deg: Lon | None = None
+    height_m: float | None = Field(None, description="Metres above home; null: as high as it is now.")
+    enu_m: Enu | None = None
+    yaw_deg: float | None = Field(None, description="Heading, clockwise from north; null: the autopilot's choice.")
+    force: bool = Field(False, description="Go although it is farther than the configured limit.")
+    same_place: bool = Field(
+        False, description="Several vehicles: all to the very point, instead of keeping their places to each other."
+    )
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        geodetic = self.lat_deg is not None or self.lon_deg is not None
+        if self.enu_m is not None and (geodetic or self.height_m is not None):
+            raise ValueError("give either enu_m, or lat_deg, lon_deg and height_m, not both")
+        if self.enu_m is None and (self.lat_deg is None or self.lon_deg is None):
+            raise ValueError("give lat_deg and lon_deg, or enu_m")
+        return self
+
+
+class RebootParams(TargetsParams):
+    force: bool = Field(False, description="Reboot although it is armed.")
+
+
+class ForgetParams(TargetsParams):
+    force: bool = Field(False, description="Although it is heard, or was lost armed in the last half hour.")
+
+
+class RenumberParams(TargetParams):
+    sysid: int = Field(ge=1, le=250, description="The new system id; 251 to 255 are ground stations'.")
+    force: bool = Field(False, description="Although the fleet file gives it to a vehicle that is not heard.")
+
+
+class SetHomeParams(TargetsParams):
+    lat_deg: Lat | None = None
+    lon_deg: Lon | None = None
+    alt_amsl_m: float | None = Field(
+        None, description="Altitude above mean sea level in metres; null: that of the home it has."
+    )
+    force: bool = Field(False, description="Also in the air, and farther away than the configured limit.")
+
+    @model_validator(mode="after")
+    def _place_or_none(self) -> Self:
+        given = [self.lat_deg is not None, self.lon_deg is not None]
+        if not all(given) and (any(given) or self.alt_amsl_m is not None):
+            raise ValueError("give lat_deg and lon_deg, or nothing (home is where it stands)")
+        return self
+
+
+def vehicles_list(context: Context, params: ListParams) -> list[JsonObject]:
+    """The state of some or all vehicles, by system id."""
+    daemon = context.services
+    return [state_of(daemon, vehicle) for vehicle in resolve(daemon, params.targets)]
+
+
+def vehicles_get(context: Context, params: TargetParams) -> JsonObject:
+    """The state of one vehicle."""
+    return state_of(context.services, one_vehicle(context.services, params.target))
+
+
+async def vehicles_mode(context: Context, params: ModeParams) -> JsonObject:
+    """Set the flight mode by the autopilot's own name for it."""
+    return await command(context, params.targets, VehicleActor.set_mode, name=params.mode)
+
+
+def vehicles_forget(context: Context, params: ForgetParams) -> JsonObject:
+    """Forget vehicles that are gone, so that "all" no longer means them. One that is heard again is met anew."""
+    return as_json(context.services.fleet.forget(params.targets, force=params.force))
+
+
+async def vehicles_renumber(context: Context, params: RenumberParams) -> JsonObject:
+    """Give a vehicle another system id: set the parameter, restart it, find it under the new id, read it back there.
+
+    Refused while it is not surely disarmed, and for an id that is taken. It keeps its name until the daemon ends.
+    """
+    return as_json(await context.services.renumbering.run(params.target, params.sysid, force=params.force))
+
+
+def components_list(context: Context, _: NoParams) -> list[JsonObject]:
+    """Every component that was heard, by system: autopilots, companions, cameras, gimbals, ground stations.
+
+    Also those of systems without a vehicle. At most 32 of a system are kept and 1024 in all.
+    """
+    return context.services.fleet.components_status()
+
+
+_TARGET = (dispatch.TARGET_ERROR,)
+
+METHODS: tuple[Method[Context], ...] = (
+    Method("vehicles.list", ListParams, vehicles_list, list[VehicleState], _TARGET, always=True),
+    Method("vehicles.get", TargetParams, vehicles_get, VehicleState, _TARGET, always=True),
+    order_method("vehicles.arm", ArmParams, VehicleActor.arm, "Arm."),
+    order_method("vehicles.disarm", DisarmParams, VehicleActor.disarm, "Disarm; in flight only with force."),
+    Method("vehicles.mode", ModeParams, vehicles_mode, Outcomes, _TARGET),
+    order_method(
+        "vehicles.takeoff", TakeoffParams, VehicleActor.takeoff, "Take off to a height above the ground it stands on."
+    ),
+    order_method("vehicles.land", TargetsParams, VehicleActor.land, "Land where it is."),
+    order_method("vehicles.rtl", TargetsParams, VehicleActor.rtl, "Return to launch and land there."),
+    order_method("vehicles.hold", TargetsParams, VehicleActor.hold, "Stop and hold position."),
+    order_method(
+        "vehicles.stop",
+        StopParams,
+        VehicleActor.stop,
+        "Emergency stop: sent over every link and repeated for up to 30 s until the vehicle shows it or refuses it,\n"
+        "also to vehicles that are lost.",
+        errors=(*_TARGET, dispatch.REFUSED),
+    ),
+    order_method(
+        "vehicles.goto",
+        GotoParams,
+        VehicleActor.goto,
+        "Fly to a place, given in degrees and height above home or in metres about the fleet's origin.",
+    ),
+    order_method("vehicles.reboot", RebootParams, VehicleActor.reboot, "Reboot the autopilot; armed only with force."),
+    Method("vehicles.forget", ForgetParams, vehicles_forget, Outcomes, _TARGET),
+    Method("vehicles.renumber", RenumberParams, vehicles_renumber, Outcomes, _TARGET, outlives_client=True),
+    order_method(
+        "vehicles.set_home",
+        SetHomeParams,
+        VehicleActor.set_home,
+        "Set the autopilot's home: a place, or (without one) where it stands.",
+    ),
+)
+
+COMPONENTS = Method("components.list", NoParams, components_list, list[SystemComponent])
