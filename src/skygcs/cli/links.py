@@ -359,8 +359,6 @@ def _lists(lists: dict[str, Any]) -> str:
 
 def _source(source: dict[str, Any]) -> str:
     parts = [f"sent {source['sent']:,} ({source['sent_bytes']:,} B)"]
-    if source["waiting"]:
-        parts.append(f"{source['waiting']} waiting")
     parts += [f"{COUNT_WORDS.get(name, name)} {count:,}" for name, count in source["counts"].items()]
     silent = f", silent for {source['age_s']:.0f} s" if source["age_s"] > 5 else ""
     return f"    {source['source']:<9} {', '.join(parts)}{silent}"

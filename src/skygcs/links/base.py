@@ -174,6 +174,8 @@ class Channel(ABC):
         """Bytes to write now; a message of our own takes this channel's next sequence number and is recorded."""
         if type(outgoing) is bytes:
             return outgoing
+        if isinstance(outgoing, Frame):
+            return outgoing.raw
         assert isinstance(outgoing, OwnMessage)
         if self.signing is None:
             raw = outgoing.encode(self._seq, self.version)

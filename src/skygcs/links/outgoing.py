@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.core.mavlink.frame import encode_payload
+from skygcs.core.mavlink.frame import Frame, encode_payload
 from skygcs.core.mavlink.msgids import SETUP_SIGNING
 
 
@@ -28,5 +28,5 @@ class OwnMessage:
         return encode_payload(self.info, self.payload, sysid=self.sysid, compid=self.compid, seq=seq, version=version)
 
 
-Outgoing = bytes | OwnMessage
-"""Received bytes forwarded as they are, or a message of our own."""
+Outgoing = bytes | Frame | OwnMessage
+"""Received bytes forwarded as they are (into a radio the frame, which admission looks into), or our own message."""

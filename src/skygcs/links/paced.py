@@ -9,14 +9,15 @@ from typing import Any
 
 from skygcs.config.radio import ThirdPartyKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
-from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.header import CRC_BYTES, HEADER_V2_BYTES, SIGNATURE_BYTES
 from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, AdmissionDecision, ThirdPartyRules, ThirdPartyTraffic
-from skygcs.core.radio_link.admission_frames import is_emergency, is_order, parse
+from skygcs.core.radio_link.admission_frames import Kind, ThirdPartyFrame
 from skygcs.core.radio_link.corrections import Corrections
 from skygcs.core.radio_link.pacing import Pacer, RadioRates, report_of
-from skygcs.core.radio_link.transmit_queue import ByteBudget, Priority, TxQueue
+from skygcs.core.radio_link.transmit_queue import Priority, TxQueue
+from skygcs.core.token_bucket import TokenBucket
 from skygcs.links.outgoing import Outgoing, OwnMessage
 
 FRAME_OVERHEAD_BYTES = HEADER_V2_BYTES + CRC_BYTES
@@ -51,12 +52,12 @@ class AirBudget:
         self.rules = rules or ThirdPartyRules()
         rate = self.pacer.rate(now)
         self._messages: Mapping[int, MessageInfo] = {} if dialect is None else dialect.messages
-        self.third_party = ThirdPartyTraffic(self.rules, self._messages, rate, now)
+        self.third_party = ThirdPartyTraffic(self.rules, rate, now)
         self.corrections: Corrections[Outgoing] = Corrections(self._corrections_rate(rate), now)
         self.on_due: Callable[[], object] = lambda: None
         """Called when what came down has made something due that `next_send_time` promised for later."""
         self._lost = 0
-        queue.budget = ByteBudget(rate, self.pacer.burst_bytes(), now)
+        queue.budget = TokenBucket(rate, self.pacer.burst_bytes(), now)
         queue.forwarded = self.third_party.budget
 
     # -- up
@@ -66,16 +67,10 @@ class AirBudget:
     ) -> bool:
         """Queue it, or have it wait until its turn; False if it was dropped or refused."""
         if type(outgoing) is bytes and priority is Priority.FORWARDED:
-            admission = self.third_party.judge(outgoing, now, self.queue.holds)
-            match admission.outcome:
-                case "send":
-                    return self._put_third_party(outgoing, admission, now)
-                case "correction":
-                    return self._correct(outgoing, now)
-                case "wait":
-                    return True
-                case "refuse":
-                    return False
+            frame, _ = check(outgoing, self._messages)
+            return frame is not None and self._offer_third_party(frame, now)
+        if isinstance(outgoing, Frame):
+            return self._offer_third_party(outgoing, now)
         size = wire_bytes(outgoing, signed=signed)
         if isinstance(outgoing, OwnMessage):
             if priority is Priority.CORRECTION and outgoing.info.name == "GPS_RTCM_DATA":
@@ -86,8 +81,8 @@ class AirBudget:
 
     def pop(self, now: float) -> tuple[Outgoing, Priority] | None:
         """What is to be written now; see `TxQueue.pop`."""
-        for released in self.third_party.poll(now):
-            self._put_third_party(released.raw, released.admission, now)
+        if (released := self.third_party.poll(now)) is not None:
+            self._put_third_party(*released, now)
         if not self.queue.waiting(Priority.CORRECTION):  # one at a time: which is next is decided as late as can be
             correction = self.corrections.pop(now)
             if correction is not None:
@@ -170,40 +165,54 @@ class AirBudget:
         own = self.rules.corrections_bytes_per_s
         return CORRECTIONS_SHARE * rate if own is None else min(own, rate)
 
-    def _correct(self, raw: bytes, now: float) -> bool:
-        frame = parse(raw, self._messages)
-        return frame is not None and self.corrections.offer(frame.source, frame.payload, raw, len(raw), now)
-
-    def _put_third_party(self, raw: bytes, admission: AdmissionDecision, now: float) -> bool:
-        size = len(raw)
-        if admission.priority is Priority.EMERGENCY:
-            self._drop_orders_before(raw)
-        if admission.priority is not Priority.FORWARDED:
-            if self.queue.offer(raw, admission.priority, now, admission.key, size=size, flow=admission.flow):
+    def _offer_third_party(self, frame: Frame, now: float) -> bool:
+        decision = self.third_party.judge(frame, now, self.queue.holds)
+        match decision.outcome:
+            case "send":
+                return self._put_third_party(frame, decision, now)
+            case "correction":
+                source = frame.sysid << 8 | frame.compid
+                return self.corrections.offer(source, frame.payload, frame, len(frame.raw), now)
+            case "wait":
                 return True
-            admission = admission._replace(priority=Priority.FORWARDED)  # its class is full, and nobody here repeats it
-        return self._put(raw, Priority.FORWARDED, now, admission.key, size, admission.flow)
+            case "refuse":
+                return False
 
-    def _drop_orders_before(self, stop: bytes) -> None:
+    def _put_third_party(self, frame: Frame, decision: AdmissionDecision, now: float) -> bool:
+        size, priority = len(frame.raw), decision.priority
+        if priority is Priority.EMERGENCY:
+            self._drop_orders_before(frame)
+        if priority is not Priority.FORWARDED and self.queue.offer(
+            frame, priority, now, decision.key, size=size, flow=decision.flow
+        ):
+            return True
+        # also if its class is full: no sender here repeats it
+        return self._put(frame, Priority.FORWARDED, now, decision.key, size, decision.flow, decision.answer_bytes)
+
+    def _drop_orders_before(self, stop: Frame) -> None:
         """What others ordered of a vehicle before it was stopped must not reach it afterwards."""
-        stopped = parse(stop, self._messages)
-        if stopped is None:
-            return
+        stopped = stop.target()[0]
 
         def is_outdated(entry: Outgoing) -> bool:
-            frame = parse(entry, self._messages) if type(entry) is bytes else None
-            if frame is None or stopped.target not in (0, frame.target):
+            if not isinstance(entry, Frame) or stopped not in (0, entry.target()[0]):
                 return False
-            return is_order(frame) and not is_emergency(frame)
+            return ThirdPartyFrame.of(entry).kind is Kind.ORDER
 
         self._lost += self.queue.drop(Priority.COMMAND, is_outdated) + self.queue.drop(Priority.FORWARDED, is_outdated)
 
     def _put(
-        self, entry: Outgoing, priority: Priority, now: float, key: Hashable | None, size: int, flow: Hashable
+        self,
+        entry: Outgoing,
+        priority: Priority,
+        now: float,
+        key: Hashable | None,
+        size: int,
+        flow: Hashable,
+        answer_bytes: int = 0,
     ) -> bool:
         counters = self.queue.counters[priority]
         before = counters.dropped + counters.refused
-        taken = self.queue.offer(entry, priority, now, key, size=size, flow=flow)
+        taken = self.queue.offer(entry, priority, now, key, size=size, flow=flow, answer_bytes=answer_bytes)
         self._lost += counters.dropped + counters.refused - before
         return taken
 
@@ -229,6 +238,8 @@ def wire_bytes(outgoing: Outgoing, *, signed: bool) -> int:
     """How long it is on the wire; of a message of ours, in MAVLink 2."""
     if type(outgoing) is bytes:
         return len(outgoing)
+    if isinstance(outgoing, Frame):
+        return len(outgoing.raw)
     assert isinstance(outgoing, OwnMessage)
     trimmed = len(outgoing.payload.rstrip(b"\0")) or 1
     return FRAME_OVERHEAD_BYTES + trimmed + SIGNATURE_BYTES * signed

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from skygcs.config.models import DaemonConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.radio_link.admission import Note
-from skygcs.core.radio_link.admission_frames import BUILT_IN
+from skygcs.core.radio_link.admission_frames import MAX_HZ
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES
 from skygcs.core.radio_link.pacing import HALF_DUPLEX_SHARE
 from skygcs.core.radio_link.transmit_queue import Priority
@@ -142,9 +142,7 @@ class AdmissionReports:
         return str(msgid) if info is None else info.name
 
     def _allowed_hz(self, msgid: int, air: AirBudget) -> float:
-        hz = air.rules.rates_hz.get(msgid)
-        built_in = BUILT_IN.get(msgid)
-        return hz if hz is not None else 0.0 if built_in is None else built_in.hz
+        return air.rules.rates_hz.get(msgid, MAX_HZ.get(msgid, 0.0))
 
 
 def _down_bytes_per_s(air: AirBudget) -> float:

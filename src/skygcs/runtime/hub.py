@@ -206,7 +206,8 @@ class Hub:
                         if destination in renumbering:
                             self._send_as_shown(destination, [frame])
                         else:
-                            channels[destination].send(raw)
+                            target = channels[destination]
+                            target.send(raw if target.air is None else frame)
                 else:
                     together.append((frame, decision.destinations))
                 if decision.verdict in _DROPPED:
@@ -274,7 +275,8 @@ class Hub:
                 if destination in self._renumbering:
                     self._send_as_shown(destination, [frame])
                 else:
-                    channels[destination].send(frame.raw)
+                    target = channels[destination]
+                    target.send(frame.raw if target.air is None else frame)
 
     def _send_as_shown(self, channel_id: int, frames: list[Frame]) -> None:
         """To a program that knows its vehicle under another id: frames of one datagram, or one."""

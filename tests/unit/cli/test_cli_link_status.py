@@ -92,12 +92,9 @@ def test_it_shows_who_else_sends_what_became_of_it_and_what_waits() -> None:
     busy = radio()
     counts = {"refused_streams": 420, "slowed": 85, "thinned": 1037}
     sources: list[dict[str, Any]] = [
-        {"source": f"1/{n}", "age_s": 0.1, "waiting": 0, "sent": n, "sent_bytes": 20 * n, "counts": {}}
-        for n in range(9)
+        {"source": f"1/{n}", "age_s": 0.1, "sent": n, "sent_bytes": 20 * n, "counts": {}} for n in range(9)
     ]
-    sources.append(
-        {"source": "255/190", "age_s": 61.0, "waiting": 3, "sent": 264, "sent_bytes": 7497, "counts": counts}
-    )
+    sources.append({"source": "255/190", "age_s": 61.0, "sent": 264, "sent_bytes": 7497, "counts": counts})
     lists = {"rule": "one", "running": {"sysid": 2, "seen": 34, "count": 900, "age_s": 5.0}, "waiting": [3, 4]}
     busy["up"]["third_party"] = {"bytes_per_s": 248.7, "param_lists": lists, "sources": sources}
     busy["up"]["corrections"] = {"source": 255 << 8 | 190, "bytes_per_s": 199.0, "messages": 15, "bytes": 11460}
@@ -105,7 +102,7 @@ def test_it_shows_who_else_sends_what_became_of_it_and_what_waits() -> None:
     text = shown([busy])
     assert "limit of other programs 249 B/s; parameters of 2 arrive (34 of 900), those of 3, 4 wait" in text
     first = next(line for line in text.splitlines() if "255/190" in line)
-    assert "sent 264 (7,497 B), 3 waiting, streams refused 420, slowed 85, too often 1,037, silent for 61 s" in first
+    assert "sent 264 (7,497 B), streams refused 420, slowed 85, too often 1,037, silent for 61 s" in first
     assert text.index("255/190") < text.index("1/8"), "who asks for most comes first"
     assert "and 2 more" in text
     assert "corrections of 255/190: 15 messages sent (11,460 B, 199 B/s), 46 replaced by newer ones" in text

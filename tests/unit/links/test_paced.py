@@ -10,6 +10,7 @@ import pytest
 
 from skygcs.config import models
 from skygcs.config.radio import ThirdPartyKeys
+from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.admission import ThirdPartyRules
 from skygcs.core.radio_link.pacing import RadioRates
@@ -47,13 +48,13 @@ def test_a_message_of_ours_is_for_the_system_it_names() -> None:
 def test_the_budget_follows_the_reports_of_its_own_radio_only() -> None:
     queue: TxQueue[Outgoing] = TxQueue()
     air = AirBudget(queue, RadioRates(57600), 0.0)
-    assert queue.budget is not None and queue.budget.bytes_per_s == 2880
+    assert queue.budget is not None and queue.budget.rate == 2880
     values = {"rssi": 180, "remrssi": 170, "txbuf": 5, "noise": 60, "remnoise": 60, "rxerrors": 0, "fixed": 0}
     for number, (sysid, compid) in enumerate([(51, 68), (1, 1)] * 6):
         (report,) = FrameParser(DIALECT).feed_datagram(frame("RADIO_STATUS", values, sysid=sysid, compid=compid))
         air.on_radio(report, 100 * number, number * 0.7)
     assert len(air.pacer.history) == 6
-    assert queue.budget.bytes_per_s < 400
+    assert queue.budget.rate < 400
     air.set_baud(115200, 4.0)
     assert air.pacer.base == 5760
 
@@ -62,9 +63,9 @@ def test_more_vehicles_leave_the_ground_a_smaller_part_of_a_round() -> None:
     queue: TxQueue[Outgoing] = TxQueue()
     air = AirBudget(queue, RadioRates(57600, 64.0), 0.0)
     assert queue.budget is not None
-    alone = queue.budget.bytes_per_s
+    alone = queue.budget.rate
     air.set_vehicles(10, 1.0)
-    assert queue.budget.bytes_per_s < alone / 3
+    assert queue.budget.rate < alone / 3
     assert air.status(1.0)["round_s"] == pytest.approx(0.912, abs=0.001)
 
 
@@ -105,6 +106,11 @@ async def test_a_serial_radio_gets_no_more_than_its_budget_and_a_cable_all(tmp_p
 # -- what others send
 
 
+def line_bytes(entry: Outgoing) -> bytes:
+    assert isinstance(entry, Frame)
+    return entry.raw
+
+
 class Line:
     """A channel's `AirBudget` and its time."""
 
@@ -137,21 +143,24 @@ def test_what_is_forwarded_has_its_share_and_ours_the_rest() -> None:
         line.run(1.0)
     told = line.air.status(line.now)["classes"]
     share = line.air.third_party.budget
-    assert 0.9 * share.bytes_per_s * 60 <= told["forwarded"]["sent_bytes"] <= share.bytes_per_s * 60 + share.burst_bytes
+    assert 0.9 * share.rate * 60 <= told["forwarded"]["sent_bytes"] <= share.rate * 60 + share.burst
     assert told["forwarded"]["dropped"] > 0
     assert told["protocol"]["sent"] >= 60 * 20 - 20, "half of the radio is ours, and what others send waits for us"
     assert line.air.take_lost() == told["forwarded"]["dropped"] + told["protocol"]["refused"]
     assert line.air.take_lost() == 0
 
 
-def test_what_waits_for_its_turn_goes_by_itself_and_counts_as_waiting() -> None:
+def test_requests_wait_for_the_room_of_their_answers_and_go_by_themselves() -> None:
     line = Line()
-    for index in range(12):
+    for index in range(30):
         assert line.offer("PARAM_REQUEST_READ", target_system=3, param_index=index + 1)
-    assert len(line.air) == 12
-    assert len(line.queue) == 8
+    assert len(line.air) == 30
+    share = line.air.third_party.budget
     sent = line.run(5.0)
-    assert len(sent) == 12
+    answered = sum(len(line_bytes(entry)) + 37 for _, entry, _ in sent)
+    assert 0.8 * share.rate * 5 <= answered <= share.rate * 5 + share.burst + 60
+    assert len(line.air) == 30 - len(sent) > 0
+    line.run(10.0)
     assert len(line.air) == 0
 
 
@@ -163,8 +172,7 @@ def test_a_list_is_followed_by_the_next_when_its_values_have_come() -> None:
     values = [frame("PARAM_VALUE", {"param_count": 3, "param_index": index}, sysid=1) for index in range(3)]
     line.air.heard([f for raw in values for f in FrameParser(DIALECT).feed_datagram(raw)], line.now)
     (second,) = line.run(0.1)
-    assert isinstance(second[1], bytes)
-    assert second[1][10:12] == b"\x02\x01"
+    assert line_bytes(second[1])[10:12] == b"\x02\x01"
 
 
 def test_what_is_refused_is_no_loss_and_what_is_forgotten_is_counted() -> None:
@@ -200,7 +208,7 @@ def test_what_was_ordered_before_a_stop_does_not_reach_the_vehicle_after_it() ->
     assert line.offer("COMMAND_LONG", target_system=3, command=400, param2=21196.0)
     sent = [entry for _, entry, _ in line.run(10.0)]
     assert line.air.take_lost() == before + 1 - len(sent) > 0
-    names = [FrameParser(DIALECT).feed_datagram(raw)[0] for raw in sent if isinstance(raw, bytes)]
+    names = [entry for entry in sent if isinstance(entry, Frame)]
     assert names[0].fields()["command"] == 400
     assert {f.target()[0] for f in names[1:] if f.name == "COMMAND_LONG"} == {4}
     assert "PARAM_SET" in {f.name for f in names}
@@ -212,7 +220,7 @@ def test_a_stop_for_all_overtakes_what_was_ordered_of_anyone() -> None:
         for vehicle in (3, 4):
             line.offer("COMMAND_LONG", target_system=vehicle, command=22, param7=float(number))
     assert line.offer("COMMAND_LONG", target_system=0, command=400, param2=21196.0)
-    names = [FrameParser(DIALECT).feed_datagram(raw)[0] for _, raw, _ in line.run(10.0) if isinstance(raw, bytes)]
+    names = [entry for _, entry, _ in line.run(10.0) if isinstance(entry, Frame)]
     stop = next(n for n, f in enumerate(names) if f.fields()["command"] == 400)
     assert not names[stop + 1 :]
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 HEARTBEAT = 0
 SYSTEM_TIME = 2
+PING = 4
 SET_MODE = 11
+PARAM_REQUEST_READ = 20
 PARAM_REQUEST_LIST = 21
 PARAM_VALUE = 22
 PARAM_SET = 23
@@ -30,5 +32,7 @@ MESSAGE_INTERVAL = 244
 STATUSTEXT = 253
 SETUP_SIGNING = 256
 """Carries a key. The signing guide: never broadcast, never forwarded, never logged."""
+PARAM_EXT_REQUEST_READ = 320
+PARAM_EXT_REQUEST_LIST = 321
 PARAM_EXT_SET = 323
 EVENT = 410

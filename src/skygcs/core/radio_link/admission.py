@@ -1,10 +1,10 @@
-"""What others may send into one radio: ground stations and programs that know nothing of its 500 bytes a second.
+"""Admission of third-party traffic into one radio: from ground stations and programs that do not know its 500 B/s.
 
-They were made for links on which another request costs nothing. Each frame of theirs is looked at once, on its way to
-the radio's queue: it goes as what it is (an order, an emergency, anything else), takes the place of an older one,
-waits for its turn, or is refused. docs/explanation/airtime.md says which and why.
+They were made for links on which another request costs nothing. Each frame of theirs is judged once, on its way to the
+radio's queue: it is sent as what it is (an order, an emergency, anything else), replaces an older one, waits for a
+turn, or is refused. docs/explanation/airtime.md has the rules and their reasons.
 
-Pure: the channel's sender asks `judge` about each frame, tells what comes down, and sends what `poll` gives.
+Pure: the channel's sender calls `judge` for each frame, reports what comes down, and sends what `poll` gives.
 """
 
 from __future__ import annotations
@@ -14,24 +14,12 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, GPS_RTCM_DATA, HEARTBEAT, PARAM_REQUEST_LIST
-from skygcs.core.radio_link.admission_frames import (
-    LOGS,
-    NEWEST_ONLY,
-    RateClass,
-    ThirdPartyFrame,
-    asks_for_streams,
-    command_of,
-    is_emergency,
-    is_order,
-    parse,
-    rate_class_of,
-)
-from skygcs.core.radio_link.admission_sources import OTHERS, Bucket, Line, Source
-from skygcs.core.radio_link.file_turns import FileTurns
-from skygcs.core.radio_link.list_turns import Asked, ParamLists
-from skygcs.core.radio_link.transmit_queue import ByteBudget, Priority
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.mavlink.msgids import HEARTBEAT
+from skygcs.core.radio_link.admission_frames import MAX_HZ, Kind, ThirdPartyFrame
+from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.radio_link.turn_gate import FILE_SILENCE_S, LONGEST_FILE_S, ParameterListGate, TurnGate
+from skygcs.core.token_bucket import TokenBucket
 
 THIRD_PARTY_SHARE = 0.5
 """Of what goes up into the radio, for all third-party traffic; the other half is ours whatever others do."""
@@ -43,35 +31,34 @@ BURST_S = 1.0
 LEAST_BURST_BYTES = 280.0
 """What third-party traffic may save up: a second's worth, and no less than the longest frame."""
 
-ORDER_HZ, ORDER_BURST = 2.0, 3.0
-"""Orders of one source to one vehicle that go as orders; further ones go as anything else does."""
+PER_VEHICLE_HZ, PER_VEHICLE_BURST = 2.0, 3.0
+"""Orders, and as many emergencies, of one source to one vehicle; further ones have a lower priority."""
+
+RATE_BURST = 1.5
+"""Messages that a source may save up of a message with a rate: enough for a stream that jitters."""
 
 ORDERS_SHARE = 0.5
 ORDERS_BURST_BYTES = 900.0
 """The part of the third-party share that may go as orders. The burst is twenty orders of 45 B: one for each vehicle of
 a large network."""
 
-EMERGENCY_HZ, EMERGENCY_BURST = 2.0, 3.0
 EMERGENCIES_BURST_BYTES = 64 * 45.0
-"""The same of emergencies, with as many bytes a second as all third-party traffic. Those beyond it go all the same: as
-orders or, beyond what those have, as anything forwarded does."""
+"""The same of emergencies, with as many bytes a second as all third-party traffic."""
 
 MAX_SOURCES = 64
-"""Sources told apart; what further ones send counts as that of one."""
+"""Sources with rates of their own; further ones share those of one."""
+
+OTHERS = -1
+"""Key shared by all sources beyond the limit."""
 
 SOURCE_GONE_S = 30.0
-"""A source silent for so long is not waited for: a ground station's heartbeats come every second."""
+"""A source silent for so long has gone: a ground station's heartbeats come every second."""
 
-MAX_WAITING, MAX_WAITING_OF_ONE = 512, 64
-"""Frames that wait for their source's turn. More are dropped, the oldest first: whoever asked has asked again."""
-
-TELL_AFTER, TELL_AFTER_S = 5, 2.0
-"""Frames left out, and over how long, before it is told that somebody sends too many: a station that connects sends
-some of everything at once, which is no rate."""
+REPORT_AFTER, REPORT_AFTER_S = 5, 2.0
+"""Frames left out, and over how long, before a rate is reported: a station that connects sends some of everything at
+once, which is no rate."""
 
 MAX_NOTES = 64
-
-Outcome = Literal["send", "wait", "refuse", "correction"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,17 +78,15 @@ class ThirdPartyRules:
 class AdmissionDecision(NamedTuple):
     """What becomes of a frame. "send": offer it to the queue so; "wait": `poll` gives it later."""
 
-    outcome: Outcome
+    outcome: Literal["send", "wait", "refuse", "correction"]
     priority: Priority = Priority.FORWARDED
     key: Hashable | None = None
     flow: Hashable = None
+    answer_bytes: int = 0
+    """To be charged to the share beside the frame itself, when it is sent in the last class."""
 
 
-class Released(NamedTuple):
-    """A frame that has waited long enough."""
-
-    raw: bytes
-    admission: AdmissionDecision
+REFUSED = AdmissionDecision("refuse")
 
 
 class Note(NamedTuple):
@@ -116,31 +101,80 @@ class Note(NamedTuple):
     """Of thinned: how often they came."""
 
 
-StillWaits = Callable[[Priority, Hashable, Hashable], bool]
+IsWaiting = Callable[[Priority, Hashable, Hashable], bool]
 """Whether an entry of this class, flow and key is in the radio's queue."""
 
 
-class ThirdPartyTraffic:
-    """One radio's. ``budget`` is the share that all third-party traffic has; whoever sends keeps to it."""
+class _Source:
+    """One program or ground station, by what its frames say."""
 
-    def __init__(
-        self, rules: ThirdPartyRules, messages: Mapping[int, MessageInfo], bytes_per_s: float, now: float
-    ) -> None:
-        """``bytes_per_s``: what goes up into the radio altogether; ``messages``: of the dialect, by id."""
+    __slots__ = ("buckets", "changes", "counts", "heard_at", "key", "late", "reported", "serial", "thinned")
+
+    def __init__(self, key: int, now: float) -> None:
+        self.key = key
+        self.heard_at = now
+        self.counts: dict[str, int] = {}
+        self.buckets: dict[Hashable, TokenBucket] = {}
+        """By message id with a rate, and by vehicle."""
+        self.changes: dict[int, tuple[Hashable, int]] = {}
+        """By vehicle, what was to be changed there last, and its number: the same again is a repeat only of that."""
+        self.serial = 0
+        self.late: dict[int, Hashable] = {}
+        """By vehicle, the key of the last order that went in the last class: later ones must not overtake it."""
+        self.thinned: dict[int, tuple[int, float]] = {}
+        """By message id with a rate, how many were left out since when."""
+        self.reported: set[tuple[str, int]] = set()
+
+    def count(self, what: str, number: int = 1) -> None:
+        self.counts[what] = self.counts.get(what, 0) + number
+
+    def take(self, key: Hashable, hz: float, burst: float, now: float) -> bool:
+        """Whether the rate of this key allows one more."""
+        bucket = self.buckets.get(key)
+        if bucket is None:
+            bucket = self.buckets[key] = TokenBucket(hz, burst, now)
+        return bucket.take(now)
+
+    def key_of(self, frame: ThirdPartyFrame) -> Hashable:
+        """What a repeat of it has in common with it. A change is repeated only if nothing else was changed in between:
+        on, off, on are three."""
+        if not frame.is_change:
+            return frame.identity
+        identity, number = self.changes.get(frame.target, (None, 0))
+        if identity != frame.identity:
+            self.serial = number = self.serial + 1
+            self.changes[frame.target] = frame.identity, number
+        return (*frame.identity, number)
+
+    def status(self, now: float) -> dict[str, Any]:
+        """What became of its frames; JSON-able."""
+        counts = dict(sorted(self.counts.items()))
+        return {
+            "source": "others" if self.key == OTHERS else f"{self.key >> 8}/{self.key & 0xFF}",
+            "age_s": round(now - self.heard_at, 1),
+            "sent": counts.pop("sent", 0),
+            "sent_bytes": counts.pop("sent_bytes", 0),
+            "counts": counts,
+        }
+
+
+class ThirdPartyTraffic:
+    """One radio's. ``budget`` is the share of all third-party traffic; the queue charges it for the last class."""
+
+    def __init__(self, rules: ThirdPartyRules, bytes_per_s: float, now: float) -> None:
+        """``bytes_per_s``: what goes up into the radio altogether."""
         self.rules = rules
         self.own_sysid: int | None = None
         """Ours, while our own heartbeat goes into this radio."""
         self.unplanned: frozenset[int] = frozenset()
-        """Systems whose streams nobody plans: others may set them."""
-        self.lists = ParamLists()
-        self.files = FileTurns()
+        """Systems without a plan of their streams: others may set them."""
+        self.lists = ParameterListGate()
+        self.files = TurnGate(FILE_SILENCE_S, LONGEST_FILE_S)
         self.notes: deque[Note] = deque(maxlen=MAX_NOTES)
-        self.budget = ByteBudget(1.0, LEAST_BURST_BYTES, now)
-        self._orders = ByteBudget(1.0, ORDERS_BURST_BYTES, now)
-        self._stops = ByteBudget(1.0, EMERGENCIES_BURST_BYTES, now)
-        self._messages = messages
-        self._sources: dict[int, Source] = {}
-        self._waiting = 0
+        self.budget = TokenBucket(1.0, LEAST_BURST_BYTES, now)
+        self._orders = TokenBucket(1.0, ORDERS_BURST_BYTES, now)
+        self._emergencies = TokenBucket(1.0, EMERGENCIES_BURST_BYTES, now)
+        self._sources: dict[int, _Source] = {}
         self.set_rate(bytes_per_s, now)
 
     def set_rate(self, bytes_per_s: float, now: float) -> None:
@@ -149,60 +183,42 @@ class ThirdPartyTraffic:
         self.budget.set_rate(third_party, now)
         self.budget.set_burst(max(LEAST_BURST_BYTES, BURST_S * third_party), now)
         self._orders.set_rate(ORDERS_SHARE * third_party, now)
-        self._stops.set_rate(third_party, now)
+        self._emergencies.set_rate(third_party, now)
 
     # -- up
 
-    def judge(self, raw: bytes, now: float, still_waits: StillWaits) -> AdmissionDecision:
-        """What becomes of one frame. Never raises, whatever the bytes are. An order or emergency is charged at once;
-        of the rest the queue charges `budget` when it sends."""
-        frame = parse(raw, self._messages)
-        if frame is None:
-            self._source(OTHERS, now).count("malformed")
-            return AdmissionDecision("refuse")
-        source = self._source(frame.source, now)
-        admission = self._ruled(frame, source, now, still_waits)
-        if admission.outcome == "send":
+    def judge(self, frame: Frame, now: float, is_waiting: IsWaiting) -> AdmissionDecision:
+        """Decide what becomes of one frame. Never raises. An order or emergency is charged to `budget` at once."""
+        third_party = ThirdPartyFrame.of(frame)
+        source = self._source(third_party.source, now)
+        decision = self._decide(third_party, source, now, is_waiting)
+        if decision.outcome == "send":
             source.count("sent")
-            source.count("sent_bytes", len(raw))
-        return admission
+            source.count("sent_bytes", third_party.size)
+        return decision
 
-    def poll(self, now: float) -> list[Released]:
-        """Frames whose turn has come, to be offered to the queue."""
-        released: list[Released] = []
+    def poll(self, now: float) -> tuple[Frame, AdmissionDecision] | None:
+        """A parameter list whose turn has come, to be offered to the queue."""
         listed = self.lists.due(now, lambda source: self._is_there(source, now))
-        if listed is not None:
-            asker = self._sources.get(listed.source) or self._source(OTHERS, now, heard=False)
-            released.append(self._released(asker, listed.identity, listed))
-        if self._waiting:
-            for source in self._sources.values():
-                for line in source.lines.values():
-                    while line.frames and line.bucket.take(now):
-                        key = next(iter(line.frames))
-                        released.append(self._released(source, key, line.frames.pop(key)))
-                        self._waiting -= 1
-        return released
+        if listed is None:
+            return None
+        source = self._sources.get(listed.source) or self._source(OTHERS, now, heard=False)
+        source.count("sent")
+        source.count("sent_bytes", listed.size)
+        return listed.frame, AdmissionDecision("send", key=listed.identity, flow=source.key)
 
     def next_poll(self, now: float) -> float | None:
-        """When `poll` gives something; None: not before something comes."""
-        times = [] if (listed := self.lists.next_at(now)) is None else [listed]
-        if self._waiting:
-            lines = (line for source in self._sources.values() for line in source.lines.values() if line.frames)
-            times += [line.bucket.ready_at(now) for line in lines]
-        return min(times, default=None)
+        """When `poll` may give something; None: not before something comes."""
+        return self.lists.next_at(now)
 
     @property
     def waiting(self) -> int:
-        """Frames that wait here."""
-        return self._waiting + len(self.lists.waiting)
+        """Parameter lists that wait."""
+        return len(self.lists.waiting)
 
     def clear(self) -> int:
         """Forget what waits (the link went down); how many those were."""
-        gone, self._waiting = self._waiting, 0
-        for source in self._sources.values():
-            for line in source.lines.values():
-                line.frames.clear()
-        return gone + self.lists.clear()
+        return self.lists.clear()
 
     # -- down
 
@@ -217,7 +233,7 @@ class ThirdPartyTraffic:
     def status(self, now: float) -> dict[str, Any]:
         """Rules, what waits, and what became of each source's frames; JSON-able."""
         return {
-            "bytes_per_s": round(self.budget.bytes_per_s, 1),
+            "bytes_per_s": round(self.budget.rate, 1),
             "param_lists": {"rule": self.rules.param_lists, **self.lists.status(now)},
             "files": {"rule": self.rules.files, "running": self.files.running(now)},
             "streams": self.rules.streams,
@@ -228,167 +244,148 @@ class ThirdPartyTraffic:
 
     # -- the rules
 
-    def _ruled(self, frame: ThirdPartyFrame, source: Source, now: float, still_waits: StillWaits) -> AdmissionDecision:
-        msgid = frame.msgid
-        if self.rules.rates_hz.get(msgid, 1.0) <= 0 and not is_emergency(frame):
-            return self._refused("rate", frame, source)
-        if msgid == GPS_RTCM_DATA:
-            source.count("corrections")
-            return AdmissionDecision("correction")
-        if msgid == HEARTBEAT and frame.source >> 8 == self.own_sysid:
-            source.count("needless")  # ours goes anyway, and vehicles tell stations apart by system (airtime.md)
-            return AdmissionDecision("refuse")
-        if msgid in LOGS and self.rules.logs == "deny":
-            return self._refused("logs", frame, source)
-        if asks_for_streams(frame) and self.rules.streams == "deny" and frame.target not in self.unplanned:
-            return self._refused("streams", frame, source)
-        if msgid == PARAM_REQUEST_LIST and self.rules.param_lists != "allow":
-            return self._listed(frame, source, now)
-        if msgid == FILE_TRANSFER_PROTOCOL and self.rules.files != "allow":
-            if self.rules.files == "deny":
-                return self._refused("files", frame, source)
-            if not self.files.may(frame, now):
-                return self._refused("turn", frame, source)
-        if is_emergency(frame):
-            return self._stopped(frame, source, now, still_waits)
-        if is_order(frame) and msgid not in self.rules.rates_hz:
-            return self._ordered(frame, source, now, still_waits)
-        rate_class = rate_class_of(frame, self.rules.rates_hz)
-        if msgid in NEWEST_ONLY or msgid == HEARTBEAT:
-            newest = ("newest", frame.source, msgid, frame.target, frame.component)
-            admission = AdmissionDecision("send", key=newest, flow=source.key)
-        else:
-            admission = AdmissionDecision("send", key=source.key_of(frame), flow=source.key)
-            if still_waits(Priority.FORWARDED, admission.flow, admission.key):
-                source.count("repeated")
-                return admission
-        return admission if rate_class is None else self._allotted(frame, rate_class, admission, source, now)
-
-    def _allotted(
-        self, frame: ThirdPartyFrame, rate_class: RateClass, admission: AdmissionDecision, source: Source, now: float
-    ) -> AdmissionDecision:
-        line = source.lines.get(rate_class.group)
-        if line is None:
-            line = source.lines[rate_class.group] = Line(Bucket(rate_class.hz, rate_class.burst, now))
-        if not line.frames and line.bucket.take(now):
-            return admission
-        if not rate_class.waits:
-            source.count("thinned")
-            self._note_thinned(frame, source, rate_class.hz, now)
-            return AdmissionDecision("refuse")
-        if admission.key in line.frames:
+    def _decide(self, frame: ThirdPartyFrame, source: _Source, now: float, is_waiting: IsWaiting) -> AdmissionDecision:
+        if frame.kind is Kind.EMERGENCY:
+            return self._admit_emergency(frame, source, now, is_waiting)
+        if (refusal := self._refusal(frame, source, now)) is not None:
+            return refusal
+        # kinds with a way of their own
+        match frame.kind:
+            case Kind.CORRECTION:
+                source.count("corrections")
+                return AdmissionDecision("correction")
+            case Kind.PARAMETER_LIST if self.rules.param_lists == "one":
+                return self._admit_list(frame, source, now)
+            case Kind.ORDER:
+                return self._admit_order(frame, source, now, is_waiting)
+            case Kind.STREAM:
+                key: Hashable = ("newest", frame.source, frame.msgid, frame.target, frame.component)
+                return AdmissionDecision("send", key=key, flow=source.key)
+        # the last class, where a repeat takes the place of what still waits
+        key = source.key_of(frame)
+        if is_waiting(Priority.FORWARDED, source.key, key):
             source.count("repeated")
-            line.frames[admission.key] = frame
-            return AdmissionDecision("wait")
-        if self._waiting >= MAX_WAITING or source.waiting >= MAX_WAITING_OF_ONE:
-            if not line.frames:
-                source.count("dropped")
-                return AdmissionDecision("refuse")
-            del line.frames[next(iter(line.frames))]
-            self._waiting -= 1
-            source.count("dropped")
-        line.frames[admission.key] = frame
-        self._waiting += 1
-        source.count("slowed")
-        return AdmissionDecision("wait")
+        return AdmissionDecision("send", key=key, flow=source.key, answer_bytes=frame.answer_bytes)
 
-    def _listed(self, frame: ThirdPartyFrame, source: Source, now: float) -> AdmissionDecision:
-        if self.rules.param_lists == "deny" or not frame.target:  # to all at once is as many lists as vehicles
-            return self._refused("param_lists", frame, source)
+    def _refusal(self, frame: ThirdPartyFrame, source: _Source, now: float) -> AdmissionDecision | None:
+        """Refuse what the rules do not allow at all, another vehicle's turn, and what comes too often."""
+        rules, kind, hz = self.rules, frame.kind, self.rules.rates_hz.get(frame.msgid, MAX_HZ.get(frame.msgid))
+        if hz is not None and hz <= 0:
+            return self._refuse("rate", frame, source)
+        if frame.msgid == HEARTBEAT and frame.source >> 8 == self.own_sysid:
+            source.count("needless")  # ours goes anyway, and vehicles tell stations apart by system (airtime.md)
+            return REFUSED
+        if kind is Kind.LOG and rules.logs == "deny":
+            return self._refuse("logs", frame, source)
+        if kind is Kind.STREAM_RATE and rules.streams == "deny" and frame.target not in self.unplanned:
+            return self._refuse("streams", frame, source)
+        if kind is Kind.PARAMETER_LIST and (
+            rules.param_lists == "deny" or (rules.param_lists == "one" and not frame.target)
+        ):
+            return self._refuse("param_lists", frame, source)  # of all vehicles at once: as many lists
+        if kind in (Kind.FILE, Kind.FILE_END) and rules.files == "deny":
+            return self._refuse("files", frame, source)
+        if kind is Kind.FILE and rules.files == "one" and not self.files.enter(frame.target, now):
+            return self._refuse("turn", frame, source)
+        if hz is not None and not source.take(frame.msgid, hz, RATE_BURST, now):
+            source.count("thinned")
+            self._note_thinned(frame, source, hz, now)
+            return REFUSED
+        return None
+
+    def _admit_list(self, frame: ThirdPartyFrame, source: _Source, now: float) -> AdmissionDecision:
         match self.lists.ask(frame, now):
-            case Asked.SEND:
+            case "send":
                 return AdmissionDecision("send", key=frame.identity, flow=source.key)
-            case Asked.HOLD:
+            case "hold":
                 source.count("held")
                 self._note("held", frame, source, 0.0)
-                return AdmissionDecision("wait")
-            case Asked.SWALLOW:
+            case "repeat":
                 source.count("repeated")
-                return AdmissionDecision("wait")
+        return AdmissionDecision("wait")
 
-    def _stopped(
-        self, frame: ThirdPartyFrame, source: Source, now: float, still_waits: StillWaits
+    def _admit_emergency(
+        self, frame: ThirdPartyFrame, source: _Source, now: float, is_waiting: IsWaiting
     ) -> AdmissionDecision:
-        key = ("stop", frame.source, command_of(frame))
+        key = ("stop", frame.source, frame.command)
         urgent = AdmissionDecision("send", Priority.EMERGENCY, key, frame.target)
-        if still_waits(Priority.EMERGENCY, frame.target, key):
+        if is_waiting(Priority.EMERGENCY, frame.target, key):
             source.count("repeated")
             return urgent
-        bucket = source.stops.setdefault(frame.target, Bucket(EMERGENCY_HZ, EMERGENCY_BURST, now))
-        if bucket.take(now) and self._charged(self._stops, frame, now):
+        allowed = source.take(("stop", frame.target), PER_VEHICLE_HZ, PER_VEHICLE_BURST, now)
+        if allowed and self._charge(self._emergencies, frame, now):
             return urgent
+        # beyond its rate it goes as an order, before those that follow it, and then as anything else
         source.count("slowed")
-        if self._charged(self._orders, frame, now):
-            return AdmissionDecision("send", Priority.COMMAND, key, frame.target)  # before the orders that follow it
+        if self._charge(self._orders, frame, now):
+            return AdmissionDecision("send", Priority.COMMAND, key, frame.target)
         source.late[frame.target] = late = (*key, frame.target)
         return AdmissionDecision("send", key=late, flow=source.key)
 
-    def _ordered(
-        self, frame: ThirdPartyFrame, source: Source, now: float, still_waits: StillWaits
+    def _admit_order(
+        self, frame: ThirdPartyFrame, source: _Source, now: float, is_waiting: IsWaiting
     ) -> AdmissionDecision:
         key = source.key_of(frame)
         order = AdmissionDecision("send", Priority.COMMAND, key, frame.target)
         later = AdmissionDecision("send", key=key, flow=source.key)
         for known in (order, later):
-            if still_waits(known.priority, known.flow, key):
+            if is_waiting(known.priority, known.flow, key):
                 source.count("repeated")
                 return known
-        bucket = source.orders.setdefault(frame.target, Bucket(ORDER_HZ, ORDER_BURST, now))
-        overtakes = still_waits(Priority.FORWARDED, source.key, source.late.get(frame.target))
-        if not overtakes and bucket.take(now) and self._charged(self._orders, frame, now):
+        overtakes = is_waiting(Priority.FORWARDED, source.key, source.late.get(frame.target))
+        allowed = not overtakes and source.take(("order", frame.target), PER_VEHICLE_HZ, PER_VEHICLE_BURST, now)
+        if allowed and self._charge(self._orders, frame, now):
             return order
         source.late[frame.target] = key
         source.count("slowed")
         return later
 
-    def _charged(self, part: ByteBudget, frame: ThirdPartyFrame, now: float) -> bool:
-        """Whether the frame goes at the cost of this part, and so of all third-party traffic."""
-        size = len(frame.raw)
-        if part.saved(now) < size:
+    def _charge(self, part: TokenBucket, frame: ThirdPartyFrame, now: float) -> bool:
+        """Whether this part of the share pays for the frame; if so the whole share is charged as well."""
+        if not part.take(now, frame.size):
             return False
-        part.spend(size, now)
-        self.budget.spend(size, now)
+        self.budget.spend(frame.size, now)
         return True
 
-    def _refused(self, kind: str, frame: ThirdPartyFrame, source: Source) -> AdmissionDecision:
+    def _refuse(self, kind: str, frame: ThirdPartyFrame, source: _Source) -> AdmissionDecision:
         source.count(f"refused_{kind}")
         self._note(kind, frame, source, 0.0)
-        return AdmissionDecision("refuse")
+        return REFUSED
 
-    # -- telling
+    # -- reports
 
-    def _note_thinned(self, frame: ThirdPartyFrame, source: Source, hz: float, now: float) -> None:
+    def _note_thinned(self, frame: ThirdPartyFrame, source: _Source, hz: float, now: float) -> None:
         """``hz``: how many of them go; those are not among the ones left out, which are counted here."""
         if frame.msgid == HEARTBEAT:
-            return  # every station sends one a second, and nobody is to change that
+            return  # every station sends one a second, and need not be told to change that
         number, since = source.thinned.get(frame.msgid, (0, now))
         source.thinned[frame.msgid] = number + 1, since
-        if number + 1 >= TELL_AFTER and now - since >= TELL_AFTER_S:
+        if number + 1 >= REPORT_AFTER and now - since >= REPORT_AFTER_S:
             self._note("thinned", frame, source, hz + number / (now - since))
 
-    def _note(self, kind: str, frame: ThirdPartyFrame, source: Source, hz: float) -> None:
+    def _note(self, kind: str, frame: ThirdPartyFrame, source: _Source, hz: float) -> None:
         mark = (kind, frame.msgid if kind in ("rate", "thinned") else 0)
-        if mark not in source.told and len(source.told) < MAX_NOTES:
-            source.told.add(mark)
+        if mark not in source.reported and len(source.reported) < MAX_NOTES:
+            source.reported.add(mark)
             self.notes.append(Note(kind, frame.source, frame.target, frame.msgid, hz))
 
     # -- sources
 
-    def _source(self, key: int, now: float, *, heard: bool = True) -> Source:
+    def _source(self, key: int, now: float, *, heard: bool = True) -> _Source:
         source = self._sources.get(key)
         if source is None:
             full = key != OTHERS and len(self._sources) - (OTHERS in self._sources) >= MAX_SOURCES
             if full and not self._forget_one(now):
                 return self._source(OTHERS, now, heard=heard)
-            source = self._sources[key] = Source(key, now)
+            source = self._sources[key] = _Source(key, now)
         if heard:
             source.heard_at = now
         return source
 
     def _forget_one(self, now: float) -> bool:
-        """One that is gone and has nothing waiting, if there is one."""
+        """Forget a source that has gone, if there is one."""
         for key, source in self._sources.items():
-            if key != OTHERS and now - source.heard_at > 2 * SOURCE_GONE_S and not source.waiting:
+            if key != OTHERS and now - source.heard_at > 2 * SOURCE_GONE_S:
                 del self._sources[key]
                 return True
         return False
@@ -396,9 +393,3 @@ class ThirdPartyTraffic:
     def _is_there(self, key: int, now: float) -> bool:
         source = self._sources.get(key) or self._sources.get(OTHERS)
         return source is not None and now - source.heard_at <= SOURCE_GONE_S
-
-    @staticmethod
-    def _released(source: Source, key: Hashable, frame: ThirdPartyFrame) -> Released:
-        source.count("sent")
-        source.count("sent_bytes", len(frame.raw))
-        return Released(frame.raw, AdmissionDecision("send", key=key, flow=source.key))

@@ -1,26 +1,34 @@
-"""What others send to vehicles behind a radio, told apart by what it costs there: orders, streams, requests and the
-answers that they bring down. Ids and layouts are those of common.xml and ardupilotmega.xml.
+"""Third-party frames by what they cost on a radio: orders, streams, requests and the answers that these bring down.
+
+Ids and layouts are those of common.xml and ardupilotmega.xml.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
-from typing import NamedTuple
+from enum import Enum, auto
+from typing import NamedTuple, Self
 
-from skygcs.core.mavlink.dialect import MessageInfo
-from skygcs.core.mavlink.header import CRC_BYTES, crc_offset, decode_header, payload_of
+from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import (
     COMMAND_INT,
     COMMAND_LONG,
     FILE_TRANSFER_PROTOCOL,
+    GPS_RTCM_DATA,
     HEARTBEAT,
     MESSAGE_INTERVAL,
     MISSION_SET_CURRENT,
+    PARAM_EXT_REQUEST_LIST,
+    PARAM_EXT_REQUEST_READ,
     PARAM_EXT_SET,
+    PARAM_REQUEST_LIST,
+    PARAM_REQUEST_READ,
     PARAM_SET,
+    PING,
     REQUEST_DATA_STREAM,
     SET_MODE,
+    SYSTEM_TIME,
+    TIMESYNC,
 )
 
 LOGS = frozenset({117, 119, 121})
@@ -28,7 +36,7 @@ LOGS = frozenset({117, 119, 121})
 
 COMMANDS = frozenset({COMMAND_INT, COMMAND_LONG})
 ORDERS = frozenset({SET_MODE, MISSION_SET_CURRENT})
-"""What an operator orders by messages of their own; the rest of his orders are COMMANDS that are no REQUESTS."""
+"""Orders with messages of their own; all others are COMMANDS that are no REQUESTS."""
 
 SET_MESSAGE_INTERVAL = 511
 REQUESTS = frozenset({410, 510, 512, 519, 520, 521, 522, 525, 526, 527, 528, 2504, 2505})
@@ -63,65 +71,110 @@ NEWEST_ONLY = frozenset(
         288,  # GIMBAL_MANAGER_SET_MANUAL_CONTROL
         330,  # OBSTACLE_DISTANCE
         331,  # ODOMETRY
+        HEARTBEAT,
     }
 )
-"""Streams, of which an older frame is worthless once a newer one is there."""
+"""Streams: an older frame is worthless once a newer one has come."""
 
-
-class RateClass(NamedTuple):
-    """How often one source may send the messages of one group. ``waits``: what comes sooner waits for its turn, since
-    it is part of a dialogue; else it is left out, since another will come."""
-
-    group: str
-    hz: float
-    burst: float
-    waits: bool
-
-
-PARAMETERS = RateClass("parameters", 4.0, 8.0, True)
-"""Each brings a PARAM_VALUE of 37 B down."""
-MISSIONS = RateClass("missions", 4.0, 8.0, True)
-"""Each brings an item of 50 B down or takes one up. Transfers stop and wait: no more than one frame per vehicle and
-round trip. So they are slowed, never made to wait for each other as lists are: a station gives a transfer up after
-some five repeats of 1.5 s, and repeats of what still waits cost nothing."""
-FILES = RateClass("files", 1.0, 2.0, True)
-"""Each brings 251 B down: half of a vehicle's timeslot among eleven nodes at 64 kbit/s carries 276 B/s."""
-REQUEST = RateClass("requests", 4.0, 12.0, True)
-"""A burst is what a station asks of one vehicle as it connects."""
-
-BUILT_IN: dict[int, RateClass] = {
-    HEARTBEAT: RateClass("HEARTBEAT", 0.5, 1.5, False),  # two in the 5 s after which ArduPilot misses them
-    2: RateClass("SYSTEM_TIME", 0.1, 1.0, False),  # MAVROS sends 1 Hz, and vehicles with GPS do not take it
-    4: RateClass("PING", 0.5, 2.0, False),
-    111: RateClass("TIMESYNC", 0.2, 1.0, False),  # MAVROS sends 10 Hz: of ten vehicles' nodes 2.8 kB/s
-    20: PARAMETERS,  # PARAM_REQUEST_READ
-    PARAM_SET: PARAMETERS,
-    320: PARAMETERS,  # PARAM_EXT_REQUEST_READ
-    PARAM_EXT_SET: PARAMETERS,
-    321: RateClass("PARAM_EXT_REQUEST_LIST", 0.05, 1.0, False),
-    FILE_TRANSFER_PROTOCOL: FILES,
-    **dict.fromkeys((37, 38, 39, 40, 43, 44, 45, 47, 51, 73), MISSIONS),
-    **dict.fromkeys((160, 161, 175, 176), MISSIONS),  # fence and rally points of old
-    REQUEST_DATA_STREAM: RateClass("REQUEST_DATA_STREAM", 0.5, 4.0, False),  # where they are let through at all
-    **dict.fromkeys(LOGS, RateClass("logs", 1.0, 1.0, True)),  # the same
+MAX_HZ = {
+    HEARTBEAT: 0.5,  # two in the 5 s after which ArduPilot's ground station failsafe acts
+    SYSTEM_TIME: 0.1,  # MAVROS sends 1 Hz, and vehicles with GPS ignore it
+    PING: 0.5,
+    TIMESYNC: 0.2,  # MAVROS sends 10 Hz: 2.8 kB/s from ten vehicles' nodes
+    PARAM_EXT_REQUEST_LIST: 0.05,
 }
-"""By message id, for each source."""
+"""Rates of each source, by message id; what is sent more often is left out, since another will come."""
+
+REQUEST_ANSWER_BYTES = 50
+ANSWER_BYTES = {
+    **dict.fromkeys((PARAM_REQUEST_READ, PARAM_SET), 37),  # PARAM_VALUE
+    **dict.fromkeys((PARAM_EXT_REQUEST_READ, PARAM_EXT_SET), 161),  # PARAM_EXT_VALUE
+    **dict.fromkeys((37, 38, 39, 40, 43, 44, 45, 47, 51, 73), 50),  # missions: an item or the request for one
+    **dict.fromkeys((160, 161, 175, 176), 50),  # fence and rally points of old
+    **dict.fromkeys(LOGS, 109),  # LOG_DATA
+    FILE_TRANSFER_PROTOCOL: 263,
+}
+"""Bytes that a frame brings down, by message id. They are charged to the third-party share as well: what a request
+costs on a radio is its answer. A MAV_CMD that only asks brings REQUEST_ANSWER_BYTES on average."""
 
 _CONFIRMATION_AT = 32
 """Last byte of a COMMAND_LONG's payload."""
+_COMMAND_AT = 28
+"""The MAV_CMD in the payload of a COMMAND_LONG and of a COMMAND_INT."""
+_OPCODE_AT = 6
+"""In the payload of a FILE_TRANSFER_PROTOCOL: target network, system, component, then the FTP header's seq_number (2),
+session and opcode."""
+_TERMINATE_SESSION, _RESET_SESSIONS = 1, 2
 _PARAM12 = struct.Struct("<ff")
 
 
-class ThirdPartyFrame(NamedTuple):
-    """A frame of somebody else, as far as it matters here. ``payload`` without trailing zeros."""
+class Kind(Enum):
+    """What a third-party frame is to a radio."""
 
-    raw: bytes
-    msgid: int
+    EMERGENCY = auto()
+    """It stops motors in the air."""
+    ORDER = auto()
+    """Somebody waits for a vehicle to do something."""
+    STREAM_RATE = auto()
+    """It sets what a vehicle streams."""
+    LOG = auto()
+    PARAMETER_LIST = auto()
+    FILE = auto()
+    FILE_END = auto()
+    """It ends a file transfer."""
+    CORRECTION = auto()
+    STREAM = auto()
+    """The newest is enough."""
+    OTHER = auto()
+
+
+_KINDS = {
+    **dict.fromkeys(ORDERS, Kind.ORDER),
+    **dict.fromkeys(NEWEST_ONLY, Kind.STREAM),
+    **dict.fromkeys(LOGS, Kind.LOG),
+    PARAM_REQUEST_LIST: Kind.PARAMETER_LIST,
+    GPS_RTCM_DATA: Kind.CORRECTION,
+    REQUEST_DATA_STREAM: Kind.STREAM_RATE,
+    MESSAGE_INTERVAL: Kind.STREAM_RATE,
+}
+"""Of messages that are always of one kind."""
+
+
+class ThirdPartyFrame(NamedTuple):
+    """A frame of another program, as far as it matters here. ``payload`` without trailing zeros."""
+
+    frame: Frame
+    kind: Kind
     source: int
     """sysid << 8 | compid"""
     target: int
     component: int
     payload: bytes
+
+    @classmethod
+    def of(cls, frame: Frame) -> Self:
+        payload = frame.payload.rstrip(b"\0")
+        return cls(frame, _kind(frame.msgid, payload), frame.sysid << 8 | frame.compid, *frame.target(), payload)
+
+    @property
+    def msgid(self) -> int:
+        return self.frame.msgid
+
+    @property
+    def size(self) -> int:
+        return len(self.frame.raw)
+
+    @property
+    def command(self) -> int:
+        """The MAV_CMD of a COMMAND_LONG or COMMAND_INT."""
+        return _command(self.payload)
+
+    @property
+    def answer_bytes(self) -> int:
+        """Bytes that it brings down, about."""
+        if self.msgid in COMMANDS and self.command in REQUESTS:
+            return REQUEST_ANSWER_BYTES
+        return ANSWER_BYTES.get(self.msgid, 0)
 
     @property
     def identity(self) -> tuple[int, int, bytes]:
@@ -131,72 +184,32 @@ class ThirdPartyFrame(NamedTuple):
             payload = payload[:_CONFIRMATION_AT].rstrip(b"\0")
         return self.source, self.msgid, payload
 
-
-def parse(raw: bytes, messages: Mapping[int, MessageInfo]) -> ThirdPartyFrame | None:
-    """None for what is no whole frame. An id that the dialect does not have is for everybody."""
-    header = decode_header(raw)
-    if header is None or len(raw) < crc_offset(raw) + CRC_BYTES:
-        return None
-    _, _, _, _, sysid, compid, msgid, _ = header
-    source = sysid << 8 | compid
-    payload = payload_of(raw)
-    info = messages.get(msgid)
-    target = component = 0
-    if info is not None:
-        target = _byte(payload, info.target_system_offset)
-        component = _byte(payload, info.target_component_offset)
-    return ThirdPartyFrame(raw, msgid, source, target, component, payload.rstrip(b"\0"))
+    @property
+    def is_change(self) -> bool:
+        """Whether its effect depends on what follows it: an order, a parameter that is set."""
+        return self.kind is Kind.ORDER or self.msgid in (PARAM_SET, PARAM_EXT_SET)
 
 
-def command_of(frame: ThirdPartyFrame) -> int:
-    """The MAV_CMD of a COMMAND_LONG or COMMAND_INT: both have it at the same place."""
-    return _byte(frame.payload, 28) | _byte(frame.payload, 29) << 8
+def _kind(msgid: int, payload: bytes) -> Kind:
+    if msgid in COMMANDS:
+        return _command_kind(payload)
+    if msgid == FILE_TRANSFER_PROTOCOL:
+        opcode = payload[_OPCODE_AT] if len(payload) > _OPCODE_AT else 0
+        return Kind.FILE_END if opcode in (_TERMINATE_SESSION, _RESET_SESSIONS) else Kind.FILE
+    return _KINDS.get(msgid, Kind.OTHER)
 
 
-def is_emergency(frame: ThirdPartyFrame) -> bool:
-    """Whether it stops motors in the air."""
-    if frame.msgid not in COMMANDS:
-        return False
-    command = command_of(frame)
+def _command_kind(payload: bytes) -> Kind:
+    command = _command(payload)
     if command == FLIGHT_TERMINATION:
-        return True
-    param1, param2 = _PARAM12.unpack_from(frame.payload.ljust(8, b"\0"))
-    return command == ARM_DISARM and param1 == 0.0 and param2 == FORCED
+        return Kind.EMERGENCY
+    param1, param2 = _PARAM12.unpack_from(payload.ljust(_PARAM12.size, b"\0"))
+    if command == ARM_DISARM and param1 == 0.0 and param2 == FORCED:
+        return Kind.EMERGENCY
+    if command == SET_MESSAGE_INTERVAL:
+        return Kind.STREAM_RATE
+    return Kind.OTHER if command in REQUESTS else Kind.ORDER
 
 
-def asks_for_streams(frame: ThirdPartyFrame) -> bool:
-    """Whether it sets what a vehicle streams."""
-    if frame.msgid in COMMANDS:
-        return command_of(frame) == SET_MESSAGE_INTERVAL
-    return frame.msgid == REQUEST_DATA_STREAM or frame.msgid == MESSAGE_INTERVAL
-
-
-def is_order(frame: ThirdPartyFrame) -> bool:
-    """Whether somebody waits for a vehicle to do something."""
-    if frame.msgid in COMMANDS:
-        command = command_of(frame)
-        return command not in REQUESTS and command != SET_MESSAGE_INTERVAL
-    return frame.msgid in ORDERS
-
-
-def is_change(frame: ThirdPartyFrame) -> bool:
-    """Whether what it leaves behind depends on what came after it: an order, a parameter that is set."""
-    return is_order(frame) or frame.msgid in (PARAM_SET, PARAM_EXT_SET)
-
-
-def rate_class_of(frame: ThirdPartyFrame, rates_hz: Mapping[int, float]) -> RateClass | None:
-    """How often its source may send such frames; None: as often as there is room. ``rates_hz``, by message id, are
-    laid over the built-in ones."""
-    built_in = BUILT_IN.get(frame.msgid)
-    if built_in is None and frame.msgid in COMMANDS and command_of(frame) in REQUESTS:
-        built_in = REQUEST
-    hz = rates_hz.get(frame.msgid)
-    if hz is None or (built_in is REQUEST and frame.msgid not in BUILT_IN):
-        return built_in
-    if built_in is None:
-        return RateClass(str(frame.msgid), hz, 1.5, False)
-    return RateClass(str(frame.msgid), hz, max(1.0, built_in.burst * hz / built_in.hz), built_in.waits)
-
-
-def _byte(payload: bytes, at: int) -> int:
-    return payload[at] if 0 <= at < len(payload) else 0
+def _command(payload: bytes) -> int:
+    return int.from_bytes(payload[_COMMAND_AT : _COMMAND_AT + 2], "little")

@@ -23,7 +23,8 @@ from skygcs.core.radio_link.rtcm import (
     contents_of,
     frame_length,
 )
-from skygcs.core.radio_link.transmit_queue import ByteBudget, Waits
+from skygcs.core.radio_link.transmit_queue import Waits
+from skygcs.core.token_bucket import TokenBucket
 
 T = TypeVar("T")
 
@@ -145,7 +146,7 @@ class Corrections(Generic[T]):
         self.source: int | None = None
         """The base that is served: whatever the one who offers tells sources apart by."""
         self._source_at = now
-        self._budget = ByteBudget(bytes_per_s, BURST_BYTES, now)
+        self._budget = TokenBucket(bytes_per_s, BURST_BYTES, now)
         self._assemblies: dict[int, _Assembly[T]] = {}
         """By sequence id, in the order in which they began."""
         self._waiting: list[_Message[T]] = []
@@ -170,7 +171,7 @@ class Corrections(Generic[T]):
         """A GPS_RTCM_DATA that somebody wants sent: its payload (zeros at its end may be missing), what `pop` is to
         give back for it, and its bytes on the wire. False if it will not be sent (counted)."""
         counters = self.counters
-        if self._budget.bytes_per_s <= 0:
+        if self._budget.rate <= 0:
             counters.no_budget += 1
             return False
         flags, length = payload[0] if payload else 0, payload[1] if len(payload) > 1 else 0
@@ -205,9 +206,9 @@ class Corrections(Generic[T]):
         """From when `pop` gives something: ``now`` if at once, None if nothing waits. At a very low rate what waits may
         be too old by then, and `pop` gives None."""
         self._expire(now)
-        if self._budget.bytes_per_s <= 0 or not (self._begun or self._waiting):
+        if self._budget.rate <= 0 or not (self._begun or self._waiting):
             return None
-        return self._budget.ready_at(int(BURST_BYTES), 0.0, now)
+        return self._budget.ready_at(BURST_BYTES, now)
 
     def clear(self) -> int:
         """Forget everything that waits (the link went down); how many fragments that were."""
@@ -223,7 +224,7 @@ class Corrections(Generic[T]):
         counters = self.counters
         p50, p95 = counters.waits.percentile(0.5), counters.waits.percentile(0.95)
         return {
-            "bytes_per_s": round(self._budget.bytes_per_s, 1),
+            "bytes_per_s": round(self._budget.rate, 1),
             "source": self.source,
             "waiting": len(self),
             "messages": counters.messages,

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Generic, TypeVar
 
+from skygcs.core.token_bucket import TokenBucket
+
 T = TypeVar("T")
 
 HEARTBEAT_WAITS_S = 1.0
@@ -56,53 +58,6 @@ DROPS_OLDEST = frozenset({Priority.HEARTBEAT, Priority.CORRECTION, Priority.FORW
 RESERVED_SHARE = 0.5
 """Of the burst, kept for emergencies, commands and an overdue heartbeat: they find it filled however busy the link is,
 and so leave at once. Everything else is sent from the other half."""
-
-ROUNDING_BYTES = 1e-3
-"""By so much a budget may be overdrawn: of a sum of floats at large clock values nothing finer can be asked."""
-
-
-class ByteBudget:
-    """Bytes that may be sent: ``bytes_per_s`` and up to ``burst_bytes`` that were saved up while less was sent.
-
-    Over any time W no more than bytes_per_s * W + burst_bytes are spent by whoever asks `ready_at` first; a single
-    frame larger than the burst goes when all is saved up.
-    """
-
-    __slots__ = ("_at", "_saved", "burst_bytes", "bytes_per_s")
-
-    def __init__(self, bytes_per_s: float, burst_bytes: float, now: float = 0.0) -> None:
-        """Both positive. It begins with nothing spent."""
-        self.bytes_per_s = bytes_per_s
-        self.burst_bytes = burst_bytes
-        self._saved = burst_bytes
-        self._at = now
-
-    def saved(self, now: float) -> float:
-        """What may be sent at once; below 0 after a frame larger than the burst."""
-        if now > self._at:
-            self._saved = min(self.burst_bytes, self._saved + (now - self._at) * self.bytes_per_s)
-            self._at = now
-        return self._saved
-
-    def set_rate(self, bytes_per_s: float, now: float) -> None:
-        """From now on; what was saved stays."""
-        self.saved(now)
-        self.bytes_per_s = bytes_per_s
-
-    def set_burst(self, burst_bytes: float, now: float) -> None:
-        """From now on; what was saved beyond it is forgotten."""
-        self._saved = min(self.saved(now), burst_bytes)
-        self.burst_bytes = burst_bytes
-
-    def ready_at(self, size: int, reserve_bytes: float, now: float) -> float:
-        """From when ``size`` bytes may go so that ``reserve_bytes`` stay; ``now`` if at once."""
-        needed = min(size + reserve_bytes, self.burst_bytes)
-        missing = needed - self.saved(now)
-        return now if missing <= ROUNDING_BYTES else now + missing / self.bytes_per_s
-
-    def spend(self, size: int, now: float) -> None:
-        """``size`` bytes went."""
-        self._saved = self.saved(now) - size
 
 
 class Waits:
@@ -148,8 +103,8 @@ class ClassCounters:
         }
 
 
-Waiting = tuple[T, int, float]
-"""An entry, its bytes, and since when it waits."""
+Waiting = tuple[T, int, float, int]
+"""An entry, its bytes, since when it waits, and the bytes of its answer."""
 
 
 class _Class(Generic[T]):
@@ -215,7 +170,7 @@ class _Class(Generic[T]):
         """How many of them waited."""
         before = self.length
         for flow, line in list(self.lines.items()):
-            for slot in [slot for slot, (entry, _, _) in line.items() if unwanted(entry)]:
+            for slot in [slot for slot, (entry, *_) in line.items() if unwanted(entry)]:
                 del line[slot]
                 self.length -= 1
             if not line:
@@ -252,9 +207,9 @@ class TxQueue(Generic[T]):
 
     __slots__ = ("_classes", "_heartbeat_since", "_length", "_serial", "budget", "counters", "forwarded")
 
-    def __init__(self, budget: ByteBudget | None = None) -> None:
+    def __init__(self, budget: TokenBucket | None = None) -> None:
         self.budget = budget
-        self.forwarded: ByteBudget | None = None
+        self.forwarded: TokenBucket | None = None
         self.counters: dict[Priority, ClassCounters] = {p: ClassCounters() for p in Priority}
         self._classes: dict[Priority, _Class[T]] = {p: _Class() for p in Priority}
         self._serial = 0
@@ -283,11 +238,13 @@ class TxQueue(Generic[T]):
         *,
         size: int = 0,
         flow: Hashable = None,
+        answer_bytes: int = 0,
     ) -> bool:
         """Queue it; False if its class is full and refuses. Never blocks, never raises.
 
         With a key the newest value takes the place of the waiting one (latest wins), keeping that one's turn. ``size``
-        is what it takes of the budget. ``flow`` is whom it is for: within a class flows get alike many bytes.
+        is what it takes of the budget. ``flow`` is whom it is for: flows of a class share bandwidth equally.
+        ``answer_bytes`` is what it brings down; the budget of the last class is charged for it as well.
         """
         counters = self.counters[priority]
         of_class = self._classes[priority]
@@ -298,7 +255,7 @@ class TxQueue(Generic[T]):
             slot = (key,)
             line = of_class.lines.get(flow)
             if line is not None and slot in line:
-                line[slot] = (entry, size, now)
+                line[slot] = (entry, size, now, answer_bytes)
                 counters.replaced += 1
                 return True
         else:
@@ -310,7 +267,7 @@ class TxQueue(Generic[T]):
             of_class.drop_oldest()
             self._length -= 1
             counters.dropped += 1
-        of_class.add(flow, slot, (entry, size, now))
+        of_class.add(flow, slot, (entry, size, now, answer_bytes))
         self._length += 1
         return True
 
@@ -326,12 +283,12 @@ class TxQueue(Generic[T]):
         of_class = self._classes[priority]
         if self.budget is not None:
             size = of_class.head()[1]
-            if self.budget.ready_at(size, self._reserve(priority, now), now) > now:
+            if self.budget.ready_at(size, now, reserve=self._reserve(priority, now)) > now:
                 return None
             self.budget.spend(size, now)
         if priority is Priority.FORWARDED and self.forwarded is not None:
-            self.forwarded.spend(of_class.head()[1], now)
-        entry, size, since = of_class.take()
+            self.forwarded.spend(_charge(of_class.head()), now)
+        entry, size, since, _ = of_class.take()
         self._length -= 1
         counters = self.counters[priority]
         counters.sent += 1
@@ -346,15 +303,15 @@ class TxQueue(Generic[T]):
         priority = self._next_class(now)
         if priority is None:
             last = self._classes[Priority.FORWARDED]
-            return self.forwarded.ready_at(last.head()[1], 0.0, now) if last.length and self.forwarded else None
+            return self.forwarded.ready_at(_charge(last.head()), now) if last.length and self.forwarded else None
         if self.budget is None:
             return now
         size = self._classes[priority].head()[1]
-        at = self.budget.ready_at(size, self._reserve(priority, now), now)
+        at = self.budget.ready_at(size, now, reserve=self._reserve(priority, now))
         since = self._heartbeat_since
         if since is not None and priority is not Priority.EMERGENCY and at >= since + HEARTBEAT_WAITS_S > now:
             beat = self._classes[Priority.HEARTBEAT].head()[1]  # is overdue by then, and next
-            return max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(beat, 0.0, now))
+            return max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(beat, now))
         return at
 
     def drop(self, priority: Priority, unwanted: Callable[[T], bool]) -> int:
@@ -387,7 +344,7 @@ class TxQueue(Generic[T]):
                 if self._heartbeat_since is not None and priority is not Priority.EMERGENCY and self._overdue(now):
                     return Priority.HEARTBEAT
                 if priority is Priority.FORWARDED and self.forwarded is not None:
-                    return priority if self.forwarded.ready_at(of_class.head()[1], 0.0, now) <= now else None
+                    return priority if self.forwarded.ready_at(_charge(of_class.head()), now) <= now else None
                 return priority
         return None
 
@@ -399,4 +356,9 @@ class TxQueue(Generic[T]):
         """Bytes of the budget that an entry of this class has to leave."""
         if priority <= Priority.COMMAND or (priority is Priority.HEARTBEAT and self._overdue(now)):
             return 0.0
-        return RESERVED_SHARE * self.budget.burst_bytes if self.budget is not None else 0.0
+        return RESERVED_SHARE * self.budget.burst if self.budget is not None else 0.0
+
+
+def _charge(entry: Waiting[Any]) -> int:
+    """What the budget of the last class is charged for an entry: its bytes, and those of its answer."""
+    return entry[1] + entry[3]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from skygcs.core.token_bucket import TokenBucket
+
 MAX_RATE_KEYS = 4096
 """Bound of one limiter's table of (source, msgid); 250 vehicles send some 20 each. Past it, all starts anew."""
 
@@ -57,7 +59,7 @@ class RateLimiter:
     What is addressed to somebody passes unless its message is named: losing a command is no way to save bandwidth.
     """
 
-    __slots__ = ("_buckets", "_budget", "_budget_at", "bytes_per_s", "default_hz", "rates_hz")
+    __slots__ = ("_buckets", "_budget", "bytes_per_s", "default_hz", "rates_hz")
 
     def __init__(
         self, rates_hz: Mapping[int, float], default_hz: float | None = None, bytes_per_s: float | None = None
@@ -65,9 +67,8 @@ class RateLimiter:
         self.rates_hz = dict(rates_hz)
         self.default_hz = default_hz
         self.bytes_per_s = bytes_per_s
-        self._buckets: dict[int, tuple[float, float]] = {}
-        self._budget = self._capacity()
-        self._budget_at: float | None = None
+        self._buckets: dict[int, TokenBucket] = {}
+        self._budget = None if bytes_per_s is None else TokenBucket(bytes_per_s, max(MIN_BUCKET_BYTES, bytes_per_s / 2))
 
     def __bool__(self) -> bool:
         return bool(self.rates_hz) or self.default_hz is not None or self.bytes_per_s is not None
@@ -80,33 +81,17 @@ class RateLimiter:
             rate = self.default_hz
         if rate is not None and not self._take_message(source << 24 | msgid, rate, now):
             return False
-        if self.bytes_per_s is None:
-            return True
-        return self._take_bytes(size, now) or exempt
+        return self._budget is None or self._budget.take(now, size) or exempt
 
     def _take_message(self, key: int, rate_hz: float, now: float) -> bool:
         if rate_hz <= 0:
             return False
-        tokens, then = self._buckets.get(key, (BURST, now))
-        tokens = min(BURST, tokens + (now - then) * rate_hz)
-        passes = tokens >= 1.0
-        if len(self._buckets) >= MAX_RATE_KEYS and key not in self._buckets:
-            self._buckets.clear()
-        self._buckets[key] = (tokens - 1.0 if passes else tokens, now)
-        return passes
-
-    def _take_bytes(self, size: int, now: float) -> bool:
-        assert self.bytes_per_s is not None
-        if self._budget_at is not None:
-            self._budget = min(self._capacity(), self._budget + (now - self._budget_at) * self.bytes_per_s)
-        self._budget_at = now
-        if self._budget < size:
-            return False
-        self._budget -= size
-        return True
-
-    def _capacity(self) -> float:
-        return max(MIN_BUCKET_BYTES, (self.bytes_per_s or 0.0) * 0.5)
+        bucket = self._buckets.get(key)
+        if bucket is None:
+            if len(self._buckets) >= MAX_RATE_KEYS:
+                self._buckets.clear()
+            bucket = self._buckets[key] = TokenBucket(rate_hz, BURST, now)
+        return bucket.take(now)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""One parameter list at a time: how one ends, what is repeated, who is next."""
+"""One vehicle's list, or file, at a time: how a turn ends, what is repeated, who is next."""
 
 from __future__ import annotations
 
@@ -6,55 +6,61 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.core.radio_link.admission_frames import ThirdPartyFrame
-from skygcs.core.radio_link.list_turns import (
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.radio_link.admission_frames import Kind, ThirdPartyFrame
+from skygcs.core.radio_link.turn_gate import (
+    FILE_SILENCE_S,
     FIRST_VALUE_S,
-    LONGEST_S,
+    LONGEST_FILE_S,
+    LONGEST_LIST_S,
     MAX_WAITING,
-    NO_INDEX,
     RESEND_S,
     SILENCE_S,
-    Asked,
-    ParamLists,
+    ParameterListGate,
+    TurnGate,
 )
 
 QGC = 255 << 8 | 190
+NO_INDEX = 0xFFFF
 
 
 def request(system: int, component: int = 1, source: int = QGC) -> ThirdPartyFrame:
-    return ThirdPartyFrame(b"", 21, source, system, component, bytes((system, component)))
+    frame = Frame(b"", 0, source >> 8, source & 0xFF, 21, None)
+    return ThirdPartyFrame(frame, Kind.PARAMETER_LIST, source, system, component, bytes((system, component)))
 
 
-def due(lists: ParamLists, now: float) -> int | None:
+def due(lists: ParameterListGate, now: float) -> int | None:
     frame = lists.due(now, lambda source: True)
     return None if frame is None else frame.target
 
 
-def test_a_list_is_through_when_every_index_was_seen_in_any_order_and_more_than_once() -> None:
-    lists = ParamLists()
-    assert lists.ask(request(1), 0.0) is Asked.SEND
-    assert lists.ask(request(2), 0.0) is Asked.HOLD
-    for index in (2, 0, 2, 0, NO_INDEX, 7):
+def test_a_list_has_ended_when_its_last_value_came() -> None:
+    lists = ParameterListGate()
+    assert lists.ask(request(1), 0.0) == "send"
+    assert lists.ask(request(2), 0.0) == "hold"
+    for index in (1, 0, 1, 0, NO_INDEX, 7):
         lists.heard(1, 1, index, 3, 1.0)
-    lists.heard(2, 1, 1, 3, 1.0)  # another vehicle's
-    lists.heard(1, 100, 1, 3, 1.0)  # another component's
+    lists.heard(2, 1, 2, 3, 1.0)  # another vehicle's
+    lists.heard(1, 100, 2, 3, 1.0)  # another component's
     assert due(lists, 1.0) is None
     assert lists.running == (1, 2, 3)
-    lists.heard(1, 1, 1, 3, 2.0)
+    assert lists.next_at(1.0) == 1.0 + SILENCE_S
+    lists.heard(1, 1, 2, 3, 2.0)
+    assert lists.next_at(2.0) == 2.0
     assert due(lists, 2.0) == 2
     assert lists.finished == 1
 
 
 def test_a_list_of_all_components_is_the_autopilots() -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     lists.ask(request(1, 0), 0.0)
     lists.heard(1, 1, 0, 1, 1.0)
-    assert lists.ask(request(2), 1.0) is Asked.SEND
+    assert lists.ask(request(2), 1.0) == "send"
 
 
 @pytest.mark.parametrize("values", [0, 1, 10])
 def test_a_list_that_ceases_ends_after_a_while_and_lets_the_next_go(values: int) -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     lists.ask(request(1), 0.0)
     lists.ask(request(2), 0.0)
     for index in range(values):
@@ -67,42 +73,42 @@ def test_a_list_that_ceases_ends_after_a_while_and_lets_the_next_go(values: int)
 
 
 def test_a_request_that_brought_nothing_is_sent_again_but_not_for_ever() -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     lists.ask(request(2), 0.0)
     lists.ask(request(1), 0.0)
     now, sent = 0.0, 0
     while due(lists, now) is None:
         now += 1.0
-        sent += lists.ask(request(2), now) is Asked.SEND
+        sent += lists.ask(request(2), now) == "send"
         assert now < 60
-    assert now <= 2 * FIRST_VALUE_S
-    assert 2 <= sent <= 2 * FIRST_VALUE_S / RESEND_S
+    assert now <= FIRST_VALUE_S
+    assert 1 <= sent <= FIRST_VALUE_S / RESEND_S
 
 
-def test_once_values_come_repeats_are_swallowed() -> None:
-    lists = ParamLists()
+def test_once_values_come_repeats_are_not_sent() -> None:
+    lists = ParameterListGate()
     lists.ask(request(1), 0.0)
     lists.heard(1, 1, 0, 900, 1.0)
-    assert lists.ask(request(1), 1.0 + SILENCE_S - 0.1) is Asked.SWALLOW
-    assert lists.ask(request(1, source=7), 2.0) is Asked.SWALLOW, "the list comes to everybody"
+    assert lists.ask(request(1), 1.0 + SILENCE_S - 0.1) == "repeat"
+    assert lists.ask(request(1, source=7), 2.0) == "repeat", "the list comes to everybody"
 
 
 def test_somebody_who_goes_on_asking_for_values_does_not_keep_the_others_for_ever() -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     lists.ask(request(1), 0.0)
     lists.ask(request(2), 0.0)
     now = 0.0
     while due(lists, now) is None:
         now += 1.0
         lists.heard(1, 1, 5, 900, now)
-    assert now == LONGEST_S
+    assert now == LONGEST_LIST_S
 
 
 def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_turn() -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     for system in (1, 2, 3):
         lists.ask(request(system), 0.0)
-    assert lists.ask(request(2, source=7), 1.0) is Asked.SWALLOW
+    assert lists.ask(request(2, source=7), 1.0) == "repeat"
     assert lists.waiting == [2, 3]
     frame = lists.due(FIRST_VALUE_S, lambda source: source == 7)
     assert frame is not None
@@ -110,15 +116,15 @@ def test_of_those_who_wait_for_one_vehicle_the_newest_is_sent_in_the_first_ones_
 
 
 def test_who_is_gone_is_passed_over_and_a_broken_link_forgets_all() -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     for system in (1, 2, 3):
         lists.ask(request(system), 0.0)
     assert lists.due(FIRST_VALUE_S, lambda source: False) is None
     assert lists.abandoned == 2
-    assert lists.ask(request(4), FIRST_VALUE_S) is Asked.SEND
+    assert lists.ask(request(4), FIRST_VALUE_S) == "send"
     lists.ask(request(5), FIRST_VALUE_S)
     assert lists.clear() == 1
-    assert lists.ask(request(6), FIRST_VALUE_S) is Asked.SEND
+    assert lists.ask(request(6), FIRST_VALUE_S) == "send"
 
 
 Step = tuple[float, int, int, int]
@@ -128,7 +134,7 @@ Step = tuple[float, int, int, int]
     st.lists(st.tuples(st.floats(0, 8), st.integers(1, 4), st.integers(0, 70000), st.integers(0, 70000)), max_size=80)
 )
 def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[Step]) -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     asked: set[int] = set()
     sent: list[int] = []
     now = 0.0
@@ -137,7 +143,7 @@ def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[Step
         before = lists.running
         answer = lists.ask(request(system), now)
         asked.add(system)
-        if answer is Asked.SEND:
+        if answer == "send":
             sent.append(system)
             assert before is None or before[0] == system or lists.finished + lists.unfinished
         lists.heard(system, 1, index, count, now)
@@ -150,8 +156,40 @@ def test_never_two_at_a_time_and_everyone_asked_for_gets_a_turn(steps: list[Step
 
 
 def test_no_more_wait_than_there_can_be_vehicles() -> None:
-    lists = ParamLists()
+    lists = ParameterListGate()
     for system in range(1, 256):
         for component in (1, 2):
             lists.ask(request(system, component), 0.0)
     assert len(lists.waiting) == MAX_WAITING
+
+
+# -- files
+
+
+def test_a_file_s_turn_passes_when_nothing_has_gone_up_or_come_down_for_a_while() -> None:
+    files = TurnGate(FILE_SILENCE_S, LONGEST_FILE_S)
+    assert files.enter(1, 0.0)
+    files.heard(1, 2.0)
+    files.heard(2, 2.5)  # another vehicle's
+    assert not files.enter(2, 1.9 + FILE_SILENCE_S)
+    assert files.running(1.9 + FILE_SILENCE_S) == 1
+    assert files.running(2.1 + FILE_SILENCE_S) is None
+    files.heard(1, 2.1 + FILE_SILENCE_S)  # too late
+    assert files.enter(2, 2.1 + FILE_SILENCE_S)
+
+
+@given(st.lists(st.tuples(st.floats(0, 5), st.integers(1, 3), st.booleans()), max_size=200))
+def test_never_two_within_the_silence_unless_one_has_had_its_time(steps: list[tuple[float, int, bool]]) -> None:
+    files = TurnGate(FILE_SILENCE_S, LONGEST_FILE_S)
+    now, holder, since, at = 0.0, 0, 0.0, float("-inf")
+    for pause_s, system, down in steps:
+        now += pause_s
+        if down:
+            if system == files.running(now):
+                at = now
+            files.heard(system, now)
+        elif files.enter(system, now):
+            if system != holder:
+                assert now - at >= FILE_SILENCE_S - 1e-6 or now - since >= LONGEST_FILE_S - 1e-6
+                holder, since = system, now
+            at = now
