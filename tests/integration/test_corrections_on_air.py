@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.radio_link.admission import CORRECTIONS_SHARE
 from skygcs.rpc.methods import METHODS
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.on_air import OnAir, on_air
@@ -44,7 +45,7 @@ async def test_a_narrow_radio_carries_whole_messages_of_every_kind(tmp_path: Pat
         (radio,) = told["radios"]
         assert radio["source"] == "255/25"
         assert radio["replaced"] > 100  # five times as much as it carries
-        assert radio["bytes"] <= radio["bytes_per_s"] * 62
+        assert radio["bytes"] <= CORRECTIONS_SHARE * air.air()["up"]["base_bytes_per_s"] * 62
         for sim in (air.sim(sysid) for sysid in range(1, 5)):
             assert set(sim.rtk.types) == {1005, *OBSERVATIONS}
             assert min(sim.rtk.types.values()) >= 3

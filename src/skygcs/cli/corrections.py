@@ -177,7 +177,8 @@ def status_lines(status: dict[str, Any]) -> Iterator[str]:
             f"{radio['link']} ({radio['peer']}): {radio['bytes_per_s']:,.0f} B/s for corrections, "
             f"{radio['messages']:,} messages{of_source} sent, {radio['waiting']:,} fragments waiting{wait}"
         )
-        lost = [f"{radio[name]:,} {name}" for name in ("replaced", "expired", "dropped", "incomplete") if radio[name]]
+        causes = ("replaced", "expired", "dropped", "too_long")
+        lost = [f"{radio[name]:,} {name.replace('_', ' ')}" for name in causes if radio[name]]
         if radio["other_source"]:
             lost.append(f"{radio['other_source']:,} fragments of a second base refused")
         if lost:

@@ -11,7 +11,7 @@ from skygcs.config.radio import ThirdPartyKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.mavlink.frame import Frame, check
 from skygcs.core.mavlink.header import CRC_BYTES, HEADER_V2_BYTES, SIGNATURE_BYTES
-from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
+from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, GPS_RTCM_DATA, PARAM_VALUE
 from skygcs.core.radio_link.admission import CORRECTIONS_SHARE, AdmissionDecision, ThirdPartyRules, ThirdPartyTraffic
 from skygcs.core.radio_link.admission_frames import Kind, ThirdPartyFrame
 from skygcs.core.radio_link.corrections import Corrections
@@ -53,7 +53,9 @@ class AirBudget:
         rate = self.pacer.rate(now)
         self._messages: Mapping[int, MessageInfo] = {} if dialect is None else dialect.messages
         self.third_party = ThirdPartyTraffic(self.rules, rate, now)
-        self.corrections: Corrections[Outgoing] = Corrections(self._corrections_rate(rate), now)
+        self.corrections = Corrections(self._corrections_rate(rate), now)
+        self._corrections_info = None if dialect is None else dialect.by_name.get("GPS_RTCM_DATA")
+        self._signed = False
         self.on_due: Callable[[], object] = lambda: None
         """Called when what came down has made something due that `next_send_time` promised for later."""
         self._lost = 0
@@ -71,11 +73,11 @@ class AirBudget:
             return frame is not None and self._offer_third_party(frame, now)
         if isinstance(outgoing, Frame):
             return self._offer_third_party(outgoing, now)
+        self._signed = signed
         size = wire_bytes(outgoing, signed=signed)
         if isinstance(outgoing, OwnMessage):
-            if priority is Priority.CORRECTION and outgoing.info.name == "GPS_RTCM_DATA":
-                source = outgoing.sysid << 8 | outgoing.compid
-                return self.corrections.offer(source, outgoing.payload, outgoing, size, now)
+            if outgoing.info.msgid == GPS_RTCM_DATA:
+                return self.corrections.offer(outgoing.sysid << 8 | outgoing.compid, outgoing.payload, now)
             return self._put(outgoing, priority, now, key, size, flow_of(outgoing))
         return self._put(outgoing, priority, now, key, size, 0)
 
@@ -84,9 +86,7 @@ class AirBudget:
         if (released := self.third_party.poll(now)) is not None:
             self._put_third_party(*released, now)
         if not self.queue.waiting(Priority.CORRECTION):  # one at a time: which is next is decided as late as can be
-            correction = self.corrections.pop(now)
-            if correction is not None:
-                self._put(correction[0], Priority.CORRECTION, now, None, correction[1], 0)
+            self._put_correction(now)
         return self.queue.pop(now)
 
     def next_send_time(self, now: float) -> float | None:
@@ -171,12 +171,21 @@ class AirBudget:
             case "send":
                 return self._put_third_party(frame, decision, now)
             case "correction":
-                source = frame.sysid << 8 | frame.compid
-                return self.corrections.offer(source, frame.payload, frame, len(frame.raw), now)
+                return self.corrections.offer(frame.sysid << 8 | frame.compid, frame.payload, now)
             case "wait":
                 return True
             case "refuse":
                 return False
+
+    def _put_correction(self, now: float) -> None:
+        """Queue the next fragment, under the ids of its base."""
+        info = self._corrections_info
+        fragment = None if info is None else self.corrections.pop(now)
+        if info is not None and fragment is not None:
+            message = OwnMessage(info, info.pack(fragment.values), fragment.source >> 8, fragment.source & 0xFF)
+            size = wire_bytes(message, signed=self._signed)
+            self.corrections.charge(size, now)
+            self._put(message, Priority.CORRECTION, now, None, size, 0)
 
     def _put_third_party(self, frame: Frame, decision: AdmissionDecision, now: float) -> bool:
         size, priority = len(frame.raw), decision.priority

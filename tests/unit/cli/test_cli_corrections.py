@@ -249,16 +249,15 @@ def test_the_status_tells_what_went_and_the_fixes(fleet: Commanded) -> None:
 
 
 def test_the_status_tells_what_each_radio_made_of_it() -> None:
-    corrections: Corrections[None] = Corrections(165.0, 0.0)
-    for number in range(3):
-        corrections.offer(1, bytes([number << 3, 206]) + rtcm_frame(1077, epoch=number)[:180], None, 194, 0.0)
-    corrections.offer(1, bytes([0, 36]) + rtcm_frame(1087), None, 50, 0.0)
-    corrections.offer(2, bytes([0, 36]) + rtcm_frame(1087), None, 50, 0.0)
+    corrections = Corrections(165.0, 0.0)
+    corrections.offer(1, bytes([0, 36]) + rtcm_frame(1087, epoch=1), 0.0)
+    corrections.offer(1, bytes([0, 36]) + rtcm_frame(1087, epoch=2), 0.0)
+    corrections.offer(2, bytes([0, 36]) + rtcm_frame(1087, epoch=2), 0.0)
     corrections.pop(0.0)
     radio = {"link": "air", "peer": "/dev/ttyUSB0", **corrections.status(), "source": "255/25"}
     lines = list(status_lines({**STATUS, "radios": [radio], "vehicles": [], "types": {}, "too_long": 0, "age_s": None}))
     assert lines == [
         "nothing was sent yet through this daemon's socket",
         "air (/dev/ttyUSB0): 165 B/s for corrections, 1 messages of 255/25 sent, 0 fragments waiting, wait p95 0.0 s",
-        "  1 fragments of a second base refused",
+        "  1 replaced, 1 fragments of a second base refused",
     ]

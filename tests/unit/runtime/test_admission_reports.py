@@ -91,7 +91,7 @@ def test_what_waits_for_another_vehicle_is_told_with_how_far_that_is() -> None:
     watched.offer("FILE_TRANSFER_PROTOCOL", target_system=1)
     watched.offer("FILE_TRANSFER_PROTOCOL", target_system=2)
     lists, files = watched.events
-    assert "while another's list is under way (1's: 5 of 900)" in lists.text
+    assert "while another's list is under way (1's: 1 of 900)" in lists.text
     assert "asks vehicle 2 for files while those of 1 come" in files.text
 
 

@@ -11,6 +11,8 @@ from functools import cache
 from typing import NamedTuple
 
 PREAMBLE = 0xD3
+RESERVED_BITS = 0xFC
+"""Of the second byte; they are zero."""
 HEADER_BYTES = 3
 CRC_BYTES = 3
 MAX_FRAME_BYTES = HEADER_BYTES + 1023 + CRC_BYTES
@@ -71,28 +73,6 @@ def _crc_table() -> tuple[int, ...]:
     return tuple(of(byte) for byte in range(256))
 
 
-def frame_length(data: bytes | bytearray, at: int = 0) -> int | None:
-    """How long the RTCM frame is that begins at ``at``, by its header; None if none begins there, or its header is not
-    all there."""
-    if len(data) < at + HEADER_BYTES or data[at] != PREAMBLE or data[at + 1] & 0xFC:
-        return None
-    return HEADER_BYTES + (data[at + 1] << 8 | data[at + 2]) + CRC_BYTES
-
-
-def contents_of(data: bytes) -> tuple[RtcmContent, ...] | None:
-    """What is in it if it is whole RTCM frames and nothing else, going by their lengths (whoever makes use of it looks
-    at the checksums); None if it is anything else, as a piece of a stream."""
-    found: list[RtcmContent] = []
-    at = 0
-    while at < len(data):
-        length = frame_length(data, at)
-        if length is None or at + length > len(data):
-            return None
-        found.append(content_of(data[at : at + length]))
-        at += length
-    return tuple(found) or None
-
-
 def content_of(frame: bytes) -> RtcmContent:
     """What a whole RTCM frame is."""
     body = frame[HEADER_BYTES:-CRC_BYTES]
@@ -123,6 +103,11 @@ class RtcmDeframer:
         """Of a frame that has only begun."""
         return len(self._held)
 
+    def drop_held(self) -> None:
+        """Forget a frame that has only begun: what follows is no part of it."""
+        self.skipped_bytes += len(self._held)
+        self._held.clear()
+
     def feed(self, data: bytes) -> list[bytes]:
         """The frames that these bytes complete, in their order."""
         self._held += data
@@ -135,11 +120,11 @@ class RtcmDeframer:
             at = len(held) if start < 0 else start
             if len(held) - at < HEADER_BYTES:
                 break
-            length = frame_length(held, at)
-            if length is None:
+            if held[at + 1] & RESERVED_BITS:
                 at += 1
                 self.skipped_bytes += 1
                 continue
+            length = HEADER_BYTES + (held[at + 1] << 8 | held[at + 2]) + CRC_BYTES
             if len(held) - at < length:
                 break
             frame = bytes(held[at : at + length])

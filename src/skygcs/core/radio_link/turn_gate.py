@@ -87,7 +87,7 @@ class ParameterListGate:
     __slots__ = (
         "_count",
         "_frame",
-        "_seen",
+        "_indices",
         "_sent_at",
         "_since",
         "_turn",
@@ -101,11 +101,13 @@ class ParameterListGate:
         self._turn = TurnGate(SILENCE_S, LONGEST_LIST_S)
         self._frame: ThirdPartyFrame | None = None
         self._since = self._sent_at = 0.0
-        self._seen = self._count = 0
+        self._count = 0
+        self._indices = 0
+        """A bit for each index that came."""
         self._waiting: dict[tuple[int, int], ThirdPartyFrame] = {}
         """By target system and component, in the order of their turns."""
         self.finished = 0
-        """Lists whose last value came."""
+        """Lists of which every value came."""
         self.unfinished = 0
         """Lists that ended before that."""
         self.abandoned = 0
@@ -129,13 +131,14 @@ class ParameterListGate:
         return "repeat" if known else "hold"
 
     def heard(self, system: int, component: int, index: int, count: int, now: float) -> None:
-        """A PARAM_VALUE came down; ``count`` is how many there are. The list ends with its last index."""
+        """A PARAM_VALUE came down; ``count`` is how many there are. The list has ended when every index came."""
         running = self._frame
         if running is None or system != running.target or not 0 <= index < count:
             return
         if component == (running.component or ALL_COMPONENTS_ANSWER):
             self._turn.heard(system, now)
-            self._seen, self._count = max(self._seen, index + 1), count
+            self._indices |= 1 << index
+            self._count = count
 
     def due(self, now: float, is_there: Callable[[int], bool]) -> ThirdPartyFrame | None:
         """The request that may be sent now. ``is_there``: whether a source still sends."""
@@ -162,7 +165,7 @@ class ParameterListGate:
     @property
     def running(self) -> tuple[int, int, int] | None:
         """System whose list comes, values seen and values there are (0: not known yet)."""
-        return None if self._frame is None else (self._frame.target, self._seen, self._count)
+        return None if self._frame is None else (self._frame.target, self._indices.bit_count(), self._count)
 
     def clear(self) -> int:
         """Forget all of them (the link went down); how many waited."""
@@ -177,7 +180,12 @@ class ParameterListGate:
         running = None
         if self._frame is not None:
             age_s = round(now - self._since, 1)
-            running = {"sysid": self._frame.target, "seen": self._seen, "count": self._count, "age_s": age_s}
+            running = {
+                "sysid": self._frame.target,
+                "seen": self._indices.bit_count(),
+                "count": self._count,
+                "age_s": age_s,
+            }
         return {
             "running": running,
             "waiting": self.waiting,
@@ -188,11 +196,11 @@ class ParameterListGate:
 
     @property
     def _is_complete(self) -> bool:
-        return 0 < self._count <= self._seen
+        return 0 < self._count <= self._indices.bit_count()
 
     def _begin(self, frame: ThirdPartyFrame, now: float) -> None:
         self._frame, self._since, self._sent_at = frame, now, now
-        self._seen = self._count = 0
+        self._indices = self._count = 0
         self._turn.begin(frame.target, now, FIRST_VALUE_S)
 
     def _end(self, now: float) -> None:
