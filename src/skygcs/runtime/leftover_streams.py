@@ -13,6 +13,7 @@ from skygcs.core.mavlink.msgids import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_S
 from skygcs.core.radio_link.admission_frames import SET_MESSAGE_INTERVAL
 from skygcs.core.radio_link.program_streams import Leftover, Program, ProgramStreams, Request, Stream, restoring
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.token_bucket import TokenBucket
 from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.runtime.fleet import Fleet
@@ -65,7 +66,7 @@ class LeftoverStreams:
         self._requests = ProgramStreams()
         self._tasks: dict[int, dict[Stream, _Task]] = {}
         self._now = 0.0
-        self._room = NOTED_PER_S
+        self._noted = TokenBucket(NOTED_PER_S, NOTED_PER_S)
 
     def on_frame(self, frame: Frame, channel: Channel, now: float) -> None:
         """A message of another program that may ask for streams."""
@@ -75,10 +76,9 @@ class LeftoverStreams:
         program = channel.id, frame.sysid << 8 | frame.compid
         system, component = frame.target()
         for key, actor in self._addressed(system, component):
-            if self._room <= 0:
+            if not self._noted.take(now):
                 self._requests.not_noted += 1
                 return
-            self._room -= 1
             if not self._is_kept(actor) or (stream.group is not None and actor.vehicle.family != "ardupilot"):
                 continue  # PX4 does nothing with a request for a group
             self._requests.on_request(key, program, stream, partial(_rates, actor))
@@ -105,7 +105,6 @@ class LeftoverStreams:
     def tick(self, now: float) -> None:
         """See who is gone, and ask for what is to be put back."""
         self._now = now
-        self._room = NOTED_PER_S
         for key, leftovers in self._requests.left_behind(self._is_connected).items():
             tasks = self._tasks.setdefault(key, {})
             for leftover in leftovers:

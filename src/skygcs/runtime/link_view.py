@@ -173,7 +173,7 @@ class LinkView:
             channel = self._hub.channels[channel_id]
             link = channel.link
             if channel.air is not None and channel.air.queue.budget is not None:
-                setpoints = BUDGET_SHARE * channel.air.queue.budget.bytes_per_s
+                setpoints = BUDGET_SHARE * channel.air.queue.budget.rate
             elif isinstance(link, SerialLink):
                 setpoints = SETPOINT_SHARE * link.baud / BITS_PER_BYTE
             else:

@@ -205,7 +205,7 @@ class ThirdPartyTraffic:
         source = self._sources.get(listed.source) or self._source(OTHERS, now, heard=False)
         source.count("sent")
         source.count("sent_bytes", listed.size)
-        return listed.frame, AdmissionDecision("send", key=listed.identity, flow=source.key)
+        return listed.frame, self._begin_list(listed, now)
 
     def next_poll(self, now: float) -> float | None:
         """When `poll` may give something; None: not before something comes."""
@@ -296,13 +296,18 @@ class ThirdPartyTraffic:
     def _admit_list(self, frame: ThirdPartyFrame, source: _Source, now: float) -> AdmissionDecision:
         match self.lists.ask(frame, now):
             case "send":
-                return AdmissionDecision("send", key=frame.identity, flow=source.key)
+                return self._begin_list(frame, now)
             case "hold":
                 source.count("held")
                 self._note("held", frame, source, 0.0)
             case "repeat":
                 source.count("repeated")
         return AdmissionDecision("wait")
+
+    def _begin_list(self, frame: ThirdPartyFrame, now: float) -> AdmissionDecision:
+        """Before all that waits in the last class, in which its turn could end before the request is sent."""
+        self.budget.spend(frame.size, now)
+        return AdmissionDecision("send", Priority.PROTOCOL, frame.identity, frame.target)
 
     def _admit_emergency(
         self, frame: ThirdPartyFrame, source: _Source, now: float, is_waiting: IsWaiting
