@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass
 from enum import Enum
@@ -44,6 +45,11 @@ def words(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value) if value not in (None, "") else "-"
 
 
+def in_words(name: str) -> str:
+    """A field of the table: ready_after_s is "ready after (s)"."""
+    return re.sub(r"_(s|m)$", r" (\1)", name).replace("_", " ")
+
+
 def cell(fact: Fact[Any]) -> str:
     text = words(fact.value)
     return text if fact.used is None else f"{text} ({words(fact.used)}: {fact.why})"
@@ -66,7 +72,7 @@ def table() -> str:
         for field in fields(firmware):
             fact = getattr(firmware, field.name)
             if isinstance(fact, Fact):
-                lines.append(f"| {field.name} | {cell(fact)} | {fact.source} |")
+                lines.append(f"| {in_words(field.name)} | {cell(fact)} | {fact.source} |")
         lines += ["", *modes(firmware.modes, Px4Mode if firmware is PX4 else CopterMode), ""]
     return "\n".join(lines)
 

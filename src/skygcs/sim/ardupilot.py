@@ -143,13 +143,14 @@ class CopterVehicle(SimVehicle):
     def limits(self) -> Limits:
         p = self.params
         braking, _, _ = self.firmware.brake.simulated
+        accel, unit_mps2 = self.firmware.climb_accel.simulated
         return Limits(
             speed_mps=self.speed_mps or p["WPNAV_SPEED"] / 100,
             accel_mps2=braking if self.mode == CopterMode.BRAKE else p["WPNAV_ACCEL"] / 100,
             climb_mps=p["WPNAV_SPEED_UP"] / 100,
             descent_mps=p["WPNAV_SPEED_DN"] / 100,
             yaw_rate_radps=radians(60),
-            climb_accel_mps2=p["WPNAV_ACCEL_Z"] / 100,
+            climb_accel_mps2=p[accel] * unit_mps2,
         ).bounded()
 
     def arming_refusal(self) -> str | None:

@@ -329,9 +329,10 @@ class Firmware:
     # flight
     spool_up_s: Fact[float]
     """From arming until the motors lift."""
-    climb_accel_mps2: Fact[float]
-    jerk_mps3: Fact[float]
-    """Of a way to a position; infinite: the speed changes at once to what the braking distance allows."""
+    climb_accel: Fact[tuple[str, float]]
+    """Parameter, and its unit in m/s²."""
+    jerk: Fact[str]
+    """Parameter (m/s³) that bounds how the speed changes on the way to a position; "": none."""
     brake: Fact[tuple[float, float, float]]
     """Stopping where it is: acceleration (m/s²), jerk (m/s³), and time (s) until the body follows."""
     land_fast_above_m: Fact[float]
@@ -415,9 +416,9 @@ COPTER: Final = Firmware(
         "libraries/AP_Motors/AP_MotorsMulticopter.cpp: MOT_SPOOL_TIME, and the arming delay (Copter.h: "
         "in_arming_delay)",
     ),
-    climb_accel_mps2=Fact(1.0, "libraries/AC_WPNav/AC_WPNav.cpp: WPNAV_ACCEL_Z (100 cm/s²)"),
-    jerk_mps3=Fact(
-        float("inf"),
+    climb_accel=Fact(("WPNAV_ACCEL_Z", 0.01), "libraries/AC_WPNav/AC_WPNav.cpp: WPNAV_ACCEL_Z (100 cm/s²)"),
+    jerk=Fact(
+        "",
         "ArduCopter/mode_guided.cpp: pos_control_run (input shaping with PSC_JERK_XY, no S-curve in GUIDED)",
     ),
     brake=Fact(
@@ -570,8 +571,12 @@ PX4: Final = Firmware(
         2.5,
         "commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",
     ),
-    climb_accel_mps2=Fact(4.0, "mc_pos_control/multicopter_position_control_limits_params.c: MPC_ACC_UP_MAX"),
-    jerk_mps3=Fact(4.0, "src/lib/motion_planning/PositionSmoothing.cpp: computeMaxSpeedFromDistance (MPC_JERK_AUTO)"),
+    climb_accel=Fact(
+        ("MPC_ACC_UP_MAX", 1.0), "mc_pos_control/multicopter_position_control_limits_params.c"
+    ),
+    jerk=Fact(
+        "MPC_JERK_AUTO", "src/lib/motion_planning/PositionSmoothing.cpp: computeMaxSpeedFromDistance"
+    ),
     brake=Fact(
         (3.0, 4.0, 0.3),
         "navigator/navigator_main.cpp: preproject_stop_point (MPC_ACC_HOR, MPC_JERK_AUTO; measured)",

@@ -38,27 +38,14 @@ from skygcs.core.mission.item import (
     MissionType,
 )
 from skygcs.sim import protocol as m
-from skygcs.sim.mission_lists import Fields, Items, MissionLists, Sender, address, as_int_item, kind_of
+from skygcs.sim.behaviours import COPTER
+from skygcs.sim.mission_lists import Fields, Items, MissionLists, Sender, address, as_int_item, capacity_of, kind_of
 
 if TYPE_CHECKING:
     from skygcs.sim.vehicle import SimVehicle
 
-RETRY_S = 1.0
-GIVE_UP_S = 8.0
-"""wp_recv_timeout_ms, upload_timeout_ms."""
-
-WITH_PLACE = (
-    frozenset({16, 17, 18, 19, 21, 22, 30, 31, 82, 84, 85, 92, 94, 179, 188, 189, 191, 195, 201})
-    | FENCE_COMMANDS
-    | {RALLY_POINT}
-)
-"""AP_Mission::stored_in_location."""
-
-WITHOUT_PLACE = frozenset(
-    {20, 83, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 193, 194, 197, 202, 203, 205, 206, 207, 208, 210}
-    | {211, 212, 213, 215, 216, 217, 218, 222, 223, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501, 3000}
-    | {42600, 42702, 42703}
-)
+RULES = COPTER.mission.simulated
+ALTITUDE_STEP_M = COPTER.altitude_step_m.simulated
 MAX_CORNERS = 255
 
 GUIDED_TARGET, CHANGE_HEIGHT = 2, 3
@@ -89,7 +76,7 @@ class CopterLists(MissionLists):
         """``fly_to(vehicle, item, now)``: a target in GUIDED; whether it is taken."""
         super().__init__(on_new_mission)
         self._fly_to = fly_to
-        self.capacity = {MissionType.MISSION: 724, MissionType.FENCE: 84, MissionType.RALLY: 20}
+        self.capacity = capacity_of(RULES)
         self.forget_transfers()
 
     def forget_transfers(self) -> None:
@@ -128,11 +115,11 @@ class CopterLists(MissionLists):
 
     def step(self, v: SimVehicle, now: float) -> None:
         for kind, upload in list(self._uploads.items()):
-            if now - upload.heard_at > GIVE_UP_S:
+            if now - upload.heard_at > RULES.give_up_s:
                 del self._uploads[kind]
                 v.tx.say(m.MAV_SEVERITY_WARNING, "Mission upload timeout")
                 self.acknowledge(v, kind, upload.partner, m.MAV_MISSION_OPERATION_CANCELLED)
-            elif now - upload.asked_at > RETRY_S:
+            elif now - upload.asked_at > RULES.retry_s:
                 self._ask(v, kind, upload, now)
 
     def _may_begin(self, v: SimVehicle, kind: MissionType, sender: Sender) -> bool:
@@ -180,9 +167,9 @@ class CopterLists(MissionLists):
             item = MissionItem.from_fields(fields)
         except ValueError:
             return m.MAV_MISSION_INVALID
-        if item.command not in WITH_PLACE | WITHOUT_PLACE:
+        if item.command not in RULES.with_place | RULES.without_place:
             return m.MAV_MISSION_UNSUPPORTED
-        if item.command in WITH_PLACE and (refusal := _place_refusal(item)):
+        if item.command in RULES.with_place and (refusal := _place_refusal(item)):
             return refusal
         if fields["current"] == CHANGE_HEIGHT:
             return m.MAV_MISSION_ACCEPTED  # Copter's handle_change_alt_request: only in GUIDED, answered the same
@@ -265,14 +252,14 @@ def refusal_of(kind: MissionType, item: MissionItem, count: int) -> int:
     belongs = {
         MissionType.FENCE: item.command in FENCE_COMMANDS,
         MissionType.RALLY: item.command == RALLY_POINT,
-        MissionType.MISSION: item.command in (WITH_PLACE | WITHOUT_PLACE) - FENCE_COMMANDS - {RALLY_POINT},
+        MissionType.MISSION: item.command in (RULES.with_place | RULES.without_place) - FENCE_COMMANDS - {RALLY_POINT},
     }
     if not belongs[kind]:
         return m.MAV_MISSION_UNSUPPORTED
     for number, value in enumerate(item.params, 1):
         if value is None and not (number == 4 and item.command in NO_YAW_NEEDED):
             return m.MAV_MISSION_INVALID_PARAM1 + number - 1
-    if item.command in WITH_PLACE and (refusal := _place_refusal(item)):
+    if item.command in RULES.with_place and (refusal := _place_refusal(item)):
         return refusal
     if item.command in (POLYGON_INCLUSION, POLYGON_EXCLUSION) and not 3 <= (item.params[0] or 0) <= MAX_CORNERS:
         return m.MAV_MISSION_INVALID_PARAM1
@@ -297,6 +284,6 @@ def as_kept(item: MissionItem) -> MissionItem:
     """What is left of an item in the vehicle's storage."""
     p1, p2, p3, p4 = (value or 0.0 for value in item.params)
     kept = replace(item, params=(p1, p2, p3, p4), autocontinue=True)
-    if item.command in WITH_PLACE:
-        return replace(kept, z=round((item.z or 0.0) * 100) / 100)
+    if item.command in RULES.with_place:
+        return replace(kept, z=round(round((item.z or 0.0) / ALTITUDE_STEP_M) * ALTITUDE_STEP_M, 6))
     return replace(kept, frame=GLOBAL)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from skygcs.core.mission.fence_items import FencePlan, fence_from_items
 from skygcs.core.mission.item import GLOBAL_FRAMES, MissionItem, MissionType
+from skygcs.sim.behaviours import MissionRules
 
 if TYPE_CHECKING:
     from skygcs.sim.vehicle import SimVehicle
@@ -100,6 +101,11 @@ class MissionLists(ABC):
     def wire_frame(self, frame: int, *, as_float: bool) -> int:
         """The MAV_FRAME that goes out for an item's."""
         return frame
+
+
+def capacity_of(rules: MissionRules) -> dict[MissionType, int]:
+    """How many items of each list a firmware keeps."""
+    return {MissionType.MISSION: rules.missions, MissionType.FENCE: rules.fence, MissionType.RALLY: rules.rally}
 
 
 def scale_of(item: MissionItem) -> float:

@@ -145,14 +145,15 @@ class Px4Vehicle(SimVehicle):
 
     def limits(self) -> Limits:
         p = self.params
+        accel, unit_mps2 = self.firmware.climb_accel.simulated
         return Limits(
             speed_mps=self.cruise_mps or p["MPC_XY_CRUISE"],
             accel_mps2=p["MPC_ACC_HOR"],
             climb_mps=p["MPC_Z_V_AUTO_UP"],
             descent_mps=p["MPC_Z_V_AUTO_DN"],
             yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
-            climb_accel_mps2=p["MPC_ACC_UP_MAX"],
-            jerk_mps3=inf if self.mode == Px4Mode.OFFBOARD else p["MPC_JERK_AUTO"],
+            climb_accel_mps2=p[accel] * unit_mps2,
+            jerk_mps3=inf if self.mode == Px4Mode.OFFBOARD else p[self.firmware.jerk.simulated],
         ).bounded()
 
     @property

@@ -40,21 +40,23 @@ from skygcs.core.mission.item import (
     MissionType,
 )
 from skygcs.sim import protocol as m
-from skygcs.sim.mission_lists import INT_FRAMES, Fields, Items, MissionLists, Sender, address, as_int_item, kind_of
+from skygcs.sim.behaviours import PX4
+from skygcs.sim.mission_lists import (
+    INT_FRAMES,
+    Fields,
+    Items,
+    MissionLists,
+    Sender,
+    address,
+    as_int_item,
+    capacity_of,
+    kind_of,
+)
 
 if TYPE_CHECKING:
     from skygcs.sim.vehicle import SimVehicle
 
-RETRY_S = 0.25
-GIVE_UP_S = 5.0
-"""MAVLINK_MISSION_RETRY_TIMEOUT_DEFAULT, MAVLINK_MISSION_PROTOCOL_TIMEOUT_DEFAULT."""
-
-WITH_PLACE = frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 4501}) | FENCE_COMMANDS | {RALLY_POINT}
-WITHOUT_PLACE = frozenset(
-    {20, 93, 112, 114, 177, 178, 179, 187, 189, 196, 197, 200, 201, 203, 204, 205, 206, 211, 214, 260, 530, 532, 534}
-    | {80, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
-)
-"""Commands that 1.16.1 takes in a global frame and in MAV_FRAME_MISSION (parse_mavlink_mission_item)."""
+RULES = PX4.mission.simulated
 
 
 class State(Enum):
@@ -68,7 +70,7 @@ class Px4Lists(MissionLists):
 
     def __init__(self, on_new_mission: Callable[[], None]) -> None:
         super().__init__(on_new_mission)
-        self.capacity = {MissionType.MISSION: 500, MissionType.FENCE: 64, MissionType.RALLY: 32}
+        self.capacity = capacity_of(RULES)
         self.forget_transfers()
 
     def forget_transfers(self) -> None:
@@ -119,10 +121,10 @@ class Px4Lists(MissionLists):
     def step(self, v: SimVehicle, now: float) -> None:
         if self._state is State.IDLE:
             return
-        if now - self._heard_at > GIVE_UP_S:
+        if now - self._heard_at > RULES.give_up_s:
             self._state = State.IDLE
             v.tx.say(m.MAV_SEVERITY_CRITICAL, "Operation timeout\t")
-        elif self._state is State.TAKING and now - self._asked_at > RETRY_S:
+        elif self._state is State.TAKING and now - self._asked_at > RULES.retry_s:
             self._ask(v, now)
 
     # -- taking
@@ -246,9 +248,9 @@ class Px4Lists(MissionLists):
 def refusal_of(kind: MissionType, item: MissionItem) -> int:
     """MAV_MISSION_RESULT of PX4's own look at an item."""
     if item.frame in (GLOBAL, RELATIVE_ALT):
-        known = item.command in WITH_PLACE
+        known = item.command in RULES.with_place
     elif item.frame == MISSION_FRAME:
-        known = item.command in WITHOUT_PLACE
+        known = item.command in RULES.without_place
     else:
         return m.MAV_MISSION_UNSUPPORTED_FRAME
     if not known:
