@@ -10,6 +10,7 @@ import pytest
 from rich.console import Console
 
 from skygcs.cli import links, messages, render, status
+from skygcs.cli.demo import Demo
 from support.fake_daemon import FakeDaemon
 
 
@@ -223,3 +224,46 @@ def test_an_event_names_its_vehicle_although_a_word_of_the_text_holds_the_name()
     event = {"time_unix_s": 0.0, "kind": "mission", "vehicle": "ac", "text": "reached item 1", "dropped": 0}
     assert render.event_line(event).endswith("ac: reached item 1")
     assert render.event_line({**event, "text": "ac is here"}).endswith("  ac is here")
+
+
+def terminal(width: int) -> Console:
+    return Console(file=io.StringIO(), force_terminal=True, width=width, highlight=False, color_system=None)
+
+
+def test_a_live_view_is_drawn_at_most_so_often_and_ends_with_the_last_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    screen = terminal(40)
+    drawn: list[tuple[int, int]] = []
+    monkeypatch.setattr(render, "console", lambda: screen)
+    monkeypatch.setattr(render.time, "monotonic", lambda: now)
+
+    def draw(columns: int) -> str:
+        drawn.append((columns, updates))
+        return f"picture {updates}"
+
+    updates = 0
+    with render.LiveView(draw) as view:
+        for _ in range(100):  # 2 s of 50 updates each
+            updates += 1
+            now += 0.02
+            view.refresh()
+    assert {columns for columns, _ in drawn} == {40}
+    assert len(drawn) <= 2 + 2 * render.SCREEN_HZ
+    assert drawn[-1] == (40, 100) and "picture 100" in screen.file.getvalue()  # type: ignore[attr-defined]
+
+
+def test_a_view_without_a_terminal_draws_nothing() -> None:
+    with render.LiveView(lambda columns: pytest.fail("drawn"), enabled=False) as view:
+        view.refresh(now=True)
+
+
+def test_square_brackets_in_a_cell_are_no_markup() -> None:
+    text = text_of(render.table(("a", "[b]"), [("[red]x", ("[/red]", "bold"))]), 80)
+    assert "[b]" in text and "[red]x" in text and "[/red]" in text
+
+
+def test_the_demo_draws_whole_columns_in_a_narrow_terminal() -> None:
+    demo = Demo(terminal(80))
+    demo.states = {name: state(name=name, sysid=i) for i, name in enumerate(("alpha", "bravo", "charlie"), 1)}
+    text = text_of(demo.view(80), 80)
+    assert "charlie" in text and "87 % 15.8 V" in text and "…" not in text
