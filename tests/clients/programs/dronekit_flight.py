@@ -9,7 +9,7 @@ import sys
 
 collections.MutableMapping = collections.abc.MutableMapping  # DroneKit 2.9.2 is of a time when it was there
 
-from dronekit import Command, LocationGlobalRelative, VehicleMode, connect  # noqa: E402
+from dronekit import Command, LocationGlobalRelative, TimeoutError, VehicleMode, connect  # noqa: E402
 from pymavlink import mavutil  # noqa: E402
 from report import distance_m, moved, saw, until  # noqa: E402
 
@@ -49,8 +49,16 @@ def vehicle_state(vehicle, name, value):
 
 
 def download(vehicle):
-    vehicle.commands.download()
-    vehicle.commands.wait_ready(timeout=120)
+    def received():
+        vehicle.commands.download()
+        try:
+            vehicle.commands.wait_ready(timeout=20)
+        except TimeoutError:
+            vehicle._ready_attrs.add("commands")  # else it waits for the first answer before it asks again
+            return False
+        return True
+
+    until(received, "download")
     return list(vehicle.commands)
 
 
@@ -62,7 +70,15 @@ def upload(vehicle, items, home):
     commands.clear()
     for item in items:
         commands.add(item)
-    commands.upload(timeout=120)
+
+    def sent():  # it asks once only, and an autopilot gives up after some seconds
+        try:
+            commands.upload(timeout=20)
+        except TimeoutError:
+            return False
+        return True
+
+    until(sent, "upload")
     back = download(vehicle)
     kept = items if home else items[1:]
     off = [distance_m((a.x, a.y), (b.x, b.y)) for a, b in zip(kept, back, strict=False)]

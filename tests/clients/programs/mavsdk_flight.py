@@ -8,7 +8,7 @@ import asyncio
 import sys
 from math import isfinite
 
-from mavsdk import ComponentType, Configuration, Mavsdk, log_subscribe
+from mavsdk import ComponentType, Configuration, Mavsdk, MavsdkError, log_subscribe
 from mavsdk.asyncio import System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.offboard import OffboardAsync, PositionNedYaw, VelocityNedYaw
@@ -23,6 +23,22 @@ from mavsdk.plugins.telemetry import FlightMode, LandedState, Telemetry
 from report import distance_m, moved, saw, until
 
 PATIENCE_S = 180.0
+
+
+def patiently(call):
+    """What the call returns; again if it timed out: MAVSDK waits for half a second each time, too short for a slow
+    machine.
+    """
+
+    def done():
+        try:
+            return [call()]
+        except MavsdkError as error:
+            if error.result.name != "TIMEOUT":
+                raise
+            return None
+
+    return until(done, "an answer in time")[0]
 
 
 def found(mavsdk):
@@ -46,7 +62,7 @@ def look(system, telemetry):
     until(lambda: telemetry.health().is_home_position_ok, "a home position")
     until(lambda: telemetry.gps_info().num_satellites > 0, "satellites")
     until(lambda: telemetry.battery().voltage_v > 1, "a battery")
-    version = info.get_version()
+    version = patiently(info.get_version)
     saw(
         "state",
         armable=telemetry.health().is_armable,
@@ -59,11 +75,12 @@ def look(system, telemetry):
 
 def params(system, name, value):
     param = Param(system)
-    before = param.get_param_float(name)
-    param.set_param_float(name, value)
-    everything = param.get_all_params()
+    before = patiently(lambda: param.get_param_float(name))
+    patiently(lambda: param.set_param_float(name, value))
+    everything = patiently(param.get_all_params)
+    after = patiently(lambda: param.get_param_float(name))
     counts = len(everything.int_params), len(everything.float_params)
-    saw("parameters", ints=counts[0], floats=counts[1], before=before, after=param.get_param_float(name))
+    saw("parameters", ints=counts[0], floats=counts[1], before=before, after=after)
 
 
 def arm(action, telemetry):
@@ -79,15 +96,16 @@ def arm(action, telemetry):
 
 
 def takeoff_and_land(action, telemetry, px4):
-    action.set_takeoff_altitude(3.0)
-    saw("heights", takeoff_m=action.get_takeoff_altitude(), rtl_m=action.get_return_to_launch_altitude())
+    patiently(lambda: action.set_takeoff_altitude(3.0))
+    heights = patiently(action.get_takeoff_altitude), patiently(action.get_return_to_launch_altitude)
+    saw("heights", takeoff_m=heights[0], rtl_m=heights[1])
     arm(action, telemetry)
-    action.takeoff()
+    patiently(action.takeoff)
     until(lambda: telemetry.position().relative_altitude_m > 2, "2 m")
     saw("up")
     if not px4:  # in LAND it could not arm an ArduCopter again: it takes BRAKE before, in which no ArduCopter arms
         return
-    action.land()
+    patiently(action.land)
     until(lambda: telemetry.landed_state() == LandedState.ON_GROUND and not telemetry.armed(), "landed and disarmed")
     saw("down")
 
@@ -104,19 +122,19 @@ def mission(system, action, telemetry):
         for lat, lon in legs
     ]
     plugin.set_return_to_launch_after_mission(False)
-    plugin.upload_mission(MissionPlan(items))
-    back = plugin.download_mission().mission_items
+    patiently(lambda: plugin.upload_mission(MissionPlan(items)))
+    back = patiently(plugin.download_mission).mission_items
     off = [distance_m(leg, (i.latitude_deg, i.longitude_deg)) for leg, i in zip(legs, back, strict=False)]
     saw("mission", sent=len(items), back=len(back), worst_m=max(off, default=-1.0))
     progress = []
     plugin.subscribe_mission_progress(lambda now, user_data=None: progress.append((now.current, now.total)))
     arm(action, telemetry)
-    plugin.start_mission()
+    patiently(plugin.start_mission)
     until(lambda: progress and progress[-1][0] >= 1, "the first item", PATIENCE_S)
-    plugin.pause_mission()
+    patiently(plugin.pause_mission)
     until(lambda: telemetry.flight_mode() == FlightMode.HOLD, "HOLD")
     saw("paused", item=progress[-1][0])
-    plugin.start_mission()
+    patiently(plugin.start_mission)
     until(plugin.is_mission_finished, "the end of the mission", PATIENCE_S, 0.5)
     saw("flown", items=sorted({current for current, _ in progress}), finished=True)
 
@@ -133,17 +151,17 @@ def raw_mission(system, _, telemetry):
                 8.0 if seq else at.absolute_altitude_m, 0)
         for seq, (command, (lat, lon)) in enumerate(zip(commands, places, strict=True))
     ]  # fmt: skip
-    plugin.upload_mission(items)
-    back = plugin.download_mission()
+    patiently(lambda: plugin.upload_mission(items))
+    back = patiently(plugin.download_mission)
     off = [distance_m(place, (i.x / 1e7, i.y / 1e7)) for place, i in list(zip(places, back, strict=False))[2:]]
     same = [item.command for item in back] == commands
     saw("mission", sent=len(items), back=len(back), worst_m=max(off, default=-1.0), same_commands=same)
     try:
-        Mission(system).download_mission()
+        patiently(Mission(system).download_mission)
         saw("mission plugin", result="SUCCESS")
     except MissionError as error:
         saw("mission plugin", result=error.result.name)
-    plugin.start_mission()
+    patiently(plugin.start_mission)
     seen = []
 
     def last():
@@ -168,22 +186,33 @@ async def first(stream, good=lambda value: True):
     return await asyncio.wait_for(value(), PATIENCE_S)
 
 
+async def in_time(call):
+    """As `patiently`, with the other interface."""
+    end = asyncio.get_running_loop().time() + PATIENCE_S
+    while True:
+        try:
+            return await call()
+        except MavsdkError as error:
+            if error.result.name != "TIMEOUT" or asyncio.get_running_loop().time() > end:
+                raise
+
+
 async def fly_on(system):
     """goto, offboard_position_ned, offboard_velocity_ned, land."""
     action, telemetry, offboard = ActionAsync(system), TelemetryAsync(system), OffboardAsync(system)
     at = await first(telemetry.subscribe_position(), lambda p: isfinite(p.latitude_deg))
     ground = at.absolute_altitude_m - at.relative_altitude_m
     place = moved(at.latitude_deg, at.longitude_deg, 12, 8)
-    await action.goto_location(*place, ground + 12, 0.0)
+    await in_time(lambda: action.goto_location(*place, ground + 12, 0.0))
 
     def there(p):
         return distance_m(place, (p.latitude_deg, p.longitude_deg)) < 2 and abs(p.relative_altitude_m - 12) < 2
 
     await first(telemetry.subscribe_position(), there)
     saw("there")
-    await telemetry.set_rate_position_velocity_ned(4.0)  # an ArduCopter sends what it is asked for
+    await in_time(lambda: telemetry.set_rate_position_velocity_ned(4.0))  # an ArduCopter sends what it is asked for
     await offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -10.0, 0.0))
-    await offboard.start()
+    await in_time(offboard.start)
     saw("offboard", active=await offboard.is_active())
     await offboard.set_position_ned(PositionNedYaw(5.0, 5.0, -10.0, 90.0))
 
@@ -197,10 +226,10 @@ async def fly_on(system):
     moving = await first(telemetry.subscribe_position_velocity_ned(), lambda o: o.velocity.east_m_s < -1.5)
     saw("offboard velocity", east_mps=moving.velocity.east_m_s)
     await offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 90.0))
-    await offboard.stop()
+    await in_time(offboard.stop)
     mode = await first(telemetry.subscribe_flight_mode(), lambda mode: mode != FlightMode.OFFBOARD)
     saw("offboard stopped", mode=mode.name)
-    await action.land()
+    await in_time(action.land)
     await first(telemetry.subscribe_armed(), lambda armed: not armed)
     saw("landed")
 

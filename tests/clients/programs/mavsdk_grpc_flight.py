@@ -29,6 +29,22 @@ async def first(stream, good=lambda value: True):
     return await asyncio.wait_for(look(), PATIENCE_S)
 
 
+async def patiently(call):
+    """What the call returns; again if it timed out: MAVSDK waits for half a second each time, too short for a slow
+    machine.
+    """
+
+    async def done():
+        while True:
+            try:
+                return await call()
+            except Exception as error:  # a class for each plugin
+                if "TIMEOUT" not in str(error):
+                    raise
+
+    return await asyncio.wait_for(done(), PATIENCE_S)
+
+
 async def until_at(drone, place, height_m):
     def there(p):
         return distance_m(place, (p.latitude_deg, p.longitude_deg)) < 2 and abs(p.relative_altitude_m - height_m) < 2
@@ -41,7 +57,7 @@ async def telemetry(drone):
     battery = await first(drone.telemetry.battery())
     gps = await first(drone.telemetry.gps_info(), lambda g: g.num_satellites > 0)
     attitude = await first(drone.telemetry.attitude_euler())
-    version = await drone.info.get_version()
+    version = await patiently(drone.info.get_version)
     saw(
         "state",
         armable=health.is_armable,
@@ -53,16 +69,16 @@ async def telemetry(drone):
 
 
 async def params(drone, name, value):
-    before = await drone.param.get_param_float(name)
-    await drone.param.set_param_float(name, value)
-    everything = await drone.param.get_all_params()
-    after = await drone.param.get_param_float(name)
+    before = await patiently(lambda: drone.param.get_param_float(name))
+    await patiently(lambda: drone.param.set_param_float(name, value))
+    everything = await patiently(drone.param.get_all_params)
+    after = await patiently(lambda: drone.param.get_param_float(name))
     counts = len(everything.int_params), len(everything.float_params)
     saw("parameters", ints=counts[0], floats=counts[1], before=before, after=after)
 
 
 async def up(drone):
-    await drone.action.set_takeoff_altitude(8.0)
+    await patiently(lambda: drone.action.set_takeoff_altitude(8.0))
     for _ in range(60):
         try:
             await drone.action.arm()
@@ -72,7 +88,7 @@ async def up(drone):
             await asyncio.sleep(2)
     await first(drone.telemetry.armed(), bool)
     saw("armed")
-    await drone.action.takeoff()
+    await patiently(drone.action.takeoff)
     await first(drone.telemetry.in_air(), bool)
     await first(drone.telemetry.position(), lambda p: p.relative_altitude_m > 7)
     saw("up")
@@ -82,16 +98,17 @@ async def goto(drone):
     at = await first(drone.telemetry.position())
     ground = at.absolute_altitude_m - at.relative_altitude_m
     place = moved(at.latitude_deg, at.longitude_deg, 12, 8)
-    await drone.action.goto_location(*place, ground + 12, 0)
+    await patiently(lambda: drone.action.goto_location(*place, ground + 12, 0))
     await until_at(drone, place, 12)
     saw("there")
 
 
 async def offboard(drone):
     """Position and velocity, as the two examples do: a setpoint, start, go on."""
-    await drone.telemetry.set_rate_position_velocity_ned(4.0)  # an ArduCopter sends what it is asked for
+    # an ArduCopter sends what it is asked for
+    await patiently(lambda: drone.telemetry.set_rate_position_velocity_ned(4.0))
     await drone.offboard.set_position_ned(PositionNedYaw(0.0, 0.0, -10.0, 0.0))
-    await drone.offboard.start()
+    await patiently(drone.offboard.start)
     saw("offboard", active=await drone.offboard.is_active())
     await drone.offboard.set_position_ned(PositionNedYaw(5.0, 5.0, -10.0, 90.0))
 
@@ -105,7 +122,7 @@ async def offboard(drone):
     moving = await first(drone.telemetry.position_velocity_ned(), lambda o: o.velocity.east_m_s < -1.5)
     saw("offboard velocity", east_mps=moving.velocity.east_m_s)
     await drone.offboard.set_velocity_ned(VelocityNedYaw(0.0, 0.0, 0.0, 90.0))
-    await drone.offboard.stop()
+    await patiently(drone.offboard.stop)
     mode = await first(drone.telemetry.flight_mode(), lambda mode: str(mode) != "OFFBOARD")
     saw("offboard stopped", mode=str(mode))
 
@@ -121,11 +138,11 @@ async def mission(drone):
         for leg in legs
     ]  # fmt: skip
     await drone.mission.set_return_to_launch_after_mission(False)
-    await drone.mission.upload_mission(MissionPlan(items))
-    back = (await drone.mission.download_mission()).mission_items
+    await patiently(lambda: drone.mission.upload_mission(MissionPlan(items)))
+    back = (await patiently(drone.mission.download_mission)).mission_items
     off = [distance_m(leg, (i.latitude_deg, i.longitude_deg)) for leg, i in zip(legs, back, strict=False)]
     saw("mission", sent=len(items), back=len(back), worst_m=max(off, default=-1.0))
-    await drone.mission.start_mission()
+    await patiently(drone.mission.start_mission)
     await first(drone.mission.mission_progress(), finished := Finished())
     saw("flown", items=finished.seen, finished=await drone.mission.is_mission_finished())
 
@@ -152,22 +169,22 @@ async def raw_mission(drone):
                 10.0 if seq else at.absolute_altitude_m, 0)
         for seq, (lat, lon) in enumerate(places)
     ]  # fmt: skip
-    await drone.mission_raw.upload_mission(items)
-    back = await drone.mission_raw.download_mission()
+    await patiently(lambda: drone.mission_raw.upload_mission(items))
+    back = await patiently(drone.mission_raw.download_mission)
     off = [distance_m(place, (i.x / 1e7, i.y / 1e7)) for place, i in list(zip(places, back, strict=False))[1:]]
     saw("mission", sent=len(items), back=len(back), worst_m=max(off, default=-1.0))
     try:
-        await drone.mission.download_mission()
+        await patiently(drone.mission.download_mission)
         saw("mission plugin", result="SUCCESS")
     except MissionError as error:
         saw("mission plugin", result=error._result.result.name)
-    await drone.mission_raw.start_mission()
+    await patiently(drone.mission_raw.start_mission)
     await first(drone.mission_raw.mission_progress(), finished := Finished())
     saw("flown", items=finished.seen, finished=True)
 
 
 async def land(drone):
-    await drone.action.land()
+    await patiently(drone.action.land)
     await first(drone.telemetry.in_air(), lambda flying: not flying)
     await first(drone.telemetry.armed(), lambda armed: not armed)
     saw("landed")

@@ -154,18 +154,20 @@ class Flight:
         loader = mavwp.MAVWPLoader()
         for item in items:
             loader.add(item)
-        ask = None
 
         def announce():
             self.link.waypoint_count_send(loader.count())
 
-        ask = announce
-        while True:
-            found = self.receive(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], ask=ask)
-            ask = None
-            if found.get_type() == "MISSION_ACK":
-                break
-            self.link.mav.send(items[found.seq])
+        def uploaded():  # again from the start if the autopilot gave up, as it does after some seconds
+            ask = announce
+            while True:
+                found = self.receive(["MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"], ask=ask)
+                ask = None
+                if found.get_type() == "MISSION_ACK":
+                    return found if found.type == m.MAV_MISSION_ACCEPTED else None
+                self.link.mav.send(items[found.seq])
+
+        found = until(uploaded, "an upload")
         saw("uploaded", integer=integer, result=found.type, count=len(items))
         count = self.receive("MISSION_COUNT", ask=self.link.waypoint_request_list_send).count
         back = []
