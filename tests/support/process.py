@@ -101,7 +101,11 @@ class DaemonProcess:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "skygcs", "run", "-v", str(self.file)], stderr=stderr, stdout=stderr, cwd=ROOT
             )
-        wait_until(self._answers, f"the daemon answers; it said: {self.stderr_path}")
+        try:
+            wait_until(self._answers, f"the daemon answers; it said: {self.stderr_path}")
+        except BaseException:  # __exit__ is not called when __enter__ raises
+            self.kill()
+            raise
 
     def _answers(self) -> bool:
         assert self.process is not None
