@@ -204,7 +204,7 @@ class Daemon:
         await self._stopping.wait()
 
     async def _every(self, period_s: float, action: Callable[[], None]) -> None:
-        """One clock of the daemon. A fault behind one tick is told once and does not ground the fleet."""
+        """One clock of the daemon. A fault behind one tick is reported once and does not stop the others."""
         while True:
             try:
                 action()

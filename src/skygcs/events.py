@@ -1,4 +1,4 @@
-"""Something that happened, told once: what the log, the operator and RPC subscribers get."""
+"""An event: what the log, the operator and RPC subscribers get when something changes."""
 
 from __future__ import annotations
 

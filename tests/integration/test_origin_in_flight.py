@@ -169,7 +169,7 @@ async def test_an_origin_of_another_site_is_refused_while_vehicles_are_here(tmp_
 
 async def test_telling_an_armed_vehicle_takes_force_and_ardupilot_says_that_it_keeps_its_own(tmp_path: Path) -> None:
     async with flight(tmp_path) as gcs:
-        with pytest.raises(RefusedError, match="no origin to tell"):
+        with pytest.raises(RefusedError, match="no origin to send"):
             await gcs("origin.push", targets="all")
         await gcs("origin.from_vehicle", target="1")
         refused = (await gcs("origin.push", targets="all"))["outcomes"]

@@ -1,4 +1,4 @@
-"""Tells, once, what of others' traffic a radio does not carry: in the log, to subscribers, and to whoever sent it."""
+"""Reports, once, which third-party traffic a radio does not carry: in the log, to subscribers, and to its sender."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from skygcs.links.paced import AirBudget
 from skygcs.runtime.hub import Hub
 
 LOG_BYTES = 10e6
-"""Of a short flight's log, for the arithmetic."""
+"""Size of a short flight's log, for the example in the text."""
 
 TEXT_BYTES = 50
-"""Of a STATUSTEXT without a sequel."""
+"""Length of a STATUSTEXT of one part."""
 
 WARNING, INFO = 4, 6
 """MAV_SEVERITY."""
@@ -46,14 +46,14 @@ class AdmissionReports:
                 continue
             air.third_party.own_sysid = self._own.sysid if self._own.heartbeat else None
             while air.third_party.notes:
-                self._tell(air.third_party.notes.popleft(), channel, air, now)
+                self._report(air.third_party.notes.popleft(), channel, air, now)
 
-    def _tell(self, note: Note, channel: Channel, air: AirBudget, now: float) -> None:
+    def _report(self, note: Note, channel: Channel, air: AirBudget, now: float) -> None:
         link = channel.link.name
         clients = self._clients(note.source)
         where = f" ({', '.join(c.peer for c in clients)})" if clients else ""
-        who = f"{note.source >> 8}/{note.source & 0xFF}{where}"
-        text = f"radio {link}: {who} {self._sentence(note, link, air, now)}"
+        sender = f"{note.source >> 8}/{note.source & 0xFF}{where}"
+        text = f"radio {link}: {sender} {self._sentence(note, link, air, now)}"
         name = self._name(note.msgid)
         data = {
             "link": link,
@@ -67,33 +67,33 @@ class AdmissionReports:
 
     def _sentence(self, note: Note, link: str, air: AirBudget, now: float) -> str:
         name, key = self._name(note.msgid), f"links.{link}.third_party"
-        whom = f"vehicle {note.target}" if note.target else "all vehicles"
+        target = f"vehicle {note.target}" if note.target else "all vehicles"
         match note.kind:
             case "streams":
                 return (
-                    f"asks {whom} for streams ({name}): not sent, for what vehicles stream is planned for this radio; "
+                    f"asks {target} for streams ({name}): not sent, for this radio plans what vehicles stream; "
                     f'change their streams in the fleet file or by skygcs-cli interval, or set {key}.streams = "allow"'
                 )
             case "logs":
                 rate = _down_bytes_per_s(air)
                 return (
-                    f"asks {whom} for logs ({name}): not sent, for at the {rate:.0f} B/s that one vehicle can send, "
+                    f"asks {target} for logs ({name}): not sent, for at the {rate:.0f} B/s that one vehicle can send, "
                     f"10 MB take {LOG_BYTES / rate / 3600:.1f} h; fetch it by cable or from the card, or set "
                     f'{key}.logs = "allow"'
                 )
             case "param_lists":
                 how = "name one vehicle after the other" if not note.target else "ask for single parameters"
-                return f'asks {whom} for all parameters: not sent; {how}, or set {key}.param_lists = "allow"'
+                return f'asks {target} for all parameters: not sent; {how}, or set {key}.param_lists = "allow"'
             case "files":
-                return f'asks {whom} for files: not sent, since {key}.files is "deny"'
+                return f'asks {target} for files: not sent, since {key}.files is "deny"'
             case "turn":
                 other = air.third_party.files.running(now)
                 return (
-                    f"asks {whom} for files while those of {other or 'another'} come: not sent until it is asked again "
+                    f"asks {target} for files while those of {other or 'another'} come: not sent until asked again "
                     f'then, as one vehicle at a time sends files; {key}.files = "allow" sends for all at once'
                 )
             case "rate":
-                return f"sends {name} to {whom}: not sent, since {key}.rates.{name} is 0"
+                return f"sends {name} to {target}: not sent, since {key}.rates.{name} is 0"
             case "thinned":
                 allowed = self._allowed_hz(note.msgid, air)
                 return (
@@ -133,7 +133,7 @@ class AdmissionReports:
                 channel.send(message, Priority.PROTOCOL)
 
     def _clients(self, source: int) -> list[Channel]:
-        """The channels on which a source is heard, if vehicles are none of theirs."""
+        """The channels that carry this source, except those of vehicles."""
         channels = (self._hub.channels[n] for n in self._hub.router.channels_of(source) if n in self._hub.channels)
         return [c for c in channels if c.air is None and c.config.role != "vehicle" and c.config.type != "replay"]
 

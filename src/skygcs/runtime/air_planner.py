@@ -1,4 +1,4 @@
-"""What the vehicles behind each radio stream, and how the radio fares: planned, asked for, watched and told."""
+"""The message rates of the vehicles behind each radio: planned, requested, measured, and reported with its quality."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ GONE_AFTER_S = 20.0
 """A vehicle silent for so long leaves the plan, and the others get its part; a shorter silence changes nothing."""
 
 LOSS_POOR, LOSS_FAIR = 0.25, 0.10
-"""Of one vehicle's frames over half a minute: told when above the former, and again when below the latter."""
+"""Loss of one vehicle's frames over half a minute: reported above the former, and again below the latter."""
 
 TXBUF_POOR, TXBUF_FAIR = 0.15, 0.4
 MARGIN_POOR_DB, MARGIN_FAIR_DB = 8.0, 14.0
@@ -63,7 +63,7 @@ class _Radio:
         self.unsettled_at = float("-inf")
         """When something was still asked of a vehicle last: losses of before say nothing of the plan."""
         self.poor: set[str] = set()
-        """What is told to be poor: "txbuf", "signal", or a vehicle's name."""
+        """What was reported as poor: "txbuf", "signal", or a vehicle's name."""
         self.hinted: set[int] = set()
 
 
@@ -116,7 +116,7 @@ class AirPlanner:
         self.selected = keys
 
     def status(self, now: float) -> list[dict[str, Any]]:
-        """Of every radio: what goes up and down, its vehicles, its history."""
+        """Every radio: uplink and downlink, its vehicles, its history."""
         return [self._status_of(radio, now) for radio in self._radios.values()]
 
     # -- the inside
@@ -193,24 +193,24 @@ class AirPlanner:
         return sum(losses) / len(losses) if losses else None
 
     def _judge(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
-        """Tell what has become poor, once, and when it is fair again."""
+        """Report what has become poor, once, and when it is fair again."""
         report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
         if report is not None:
             text = f"its transmit buffer is {1 - report.txbuf_free:.0%} full: the air does not take what is sent"
-            self._tell(radio, "txbuf", report.txbuf_free < TXBUF_POOR, report.txbuf_free > TXBUF_FAIR, text, None)
+            self._report(radio, "txbuf", report.txbuf_free < TXBUF_POOR, report.txbuf_free > TXBUF_FAIR, text, None)
         margins = [f.margin_db for key in members if (f := self._watch.of(key, now).get(radio.channel.link.name))]
         known = [margin for margin in margins if margin is not None]
         if known:
             text = f"its signal is only {min(known):.0f} dB above the noise"
-            self._tell(radio, "signal", min(known) < MARGIN_POOR_DB, min(known) > MARGIN_FAIR_DB, text, None)
+            self._report(radio, "signal", min(known) < MARGIN_POOR_DB, min(known) > MARGIN_FAIR_DB, text, None)
         for key, actor in members.items():
             loss = self._loss_of(radio, key, now)
             if loss is not None:
                 text = f"{loss:.0%} of its frames are lost"
-                self._tell(radio, actor.name, loss > LOSS_POOR, loss < LOSS_FAIR, text, actor)
+                self._report(radio, actor.name, loss > LOSS_POOR, loss < LOSS_FAIR, text, actor)
             self._hint(radio, key, actor)
 
-    def _tell(self, radio: _Radio, what: str, poor: bool, fair: bool, text: str, actor: VehicleActor | None) -> None:
+    def _report(self, radio: _Radio, what: str, poor: bool, fair: bool, text: str, actor: VehicleActor | None) -> None:
         link = radio.channel.link.name
         name, sysid = (None, None) if actor is None else (actor.name, actor.sysid)
         data = {"link": link, "what": what if actor is None else "loss"}

@@ -3,8 +3,8 @@
 At most one command of an id is in flight per vehicle, because a COMMAND_ACK names nothing but the id; the next one of
 the same id waits for its turn. If the one before has left acks outstanding (repeats, or a timeout), the next is held
 back for `LATE_ACK_S` after the last transmission, or until those acks came (and always for `ECHO_ACK_S`): a late ack
-must not pass for the new command's. An emergency waits for nobody; its outcome rests on the vehicle's state rather
-than on an ack.
+must not pass for the new command's. An emergency does not wait; its outcome rests on the vehicle's state rather than
+on an ack.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class BroadcastCommand:
 
 
 class _Line:
-    """All of one command id: who is in flight, who waits, and which acks may still come late."""
+    """One command id: what is in flight, what waits, and which acks may still come late."""
 
     __slots__ = ("ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
 
@@ -256,7 +256,7 @@ class CommandClient:
         return self._send(info, addressed, sysid, compid, priority, key=key)
 
     def _address(self, info: MessageInfo) -> dict[str, int]:
-        """The fields that say for whom a message is, as far as it has them; kept, because every setpoint
+        """The fields that address a message, as far as it has them; kept, because every setpoint
         asks (0.4 us instead of 0.9 for all of `transmit`)."""
         address = self._addresses.get(info.msgid)
         if address is None:
@@ -266,7 +266,7 @@ class CommandClient:
         return address
 
     def expect_stray_ack(self, command: int, now: float) -> None:
-        """A command of this id is sent beside us, and nobody waits for its ack: it must not pass for one of ours."""
+        """A command of this id is sent without waiting for its ack: it must not pass for one of ours."""
         line = self._lines.setdefault(command, _Line())
         line.late += 1
         line.quiet_until = now + LATE_ACK_S
@@ -314,7 +314,7 @@ class CommandClient:
             self.stop(command, "cancelled", "skygcs is shutting down")
         for _, future, _ in self._watches:
             if not future.done():
-                future.set_result(False)  # the timer that would end it is none of ours any more
+                future.set_result(False)  # the timer that would end it is cancelled below
         self._timer.set(None)
 
     async def _quiet(self, line: _Line) -> None:

@@ -18,7 +18,7 @@ from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 
 RATE_S = 10.0
-"""Over so long the rate is told: a base's slowest messages come about that often."""
+"""The rate is measured over this time: a base's slowest messages come about that often."""
 
 MAX_RECENT = 1024
 """Messages of which the rate is made: a hundred a second is more than any base sends."""
@@ -89,8 +89,10 @@ class CorrectionFeed:
                 {
                     "link": channel.link.name,
                     "peer": channel.peer,
-                    **(told := channel.air.corrections.status()),
-                    "source": None if told["source"] is None else f"{told['source'] >> 8}/{told['source'] & 0xFF}",
+                    **(status := channel.air.corrections.status()),
+                    "source": None
+                    if status["source"] is None
+                    else f"{status['source'] >> 8}/{status['source'] & 0xFF}",
                 }
                 for channel in self._hub.channels.values()
                 if channel.air is not None
@@ -133,7 +135,7 @@ class CorrectionFeed:
             self._types[type_] = [count + 1, total + size, now]
 
     def _fixes(self, now: float) -> list[dict[str, Any]]:
-        """None where a vehicle has not told (GPS_RAW_INT)."""
+        """By vehicle; None where no GPS_RAW_INT has come."""
         fixes = []
         for _, actor in sorted(self._fleet.vehicles.items()):
             gps = actor.state(now)["gps"] or {}

@@ -1,6 +1,6 @@
 """The fence of a vehicle's parameters: set, read, and tested on foot.
 
-The test (as in the UTIAS report, section 2.2.1): a small fence is set, somebody carries the vehicle out of it, and what
+The test (as in the UTIAS report, section 2.2.1): a small fence is set, a person carries the vehicle out of it, and what
 it says and does is recorded. What it held before is put back whatever happens: also when the test is
 cancelled or the caller goes.
 """
@@ -27,7 +27,7 @@ from skygcs.runtime.vehicle_services import VehicleServices
 
 LOOK_S = 0.25
 ASK_S = 1.0
-"""FENCE_STATUS is asked for once a second: on foot nobody gets far in that time."""
+"""FENCE_STATUS is asked for once a second: a person on foot does not get far in that time."""
 
 AFTER_S = 12.0
 """From the first sign of a breach: a PX4 holds for COM_FAIL_ACT_T (5 s) before it acts, for a pilot to take over."""
@@ -98,10 +98,10 @@ class VehicleFence:
         self._testing = False
         self._tester: asyncio.Task[FenceOutcome] | None = None
         self._ended_with: Outcome | None = None
-        """Of the last test."""
+        """Outcome of the last test."""
         self._walk: _Walk | None = None
         self._endings: set[asyncio.Task[Outcome]] = set()
-        """Tests that put back what was there; a task that nobody holds may be thrown away."""
+        """Tests that put back what was there; a task without a reference may be discarded."""
         self._last_text: str | None = None
 
     @property
@@ -149,7 +149,7 @@ class VehicleFence:
         return FenceOutcome(failed or Outcome(True, "accepted", f"the fence is {settings}"), settings.as_dict())
 
     async def status(self) -> FenceOutcome:
-        """Its settings as read now, and what it tells of breaches."""
+        """Its settings as read now, and its reports of breaches."""
         held = await self._held()
         if isinstance(held, Outcome):
             return FenceOutcome(held)
@@ -159,7 +159,7 @@ class VehicleFence:
         beyond = fence_params.breach(self._vehicle, fresh_after=asked - STATUS_S)
         settings = fence_params.settings_of(self._vehicle.family, held)
         status = self._fence_status()
-        told = {
+        status = {
             **settings.as_dict(),
             "breached": beyond,
             "breaches": None if status is None else status["breach_count"],
@@ -167,10 +167,10 @@ class VehicleFence:
             "last_text": self._last_text,
         }
         where = {None: "", True: "; OUTSIDE", False: "; inside"}[beyond]
-        return FenceOutcome(Outcome(True, "accepted", f"the fence is {settings}{where}"), told)
+        return FenceOutcome(Outcome(True, "accepted", f"the fence is {settings}{where}"), status)
 
     async def test(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
-        """The walk. Ok: it told of the breach, and did what its fence asks for if it was armed."""
+        """The walk. Ok: it reported the breach, and did what its fence demands if it was armed."""
         if self._testing:
             return FenceOutcome(_UNDER_TEST)
         self._testing, self._ended_with = True, None
@@ -181,7 +181,7 @@ class VehicleFence:
             return await self._tester
         except asyncio.CancelledError:
             task = asyncio.current_task()
-            if task is None or not task.cancelling():  # the test was ended, and not whoever waits for it
+            if task is None or not task.cancelling():  # the test was ended, not its caller
                 return FenceOutcome(self._ended_with or Outcome(False, "cancelled", "cancelled"))
             self._tester.cancel()
             await asyncio.wait({self._tester})
@@ -246,7 +246,7 @@ class VehicleFence:
     # -- the walk
 
     async def _walked(self, walk: _Walk, action: str, timeout_s: float) -> Outcome:
-        self._tell(f"fence test: carry it out of {self._vehicle.name}'s fence now", {"state": "walk"})
+        self._report(f"fence test: carry it out of {self._vehicle.name}'s fence now", {"state": "walk"})
         vehicle, next_ask = self._vehicle, self._loop.time()
         walk.began = self._loop.time()
         while True:
@@ -260,7 +260,7 @@ class VehicleFence:
             if not vehicle.connected:
                 return Outcome(False, "lost", "it was lost during the test", elapsed_s=now - walk.began)
             if walk.breached_at is None and now - walk.began >= timeout_s:
-                text = f"timeout: no breach told in {timeout_s:g} s; it came {walk.farthest_m:.1f} m from its home"
+                text = f"timeout: no breach reported in {timeout_s:g} s; it came {walk.farthest_m:.1f} m from its home"
                 return Outcome(False, "timeout", text, elapsed_s=now - walk.began)
             await asyncio.sleep(LOOK_S)
 
@@ -270,7 +270,7 @@ class VehicleFence:
         if away_m is not None:
             walk.farthest_m = max(walk.farthest_m, away_m)
         if fence_params.breach(vehicle, fresh_after=walk.began):
-            walk.sign("its telemetry tells of the breach", now)
+            walk.sign("its telemetry shows the breach", now)
         walk.was_armed = walk.was_armed or vehicle.armed
         if vehicle.mode != walk.mode and vehicle.mode in fence_params.REACTIONS.get(action, ()) and vehicle.armed:
             walk.sign(f"it went from {walk.mode} to {vehicle.mode}", now)
@@ -296,7 +296,7 @@ class VehicleFence:
         return Outcome(True, "accepted", message, elapsed_s=elapsed_s)
 
     async def _end(self, path: Path, record: dict[str, Any], walk: _Walk, change: Change, outcome: Outcome) -> Outcome:
-        """Put back what it held, write the record, tell."""
+        """Restore the parameters, write the record, report."""
         failed = await self._put_back(change.before)
         message = outcome.message
         if failed is None:
@@ -331,8 +331,8 @@ class VehicleFence:
             self._write(path, record)
         except OSError as error:
             record["file"] = None
-            self._tell(f"fence test: {path} cannot be written: {error.strerror or error}", {})
-        self._tell(f"fence test: {message}", {"state": "done", "ok": ok, "file": record["file"]})
+            self._report(f"fence test: {path} cannot be written: {error.strerror or error}", {})
+        self._report(f"fence test: {message}", {"state": "done", "ok": ok, "file": record["file"]})
         self._ended_with = ended
         return ended
 
@@ -343,7 +343,7 @@ class VehicleFence:
     # -- parameters and messages
 
     async def _held(self) -> dict[str, float] | Outcome:
-        """What it holds of its fence's parameters; the outcome to tell where that cannot be read."""
+        """What it holds of its fence's parameters; the outcome to return where that cannot be read."""
         try:
             require_connected(self._vehicle, self._loop.time())
             names = fence_params.names_of(self._vehicle)
@@ -351,17 +351,17 @@ class VehicleFence:
             return _refused(error)
         held: dict[str, float] = {}
         for name in names:
-            told = await self._params.get(name)
-            if told.param is None:
-                result = told.result if told.result in ("timeout", "lost", "cancelled", "refused") else "failed"
-                return Outcome(False, result, f"{name} cannot be read: {told.message}")
-            held[name] = float(told.param.value)
+            read = await self._params.get(name)
+            if read.param is None:
+                result = read.result if read.result in ("timeout", "lost", "cancelled", "refused") else "failed"
+                return Outcome(False, result, f"{name} cannot be read: {read.message}")
+            held[name] = float(read.param.value)
         return held
 
     async def _put(self, values: Mapping[str, float]) -> Outcome | None:
-        """Set these in order; the outcome to tell if not all of them were taken."""
-        told = await self._params.set(values)
-        wrong = [outcome for outcome in told.values() if not outcome.ok]
+        """Set these in order; the outcome to return if not all of them were taken."""
+        outcomes = await self._params.set(values)
+        wrong = [outcome for outcome in outcomes.values() if not outcome.ok]
         if not wrong:
             return None
         return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
@@ -407,7 +407,7 @@ class VehicleFence:
         path.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
         return path
 
-    def _tell(self, text: str, data: dict[str, Any]) -> None:
+    def _report(self, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event("fence", self._vehicle.name, self._vehicle.sysid, text, data))
 
 

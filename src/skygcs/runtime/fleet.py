@@ -1,4 +1,4 @@
-"""All vehicles: made by their heartbeats, named by the fleet file, told what to do one, some or all at once."""
+"""All vehicles: added when their heartbeats come, named by the fleet file, ordered one, some or all at once."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ KEPT = frozenset[Order](
 """Orders that end a flight are carried on to their outcome, even if the client that gave them disconnects meanwhile."""
 
 MAX_KEPT = 64
-"""So many of them at once; further ones end with whoever gave them. Each lasts seconds."""
+"""Kept orders in progress at one time; further ones end when their client disconnects. Each lasts seconds."""
 
 
 MAYBE_FLYING_S = 1800.0
@@ -221,7 +221,7 @@ class Fleet:
             actor.set_duplicate(where)
 
     def known(self, key: int) -> Known | None:
-        """The last frames of a live vehicle, for whoever compares them with what another channel hears; None: there is
+        """The last frames of a live vehicle, to compare with those of another channel; None: there is
         no such vehicle."""
         actor = self.vehicles.get(key)
         return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
@@ -343,7 +343,7 @@ class Fleet:
 
     @property
     def origin(self) -> Origin | None:
-        """Of the world frame all positions are told in; None: there is none yet."""
+        """Origin of the world frame; None: it is not set yet."""
         return self.world.origin
 
     @property
@@ -366,9 +366,9 @@ class Fleet:
     async def push_origin(
         self, expression: str | int | Sequence[str | int], *, home: bool = False, force: bool = False
     ) -> dict[str, Outcome]:
-        """Tell each vehicle the origin; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
+        """Send each vehicle the origin; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
         if self.origin is None:
-            raise RefusedError("there is no origin to tell; set one first")
+            raise RefusedError("there is no origin to send; set one first")
         return await self.command_all(expression, VehicleActor.push_origin, self.origin, home=home, force=force)
 
     async def command_all(
@@ -377,9 +377,9 @@ class Fleet:
         """Give one order (`VehicleActor.arm`) to every vehicle meant, at once; the outcome of each by name.
 
         Raises TargetError before anything is sent. An order for all that one frame can carry goes out as a broadcast;
-        each vehicle's answer is still collected, and who did not answer is sent its own. When the caller is cancelled,
-        the orders of `KEPT` go on, all others end. Raises RefusedError for a stop that has to be confirmed and is not
-        (``confirm``, see `core.vehicle.stop`), and for a disarming of a duplicate system id that is not.
+        each vehicle's answer is still collected, and one that did not answer is sent its own. When the caller is
+        cancelled, the orders of `KEPT` go on, all others end. Raises RefusedError for a stop that has to be confirmed
+        and is not (``confirm``, see `core.vehicle.stop`), and for a disarming of a duplicate system id that is not.
         """
         name = order.__name__
         if self._ending and order not in KEPT:
@@ -413,7 +413,7 @@ class Fleet:
         fix: bool = False,
         confirmed: Mapping[str, Mapping[str, float]] | None = None,
     ) -> dict[str, Any]:
-        """See `examine_all`: also of vehicles of the fleet file that nobody hears. Raises TargetError."""
+        """See `examine_all`: also of vehicles of the fleet file that are not heard. Raises TargetError."""
         vehicles = meant(expression, self.vehicles.values(), self._configs.values())
         return await examine_all(vehicles, fix=fix, confirmed=confirmed)
 
@@ -471,9 +471,9 @@ class Fleet:
     ) -> tuple[dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str]]:
         """Where each of several vehicles goes that are sent to one place, and why some do not go at all.
 
-        They keep their places relative to each other, the middle of them goes where it was said. Only who can go now
-        has a say in the middle: a place that is not fresh would move everybody else's. ``same_place`` sends all to the
-        very point.
+        They keep their places relative to each other, the middle of them goes to the given place. The middle is that
+        of the vehicles that can go now: a position that is not fresh would move the others'. ``same_place`` sends all
+        to the same point.
         """
         if arguments.pop("same_place", False) or len(actors) < 2:
             return {}, {}
@@ -489,7 +489,7 @@ class Fleet:
                 staying[actor] = str(error)
                 continue
             own_amsl_m = here[actor][2] if height_m is None else home_amsl_m + height_m
-            # across they all move by the same way, which brings nobody closer; in the fleet's frame up is one height
+            # horizontally all move by the same offset and keep their distances; in the fleet's frame up is one height
             ends[actor] = (*here[actor][:2], own_amsl_m if enu_m is None else 0.0)
         close = None if arguments.get("force") else too_close(ends)
         if close is not None:
@@ -509,7 +509,7 @@ class Fleet:
         return places, staying
 
     def _broadcast_command(self, actors: list[VehicleActor], order: Order) -> BroadcastCommand | None:
-        """A broadcast, if all vehicles are meant, none refuses, all would be sent the very same, and nobody else hears.
+        """A broadcast, if all vehicles are meant, none refuses, all would be sent the same, and no other vehicle hears.
 
         ArduPilot acts on it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
         evaluate_target_ok), and is sent its own at once.

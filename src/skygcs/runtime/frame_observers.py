@@ -17,14 +17,14 @@ class FrameObservers:
 
     def __init__(self, on_change: Callable[[], None]) -> None:
         self.msgids: frozenset[int] | None = frozenset()
-        """Of which some tap wants frames; None: of all. To be looked at before `show`: most frames nobody watches."""
+        """Messages that some observer wants; None: all. To be checked before `show`: most frames are not observed."""
         self._entries: list[_Entry] = []
         self._on_change = on_change
 
-    def add(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameObserver) -> Callable[[], None]:
-        """Hand frames of these ids and sources (sysid<<8|compid, component 0: the whole system; None: all) to ``tap``;
-        returns how to stop it."""
-        entry = (msgids, keys, tap)
+    def add(self, msgids: set[int] | None, keys: set[int] | None, observer: FrameObserver) -> Callable[[], None]:
+        """Hand frames of these ids and sources (sysid<<8|compid, component 0: the whole system; None: all) to
+        ``observer``; returns how to stop it."""
+        entry = (msgids, keys, observer)
         self._entries.append(entry)
         self._changed()
 
@@ -36,14 +36,14 @@ class FrameObservers:
         return remove
 
     def watch(self, msgid: int, key: int) -> bool:
-        """Whether somebody wants frames of this message and source."""
+        """True if an observer wants frames of this message and source."""
         return any((m is None or msgid in m) and (k is None or _has(k, key)) for m, k, _ in self._entries)
 
     def show(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
-        """Hand it to whoever wants it."""
-        for msgids, keys, tap in tuple(self._entries):
+        """Give it to each observer that wants it."""
+        for msgids, keys, observer in tuple(self._entries):
             if (msgids is None or frame.msgid in msgids) and (keys is None or _has(keys, key)):
-                tap(frame, channel, now)
+                observer(frame, channel, now)
 
     def _changed(self) -> None:
         wanted: set[int] | None = set()

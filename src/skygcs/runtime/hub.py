@@ -47,7 +47,7 @@ MAX_CLOSED_SOURCES = 2048
 """Sources of them all together, 300 bytes each: programs that come and go beside a large fleet do not add up."""
 
 MAX_REPLAYED = 4096
-"""As many sources of recordings are told from live ones as there may be routes."""
+"""Sources of recordings that are kept apart from live ones; as many as there may be routes."""
 
 MAX_NEGATIVE_CACHE = 16384
 """Sources and messages that have no flow. When it is full it is cleared, and each is checked again."""
@@ -95,7 +95,7 @@ class Hub:
         self.channels: dict[int, Channel] = {}
         self.faults = 0
         self.replayed: set[int] = set()
-        """Sources (sysid<<8|compid) that were heard in a recording only: nobody is there to take an order."""
+        """Sources (sysid<<8|compid) that were heard in a recording only: they take no orders."""
         self._config = config
         self.dialect = dialect
         self._loop = loop
@@ -134,7 +134,7 @@ class Hub:
         parted = self._closed_channels.pop((channel.link.name, channel.peer), None)
         if parted is not None:
             for stats in parted.values():
-                stats.resume()  # what was sent while nobody listened is not a loss of the link
+                stats.resume()  # what was sent while the channel was closed is not a loss of the link
             channel.sources = parted
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
         if channel.config.vehicles:  # which the fleet file's checks have found: an endpoint without any raises
@@ -384,14 +384,14 @@ class Hub:
                 self.after_fast_path()
             self._record(raw, time.time_ns() // 1000)
 
-    # -- what servers ask about whoever comes to them
+    # -- what servers ask about new peers
 
     def carries_autopilot(self, channel: Channel) -> bool:
         """Whether an autopilot is heard on this channel."""
         return bool(self.router.autopilots_on(channel.id))
 
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
-        """Whether a stranger who sends these frames may become a peer; see `Signing.vouches_for`."""
+        """True if an unknown peer that sends these frames may be admitted; see `Signing.vouches_for`."""
         return self._signing is None or config.signing is None or self._signing.vouches_for(config.name, frames)
 
     def on_event(self, event: Event) -> None:
@@ -414,7 +414,7 @@ class Hub:
     ) -> bool:
         """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
 
-        ``everywhere`` takes every channel on which it was heard, as emergencies do. False if nobody by that id was
+        ``everywhere`` takes every channel on which it was heard, as emergencies do. False if that id was not
         heard lately or every link refused. Raises ValueError as `pack` does.
         """
         ids = self.ways(sysid, compid, everywhere=everywhere or priority is Priority.EMERGENCY)
@@ -445,7 +445,7 @@ class Hub:
         sent = False
         for channel_id in ids:
             channel = self.channels.get(channel_id)
-            if channel is not None and channel.endpoint is None:  # who knows one vehicle only has not heard of us
+            if channel is not None and channel.endpoint is None:  # a program bound to vehicles gets nothing of ours
                 sent |= channel.send(message, priority, key)
         return sent
 

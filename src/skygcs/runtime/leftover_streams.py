@@ -103,7 +103,7 @@ class LeftoverStreams:
             self._tasks.pop(vehicle.key, None)
 
     def tick(self, now: float) -> None:
-        """See who is gone, and ask for what is to be put back."""
+        """Find programs that are gone, and request what is to be restored."""
         self._now = now
         for key, leftovers in self._requests.left_behind(self._is_connected).items():
             tasks = self._tasks.setdefault(key, {})

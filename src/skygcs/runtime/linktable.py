@@ -36,8 +36,8 @@ class _Entry:
 class LinkTable:
     """`start` once, then `add`, `change` and `remove`, then `close`.
 
-    A change is carried through to its end even if whoever asked for it is cancelled meanwhile: half of one would leave
-    a link closed that nobody wanted closed.
+    A change is carried through to its end even if its caller is cancelled meanwhile: half of one would leave
+    a link closed.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class LinkTable:
         await self._carried_through(lambda: self._change(name, link))
 
     async def remove(self, name: str) -> None:
-        """Close a link for good. Raises LinkError if there is none of that name."""
+        """Close a link for good. Raises LinkError if no link has that name."""
         await self._carried_through(lambda: self._remove(name))
 
     def require(self, name: str) -> None:
@@ -108,7 +108,7 @@ class LinkTable:
             raise LinkError(f"no link {name!r}; there are: {', '.join(self._entries) or 'none'}")
 
     def link(self, name: str) -> Link | None:
-        """The link object, None while it is switched off. Raises LinkError if there is none of that name."""
+        """The link object, None while it is switched off. Raises LinkError if no link has that name."""
         self.require(name)
         supervisor = self._entries[name].supervisor
         return None if supervisor is None else supervisor.link
@@ -130,7 +130,7 @@ class LinkTable:
     def _changed(self, task: asyncio.Task[None]) -> None:
         self._changes.discard(task)
         if not task.cancelled():
-            task.exception()  # looked at, for the case that whoever asked is gone
+            task.exception()  # retrieved here in case its caller is gone
 
     async def _add(self, name: str, link: Mapping[str, Any]) -> None:
         if name in self._entries:

@@ -1,6 +1,6 @@
-"""Any message of the dialect, sent by a person or a program: to whom, over what, and what to say of it.
+"""Sends any message of the dialect for a client: to which vehicles, over which links, and with which checks.
 
-It goes out behind orders (priority EXCHANGE), so that a stream of such messages holds up none of them.
+It goes out behind orders (priority PROTOCOL), so that a stream of such messages holds up none of them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class MessageSender:
 
         What would pass the checks of an order (`core.vehicle.unguarded`) is refused unless ``force``.
 
-        The answer's "sent" counts transmissions; "note" says who else hears what was meant for some. Raises KeyError
+        The answer's "sent" counts transmissions; "note" names other vehicles that hear it, too. Raises KeyError
         (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
         """
         info = self._hub.dialect.find(name)
@@ -65,10 +65,10 @@ class MessageSender:
         if link is not None:
             self._links.require(link)
             if self._links.configs[link].vehicles:
-                raise RefusedError(f"link {link} is bound to vehicles: who is behind it is sent nothing of ours")
+                raise RefusedError(f"link {link} is bound to vehicles: nothing of ours is sent there")
         if target is None and link is None and system is not None and system not in fields:
             raise RefusedError(
-                f"{info.name} is for somebody: give a target (a vehicle, a group, all), a link, or its field {system} "
+                f"{info.name} is addressed: give a target (a vehicle, a group, all), a link, or its field {system} "
                 "(0: everyone)"
             )
         if not force:
@@ -158,7 +158,7 @@ class MessageSender:
         return self._hub.send_on(ways, info, fields, Priority.PROTOCOL)
 
     def _overheard(self, info: MessageInfo, meant: list[tuple[int, int]], ways: set[int]) -> str | None:
-        """Who else is behind the same channels as those who are meant."""
+        """Names the other vehicles behind the same channels."""
         others = [
             actor.name
             for key, actor in sorted(self._fleet.vehicles.items())

@@ -63,7 +63,8 @@ STATES = {1: "no mission", 2: "not started", 3: "active", 4: "paused", 5: "compl
 
 
 class Missions:
-    """One per vehicle. ``on_progress(what, percent)`` is told of transfers, ``on_event`` of the mission that flies."""
+    """One per vehicle. ``on_progress(what, percent)`` gets the progress of transfers; the mission's is
+    reported as events."""
 
     def __init__(
         self,
@@ -89,7 +90,7 @@ class Missions:
         self._lock = asyncio.Lock()
         self._waiting = 0
         self._running: tuple[MissionProtocol, asyncio.Future[None], str] | None = None
-        self._told_percent = 0
+        self._reported_percent = 0
         self._percent: int | None = None
         self._done_upload: tuple[MissionUpload, float] | None = None
         self._rejections: deque[str] = deque(maxlen=MAX_TEXTS)
@@ -158,7 +159,7 @@ class Missions:
             kinds, lambda kind: self.upload(kind, on_wire(self._vehicle, plan, kind, self._dialect))
         )
         changes = converted(self._vehicle, plan, self._dialect).changes if MissionType.MISSION in kinds else ()
-        return replace(outcome, message="; ".join((outcome.message, *_told(changes)))) if changes else outcome
+        return replace(outcome, message="; ".join((outcome.message, *_change_texts(changes)))) if changes else outcome
 
     async def drop(self, kinds: Collection[MissionType], *, force: bool) -> Outcome:
         """Clear these lists."""
@@ -197,23 +198,23 @@ class Missions:
         """One transfer after the other, as one outcome that says how far it came."""
         if self._vehicle.duplicate:
             return duplicate_refusal(self._vehicle)
-        told: list[str] = []
+        texts: list[str] = []
         sent, began = 0, self._loop.time()
         for done, kind in enumerate(kinds):
             outcome = await transfer(kind)
             sent += outcome.sent
-            told.append(outcome.message if kind.word in outcome.message else f"{kind.word}: {outcome.message}")
+            texts.append(outcome.message if kind.word in outcome.message else f"{kind.word}: {outcome.message}")
             elapsed_s = self._loop.time() - began
             if outcome.result == "timeout":
-                told[-1] += self._commands.why_silent()
+                texts[-1] += self._commands.why_silent()
             if not outcome.ok:
                 if rest := kinds[done + 1 :]:
-                    told.append(f"{' and '.join(k.word for k in rest)} not begun")
-                return Outcome(False, outcome.result, "; ".join(told), sent, elapsed_s, outcome.status_texts)
-        return Outcome(True, "accepted", "; ".join(told), sent, self._loop.time() - began)
+                    texts.append(f"{' and '.join(k.word for k in rest)} not begun")
+                return Outcome(False, outcome.result, "; ".join(texts), sent, elapsed_s, outcome.status_texts)
+        return Outcome(True, "accepted", "; ".join(texts), sent, self._loop.time() - began)
 
     def status(self) -> dict[str, Any]:
-        """What the vehicle tells of its mission, and the transfer that is under way."""
+        """What the vehicle reports of its mission, and the transfer in progress."""
         transfer = None
         if self._running is not None:
             protocol, _, what = self._running
@@ -280,14 +281,14 @@ class Missions:
         over: asyncio.Future[None] = self._loop.create_future()
         self._running = (protocol, over, what)
         self._done_upload = None
-        self._told_percent, self._percent = 0, None
+        self._reported_percent, self._percent = 0, None
         try:
             self._apply(protocol.start(self._loop.time()))
             await over
         except asyncio.CancelledError:
             self._apply(protocol.stop(self._loop.time(), "cancelled", "cancelled"))
             if protocol.outcome is not None:
-                self._tell("warning", f"{what}: {protocol.outcome.message}", protocol.outcome.as_dict())
+                self._publish("warning", f"{what}: {protocol.outcome.message}", protocol.outcome.as_dict())
             raise
         finally:
             self._running = None
@@ -312,10 +313,10 @@ class Missions:
 
     def _report(self, percent: int | None) -> None:
         self._percent = percent
-        if self._running is None or percent is None or percent < self._told_percent + REPORT_STEP:
+        if self._running is None or percent is None or percent < self._reported_percent + REPORT_STEP:
             return
-        self._told_percent = percent - percent % REPORT_STEP
-        self._on_progress(self._running[2], self._told_percent)
+        self._reported_percent = percent - percent % REPORT_STEP
+        self._on_progress(self._running[2], self._reported_percent)
 
     def _on_timer(self) -> None:
         if self._running is not None:
@@ -344,9 +345,9 @@ class Missions:
         seq, state = fields["seq"], fields.get("mission_state", 0)
         if self._seq is not None and seq != self._seq:
             number = number_of(self._vehicle, seq)
-            self._tell("mission", f"goes on with item {number}", {"item": number})
+            self._publish("mission", f"goes on with item {number}", {"item": number})
         if state != self._state and self._state and state in STATES:
-            self._tell("mission", f"the mission is {STATES[state]}", {"state": STATES[state]})
+            self._publish("mission", f"the mission is {STATES[state]}", {"state": STATES[state]})
         self._seq, self._state = seq, state
 
     def _on_reached(self, seq: int) -> None:
@@ -356,7 +357,7 @@ class Missions:
         number = number_of(self._vehicle, seq)
         count = self.counts.get(MissionType.MISSION)
         of = f" of {count}" if count else ""
-        self._tell("mission", f"reached item {number}{of}", {"reached": number, "count": count})
+        self._publish("mission", f"reached item {number}{of}", {"reached": number, "count": count})
 
     def _keep(self, outcome: MissionOutcome, count: int) -> None:
         self.counts[outcome.kind] = count
@@ -365,11 +366,11 @@ class Missions:
         else:
             self.opaque_ids[outcome.kind] = outcome.opaque_id
 
-    def _tell(self, kind: str, text: str, data: dict[str, Any]) -> None:
+    def _publish(self, kind: str, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event(kind, self._vehicle.name, self._vehicle.sysid, text, data))
 
 
-def _told(changes: tuple[Change, ...]) -> list[str]:
+def _change_texts(changes: tuple[Change, ...]) -> list[str]:
     lines = grouped(changes)
     more = [f"and {len(lines) - MAX_CHANGES} more kinds of changes: skygcs-cli mission check lists them"]
     return [f"mission {line}" for line in lines[:MAX_CHANGES]] + (more if len(lines) > MAX_CHANGES else [])

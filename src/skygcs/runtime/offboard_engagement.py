@@ -252,8 +252,8 @@ class OffboardEngagement:
         }
 
     def record(self, on: bool) -> str | None:
-        """Trace every tick while it flies. The path of the file that is being written, or was until now; None if there
-        is none yet."""
+        """Trace every tick while it flies. The path of the file that is being written, or was until now; None before
+        the first."""
         path = self._trace.record(on)
         return None if path is None else str(path)
 
@@ -383,7 +383,7 @@ class OffboardEngagement:
         except RefusedError as error:
             return Outcome.refused(str(error))
         if self._vehicle.custom_mode != back_to and not offboard_entry.is_following(self._vehicle):
-            return Outcome.refused(f"somebody else switched it to {self._vehicle.mode} meanwhile")
+            return Outcome.refused(f"another program switched it to {self._vehicle.mode} meanwhile")
         outcome = await self._orders.execute(offboard_entry.enter(self._vehicle))
         if self._turn != turn:
             return _superseded(0.0)

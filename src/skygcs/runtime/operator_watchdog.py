@@ -1,5 +1,5 @@
-"""Watches that somebody watches: when no ground station and no client has shown life for so long, the vehicles that are
-flown by setpoints are told to hold, land or return (`core.control.deadman`)."""
+"""Watches that an operator is there: when no ground station and no client was active for so long, vehicles that are
+flown by setpoints are ordered to hold, land or return (`core.control.deadman`)."""
 
 from __future__ import annotations
 

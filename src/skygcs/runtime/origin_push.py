@@ -1,4 +1,4 @@
-"""Telling one vehicle the fleet's origin, until it has it or is known not to take it."""
+"""Sends one vehicle the fleet's origin until it has it or is known not to take it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ async def push_origin(
     *,
     force: bool,
 ) -> Outcome:
-    """The outcome is ok only once the vehicle itself has told that its origin is this one."""
+    """The outcome is ok only once the vehicle itself reports this origin."""
     elapsed_s = 0.0
     texts: tuple[str, ...] = ()
     for number in range(1, TRIES + 1):
@@ -49,7 +49,7 @@ async def push_origin(
 
 
 def both(origin: Outcome, home: Outcome) -> Outcome:
-    """The outcome of telling the origin and of setting the home there: good if both are."""
+    """The outcome of sending the origin and of setting the home there: good if both are."""
     worse = origin if not origin.ok else home
     return Outcome(
         origin.ok and home.ok,

@@ -36,19 +36,19 @@ class ParamBook:
 
     @property
     def capabilities(self) -> int:
-        """MAV_PROTOCOL_CAPABILITY bits; 0 while it has not told them."""
+        """MAV_PROTOCOL_CAPABILITY bits; 0 while they are unknown."""
         fields = self._version_fields()
         return 0 if fields is None else int(fields["capabilities"])
 
     def heard(self, param: Param) -> None:
-        """The vehicle says what a parameter is, whoever asked or set it."""
+        """The vehicle reported the value of a parameter, to us or to another program."""
         known = self.params.get(param.name)
         if known is not None and known != param:
             self.params[param.name] = param
             self._unsaved = self.stale = True
 
     def remember(self, params: tuple[Param, ...], hash_: int | None) -> None:
-        """A complete list has been read; ``hash_`` None: nobody vouches for it, or it changed meanwhile."""
+        """A complete list has been read; ``hash_`` None: it has none, or it changed meanwhile."""
         self.params = {p.name: p for p in params}
         self.complete = self._unsaved = True
         self.recalled = False
@@ -56,12 +56,12 @@ class ParamBook:
         self.save()
 
     def vouched(self, hash_: int | None) -> None:
-        """This is the hash over what is known now; None: nobody knows."""
+        """This is the hash over what is known now; None: it is unknown."""
         self.hash = hash_
         self.stale = False
 
     def vouches(self, hash_: int | None) -> bool:
-        """Whether a hash that the vehicle has just told says that what is known is what it holds."""
+        """True if a hash that the vehicle has just sent shows that the known values are those it holds."""
         return self.complete and hash_ is not None and hash_ == self.hash and not self.stale
 
     def recall(self) -> None:

@@ -28,7 +28,7 @@ from skygcs.core.protocols.parameter_list import BYTES_PER_S, ListProgress
 from skygcs.core.vehicle.vehicle import Vehicle
 
 GUESSED_BYTES = 12
-"""Of a parameter: by it ArduPilot guesses the size that it tells when the file is opened."""
+"""Bytes of a parameter: ArduPilot estimates with it the size that it reports when the file is opened."""
 
 
 def offered(vehicle: Vehicle, dialect: Dialect, capabilities: int) -> bool:
@@ -38,7 +38,7 @@ def offered(vehicle: Vehicle, dialect: Dialect, capabilities: int) -> bool:
 
 def download(session: int, *, burst: bool, bytes_per_s: float | None, link_bytes_per_s: float) -> FileDownload:
     """``link_bytes_per_s``: what the narrowest link in the way leaves, infinite where none is known to be thin. There
-    it comes at once, unless somebody asks for less than a thin link's rate."""
+    it comes at once, unless a rate below that of a narrow link is requested."""
     wide = math.isinf(link_bytes_per_s) and (bytes_per_s is None or bytes_per_s >= BYTES_PER_S)
     return FileDownload(
         pck.PATH,
@@ -51,10 +51,12 @@ def download(session: int, *, burst: bool, bytes_per_s: float | None, link_bytes
 
 def progress_of(exchange: FileDownload, now: float) -> ListProgress:
     """In parameters, as far as the vehicle's guess of the file's size goes."""
-    told = exchange.progress(now)
-    count = None if told.size is None else told.size // GUESSED_BYTES
-    received = told.received // GUESSED_BYTES
-    return ListProgress(received if count is None else min(received, count), count, told.sent, told.elapsed_s, None)
+    progress = exchange.progress(now)
+    count = None if progress.size is None else progress.size // GUESSED_BYTES
+    received = progress.received // GUESSED_BYTES
+    return ListProgress(
+        received if count is None else min(received, count), count, progress.sent, progress.elapsed_s, None
+    )
 
 
 def params_of(outcome: FileOutcome, heard: Mapping[str, Param]) -> tuple[Param, ...]:

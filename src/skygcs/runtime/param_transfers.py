@@ -1,11 +1,11 @@
 """Parameters of one vehicle: the asyncio side of `ParameterProtocol`, `ParamList` and `FileDownload`, with one timer.
 
 The actor owns one and hands it what the vehicle says (`on_frame`, `on_text`, `stop_all`). Nothing here asks by itself:
-a parameter goes over the link when somebody wants it, and a list only if it is not known already.
+a parameter goes over the link when it is requested, and a list only if it is not known already.
 
 What is known of a list stays good as long as the vehicle vouches for it: PX4 by a hash over all values; ArduPilot,
-which has none, by its firmware and the number of parameters, which tells nothing of values. Changes others make are
-heard here like our own, as the vehicle tells everybody.
+which has none, by its firmware and the number of parameters, which says nothing about values. Changes others make are
+heard here like our own, as the vehicle sends them to all.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ class Loaded:
 
 
 class VehicleParams:
-    """See the head of the file. Outcomes tell how everything ended; nothing raises for what the vehicle does."""
+    """See the head of the file. Outcomes report how everything ended; nothing raises for what the vehicle does."""
 
     def __init__(self, vehicle: Vehicle, services: VehicleServices) -> None:
         dialect = services.dialect
         self.progress: ListProgress | None = None
-        """Of the list that is being read."""
+        """Progress of the list that is being read."""
         self._vehicle = vehicle
         self._dialect = dialect
         self._services = services
@@ -109,7 +109,7 @@ class VehicleParams:
         self._waiting = 0
         self._closed = False
         self._cancelled = 0
-        self._told_at = -math.inf
+        self._reported_at = -math.inf
         self._timer = DeadlineTimer(services.loop, self._on_timer)
         self._probe = 0
         self._texts: list[str] = []
@@ -243,8 +243,8 @@ class VehicleParams:
     async def load(
         self, *, refresh: bool = False, burst: bool = False, bytes_per_s: float | None = BYTES_PER_S
     ) -> Loaded:
-        """All parameters. One list at a time: who asks while it is being read waits for the same. It is given up when
-        nobody waits for it any more."""
+        """All parameters. One list at a time: further requests meanwhile wait for the same. It is cancelled when
+        no request waits for it any more."""
         if self._loading is None:
             work = self._load(refresh=refresh, burst=burst, bytes_per_s=bytes_per_s)
             self._loading = self._loop.create_task(work, name=f"parameters of {self._vehicle.name}")
@@ -361,12 +361,12 @@ class VehicleParams:
         outcome = protocol.outcome
         assert outcome is not None
         if outcome.ok:
-            # what changed while it was read is good for now, but nobody will vouch for it
+            # what changed while it was read is good for now, but not confirmed by a hash
             after = await self._ask_hash() if before is not None else None
             self._book.remember(outcome.params, after if after == before else None)
         why_silent = self._services.links.why_silent(self._vehicle) if outcome.result == "timeout" else ""
         message = outcome.message + why_not + why_silent
-        self._tell("list", f"parameters: {message}", {"received": len(outcome.params), "count": outcome.count})
+        self._report("list", f"parameters: {message}", {"received": len(outcome.params), "count": outcome.count})
         return Loaded(
             outcome.ok,
             outcome.result,
@@ -403,11 +403,11 @@ class VehicleParams:
             return Loaded(False, result, str(error), "vehicle", "read", (), None, outcome.sent, elapsed_s)
         self._book.remember(params, None)
         text, count = f"{len(params)} parameters, by file", len(params)
-        self._tell("list", f"parameters: {text}", {"received": count, "count": count})
+        self._report("list", f"parameters: {text}", {"received": count, "count": count})
         return Loaded(True, "accepted", text, "vehicle", "read", params, count, outcome.sent, elapsed_s)
 
     async def _still_known(self, hash_now: int | None) -> bool:
-        """Whether what was read before, now or in an earlier run, is what the vehicle holds, as far as it can tell."""
+        """Whether what was read before, now or in an earlier run, is what the vehicle holds, as far as can be known."""
         book = self._book
         book.recall()
         if not book.complete or self._vehicle.family == "px4":
@@ -447,7 +447,7 @@ class VehicleParams:
             await done
             return self._taken[protocol] == 0
         except asyncio.CancelledError:
-            self._apply(protocol, protocol.stop(self._loop.time(), "cancelled", "nobody waits for it any more"))
+            self._apply(protocol, protocol.stop(self._loop.time(), "cancelled", "no request waits for it any more"))
             raise
         finally:
             self._running.pop(protocol, None)
@@ -493,14 +493,14 @@ class VehicleParams:
     def _progress(self, action: str, progress: ListProgress, text: str) -> None:
         """At most one event a second."""
         now = self._loop.time()
-        if now - self._told_at >= PROGRESS_EVERY_S:
-            self._told_at = now
+        if now - self._reported_at >= PROGRESS_EVERY_S:
+            self._reported_at = now
             rest = "" if progress.remaining_s is None else f", {progress.remaining_s:.0f} s left"
-            told = f"{text}: {progress.received} of {progress.count}{rest}"
-            self._tell(action, told, _progress_data(progress) | {"state": "under_way"})
+            line = f"{text}: {progress.received} of {progress.count}{rest}"
+            self._report(action, line, _progress_data(progress) | {"state": "under_way"})
 
     def _tell_set(self, outcomes: Mapping[str, ParamOutcome], wanted: int) -> None:
-        """What was set is worth a line, also when whoever wanted it has gone meanwhile."""
+        """What was set is worth a line, also when the client has disconnected meanwhile."""
         good = sum(o.ok for o in outcomes.values())
         if wanted == 1 and outcomes:
             ((name, outcome),) = outcomes.items()
@@ -508,9 +508,9 @@ class VehicleParams:
         else:
             text = f"{good} of {wanted} parameters set"
         failed = [name for name, o in outcomes.items() if not o.ok]
-        self._tell("set", text, {"received": good, "count": wanted, "failed": failed})
+        self._report("set", text, {"received": good, "count": wanted, "failed": failed})
 
-    def _tell(self, action: str, text: str, data: dict[str, Any]) -> None:
+    def _report(self, action: str, text: str, data: dict[str, Any]) -> None:
         data = {"action": action, "state": "done"} | data
         self._on_event(Event("params", self._vehicle.name, self._vehicle.sysid, text, data))
 

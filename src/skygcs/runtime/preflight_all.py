@@ -1,4 +1,4 @@
-"""Preflight of a fleet: those that are meant and heard, and those that the fleet file names and nobody hears."""
+"""Preflight of a fleet: vehicles that are heard, and those of the fleet file that are not."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ AT_ONCE = 8
 """Parameters of one vehicle asked for at the same time: 8 x 45 B are 65 ms of 57600 baud; one it has not takes 7 s."""
 
 SETTLE_S = 3.0
-"""From a parameter that was set until what the vehicle tells of itself knows of it: it looks at its arming checks once
+"""From a parameter that was set until the vehicle's telemetry reflects it: it looks at its arming checks once
 a second, and SYS_STATUS comes every two."""
 
 Request = Callable[[str], Awaitable[Outcome]]
@@ -68,7 +68,7 @@ class Preflight:
     ) -> None:
         self.required = config.require_preflight
         self.last: Examined | None = None
-        """Of this life of the vehicle; a reboot ends it."""
+        """The last report since the vehicle started; a reboot clears it."""
         self._vehicle = vehicle
         self._config = config
         self._params = params
@@ -83,13 +83,13 @@ class Preflight:
         self._lock = asyncio.Lock()
         self._lives = 0
         self._absent: set[str] = set()
-        """Names it was found not to have; without those that it must have, which somebody is about to make appear."""
+        """Names that it does not have, without those that it must have, which a change of settings may make appear."""
         self._expectations = _expectations(config)
 
     async def run(self, *, fix: bool = False, confirmed: Confirmed = None) -> Examined:
         """Examine it. With ``fix`` set the parameters that would put something right, and examine it again.
 
-        ``confirmed``: set these only, and only to these values, as somebody has agreed to them.
+        ``confirmed``: set these only, and only to these values, as a person has agreed to them.
         """
         async with self._lock:
             examined = await self._examine({}, "")
@@ -196,7 +196,7 @@ class Preflight:
         return answers
 
     async def _ask_messages(self) -> None:
-        """Those that have not come lately, one after another; what does not come is told by its check."""
+        """Those that have not come lately, one after another; what does not come is reported by its check."""
         for message in needed_messages(self._vehicle.family):
             slot = self._vehicle.slot(message) if message in self._dialect.by_name else None
             if message in self._dialect.by_name and (slot is None or self._loop.time() - slot.at > FRESH_S):
@@ -205,8 +205,7 @@ class Preflight:
                 await self._request(message)
 
     def _unneeded(self, message: str) -> bool:
-        """What another message has told already: a battery's charge is in SYS_STATUS, too; who it is does not change,
-        and where its home is it tells when that does."""
+        """True if this is known: a battery's charge is in SYS_STATUS, too, and the version does not change."""
         vehicle = self._vehicle
         if message == "BATTERY_STATUS":
             battery = vehicle.section("battery")

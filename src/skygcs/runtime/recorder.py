@@ -107,7 +107,7 @@ class TlogFiles:
         """Close the present file; the next write opens another."""
         file, self._file = self._file, None
         if file is not None:
-            with contextlib.suppress(OSError):  # the data is written; a late error here can be told to nobody
+            with contextlib.suppress(OSError):  # the data is written; a late error here can no longer be reported
                 file.close()
 
     def _is_over(self, coming: int, now: float) -> bool:
@@ -126,7 +126,7 @@ class TlogFiles:
         try:
             begun = f"{datetime.fromtimestamp(unix_us / 1e6, UTC):%Y%m%dT%H%M%SZ}"
         except (ValueError, OverflowError, OSError):
-            begun = "00000000T000000Z"  # a clock that nobody set; the counter keeps the order
+            begun = "00000000T000000Z"  # a clock that was never set; the counter keeps the order
         while True:
             path = self._folder / f"{begun}-{self._number + 1:04d}.tlog"
             try:
@@ -273,7 +273,7 @@ class Recorder:
         self._executor.shutdown(wait=False, cancel_futures=True)
         if waiting := sum(p.records for p in self._pieces) + self._piece.records:
             self._lost += waiting
-            self._tell(f"recording ended with {waiting} records unwritten: {self._fault or 'the disk is stuck'}")
+            self._report(f"recording ended with {waiting} records unwritten: {self._fault or 'the disk is stuck'}")
 
     def status(self) -> dict[str, Any]:
         """JSON-able: where it writes, how much, what was lost, what is wrong."""
@@ -322,7 +322,7 @@ class Recorder:
             self._fault_since = asyncio.get_running_loop().time()
             self._retry_s = RETRY_FIRST_S
             self._fault = reason
-            self._tell(f"recording to {self._log_dir} stopped: {reason}; everything else goes on", error=reason)
+            self._report(f"recording to {self._log_dir} stopped: {reason}; everything else goes on", error=reason)
         self._fault = reason
 
     def _recovered(self) -> None:
@@ -330,7 +330,9 @@ class Recorder:
             return
         seconds = asyncio.get_running_loop().time() - self._fault_since
         lost, self._lost_in_fault, self._fault = self._lost_in_fault, 0, None
-        self._tell(f"recording again after {seconds:.0f} s; {lost} records lost", lost=lost, seconds=round(seconds, 1))
+        self._report(
+            f"recording again after {seconds:.0f} s; {lost} records lost", lost=lost, seconds=round(seconds, 1)
+        )
 
-    def _tell(self, text: str, **data: Any) -> None:
+    def _report(self, text: str, **data: Any) -> None:
         self._on_event(Event("recorder", None, None, text, data))

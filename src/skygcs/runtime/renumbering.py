@@ -3,7 +3,7 @@
 When the new id takes effect differs (from the firmwares' sources): ArduPilot from 4.7 on copies MAV_SYSID at once
 (`GCS::update_send`), Plane, Rover and Tracker before it once a second (`one_second_loop`), a Copter up to 4.6 reads
 SYSID_THISMAV when it starts (`GCS::init`), PX4 reads MAV_SYS_ID when its MAVLink module is made. So the parameter's own
-answer may come under either id, or be lost; what counts is who is heard.
+answer may come under either id, or be lost; what counts is the id that is heard.
 
 The vehicle keeps its name: the entry of the old id goes as soon as the vehicle is met under the new one (`Fleet`).
 """
@@ -80,19 +80,19 @@ class Renumbering:
         try:
             self._require_possible(actor, sysid, force=force)
         except RefusedError as error:
-            return {name: self._told(name, before, sysid, Outcome.refused(str(error)))}
+            return {name: self._finish(name, before, sysid, Outcome.refused(str(error)))}
         self._busy = name
         started = self._loop.time()
         try:
             outcome = await self._carry(actor, sysid)
         except asyncio.CancelledError:
             text = f"cancelled amid it: it may come back as system {before} or {sysid}"
-            self._told(name, before, sysid, Outcome(False, "cancelled", text))
+            self._finish(name, before, sysid, Outcome(False, "cancelled", text))
             raise
         finally:
             self._busy = None
             self._fleet.expect_when_lost(sysid)
-        return {name: self._told(name, before, sysid, replace(outcome, elapsed_s=self._loop.time() - started))}
+        return {name: self._finish(name, before, sysid, replace(outcome, elapsed_s=self._loop.time() - started))}
 
     # -- before
 
@@ -121,7 +121,7 @@ class Renumbering:
             )
 
     def _owner(self, sysid: int) -> str | None:
-        """Who has this id already, for a person; None: nobody is known."""
+        """Text that names what has this id already; None: nothing known has."""
         own = self._fleet.config.daemon.sysid
         if sysid == own:
             return "it is skygcs' own (daemon.sysid)"
@@ -193,7 +193,7 @@ class Renumbering:
         return None
 
     async def _verified(self, key: int, before: int, link: str, parameter: str) -> Outcome:
-        """Whether what is met under the new id is it, and nobody else."""
+        """Verify that the vehicle heard under the new id is the same one."""
         fleet, sysid = self._fleet, key >> 8
         new = fleet.vehicles[key]
         if new.channel != link:
@@ -262,7 +262,7 @@ class Renumbering:
                 return
             await asyncio.sleep(LOOK_S)
 
-    def _told(self, name: str, before: int, sysid: int, outcome: Outcome) -> Outcome:
+    def _finish(self, name: str, before: int, sysid: int, outcome: Outcome) -> Outcome:
         data: dict[str, Any] = {"order": "sysid", "was": before, "sysid": sysid, **outcome.as_dict()}
         self._on_event(Event("command", name, sysid if outcome.ok else before, f"sysid: {outcome.message}", data))
         return outcome

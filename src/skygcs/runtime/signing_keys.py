@@ -1,4 +1,4 @@
-"""Which link signs with which key: the keys in use, their time on disk, and what is told of frames that are refused.
+"""Which link signs with which key: the keys in use, their time on disk, and reports of frames that are refused.
 
 One key has one clock, whatever the number of its links, and one table of streams, so that what was recorded on one link
 cannot be played on another. Links of one group carry copies of the same frames on purpose: each of them has a table of
@@ -37,8 +37,8 @@ from skygcs.events import Event
 from skygcs.links.base import Channel
 from skygcs.runtime.signing_store import SigningStore
 
-MAX_TOLD = 64
-"""So many kinds of refused frames of one link (verdict and source) are told, each once; counted are all."""
+MAX_REPORTED = 64
+"""Kinds of refused frames of one link (verdict and source) that are reported, each once; all are counted."""
 
 SAVE_EVERY_S = 10.0
 """At the latest a clock is on disk after this time; the guide asks for once a minute."""
@@ -92,7 +92,7 @@ class LinkSigning:
         self.key = key
         self.gate = gate
         self.wall = wall
-        self.told: set[tuple[SignatureVerdict, int]] = set()
+        self.reported: set[tuple[SignatureVerdict, int]] = set()
 
 
 class _ChannelSigning:
@@ -218,8 +218,8 @@ class Signing:
         )
         return (
             f"the clock of key {key.id} is {_duration(self._ahead_s(key))} ahead of this computer's "
-            f"({self._now_text()}): {back}if this computer's clock is right, somebody signed with a wrong time, and "
-            f"what we sign carries it on: set the key's clock back with skygcs-cli signing reset-clock {key.id}"
+            f"({self._now_text()}): {back}if this computer's clock is right, another program signed with a wrong time, "
+            f"and what we sign carries it on: set the key's clock back with skygcs-cli signing reset-clock {key.id}"
         )
 
     def reset_clock(self, wanted: str) -> str:
@@ -242,14 +242,14 @@ class Signing:
         return text
 
     def _ahead_s(self, key: _Key) -> float:
-        """Of this computer's clock as it is now."""
+        """The time of this computer's clock."""
         return (key.clock.timestamp - self._wall()) / TICKS_PER_S
 
     def _now_text(self) -> str:
         return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(self._unix_s()))
 
     def stamp(self, secret: bytes) -> int:
-        """A time for somebody who gets this key: not before any that was used with it."""
+        """A time for a vehicle that gets this key: not before any that was used with it."""
         return self.key_of(secret).clock.stamp(self._wall())
 
     def link_key(self, name: str) -> bytes | None:
@@ -258,8 +258,8 @@ class Signing:
         return None if link is None else link.key.secret
 
     def vouches_for(self, name: str, frames: list[Frame]) -> bool:
-        """Whether a stranger who sends these frames may become a peer of the link: one of them is signed with its key,
-        or nothing has to be. No stream moves on by this."""
+        """True if an unknown peer that sends these frames may be admitted to the link: one of them is signed with its
+        key, or nothing has to be. No stream moves on by this."""
         link = self._links.get(name)
         if link is None or EVERY_MESSAGE in link.settings.accept_unsigned:
             return True
@@ -290,21 +290,21 @@ class Signing:
                 raise KeyFileError(
                     str(config.signing.key_file),
                     f"is the key of links.{name} as well, with the same link_id {config.signing.link_id}; "
-                    f"give links.{config.name}.signing another link_id, so that the streams are told apart",
+                    f"give links.{config.name}.signing another link_id, so that the streams can be distinguished",
                 )
 
     def _wall(self) -> int:
         return timestamp_at(self._unix_s())
 
-    # -- what is told
+    # -- reports
 
     def _refused(self, link: LinkSigning, channel: Channel, frame: Frame, verdict: SignatureVerdict) -> None:
         for watcher in self._watchers:
             watcher(frame, verdict)
         source = frame.sysid << 8 | frame.compid
-        if (verdict, source) in link.told or len(link.told) >= MAX_TOLD:
+        if (verdict, source) in link.reported or len(link.reported) >= MAX_REPORTED:
             return
-        link.told.add((verdict, source))
+        link.reported.add((verdict, source))
         name = channel.link.name
         stamp, clock = (timestamp_of(frame.raw) if frame.signed else 0), link.key.clock
         why = _KEPT_OUT[verdict].format(
@@ -313,7 +313,8 @@ class Signing:
             now=self._now_text(),
             link=name,
         )
-        text = f"{name} ({channel.peer}): {frame.name} of {frame.sysid}/{frame.compid} is dropped: it {why} (told once)"
+        source_ids = f"{frame.sysid}/{frame.compid}"
+        text = f"{name} ({channel.peer}): {frame.name} of {source_ids} is dropped: it {why} (reported once)"
         data = {"link": name, "compid": frame.compid, "verdict": verdict.value, "message": frame.name}
         self._on_event(Event("signing", None, frame.sysid, text, data))
 
@@ -368,7 +369,7 @@ class Signing:
             self._tell_store()
 
     def _tell_store(self) -> None:
-        """A clock that cannot be kept is told once per reason."""
+        """A clock that cannot be kept is reported once per reason."""
         problem = self._store.problem
         if problem and problem != self._store_failed:
             text = f"{problem}: after a restart with a wrong system clock, vehicles may take our messages for old ones"

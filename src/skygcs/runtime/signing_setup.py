@@ -1,7 +1,7 @@
 """Giving vehicles a signing key, or taking it away: SETUP_SIGNING, and the proof in what they send afterwards.
 
 The message has no acknowledgement and holds the key in clear. It goes out over one channel, is never recorded, and is
-refused where somebody else could hear it.
+refused where another receiver could hear it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ RADIO_SOURCE = 51 << 8 | 68
 
 
 class SigningSetup:
-    """`setup` and `off` for the RPC; ``on_event`` is told what became of it, without the key."""
+    """`setup` and `off` for the RPC; the outcome is reported to ``on_event``, without the key."""
 
     def __init__(
         self,
@@ -58,11 +58,11 @@ class SigningSetup:
 
     async def setup(self, targets: str | list[str], key_file: Path, *, force: bool = False) -> dict[str, Outcome]:
         """Give the vehicles the key of a file. Raises TargetError, or KeyFileError before anything is sent."""
-        return await self._tell(targets, read_key(key_file), force=force)
+        return await self._send_key(targets, read_key(key_file), force=force)
 
     async def off(self, targets: str | list[str]) -> dict[str, Outcome]:
         """Have the vehicles forget their key. Raises TargetError."""
-        return await self._tell(targets, None, force=False)
+        return await self._send_key(targets, None, force=False)
 
     def reset_clock(self, wanted: str, *, force: bool = False) -> str:
         """See `Signing.reset_clock`. Raises RefusedError, too, while a vehicle may be in use, unless ``force``."""
@@ -75,7 +75,7 @@ class SigningSetup:
             )
         return self._signing.reset_clock(wanted)
 
-    async def _tell(self, targets: str | list[str], key: bytes | None, *, force: bool) -> dict[str, Outcome]:
+    async def _send_key(self, targets: str | list[str], key: bytes | None, *, force: bool) -> dict[str, Outcome]:
         vehicles = [actor.vehicle for actor in self._fleet.resolve(targets)]
         async with asyncio.TaskGroup() as group:
             tasks = {v.name: group.create_task(self._tell_one(v, key, force=force)) for v in vehicles}
@@ -106,9 +106,9 @@ class SigningSetup:
         return outcome
 
     def _way(self, vehicle: Vehicle, *, with_key: bool, force: bool) -> Channel:
-        """The channel on which nobody else hears; with ``force`` the best one. Raises RefusedError with who would.
+        """The channel on which only this vehicle hears; with ``force`` the best one. Raises RefusedError naming others.
 
-        Taking a key away tells none, so any way will do.
+        Removing a key reveals none, so any channel will do.
         """
         channels = [self._hub.channels[i] for i in self._hub.ways(vehicle.sysid, vehicle.compid, everywhere=True)]
         if not channels:
@@ -127,7 +127,7 @@ class SigningSetup:
         )
 
     def _others_on(self, channel: Channel, vehicle: Vehicle) -> str | None:
-        """Who but this vehicle can hear what is sent on a channel; None: nobody."""
+        """Names what else can hear what is sent on a channel; None: nothing."""
         config = channel.config
         if config.role == "radio" or RADIO_SOURCE in channel.sources:
             return "a radio, heard by everyone in range"

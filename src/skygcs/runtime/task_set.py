@@ -1,4 +1,4 @@
-"""Work that goes on while nobody waits for it."""
+"""Background tasks, each with an owner."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ T = TypeVar("T")
 
 
 class TaskSet:
-    """Of one owner: each is kept until it is done, and a fault of ours in it is told as an event, about ``name`` and
-    ``sysid`` if it concerns one vehicle. Bounding their number is the owner's."""
+    """The tasks of one owner: each is kept until it is done, and a fault of ours in it is reported as an event, about
+    ``name`` and ``sysid`` if it concerns one vehicle. The owner bounds their number."""
 
     def __init__(
         self,
@@ -32,14 +32,14 @@ class TaskSet:
         return len(self._tasks)
 
     def start(self, work: Coroutine[Any, Any, T], what: str) -> asyncio.Task[T]:
-        """``what`` it is, as a fault of it is told and as it is called in a list of tasks."""
+        """``what``: its name in reports of faults and in lists of tasks."""
         task = self._loop.create_task(work, name=what if self._name is None else f"{self._name} {what}")
         self._tasks.add(task)
         task.add_done_callback(self._ended)
         return task
 
     async def settled(self) -> None:
-        """Until none is under way."""
+        """Wait until all are done."""
         while self._tasks:
             await asyncio.wait(set(self._tasks))
 

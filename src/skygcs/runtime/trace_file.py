@@ -52,7 +52,7 @@ class TraceFile:
 class Recording:
     """Traces what a pilot does, while a person wants it: a file from each `begin` to its `end`.
 
-    A disk that is full or gone ends the trace, is told once, and never touches control.
+    A disk that is full or gone ends the trace, is reported once, and never affects control.
     """
 
     def __init__(self, pilot: OffboardController, directory: Path, on_event: Callable[[Event], None]) -> None:
@@ -64,7 +64,7 @@ class Recording:
 
     @property
     def path(self) -> Path | None:
-        """Of the file that is written now."""
+        """Path of the file that is being written."""
         return None if self._file is None else self._file.path
 
     def record(self, on: bool) -> Path | None:
@@ -79,7 +79,7 @@ class Recording:
         return path
 
     def begin(self) -> None:
-        """The pilot has begun. Without effect while nobody wants a trace, or one is written."""
+        """Control has begun. Without effect while no trace is wanted, or one is being written."""
         if not self._wanted or self._file is not None or self._offboard.frame is None:
             return
         anchor = self._offboard.frame.origin
@@ -101,7 +101,7 @@ class Recording:
             self._give_up(error)
 
     def end(self) -> None:
-        """The pilot has ended, or nobody wants the trace any more. Idempotent."""
+        """Control has ended, or the trace is not wanted any more. Idempotent."""
         file, self._file, self._offboard.tracing = self._file, None, False
         if file is not None:
             try:
@@ -112,7 +112,7 @@ class Recording:
     def _give_up(self, error: OSError) -> None:
         file, self._file, self._offboard.tracing = self._file, None, False
         if file is not None:
-            with contextlib.suppress(OSError):  # of what could not be written, which is told below
+            with contextlib.suppress(OSError):  # what could not be written is reported below
                 file.close()
         vehicle = self._offboard.vehicle
         text = f"its control is traced no more: {error.strerror or error}"

@@ -2,7 +2,7 @@
 
 One file per change in `log_dir`/undo, written whole before anything is sent, removed when the vehicle holds again what
 it held. What a daemon finds there at its start was left by one that was killed, or that could not reach the vehicle in
-time. It is reported and offered for undoing, and never undone by itself: somebody may have set something else since.
+time. It is reported and offered for undoing, and never undone by itself: something else may have been set since.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class UndoJournal:
         self._under_way.discard(change.id)
 
     def left(self) -> list[Change]:
-        """What waits to be undone, oldest first; not what is under way. Files that are none of ours are `problems`."""
+        """What waits to be undone, oldest first; not what is under way. Foreign files are `problems`."""
         self.problems = []
         found = []
         for path in self._files():

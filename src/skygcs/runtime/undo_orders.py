@@ -1,4 +1,4 @@
-"""Undoing what was left changed in a vehicle, when somebody asks for it: see `UndoJournal`."""
+"""Undoes on request what was left changed in a vehicle: see `UndoJournal`."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class UndoOrders:
         """One event for each change that was left, and one for files that cannot be read."""
         for change in self._journal.left():
             text = f"{change}; skygcs-cli undo run {change.id} puts it back, undo drop forgets it"
-            self._tell(change, text, {"id": change.id, "state": "left"})
+            self._publish(change, text, {"id": change.id, "state": "left"})
         if problems := self._journal.problems:
             text = f"{self._journal.folder}: {'; '.join(problems[:5])}; what they say is not undone"
             self._on_event(Event("undo", None, None, text, {"state": "unreadable"}))
@@ -52,13 +52,13 @@ class UndoOrders:
         if id in self._running:
             raise RefusedError(f"{id} is being undone just now")
         self._journal.drop(change)
-        self._tell(change, f"{change.what} of {change.began} is not to be undone", {"id": id, "state": "dropped"})
+        self._publish(change, f"{change.what} of {change.began} is not to be undone", {"id": id, "state": "dropped"})
 
     async def run(self, id: str, *, force: bool = False) -> Outcome:
         """Put back what one of them changed, and read it back. Raises RefusedError for an id that is not there.
 
         Refused to an armed vehicle, and where a parameter has neither the value of before nor that of the change,
-        unless ``force``: then somebody else has set it since.
+        unless ``force``: then another program has set it since.
         """
         change = self._journal.find(id)
         if id in self._running:
@@ -71,7 +71,7 @@ class UndoOrders:
         finally:
             self._running.discard(id)
         text = f"undo of {change.what}: {outcome.message}"
-        self._tell(change, text, {"id": id, "state": "undone" if outcome.ok else "left", "result": outcome.result})
+        self._publish(change, text, {"id": id, "state": "undone" if outcome.ok else "left", "result": outcome.result})
         return outcome
 
     async def _undo(self, change: Change, *, force: bool) -> Outcome:
@@ -93,11 +93,11 @@ class UndoOrders:
                 by_test = change.changed.get(name, before)
                 raise RefusedError(
                     f"{name} is {value:g}, neither {before:g} as before nor {by_test:g} as the {change.what} set it: "
-                    f"somebody has changed it since; {FORCE_HINT}"
+                    f"it was changed since; {FORCE_HINT}"
                 )
             to_set[name] = before
-        told = await actor.params.set(to_set) if to_set else {}
-        wrong = [outcome for outcome in told.values() if not outcome.ok]
+        outcomes = await actor.params.set(to_set) if to_set else {}
+        wrong = [outcome for outcome in outcomes.values() if not outcome.ok]
         if wrong:
             return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
         try:
@@ -115,7 +115,7 @@ class UndoOrders:
                 return actor
         raise RefusedError(f"system {change.sysid} is no {change.autopilot} now: another vehicle has its id")
 
-    def _tell(self, change: Change, text: str, data: dict[str, Any]) -> None:
+    def _publish(self, change: Change, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event("undo", change.vehicle, change.sysid, text, data))
 
 

@@ -262,7 +262,7 @@ class VehicleActor:
     async def takeoff(
         self, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
     ) -> Outcome:
-        """To a height above where it stands; None: the fleet file's takeoff_height_m. Arms first unless told not to.
+        """To a height above where it stands; None: the fleet file's takeoff_height_m. ``arm``: arms first.
 
         ``wait_s`` as for `arm`: an ArduCopter takes neither GUIDED nor arming until it knows where it is. ``force``:
         without the preflight it may require here; the autopilot still checks what it checks.
@@ -285,7 +285,7 @@ class VehicleActor:
         return await self._orders.run("hold", lambda now: orders.hold(self.vehicle, now))
 
     async def stop(self, action: Action) -> Outcome:
-        """Emergency stop; see `core.vehicle.stop`. A kill is to be confirmed by whoever calls (`Fleet.command_all`)."""
+        """Emergency stop; see `core.vehicle.stop`. The caller has to get a kill confirmed (`Fleet.command_all`)."""
         return await self._orders.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
 
     async def goto(self, **where: Unpack[orders.Where]) -> Outcome:
@@ -328,18 +328,18 @@ class VehicleActor:
         )
 
     async def push_origin(self, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
-        """Tell the vehicle the origin, and with ``home`` make it its home. Armed only with ``force``."""
+        """Send the vehicle the origin, and with ``home`` make it its home. Armed only with ``force``."""
         return await self._orders.track("origin", self._push_origin(origin, home, force))
 
     async def _push_origin(self, origin: Origin, home: bool, force: bool) -> Outcome:
-        told = await push_origin(self._orders.attempt, self.vehicle, self._dialect, origin, force=force)
-        if not home or told.result == "refused":
-            return told
+        sent = await push_origin(self._orders.attempt, self.vehicle, self._dialect, origin, force=force)
+        if not home or sent.result == "refused":
+            return sent
         limit_m = self.config.goto_limit_m
-        return both(told, await self._orders.attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
+        return both(sent, await self._orders.attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
-        """0 turns it off, None goes back to the vehicle's own rate. From then on the rate is the caller's to keep."""
+        """0 turns it off, None goes back to the vehicle's own rate. From then on skygcs does not request this rate."""
         with contextlib.suppress(RefusedError):
             name = orders.find_message(self._dialect, message)[1]
             self.streams.leave(name)
@@ -411,7 +411,7 @@ class VehicleActor:
         )
 
     async def _report_fence(self, order: str, work: Callable[[], Coroutine[Any, Any, FenceOutcome]]) -> FenceOutcome:
-        """Tell of it like of any order; a cancelled test has told of itself."""
+        """Report its outcome like that of any order; a cancelled test reports itself."""
         if self.vehicle.duplicate:
             return FenceOutcome(self._orders.finish(order, duplicate_refusal(self.vehicle)))
         outcome = await work()
@@ -447,7 +447,7 @@ class VehicleActor:
         return await self._orders.track("control", self._switched_off())
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
-        """See `FlightControl.change_gains`."""
+        """See `OffboardEngagement.change_gains`."""
         return self._orders.finish("gains", self.offboard.change_gains(changes, force=force))
 
     def setpoint(

@@ -1,4 +1,4 @@
-"""The fleet's one world frame: who sets it, who is told, and how often it has changed."""
+"""The fleet's one world frame: how it is set, given to every vehicle, and counted."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class World:
     def set(self, origin: Origin | None, *, force: bool = False, source: str = "") -> None:
         """Everything is expressed in this frame from now on. The same origin again changes nothing.
 
-        Raises RefusedError for what can be no origin, and without ``force`` for one of another site. ``source`` is told
-        in the event: "alpha".
+        Raises RefusedError for what can be no origin, and without ``force`` for one of another site. ``source`` is
+        named in the event: "alpha".
         """
         if origin is not None:
             origin = origins.checked(origin)
@@ -56,7 +56,7 @@ class World:
         Raises RefusedError.
         """
         if actor.vehicle.duplicate and not force:
-            raise RefusedError(f"two vehicles speak as system {actor.sysid}: nobody knows whose position that is")
+            raise RefusedError(f"two vehicles have system id {actor.sysid}: it is not known whose position this is")
         origin = origins.from_vehicle(actor.vehicle, now, heading=heading, force=force)
         if not heading and self.origin is not None:
             origin = Origin(origin.lat_deg, origin.lon_deg, origin.alt_amsl_m, self.origin.x_heading_deg)
