@@ -23,12 +23,21 @@ from skygcs.cli.options import Json
 from skygcs.cli.parsing import parse_pairs
 from skygcs.cli.render import print_json, print_lines
 from skygcs.errors import ConfigError, DaemonUnreachable, LinkError, RefusedError, RpcError, SkygcsError
-from skygcs.modem.backup import MAX_BYTES, Difference, differences, from_toml, restorable, to_toml
-from skygcs.modem.change import Ledger
+from skygcs.modem.change import Ledger, Visit, change, look
 from skygcs.modem.network import NetworkPlan, NetworkSettings, check_network, plan_network
 from skygcs.modem.reading import LIKELY_BAUD
-from skygcs.modem.settings import SERIAL_BAUD, Firmware, RadioState, inconsistencies
-from skygcs.modem.visit import Visit, change, look
+from skygcs.modem.settings import (
+    MAX_BYTES,
+    SERIAL_BAUD,
+    Difference,
+    Firmware,
+    RadioState,
+    differences,
+    from_toml,
+    inconsistencies,
+    restorable,
+    to_toml,
+)
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:

@@ -22,8 +22,8 @@ import typer
 
 from skygcs.cli.connection import Exit
 from skygcs.errors import LinkError, RefusedError
+from skygcs.modem.change import Visit
 from skygcs.modem.dialogue import Dialogue, Procedure
-from skygcs.modem.visit import Visit
 from skygcs.sim.at_modem import AtRadio, Kind
 
 T = TypeVar("T")

@@ -15,8 +15,7 @@ from skygcs.cli import radio
 from skygcs.cli.main import app
 from skygcs.cli.radio import lent
 from skygcs.errors import DaemonUnreachable, LinkError, RefusedError, RpcError
-from skygcs.modem.backup import to_toml
-from skygcs.modem.settings import Firmware, RadioState, Register
+from skygcs.modem.settings import Firmware, RadioState, Register, to_toml
 
 DONE, FAILED, USAGE = 0, 1, 2
 FLEET = """

@@ -7,9 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.errors import ConfigError
-from skygcs.modem.backup import Difference, differences, from_toml, restorable, to_toml
-from skygcs.modem.settings import Firmware, RadioState, Register
-from skygcs.modem.visit import Visit, look
+from skygcs.modem.change import Visit, look
+from skygcs.modem.settings import (
+    Difference,
+    Firmware,
+    RadioState,
+    Register,
+    differences,
+    from_toml,
+    restorable,
+    to_toml,
+)
 from skygcs.sim.at_modem import AtRadio, Kind
 from support.at_bench import Cable
 

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skygcs.errors import RefusedError
+from skygcs.modem.change import Visit, change, look
 from skygcs.modem.network import NetworkSettings, check_network, plan_network
 from skygcs.modem.settings import Firmware, RadioState, Register
-from skygcs.modem.visit import Visit, change, look
 from skygcs.sim.at_modem import AtRadio, Kind
 from support.at_bench import Cable
 

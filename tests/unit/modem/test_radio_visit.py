@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 
 from skygcs.errors import LinkError, RefusedError
-from skygcs.modem.change import Fact, Ledger
+from skygcs.modem.change import Fact, Ledger, Visit, change, look
 from skygcs.modem.dialogue import Dialogue
 from skygcs.modem.reading import LIKELY_BAUD
 from skygcs.modem.settings import Firmware
-from skygcs.modem.visit import Visit, change, look
 from skygcs.sim.at_modem import AtRadio, Faults, Kind
 from support.at_bench import Cable
 
