@@ -12,7 +12,7 @@ import pytest
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import FleetConfig
 from skygcs.core.mavlink.parser import FrameParser
-from skygcs.core.routing.sysid_translation import Endpoint
+from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.daemon import Daemon
 from skygcs.links import fast_path
 from skygcs.links.udp import UdpServerLink
@@ -47,7 +47,7 @@ def drained(sock: socket.socket) -> list[bytes]:
 
 
 def turned(data: bytes) -> bytes:
-    endpoint = Endpoint([5], 1)
+    endpoint = SysidTranslator([5], 1)
     return b"".join(endpoint.outward(f) or b"" for f in FrameParser(DIALECT).feed_datagram(data))
 
 

@@ -1,4 +1,4 @@
-"""Internet addresses: names to socket addresses and back, and socket errors in words that tell what to do."""
+"""Internet addresses: names to socket addresses and back, and socket errors as texts that say what to do."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ async def resolve(
 ) -> list[tuple[int, Address]]:
     """(family, address) of a numeric address or a name, IPv4 first. Raises LinkError. Never blocks the loop.
 
-    IPv4 first because autopilots, radios and companions listen on 0.0.0.0, and UDP gives no sign that nobody listens
-    on ::1 when "localhost" names both.
+    IPv4 first because autopilots, radios and companions listen on 0.0.0.0, and UDP does not report that no program
+    listens on ::1 when "localhost" names both.
     """
     try:
         found = socket.getaddrinfo(host, port, type=kind, flags=socket.AI_NUMERICHOST)  # no look-up: does not block
@@ -46,7 +46,7 @@ def format_host(address: Address) -> str:
 
 
 def explain(error: OSError, host: str, port: int) -> str:
-    """One line for a person: what a bind or connect failed of, and what to do."""
+    """One line for the user: why a bind or connect failed, and what to do."""
     match error.errno:
         case errno.EADDRINUSE:
             return f"port {port} is in use by another program; stop that one or choose another port"
@@ -55,7 +55,7 @@ def explain(error: OSError, host: str, port: int) -> str:
         case errno.EACCES | errno.EPERM:
             return f"not permitted to use {host} port {port}; ports below 1024 need root"
         case errno.ECONNREFUSED:
-            return "connection refused: nobody listens there (yet)"
+            return "connection refused: no program listens there (yet)"
         case errno.EHOSTUNREACH | errno.ENETUNREACH:
             return "no route to it: is the network up?"
         case errno.EMFILE | errno.ENFILE:

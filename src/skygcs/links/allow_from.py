@@ -1,6 +1,6 @@
-"""Who may be a peer of a server: the networks of `allow_from`, and a place among the others. The same for UDP and TCP.
+"""Admission of peers to a server, for UDP and TCP: by the networks of `allow_from`, and by the number of peers.
 
-What is told of it is bounded: a few addresses that are not allowed, and each change between full and not full.
+Reports are bounded: a few addresses that are not allowed, and each change between full and not full.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from skygcs.links.address import Address, format_address, format_host
 from skygcs.links.base import Link
 
 MAX_REMEMBERED = 1024
-"""Addresses of which it is remembered whether they are allowed; then all are looked at anew."""
+"""Addresses whose result is cached; above it the cache is cleared."""
 
 MAX_REPORTED = 8
 """Addresses of one link that are reported as not allowed, each once; counted are all."""
@@ -52,7 +52,7 @@ class AllowedNetworks:
 
 
 class Admission:
-    """Judges whoever comes to one server link, counts, and reports."""
+    """Decides about newcomers to one server link, counts and reports."""
 
     def __init__(
         self, link: Link, places: int, networks: Sequence[str] | None, peers: Callable[[], Iterable[Peer]]
@@ -61,9 +61,9 @@ class Admission:
         self.not_allowed = 0
         """Datagrams or connections from addresses that ``allow_from`` does not name."""
         self.refused = 0
-        """The same of those who found no place."""
+        """The same for peers that found no place."""
         self.put_out = 0
-        """Peers whose places were given to others."""
+        """Peers that were replaced by others."""
         self._link = link
         self._networks = AllowedNetworks(networks)
         self._reported: set[str] = set()
@@ -71,7 +71,7 @@ class Admission:
         self._reported_at = float("-inf")
 
     def allows(self, address: Address) -> bool:
-        """Whether ``allow_from`` names this address. To be asked before anything that it sent is looked at."""
+        """Whether ``allow_from`` allows this address. Call it before anything from it is parsed."""
         host = format_host(address)
         if host in self._networks:
             return True

@@ -1,4 +1,4 @@
-"""What every link is made of, and what it may expect of its host.
+"""The parts of every link, and the interface of its host.
 
 A **link** is an endpoint of the fleet file (one serial port, one UDP port). A **channel** is one route target on it:
 the serial port itself, one UDP peer, one TCP connection. A link opens, provides channels, and fails as a whole; the
@@ -18,7 +18,7 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.source_statistics import SourceStats
-from skygcs.core.routing.sysid_translation import Endpoint
+from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.events import Event
 from skygcs.links.outgoing import Outgoing, OwnMessage
 from skygcs.links.paced import AirBudget
@@ -112,8 +112,8 @@ class LinkHost(Protocol):
         ...
 
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
-        """Whether somebody who sends these frames, and is not known, may become a peer of this link: where signatures
-        are required one of them has to be signed with the link's key."""
+        """Whether an unknown sender of these frames may become a peer of this link: where signatures are required, one
+        frame must be signed with the link's key."""
         ...
 
     def on_event(self, event: Event) -> None:
@@ -128,7 +128,7 @@ class Channel(ABC):
     """Whether what comes from here comes in datagrams."""
 
     whole_datagrams = False
-    """Whether frames that came in one datagram and all go the same way may be sent on in one (`send_whole`)."""
+    """Whether frames of one datagram with the same destinations may be sent on in one (`send_whole`)."""
 
     fast_path: FastPath | None = None
     """The compiled fast path for datagrams from this peer, and ..."""
@@ -143,11 +143,11 @@ class Channel(ABC):
         self.parser: FrameParser = link.host.new_parser(link.config)
         self.version = 2
         self.signing: ChannelSigning | None = None
-        """Set by the host when it attaches the channel of a link that has a key."""
-        self.endpoint: Endpoint | None = None
-        """Set by the host when it attaches the channel of a link that is bound to vehicles."""
+        """Set by the host if the link has a signing key."""
+        self.translator: SysidTranslator | None = None
+        """Set by the host if the link is bound to vehicles: the ids that its program sees."""
         self.air: AirBudget | None = None
-        """Of a channel into a radio: what it may send."""
+        """The budget of a channel into a radio."""
         self.opened_at = link.loop.time()
         self.last_rx_at = self.opened_at
         self.rx_frames = 0
@@ -189,7 +189,7 @@ class Channel(ABC):
         """JSON-able counters of this channel; subclasses add their own."""
         stats = self.parser.stats
         signing = {} if self.signing is None else {"signing": self.signing.counters()}
-        endpoint = {} if self.endpoint is None else self.endpoint.counters()
+        translator = {} if self.translator is None else self.translator.counters()
         return {
             "rx_frames": self.rx_frames,
             "rx_bytes": self.rx_bytes,
@@ -200,14 +200,14 @@ class Channel(ABC):
             "bad_crc": stats.bad_crc,
             "unknown": stats.unknown,
             "skipped_bytes": stats.skipped_bytes,
-            **endpoint,
+            **translator,
             **signing,
         }
 
 
 class Link(ABC):
     """An endpoint. Life: `open`, then `failed` resolves when it breaks, then `close`; then, after `rearm`, it may be
-    opened again. ``finished`` tells that it ended by itself (a replay) and is not to be opened again."""
+    opened again. ``finished``: it ended by itself (a replay) and must not be opened again."""
 
     def __init__(self, config: LinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         self.config = config
@@ -246,6 +246,6 @@ class Link(ABC):
 
     @property
     def why_closed(self) -> str:
-        """What to tell the host when channels are detached: the failure, or that it was closed on purpose."""
+        """The reason with which channels are detached: the failure, or "closed" if it was closed on purpose."""
         failed = self.failed
         return failed.result() if failed.done() and not failed.cancelled() else "closed"

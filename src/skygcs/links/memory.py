@@ -17,7 +17,7 @@ from skygcs.links.outgoing import Outgoing
 from skygcs.links.stream import StreamIntake
 
 MAX_IN_FLIGHT = 10_000
-"""Packets under way in one direction; more are dropped and counted."""
+"""Packets in flight in one direction; more are dropped and counted."""
 
 MAX_RECEIVED = 100_000
 """Packets `MemoryPeer` keeps; then the older half goes."""
@@ -42,7 +42,7 @@ class BadNetwork:
         self._wake: asyncio.TimerHandle | None = None
 
     def transmit(self, data: bytes, deliver: Deliver) -> None:
-        """Put one packet on its way."""
+        """Send one packet."""
         config, rng = self._config, self._random.random
         self.sent += 1
         for _ in range(2 if rng() < config.duplicate else 1):
@@ -54,7 +54,7 @@ class BadNetwork:
         self._plan()
 
     def clear(self) -> None:
-        """What is under way is lost."""
+        """Drop the packets in flight."""
         self.lost += len(self._flight)
         self._flight.clear()
         if self._wake is not None:

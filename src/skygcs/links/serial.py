@@ -143,7 +143,7 @@ def _discard(port: serial.Serial) -> None:
 
 
 def _bytes_outstanding(fd: int) -> int:
-    """Written bytes that the kernel still holds; 0 where the driver does not tell, as a pty does not."""
+    """Written bytes that the kernel still holds; 0 if the driver does not report it, as for a pty."""
     try:
         (held,) = struct.unpack("i", fcntl.ioctl(fd, termios.TIOCOUTQ, bytes(4)))
     except OSError:

@@ -26,7 +26,7 @@ STABLE_AFTER_S = 5.0
 
 class LinkSupervisor:
     """Owner of one link's life. ``state`` since ``since`` (loop time); ``last_error`` is the latest reason, also after
-    recovery. The first failure is told by a link_down event, what follows is counted in ``failures``, and a link_up
+    recovery. The first failure is reported by a link_down event, later ones are counted in ``failures``, and a link_up
     event ends it. ``opened`` counts successes.
     """
 
@@ -66,7 +66,7 @@ class LinkSupervisor:
             await link.open()
         except LinkError as error:
             return str(error)
-        except Exception as error:  # a bug, or an error nobody thought of: this link's failure, nobody else's
+        except Exception as error:  # a bug or an unexpected error fails this link only
             return f"{link.config.type} {link.name}: unexpected {type(error).__name__}: {error}"
         self._came_up()
         return await link.failed
@@ -87,7 +87,7 @@ class LinkSupervisor:
         self.opened += 1
         down_s = round(self.since - self._down_since, 1) if self._down_since is not None else None
         text = f"link {self.link.name} is up" + (f" again after {down_s:g} s" if down_s is not None else "")
-        self._tell("link_up", text, {"down_s": down_s, "failures": self.failures})
+        self._report("link_up", text, {"down_s": down_s, "failures": self.failures})
         self._down_since = None
         self.failures = 0
 
@@ -97,11 +97,11 @@ class LinkSupervisor:
         self.failures += 1
         if self._down_since is None:
             self._down_since = self.since
-            self._tell("link_down", f"link {self.link.name} is down: {reason}", {"reason": reason})
+            self._report("link_down", f"link {self.link.name} is down: {reason}", {"reason": reason})
 
     def _finish(self, reason: str) -> None:
         self._enter("finished")
-        self._tell("link_down", f"link {self.link.name}: {reason}", {"reason": reason, "finished": True})
+        self._report("link_down", f"link {self.link.name}: {reason}", {"reason": reason, "finished": True})
 
-    def _tell(self, kind: str, text: str, data: dict[str, Any]) -> None:
+    def _report(self, kind: str, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event(kind, None, None, text, {"link": self.link.name, **data}))

@@ -41,7 +41,7 @@ _OUT_OF_RESOURCES = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.
 
 
 def _set_options(sock: socket.socket) -> None:
-    """What every connection has. A peer that has gone already makes some of it fail; reading will tell."""
+    """What every connection has. Some of it fails if the peer has closed already; reading reports that."""
     with contextlib.suppress(OSError):
         sock.setblocking(False)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -153,7 +153,7 @@ class TcpServerLink(Link):
                 sock.close()
 
     def _has_place(self, address: Address) -> bool:
-        """Whether a newcomer, of whom nothing is known but its address, is let in; who has to go for it has gone."""
+        """Whether a newcomer is admitted by its address; the client it replaces is closed."""
         if len(self._clients) < self.config.max_clients:
             return True
         admitted, key = self._admission.place_for(address, autopilot=False, now=self.loop.time())

@@ -1,8 +1,8 @@
-"""UDP: a server with a channel per peer, a client, and a broadcaster that locks onto who answers.
+"""UDP: a server with a channel per peer, a client, and a broadcaster that locks onto the peer that answers.
 
 One raw socket per link, many datagrams per wake-up; a datagram is a unit, never part of a stream. The socket is never
-connected: a connected one keeps the local address it began with when the machine changes its network, and reports
-every datagram that met nobody as an error. Replies from elsewhere are sorted out by their address instead.
+connected: a connected one keeps its local address when the machine changes its network, and reports every datagram to a
+closed port as an error. Datagrams from other peers are ignored by their address instead.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ DATAGRAMS_PER_WAKEUP = 64
 MAX_DATAGRAM_BYTES = 65535
 
 RECEIVE_BUFFER_BYTES = 4 << 20
-"""Asked of the kernel (which may give less): outlasts a stall of this process of some seconds."""
+"""Requested from the kernel (which may grant less): holds the datagrams of some seconds."""
 
 BROADCAST_AGAIN_S = 5.0
-"""Silence after which a broadcaster lets go of its peer (mavlink-router's time)."""
+"""Silence after which a broadcaster forgets its peer (mavlink-router's time)."""
 
 MIN_EXPIRY_STEP_S = 0.01
 """Least time between two looks for silent peers; a loop may count time in whole milliseconds."""
@@ -58,7 +58,7 @@ _TRANSIENT = frozenset(
         errno.ENOMEM,
     }
 )
-"""What receiving may report without the socket being broken."""
+"""Errors of receiving that do not mean a broken socket."""
 
 
 class UdpChannel(Channel):
@@ -118,7 +118,7 @@ class UdpChannel(Channel):
 
 
 class UdpLink(Link):
-    """What the three kinds share: the socket and the way of a datagram to its peer's channel."""
+    """The common part of the three kinds: the socket, and the path of a datagram to its peer's channel."""
 
     config: models.UdpServerLink | models.UdpClientLink | models.UdpBroadcastLink
 
@@ -200,7 +200,7 @@ class UdpLink(Link):
             self._socket = None
 
     def counters(self) -> dict[str, Any]:
-        """``ignored_datagrams``: without a good frame, or from somebody we do not talk to."""
+        """``ignored_datagrams``: without a good frame, or from an address that is no peer."""
         return {"ignored_datagrams": self._ignored}
 
     @abstractmethod
@@ -267,7 +267,7 @@ class UdpLink(Link):
 class UdpServerLink(UdpLink):
     """Listens. An address becomes a channel with its first good frame and stops being one after a silence.
 
-    Noise makes neither channels nor memory: until its first good frame an address is known to nobody.
+    Noise makes no channels and takes no memory: an address is stored with its first good frame.
     """
 
     config: models.UdpServerLink
@@ -322,7 +322,7 @@ class UdpServerLink(UdpLink):
         return channel
 
     def _takes_place(self, address: Address, frames: list[Frame], now: float) -> bool:
-        """Whether a newcomer is let in although all places are taken; who has to go for it has gone then."""
+        """Whether a newcomer is admitted although all places are taken; the peer it replaces is detached."""
         autopilot = any(frame.msgid == HEARTBEAT and discovers(frame) for frame in frames)
         admitted, key = self._admission.place_for(address, autopilot=autopilot, now=now)
         if isinstance(key, tuple):
@@ -367,7 +367,7 @@ class UdpServerLink(UdpLink):
 
 
 class UdpClientLink(UdpLink):
-    """Sends to one address from the start, whether or not somebody is there, and hears that address only."""
+    """Sends to one address from the start, whether or not a program listens there, and hears only that address."""
 
     config: models.UdpClientLink
 
@@ -386,7 +386,7 @@ class UdpClientLink(UdpLink):
 
 
 class UdpBroadcastLink(UdpLink):
-    """Broadcasts until somebody answers with a good frame, then talks to that one until it is silent for 5 s."""
+    """Broadcasts until a peer answers with a good frame, then sends to that peer until it is silent for 5 s."""
 
     config: models.UdpBroadcastLink
 
@@ -442,7 +442,7 @@ class UdpBroadcastLink(UdpLink):
         channel.peer = format_address(self._everybody)
 
     def _is_own(self, address: Address) -> bool:
-        """Whether this is our own broadcast come back: our port at an address of this machine.
+        """Whether this is our own broadcast: our port at an address of this machine.
 
         Connecting a UDP socket sends nothing; to one of its own addresses a machine talks from that same address.
         """
@@ -460,7 +460,7 @@ class UdpBroadcastLink(UdpLink):
 
 
 def _good_frames(probe: FrameParser, data: bytes) -> list[Frame]:
-    """What is in this datagram if a CRC vouches for any of it, else nothing. The parser learns nothing from it."""
+    """The frames of this datagram if any has a good CRC, else none. The parser learns nothing from it."""
     good = probe.stats.good
     frames = probe.feed_datagram(data)
     probe.verified.clear()

@@ -129,7 +129,7 @@ class AdmissionReports:
         payload = info.pack({"severity": severity, "text": text[:TEXT_BYTES]})
         message = OwnMessage(info, payload, note.target or self._own.sysid, self._own.compid)
         for channel in clients:
-            if channel.endpoint is None:
+            if channel.translator is None:
                 channel.send(message, Priority.PROTOCOL)
 
     def _clients(self, source: int) -> list[Channel]:

@@ -22,7 +22,7 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RoutingVerdict
 from skygcs.core.routing.router import Router
 from skygcs.core.routing.source_statistics import SourceStats
-from skygcs.core.routing.sysid_translation import Endpoint
+from skygcs.core.routing.sysid_translation import SysidTranslator
 from skygcs.events import Event
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, StateUpdate
 from skygcs.links.fast_path import new_table
@@ -90,7 +90,7 @@ class Hub:
         )
         self.router.on_change = self.forget_flows
         self._negative_cache: set[int] = set()
-        self._renumbering: dict[int, Endpoint] = {}
+        self._renumbering: dict[int, SysidTranslator] = {}
         """By channel id: what is sent there is changed on the way."""
         self.channels: dict[int, Channel] = {}
         self.faults = 0
@@ -138,9 +138,9 @@ class Hub:
             channel.sources = parted
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
         if channel.config.vehicles:  # which the fleet file's checks have found: an endpoint without any raises
-            channel.endpoint = Endpoint(sysids, channel.config.present_as)
-            if channel.endpoint.renumbers:
-                self._renumbering[channel.id] = channel.endpoint
+            channel.translator = SysidTranslator(sysids, channel.config.present_as)
+            if channel.translator.renumbers:
+                self._renumbering[channel.id] = channel.translator
         self.router.open(channel.id, channel_policy(channel.config, self.dialect, sysids))
         if self._signing is not None:
             self._signing.attach(channel)
@@ -239,8 +239,8 @@ class Hub:
             frames = channel.signing.admit(channel, frames)
             if not frames:
                 return []  # it counts as silence
-        if channel.endpoint is not None:
-            frames = channel.endpoint.inward(frames)
+        if channel.translator is not None:
+            frames = channel.translator.inward(frames)
         channel.last_rx_at = now
         if self.fast_path is not None and self.fast_path.records_waiting:
             self.after_fast_path()  # what came earlier is recorded first
@@ -445,7 +445,7 @@ class Hub:
         sent = False
         for channel_id in ids:
             channel = self.channels.get(channel_id)
-            if channel is not None and channel.endpoint is None:  # a program bound to vehicles gets nothing of ours
+            if channel is not None and channel.translator is None:  # a program bound to vehicles gets nothing of ours
                 sent |= channel.send(message, priority, key)
         return sent
 

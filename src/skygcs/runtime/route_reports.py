@@ -132,12 +132,12 @@ def _state_text(note: RouteNote, here: str, there: str) -> str:
 
 def _out_of_bounds_text(note: RouteNote, where: str, channel: Channel | None) -> str:
     """Text for a program behind a bound link that addressed another system; in the ids that the program knows."""
-    if channel is None or channel.endpoint is None:
+    if channel is None or channel.translator is None:
         return f"{where} addressed a system that its link is not bound to"
-    turned = channel.endpoint.turned
-    allowed = ", ".join(str(turned(sysid)) for sysid in sorted(channel.endpoint.vehicles))
-    addressed = f"system {turned(note.target)}" if note.target else "all systems (target 0)"
+    translated = channel.translator.translated
+    allowed = ", ".join(str(translated(sysid)) for sysid in sorted(channel.translator.vehicles))
+    addressed = f"system {translated(note.target)}" if note.target else "all systems (target 0)"
     return (
-        f"{where}: {turned(note.sysid)}/{note.compid} addressed {addressed}, and this link is bound to "
+        f"{where}: {translated(note.sysid)}/{note.compid} addressed {addressed}, and this link is bound to "
         f"{endpoint_text(channel.config)}: dropped, as all such frames; what may be addressed there: {allowed}"
     )

@@ -1,4 +1,4 @@
-"""Curves and tracks of any length in bounded memory, thinned so that nobody sees it in a picture."""
+"""Curves and tracks of any length in bounded memory, thinned so that a figure looks the same."""
 
 from __future__ import annotations
 

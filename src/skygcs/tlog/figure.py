@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 DOTS_PER_INCH = 120
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
-"""Okabe and Ito's, which colour-blind people can tell apart; dark enough on white."""
+"""Okabe and Ito's colours, distinct for colour-blind people; dark enough on white."""
 
 
 def require_matplotlib() -> None:

@@ -1,4 +1,4 @@
-"""What one looks at after a flight, vehicle by vehicle: where it was, how high, its battery, modes, link and texts."""
+"""A recorded flight, vehicle by vehicle: track, height, battery, modes, losses of the link, texts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FIX_3D = 3
 """GPS_FIX_TYPE: before it a receiver guesses."""
 
 SILENT_S = 3.0
-"""A vehicle of which nothing comes for so long is told as silent: its heartbeat comes every second."""
+"""A vehicle without any frame for this time counts as silent: heartbeats come every second."""
 
 MOST_TEXTS = 2000
 MOST_VEHICLES = 255
@@ -63,11 +63,11 @@ class VehicleFlight:
     last_s: float = 0.0
     track: Track = field(default_factory=Track)
     place: str = ""
-    """Which message the track is of; LOCAL_POSITION_NED counts from the vehicle's own origin, not from the map's."""
+    """The message of the track; LOCAL_POSITION_NED counts from the vehicle's own origin, not the map's."""
     placed_s: float = 0.0
     """When the track begins."""
     altitude: Curve = field(default_factory=Curve)
-    """Metres above home; above its own origin if only LOCAL_POSITION_NED tells it."""
+    """Metres above home; above its own origin if only LOCAL_POSITION_NED reports it."""
     percent: Curve = field(default_factory=Curve)
     volts: Curve = field(default_factory=Curve)
     modes: list[ModeSpan] = field(default_factory=list)
@@ -78,7 +78,7 @@ class VehicleFlight:
     silences: list[tuple[float, float]] = field(default_factory=list)
     texts: list[Text] = field(default_factory=list)
     left_out: int = 0
-    """Modes, silences and texts beyond the most that are kept."""
+    """Modes, silences and texts that were not kept, as there were too many."""
     farthest_m: float = 0.0
     """From its first place, along the ground."""
 
@@ -97,18 +97,18 @@ class VehicleFlight:
 
 
 class RecordedFlight:
-    """Fed with a log's entries, holds what is to be drawn of them, however long the log is."""
+    """Takes a log's entries and keeps what is drawn, in bounded memory."""
 
     def __init__(self, dialect: Dialect, origin: Origin | None = None) -> None:
         self.origin = origin
-        """Of the tracks' metres. If it was not given, `finish` makes it the first place of a track."""
+        """The origin of the tracks. If none is given, `finish` sets it to the first position of a track."""
         self._given = origin is not None
         self.vehicles: dict[VehicleKey, VehicleFlight] = {}
         self.begin_us: int | None = None
         self.begin_s: float | None = None
         self.end_s = 0.0
         self._stamped = False
-        """Whether frames have times of their own. The clocks of their senders stand still between what tells them."""
+        """Whether frames have times. A raw capture has only its senders' clocks, which stand still between reports."""
         self._decoder = Decoder(dialect)
         self._names = {self._decoder.msgid_of(name): name for name in DECODED}
         self._names.pop(-1, None)
@@ -118,7 +118,7 @@ class RecordedFlight:
         self._heartbeats = HeartbeatChecks()
 
     def discover(self, entry: LogEntry) -> None:
-        """See who is a vehicle and in which mode: for what lies before the time that is asked for."""
+        """Find vehicles and their modes before the selected time."""
         frame = entry.frame
         if frame is not None and self._heartbeats.own(frame, entry.at_s):
             vehicle = self._known(frame, entry.at_s)
@@ -137,7 +137,7 @@ class RecordedFlight:
             return
         key = frame.sysid, frame.compid
         vehicle = self.vehicles.get(key)
-        if frame.info is None:  # of a message the dialect does not have: it has come, all the same
+        if frame.info is None:  # unknown message: it still counts as received
             if vehicle is not None:
                 self._on_frame(vehicle, frame, now)
             return
@@ -166,7 +166,7 @@ class RecordedFlight:
             vehicle.armed_s = sum(end_s - span.begin_s for span, end_s in vehicle.spans() if span.armed)
 
     def _settle_origin(self) -> None:
-        """The first place heard need not be on a track: a better message may have come."""
+        """The first position need not be on a track: a better message may have come later."""
         placed = [v for v in self.vehicles.values() if v.place in GLOBAL and v.track.ends is not None]
         if self._given or self._frame is None or self.origin is None or not placed:
             return
@@ -231,8 +231,8 @@ class RecordedFlight:
             _add(vehicle.percent, now, battery, "percent")
             _add(vehicle.volts, now, battery, "volts")
         elif name == "GLOBAL_POSITION_INT":
-            if not folding.height_told:  # heights above another zero may have come before
-                folding.height_told, vehicle.altitude = True, Curve()
+            if not folding.height_reported:  # earlier heights may have another zero
+                folding.height_reported, vehicle.altitude = True, Curve()
             if folding.clock.on_boot_ms(values[0], now):
                 vehicle.reboots += 1
                 lost = vehicle.stats.lost
@@ -249,7 +249,7 @@ class RecordedFlight:
             if local is not None and None not in local["pos_enu_m"]:
                 east, north, up = local["pos_enu_m"]
                 self._move(vehicle, name, now, east, north)
-                if not folding.height_told:
+                if not folding.height_reported:
                     vehicle.altitude.add(now, up)
 
     def _on_place(self, vehicle: VehicleFlight, name: str, place: TelemetryGroup | None, now: float) -> None:
@@ -281,13 +281,13 @@ class RecordedFlight:
 
 
 class _Folding:
-    """What is kept between the messages of one vehicle."""
+    """State kept between the messages of one vehicle."""
 
     def __init__(self) -> None:
         self.battery: dict[str, tuple[object, ...]] = {}
         self.clock = BootClock()
         self.texts = StatusTextAssembler()
-        self.height_told = False
+        self.height_reported = False
         """By GLOBAL_POSITION_INT, above home."""
 
 

@@ -33,10 +33,10 @@ TABLE_IN = 1.8
 
 LINES_IN = 1.7
 ROW_IN = 0.2
-"""Of one vehicle in the bands of modes and links: one line of small print."""
+"""Height of a vehicle's row in the panels of modes and links: one line of small print."""
 
 EDGE_IN = 0.75
-"""Of each panel besides: title, ticks."""
+"""More height of each panel: title, ticks."""
 
 MORE_COLOURS = ("#56B4E9", "#7A4B1E", "#222222", "#8A2BE2")
 """With those of `figure`, nine vehicles have colours that are distinct on white."""
@@ -186,7 +186,7 @@ FEW = 60
 """Points that are shown as such: a line through one is not seen."""
 
 LETTER_SHARE = 0.0075
-"""Of the width of the axis, for one letter of a mode's name."""
+"""Width of one letter of a mode's name, as a share of the axis."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -192,7 +192,7 @@ class SenderClocks:
         self._now_s = 0.0
         self._shift_s: dict[tuple[int, int], float] = {}
         self._offsets: dict[int, int] = {}
-        """Of time_boot_ms in the payload, by message id; -1 if it has none."""
+        """Offset of time_boot_ms in the payload by message id; -1: no such field."""
 
     def at_s(self, frame: Frame) -> float:
         """The time of the next frame; never less than before."""

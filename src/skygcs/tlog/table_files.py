@@ -18,7 +18,7 @@ from skygcs.tlog.tables import FLIGHT_COLUMNS, NUMBER, TEXT, TIME, FlightTables,
 Columns = tuple[tuple[str, Kind], ...]
 
 CELLS_PER_GROUP = 200_000
-"""Of one table, in memory at a time: some 10 MB as Python objects. A row group of 20,000 rows with ten columns."""
+"""Cells of one table in memory: some 10 MB of Python objects, a row group of 20,000 rows with ten columns."""
 
 _TYPES: dict[Kind, str] = {TEXT: "string", NUMBER: "float64", "float": "float32", "double": "float64", "char": "string"}
 

@@ -96,35 +96,35 @@ class Figures:
     cut_line: int | None
 
 
-def figures(told: Figures) -> str:
+def figures(measured: Figures) -> str:
     """For one line of text."""
-    text = f"{told.rows:,} rows, {told.duration_s:.1f} s"
-    if not math.isnan(told.rms_error_m):
-        text += f"; error {told.rms_error_m:.2f} m rms, {told.largest_error_m:.2f} m at most"
-    if not math.isnan(told.age_p95_ms):
-        text += f"; state age p95 {told.age_p95_ms:.0f} ms"
-    return text if told.cut_line is None else f"{text}; line {told.cut_line} was cut off and is left out"
+    text = f"{measured.rows:,} rows, {measured.duration_s:.1f} s"
+    if not math.isnan(measured.rms_error_m):
+        text += f"; error {measured.rms_error_m:.2f} m rms, {measured.largest_error_m:.2f} m at most"
+    if not math.isnan(measured.age_p95_ms):
+        text += f"; state age p95 {measured.age_p95_ms:.0f} ms"
+    return text if measured.cut_line is None else f"{text}; line {measured.cut_line} was cut off and is left out"
 
 
 def draw(file: Path, path: Path, begin_s: float, end_s: float) -> Figures:
     """Raises SkygcsError if the trace cannot be read, has no row in that time, or the figure cannot be written."""
     require_matplotlib()
     columns, cut_line = _read(file, begin_s, end_s)
-    told = _figures(columns, cut_line)
+    measured = _figures(columns, cut_line)
     figure = new_figure(11, 11)
     panels = figure.subplots(6, 1, sharex=True, height_ratios=(3, 3, 3, 2, 2.4, 2))
     for axis, panel in enumerate(panels[:3]):
         _draw_axis(panel, columns, axis)
-    _draw_error(panels[3], columns, told)
+    _draw_error(panels[3], columns, measured)
     _draw_effort(panels[4], columns)
-    _draw_ages(panels[5], columns, told)
+    _draw_ages(panels[5], columns, measured)
     for panel in panels:
         _draw_modes(panel, columns)
         panel.grid(color="0.85", linewidth=0.6)
         panel.set_axisbelow(True)
         panel.margins(x=0)
     panels[-1].set_xlabel("time, s")
-    figure.suptitle(f"{columns.vehicle}: {figures(told)}", fontsize=11)
+    figure.suptitle(f"{columns.vehicle}: {figures(measured)}", fontsize=11)
     control_modes = _mode_handles(columns)
     if control_modes:
         figure.legend(
@@ -132,7 +132,7 @@ def draw(file: Path, path: Path, begin_s: float, end_s: float) -> Figures:
         )
     figure.align_ylabels(list(panels))
     save(figure, path)
-    return told
+    return measured
 
 
 # --- the panels ------------------------------------------------------------------------------------------------------
@@ -161,11 +161,11 @@ def _draw_axis(panel: Axes, columns: Columns, axis: int) -> None:
             )
 
 
-def _draw_error(panel: Axes, columns: Columns, told: Figures) -> None:
+def _draw_error(panel: Axes, columns: Columns, measured: Figures) -> None:
     panel.plot(columns.t, columns.followed, color=THIRD, linewidth=1.3)
-    if not math.isnan(told.rms_error_m):
-        panel.axhline(told.rms_error_m, color=THIRD, linewidth=0.9, linestyle=":")
-        _note(panel, f"rms {told.rms_error_m:.2f} m", told.rms_error_m, THIRD)
+    if not math.isnan(measured.rms_error_m):
+        panel.axhline(measured.rms_error_m, color=THIRD, linewidth=0.9, linestyle=":")
+        _note(panel, f"rms {measured.rms_error_m:.2f} m", measured.rms_error_m, THIRD)
     panel.set_ylabel("error, m")
     panel.set_ylim(bottom=0)
 
@@ -192,7 +192,7 @@ def _draw_effort(panel: Axes, columns: Columns) -> None:
         panel.set_title(f"limits reached (|): {names}", loc="left", fontsize=8, color="#A00000", pad=3)
 
 
-def _draw_ages(panel: Axes, columns: Columns, told: Figures) -> None:
+def _draw_ages(panel: Axes, columns: Columns, measured: Figures) -> None:
     panel.plot(columns.t, columns.age_ms, color=COLOURS[0], linewidth=0.9, label="age of the state")
     panel.plot(columns.t, columns.dt_ms, color=COLOURS[4], linewidth=0.9, label="time between steps")
     panel.set_ylabel("ms")

@@ -1,12 +1,12 @@
-"""MAVLink 2 message signing: who has the secret key signs, who has it can tell, and nothing counts twice.
+"""MAVLink 2 message signing: holders of a secret key sign and verify, and no frame counts twice.
 
 Rules and layout: https://mavlink.io/en/guide/message_signing.html
     signature block   link id (1)  timestamp (6, little endian)  signature (6)
     signature         the first 48 bits of SHA-256(key + frame from the magic byte to the CRC + link id + timestamp)
     timestamp         10 µs units since 2015-01-01 00:00 UTC, of one (sysid, compid, link id) stream strictly rising
 
-It authenticates and does not hide: every payload stays readable. 48 bits keep chance out (one try in 2.8e14); a weak
-passphrase they do not protect, as anyone who hears one signed frame may try words against it at home.
+It authenticates and does not encrypt: every payload stays readable. A guessed signature passes once in 2.8e14 tries. A
+weak passphrase is not protected: with one signed frame, passphrases can be tried offline.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from skygcs.core.mavlink.header import CRC_BYTES, INCOMPAT_SIGNED, MAGIC_V2, SIG
 
 KEY_BYTES = 32
 DIGEST_BYTES = 6
-"""Of the signature block's 13 bytes those that are the signature itself."""
+"""The signature proper, of the signature block's 13 bytes."""
 
 EPOCH_UNIX_S = 1_420_070_400
 """2015-01-01 00:00 UTC."""
@@ -44,7 +44,7 @@ day, and not the guide's minute, because honest clocks run ahead: an ArduPilot w
 each start, and a computer whose clock was set to local time is up to 14 h off."""
 
 MAX_STREAMS = 512
-"""As many sources as one channel's table of counters holds. Only who has the key can make one."""
+"""As many sources as one channel's table of counters holds. Only holders of the key can make one."""
 
 
 class SignatureVerdict(StrEnum):
@@ -55,7 +55,7 @@ class SignatureVerdict(StrEnum):
     """Not signed, and of an id that need not be."""
     UNSIGNED = "unsigned"
     FORGED = "bad_signature"
-    """Signed with another key, or changed on the way."""
+    """Signed with another key, or changed in transit."""
     REPLAYED = "replayed"
     """Not newer than the last of its stream: a copy, or one that was overtaken."""
     STALE = "stale"
@@ -81,7 +81,7 @@ def key_from_passphrase(passphrase: str) -> bytes:
 
 
 def key_id(key: bytes) -> str:
-    """Eight hexadecimal digits that tell keys apart and from which no key can be had."""
+    """Eight hexadecimal digits that identify a key and do not reveal it."""
     return hashlib.sha256(b"skygcs signing key id" + key).hexdigest()[:8]
 
 

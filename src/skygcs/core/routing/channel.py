@@ -62,7 +62,7 @@ class Port:
         self.limited = 0
         self.out_of_bounds = 0
         self.refused: set[int] = set()
-        """Targets out of bounds that were noted."""
+        """Targets out of bounds that were reported."""
 
     def may_hear(self, sysid: int) -> bool:
         """Whether frames of this system may be sent there."""
@@ -92,7 +92,7 @@ class Port:
         return not (kind & OF_RADIO and (port.policy.carries_vehicles or port.vehicles or port.bound))
 
     def _speaks_of_its_own_to(self, port: Port) -> bool:
-        """Whether what a bound channel says to nobody by name reaches none but its own vehicles on this one."""
+        """Whether a broadcast of a bound channel reaches only its own vehicles on this one."""
         if port.bound or any(autopilot >> 8 not in self.bound for autopilot in port.vehicles):
             return False
         return bool(port.vehicles) or not port.policy.carries_vehicles

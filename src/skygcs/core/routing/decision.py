@@ -1,4 +1,4 @@
-"""What the router says: what became of a frame, where it goes, and what changed in the table."""
+"""The router's answers: the verdict on a frame, its destinations, and changes of the table."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class RoutingVerdict(StrEnum):
-    """What became of a frame. Values are the names of the counters. (A plain Enum works its hash out in Python.)"""
+    """The verdict on a frame. Values are the names of the counters. (A plain Enum computes its hash in Python.)"""
 
     FORWARDED = "forwarded"
     LOCAL = "local"
@@ -17,12 +17,12 @@ class RoutingVerdict(StrEnum):
     CONFLICT = "conflict"
     FILTERED_IN = "filtered_in"
     OUT_OF_BOUNDS = "out_of_bounds"
-    """From a link bound to vehicles, and for somebody else."""
+    """From a link bound to vehicles, and addressed to another system."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """``destinations``: channel ids. ``local``: it is for us too (to us, or to all)."""
+    """``destinations``: channel ids. ``local``: it is also for us (addressed to us, or to all)."""
 
     verdict: RoutingVerdict
     destinations: tuple[int, ...] = ()
@@ -41,7 +41,8 @@ class ForwardingEntry:
 @dataclass(frozen=True, slots=True)
 class RouteNote:
     """A change worth a log line: learned, expired, cleared, crowded (and over), conflict, echo, a target that was
-    out_of_bounds, and of a vehicle's channels (`core.state_source`): duplicate (and over), ignored, switched, replaced.
+    out_of_bounds, and for a vehicle's channels (`core.routing.state_source`): duplicate (and over), ignored, switched,
+    replaced.
     """
 
     kind: str
@@ -49,10 +50,10 @@ class RouteNote:
     compid: int
     channel_id: int
     target: int = 0
-    """Of out_of_bounds: the system that was addressed; 0: all."""
+    """out_of_bounds: the addressed system; 0: all."""
     present_id: int = 0
-    """Of a vehicle's channels: the present one, or of switched and replaced the one before; 0: closed."""
+    """The vehicle's present channel; for switched and replaced the one before; 0: closed."""
     why: str = ""
-    """Of duplicate and ignored: what contradicted."""
+    """duplicate and ignored: what contradicted."""
     count: int = 0
-    """Of duplicate and ignored: frames that were ignored."""
+    """duplicate and ignored: the number of ignored frames."""

@@ -32,7 +32,7 @@ SILENT_S = 2.0
 
 
 class FirstHeard(Protocol):
-    """Somebody who remembers frames as `DuplicateFilter` does; keys are sysid, compid, seq, CRC in one number."""
+    """A memory of frames as `DuplicateFilter`; keys are sysid, compid, seq and CRC in one number."""
 
     def first_heard_on(self, key: int, channel_id: int, now: float, /) -> int: ...
 

@@ -29,7 +29,7 @@ class MessageFilter:
     block_compids: frozenset[int] = frozenset()
 
     def __bool__(self) -> bool:
-        """False if it lets everything through, so that nobody needs to ask it per frame."""
+        """False if it passes everything, so that it need not be called for each frame."""
         return bool(
             self.allow_msgids
             or self.block_msgids
@@ -56,7 +56,7 @@ class RateLimiter:
 
     ``rates_hz`` by msgid apply to every frame of that message, per source, targeted ones too; ``default_hz`` to
     broadcast frames of all other messages but HEARTBEAT; ``bytes_per_s`` to the sum of broadcast frames but HEARTBEAT.
-    What is addressed to somebody passes unless its message is named: losing a command is no way to save bandwidth.
+    An addressed frame passes unless its message is named: a lost command is no saving of bandwidth.
     """
 
     __slots__ = ("_buckets", "_budget", "bytes_per_s", "default_hz", "rates_hz")

@@ -1,4 +1,4 @@
-"""Who was heard where, and where a frame goes: every routing rule there is, in one place.
+"""The routing table, and every routing rule: on which channels a source was heard, and where a frame goes.
 
 Rules (https://mavlink.io/en/guide/routing.html, and what a ground router of many vehicles needs on top):
 
@@ -6,31 +6,31 @@ Rules (https://mavlink.io/en/guide/routing.html, and what a ground router of man
     ------------------------------------    -----------------------------------------------------------------------
     no target, or target system 0           every other channel (not: same group; not: telemetry of a vehicle to
                                             channels of role vehicle or radio; not: RADIO_STATUS to vehicles)
-    id not in the dialect                   as without a target; to a radio only if the link says so; teaches no route
+    id not in the dialect                   as without a target; to a radio only if the link allows it; makes no route
     target = our system and component       us
     target = our system, component 0        us, and where others with our system id were heard
     target = our system, other component    where that component was heard
     target = other system                   where that component was heard, else where that system was heard;
                                             of channels that hear the same frames twice only the better one
     target never heard                      nowhere, counted
-    source = our own id                     nowhere: an echo, or somebody uses our id; counted, noted, not learned
+    source = our own id                     nowhere: an echo, or a conflict of ids; counted, reported, not learned
     an autopilot's, from a gcs channel,     nowhere: an echo of what the ground station was sent
     though it is heard elsewhere            (from a bound channel: also if it is heard nowhere else)
     a recording's (replayed channel)        without a target: ground stations (role gcs); with one: nowhere. Nothing
                                             of what is alive elsewhere, and nothing is ever sent to the recording
 
-A channel may be bound to vehicles (`ChannelPolicy.vehicles`): a program behind it that knows of those only. Then also:
+A channel may be bound to vehicles (`ChannelPolicy.vehicles`): the program behind it sees only those. Then also:
 
     to it, from another system              nowhere: other vehicles, other ground stations, RADIO_STATUS, our own
     from it, target = one of its vehicles   as above
-    from it, target = any other, ours too   nowhere; counted as out_of_bounds, noted once for each target
-    from it, target system 0                its vehicle (the link's edge, `core.presented`, has put it there); out of
-                                            bounds if there are several, as nobody meant them all
+    from it, target = any other, ours too   nowhere; counted as out_of_bounds, reported once for each target
+    from it, target system 0                its vehicle (`SysidTranslator` has put its id there); out of bounds if there
+                                            are several
     from it, no target or id not known      us; channels that are not bound and on which no autopilot of another system
                                             is heard, those of role vehicle or radio only if one of its own is
 
-Many programs use one id (pymavlink is 255/0): what comes from bound channels is nobody's copy, and an answer goes where
-that id was heard and the system that answers may be heard.
+Many programs use one id (pymavlink is 255/0): so a frame from a bound channel is never taken for a copy, and an answer
+goes where that id was heard and the answering system may be heard.
 
 Never back to the channel it came from. SYSTEM_TIME going back means the system rebooted: its routes are cleared.
 """
@@ -52,11 +52,11 @@ from skygcs.core.routing.state_source import DEFAULT_LOST_S, Known, SourceReport
 from skygcs.core.routing.table_room import RouteRoom
 
 FORGOTTEN_S = 10.0
-"""A vehicle is on one channel again when no other one has had a frame with its ids for so long."""
+"""A vehicle is on one channel again when no other one has had a frame with its ids for this time."""
 
 MAX_NOTES = 256
 CONFLICT_QUIET_S = 60.0
-"""A conflict is noted again only after so long without one on the same channel."""
+"""A conflict is reported again only after this time without one on the same channel."""
 
 BOOT_JITTER_MS = 3000
 """SYSTEM_TIME may come late by as much over two links; what went back by less is no reboot ..."""
@@ -87,7 +87,7 @@ class Router:
         vehicle_timeout_s: float = DEFAULT_LOST_S,
         duplicates: FirstHeard | None = None,
     ) -> None:
-        """``duplicates``: who remembers which frame was heard where first, if it is not to be a `DuplicateFilter`."""
+        """``duplicates``: the memory of recent frames; None: a `DuplicateFilter`."""
         self._own_sysid = own_sysid
         self._own_source = own_sysid << 8 | own_compid
         self._own_compid = own_compid
@@ -102,20 +102,21 @@ class Router:
         self._dedup = False
         self._any_bound = False
         self._parallel: dict[int, ParallelChannels] = {}
-        self._anchored: set[int] = set()
+        self._heard_directly: set[int] = set()
+        """Autopilots heard on their own links: from a ground station or a recording their frames are echoes."""
         self._first_channel_id = 0
-        """Where the last copy was heard first."""
+        """The channel on which the last copy was heard first."""
         self.state_sources: dict[int, StateSource] = {}
         """By sysid<<8|compid: the vehicles that are heard on several channels, or were just now; see `supplies`."""
         self.known: Callable[[int], Known | None] = lambda source: None
-        """The last frames of a vehicle that somebody keeps the state of; None for any other source."""
+        """The last frames of a vehicle whose state is kept; None for any other source."""
         self.on_replaced: Callable[[int], None] = lambda source: None
-        """Called before the first frame counts of another vehicle that has taken a known one's place (or of the same,
-        restarted on another channel)."""
+        """Called when another vehicle has taken a known one's place (or the same one restarted on another channel),
+        before its first frame counts."""
         self._room = RouteRoom()
         self.counters: dict[RoutingVerdict, int] = dict.fromkeys(RoutingVerdict, 0)
         self.unnoted_routes = 0
-        """Routes learned or expired that were not noted."""
+        """Routes learned or expired that were not reported."""
         self.notes: deque[RouteNote] = deque(maxlen=MAX_NOTES)
 
     # -- channels
@@ -148,7 +149,7 @@ class Router:
             port.broadcast.clear()
         self._dedup = len(self._ports) > 1
         self._any_bound = any(port.bound for port in self._ports.values())
-        self._anchored = {
+        self._heard_directly = {
             source
             for port in self._ports.values()
             if port.policy.role != "gcs" and not port.policy.replayed
@@ -164,18 +165,20 @@ class Router:
     # -- one frame
 
     def decide(self, channel_id: int, frame: Frame, now: float) -> Decision:
-        """Learn from one received frame and say where it goes. Hot: one call per frame."""
+        """Learn from one received frame and decide where it goes. Hot: one call per frame."""
         port = self._ports[channel_id]
         source = frame.sysid << 8 | frame.compid
+        # frames that are not learned from: our own id, filtered, echoes
         if source == self._own_source:
             return _CONFLICT if port.policy.replayed else self._conflict(port, frame, now)
         if port.filter_in is not None and not port.filter_in.passes(frame.msgid, frame.sysid, frame.compid):
             port.filtered_in += 1
             return self._counted(_FILTERED_IN)
-        if source in self._anchored and (port.policy.role == "gcs" or port.policy.replayed):
+        if source in self._heard_directly and (port.policy.role == "gcs" or port.policy.replayed):
             return self._echo(port, source, now)
         if port.bound and frame.msgid == HEARTBEAT and discovers(frame):
             return self._echo(port, source, now)
+        # learn the route, the vehicle and its clock
         info = frame.info
         if info is not None:
             if frame.msgid == SYSTEM_TIME:
@@ -186,16 +189,18 @@ class Router:
                 self._learn(port, source, frame, now)
             if frame.msgid == HEARTBEAT:
                 self._check_vehicle(port, frame, source, now)
+        # drop copies, and what this channel must not send
         if self._dedup and not port.bound and self._is_copy(port, frame, source, now):
             return self._counted(_DUPLICATE)
         system, component = frame.target()
         if port.bound and system not in port.bound and (system or _has_target(frame)):
-            return self._beyond(port, source, system, now)
+            return self._not_permitted(port, source, system, now)
         if port.limiter_in is not None and not port.limiter_in.passes(
             source, frame.msgid, len(frame.raw), system != 0, now
         ):
             port.limited += 1
             return self._counted(_FILTERED_IN)
+        # find its destinations
         if system == 0:
             decision = self._broadcast(port, frame, source, now)
         elif port.policy.replayed:
@@ -221,7 +226,7 @@ class Router:
             return None
         if len(self._by_source[source]) > 1:
             return None  # only their order shows which channel's frame is the newest
-        if source in self._anchored and port.policy.role == "gcs":
+        if source in self._heard_directly and port.policy.role == "gcs":
             return None
         if port.limiter_in is not None:
             return None
@@ -261,7 +266,7 @@ class Router:
         return cached
 
     def _broadcast_ports(self, port: Port, kind: int, sysid: int) -> tuple[Decision, tuple[Port, ...]]:
-        """The decision for this kind of broadcast of a system, and those of its destinations that filter or limit."""
+        """The decision for this kind of broadcast of a system, and its destinations that have filters or limits."""
         ports = [p for p in self._ports.values() if p.may_hear(sysid) and port.takes_broadcast(p, kind)]
         verdict = RoutingVerdict.FORWARDED if ports else RoutingVerdict.LOCAL
         decision = Decision(verdict, tuple(p.id for p in ports), local=True)
@@ -312,8 +317,7 @@ class Router:
         return Decision(RoutingVerdict.LOCAL if decision.local else RoutingVerdict.NOBODY, (), decision.local)
 
     def _preferred(self, ports: list[Port], system: int, now: float) -> list[Port]:
-        """Of parallel channels the one that supplies the vehicle's state, or the better one; channels that are not
-        parallel all stay."""
+        """Without parallel channels but one: the one that supplies the vehicle's state, or the better one."""
         parallel = self._parallel[system]
         best = next((s.present_id for key, s in self.state_sources.items() if key >> 8 == system), None)
         if best is None:
@@ -330,8 +334,8 @@ class Router:
     # -- our own messages
 
     def route_own(self, sysid: int, compid: int, now: float, *, everywhere: bool = False) -> tuple[int, ...]:
-        """Channels for a message of ours: all for system 0; else the best one to that component or system: of a vehicle
-        the one that supplies its state.
+        """Channels for a message of ours: all for system 0; else the best one to that component or system, or
+        the one that supplies the vehicle's state.
 
         ``everywhere`` (emergencies) takes every channel on which it was heard. () if it was never heard. Never one that
         is bound to vehicles.
@@ -379,7 +383,7 @@ class Router:
         self._note_route("learned", source, port, now)
 
     def _make_room(self, port: Port, source: int, frame: Frame, now: float) -> bool:
-        """Whether a new source may be kept on a channel that is full: an autopilot, if another source gives way."""
+        """Whether a new source may be kept on a full channel: an autopilot may, if another source can be removed."""
         if self._room.became_crowded(port.policy.link, now):
             self._note("crowded", source, port)
         place = None
@@ -418,7 +422,7 @@ class Router:
         if source in self.state_sources or port.policy.replayed:
             return
         others = [p for p in self._by_source.get(source, ()) if p is not port and not p.policy.replayed and not p.bound]
-        replayed = any(p.policy.replayed for p in self._by_source.get(source, ()))  # which stations hand back
+        replayed = any(p.policy.replayed for p in self._by_source.get(source, ()))  # ground stations echo it
         hearing = [p for p in others if source in p.vehicles and not (replayed and p.policy.role == "gcs")]
         known = self.known(source)
         if hearing:
@@ -432,14 +436,14 @@ class Router:
         self._topology_changed()
 
     def supplies(self, channel_id: int, frame: Frame, now: float, *, copy: bool) -> bool:
-        """Whether this frame, of one of `state_sources`, counts for the vehicle's state; to be asked after `decide`.
+        """Whether this frame, of one of `state_sources`, counts for the vehicle's state; call it after `decide`.
         ``copy``: the verdict was DUPLICATE."""
         port = self._ports[channel_id]
         source = frame.sysid << 8 | frame.compid
         state = self.state_sources[source]
         if port.policy.replayed or port.bound or frame.info is None:
             return False
-        if source in self._anchored and port.policy.role == "gcs":
+        if source in self._heard_directly and port.policy.role == "gcs":
             return False
         counts = state.accepts(channel_id, port.policy.link, frame, now, of=self._first_channel_id if copy else None)
         handed_back = not counts and port.policy.role != "gcs" and self._is_station(state.present_id)
@@ -484,7 +488,7 @@ class Router:
             self._topology_changed()
 
     def expire(self, now: float) -> None:
-        """Forget what has not been heard for the route timeout. To be called about once a second."""
+        """Forget routes that were not heard for the route timeout. Call it about once a second."""
         limit = now - self._route_timeout_s
         for port in self._ports.values():
             for source in [s for s, at in port.heard.items() if at < limit]:
@@ -498,17 +502,16 @@ class Router:
             self._tick_state(source, state, now)
 
     def _check_reboot(self, port: Port, frame: Frame, source: int, now: float) -> None:
-        """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears the system's routes. Those
-        on which something was heard just now stay, unless it is the clock of the channel that supplies the vehicle's
-        state: anybody can write any source's clock into a frame, and one that goes back again and again must keep no
-        order from a vehicle."""
+        """The routing guide: SYSTEM_TIME with a smaller time_boot_ms clears the system's routes. Routes with frames
+        within HEARD_NOW_S stay, unless the clock is that of the channel that supplies the vehicle's state: any sender
+        can forge a clock, and a forged one must not keep orders from a vehicle."""
         boot_ms = struct.unpack_from("<I", frame.payload + bytes(12), 8)[0]
         before = port.boot_ms.get(source, 0)
         state = self.state_sources.get(source)
         estimated = state is None or state.present_id in (None, port.id)
         if estimated and boot_ms < before and (boot_ms < JUST_BOOTED_MS or boot_ms < before - BOOT_JITTER_MS):
             system = source >> 8
-            # of programs with one id behind bound channels each has a clock of its own
+            # programs with one id behind bound channels each have their own clock
             for other in [port] if port.bound else [p for p in self._ports.values() if not p.bound]:
                 for known in sorted(other.of_system.get(system, ())):
                     there = state is None and now - other.heard[known] <= HEARD_NOW_S
@@ -533,7 +536,7 @@ class Router:
             self._drop_echo_routes(source)
 
     def _share_state_of_new(self, port: Port, source: int, now: float) -> None:
-        """A source that several channels hear shows on this one that it is a vehicle."""
+        """A source heard on several channels was found to be a vehicle on this one."""
         if source in self.state_sources or port.policy.replayed or port.bound:
             return
         if any(p is not port and not p.policy.replayed and not p.bound for p in self._by_source[source]):
@@ -541,8 +544,8 @@ class Router:
             self.state_sources[source] = state
 
     def _drop_echo_routes(self, source: int) -> None:
-        """A vehicle found on its own link was perhaps met first through a ground station or a recording."""
-        if source not in self._anchored:
+        """Drop routes through ground stations and recordings, by which a vehicle may have been heard first."""
+        if source not in self._heard_directly:
             return
         for port in self._ports.values():
             if source in port.heard and (port.policy.role == "gcs" or port.policy.replayed):
@@ -572,7 +575,7 @@ class Router:
         return copy
 
     def _end_parallel(self, system: int, now: float) -> None:
-        """SCORE_FRAMES frames without copies. A channel silent all the while has lost the system: no route is left."""
+        """SCORE_FRAMES frames came without copies. A channel that was silent meanwhile loses its routes to it."""
         parallel = self._parallel.pop(system)
         self.on_change()
         for port in list(self._by_system.get(system, ())):
@@ -586,8 +589,8 @@ class Router:
         port.conflict_at = now
         return self._counted(_CONFLICT)
 
-    def _beyond(self, port: Port, source: int, target: int, now: float) -> Decision:
-        """From a bound channel, for who is none of its vehicles."""
+    def _not_permitted(self, port: Port, source: int, target: int, now: float) -> Decision:
+        """Reject a frame addressed outside the channel's vehicles."""
         port.out_of_bounds += 1
         if target not in port.refused:
             port.refused.add(target)
@@ -595,40 +598,40 @@ class Router:
         return self._counted(_OUT_OF_BOUNDS)
 
     def _note_route(self, kind: str, source: int, port: Port, now: float) -> None:
-        """Note a route that came or went, up to the link's rate of such notes."""
+        """Report a route that came or went, up to the link's rate of such reports."""
         if self._room.may_note(port.policy.link, now):
             self._note(kind, source, port)
         else:
             self.unnoted_routes += 1
 
     def _note_some(self, kind: str, source: int, port: Port, now: float, target: int = 0) -> None:
-        """The same of what is wrong: a flood of learned routes hides none of it."""
+        """The same for problems, with a rate of their own: a flood of learned routes hides none."""
         if self._room.may_note(f"{port.policy.link}: wrong", now):
             self._note(kind, source, port, target)
 
     def _note(self, kind: str, source: int, port: Port, target: int = 0) -> None:
         self.notes.append(RouteNote(kind, source >> 8, source & 0xFF, port.id, target))
 
-    # -- what a person asks
+    # -- status
 
     @property
     def refused_routes(self) -> int:
-        """Frames of sources that found no room in the table (`core.route_room`)."""
+        """Frames of sources for which the table had no room (`core.routing.table_room`)."""
         return self._room.refused
 
     @property
     def evicted_routes(self) -> int:
-        """Sources that gave way to an autopilot."""
+        """Sources that were removed for an autopilot."""
         return self._room.evicted
 
     @property
     def duplicates(self) -> set[int]:
-        """Autopilots (sysid<<8|compid) that two vehicles claim to be."""
+        """Autopilot ids (sysid<<8|compid) that two vehicles use."""
         return {source for source, state in self.state_sources.items() if state.duplicate}
 
     def channels_of(self, source: int) -> tuple[int, ...]:
-        """Ids of the channels on which this sysid<<8|compid is heard; of a vehicle first the one that supplies its
-        state."""
+        """Ids of the channels on which this sysid<<8|compid is heard; for a vehicle, the one that supplies its state
+        comes first."""
         ports = self._by_source.get(source, [])
         state = self.state_sources.get(source)
         if state is not None:
@@ -646,7 +649,7 @@ class Router:
         return sorted(rows)
 
     def port_counters(self, channel_id: int) -> dict[str, int]:
-        """What filters, limits and the vehicles it is bound to kept out on one channel."""
+        """Counts of frames that one channel rejected: by filters, limits and its vehicles."""
         port = self._ports.get(channel_id)
         if port is None:
             return {}
@@ -656,7 +659,7 @@ class Router:
 
 
 def _has_target(frame: Frame) -> bool:
-    """Whether the message has a field for its target, whatever stands there."""
+    """Whether the message has a target field, whatever its value."""
     return frame.info is not None and frame.info.target_system_offset >= 0
 
 

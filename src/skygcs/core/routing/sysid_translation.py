@@ -1,15 +1,16 @@
-"""What stands between a bound link and the router: the vehicles of one program, perhaps under another system id.
+"""Translate system ids between a bound link and the router: a program may see its vehicle under another id.
 
-A link bound to vehicles has an `Endpoint`. It turns what the program says into what is meant before the router sees it,
-and shows the program a vehicle under the id it expects; who gets what is decided in `core.routing`, in real ids.
+A link bound to vehicles has a `SysidTranslator`. It puts the program's frames into real ids before the router sees
+them, and shows the program a vehicle under the id that it expects; `core.routing.router` decides in real ids.
 
-    from the program    a target field of 0 (pymavlink before its first heartbeat), if there is one vehicle: that one
-    both ways           if the vehicle is shown under another id, the two ids change places: in the header and in the
-                        target field. So it is the same for every id, and what is turned twice is as it was
-    renumbered          an id that the dialect does not have stays out, as nobody knows where its target stands
+    from the program    a target field of 0 (pymavlink before its first heartbeat) becomes the vehicle's id, if there is
+                        exactly one vehicle
+    both directions     if the vehicle is shown under another id, the two ids are exchanged in the header and in the
+                        target field; the exchange is its own inverse
+    renumbered          a message that the dialect does not have is dropped, as the place of its target is not known
 
-A frame that is changed keeps its sequence number, gets a new CRC and loses its signature: nobody here could renew it.
-Ids in other fields (GIMBAL_MANAGER_STATUS.primary_control_sysid, parameters of commands) are left as they are.
+A changed frame keeps its sequence number, gets a new CRC and loses its signature, which cannot be renewed here. Ids in
+other fields (GIMBAL_MANAGER_STATUS.primary_control_sysid, parameters of commands) are not changed.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.header import decode_header, encode_header
 
 
-class Endpoint:
-    """The edge of one bound channel. ``vehicles`` are real system ids; ``shown_as`` counts with exactly one of them."""
+class SysidTranslator:
+    """The translation of one bound channel. ``vehicles``: real system ids; ``shown_as`` needs exactly one of them."""
 
     __slots__ = ("_only", "_shown", "kept_out", "renumbers", "retargeted", "unsigned", "vehicles")
 
@@ -31,35 +32,35 @@ class Endpoint:
         """Raises ValueError for no vehicle, or for ``shown_as`` and several."""
         self.vehicles = frozenset(vehicles)
         if not self.vehicles or (shown_as is not None and len(self.vehicles) > 1):
-            raise ValueError("an endpoint has vehicles, and exactly one if that is shown under another id")
+            raise ValueError("a bound link needs vehicles, and exactly one if that is shown under another id")
         self._only = next(iter(self.vehicles)) if len(self.vehicles) == 1 else 0
         self._shown = self._only if shown_as is None else shown_as
         self.renumbers = self._shown != self._only
         self.retargeted = 0
-        """Frames from the program for all (0) that were turned into ones for its vehicle."""
+        """Frames from the program for all (0) that were addressed to its vehicle instead."""
         self.unsigned = 0
-        """Signatures taken off frames that were changed."""
+        """Signatures removed from changed frames."""
         self.kept_out = 0
-        """Frames of unknown id, of either way, on a renumbered endpoint."""
+        """Frames with an unknown id, in both directions, on a link that renumbers."""
 
-    def turned(self, system: int) -> int:
-        """The id that stands for ``system`` on the other side; its own inverse."""
+    def translated(self, system: int) -> int:
+        """The id of ``system`` on the other side; the function is its own inverse."""
         if system == self._only:
             return self._shown
         return self._only if system == self._shown else system
 
     def inward(self, frames: list[Frame]) -> list[Frame]:
-        """What the program means by what it sent, in real ids; without what cannot be turned."""
+        """The program's frames in real ids, without those that cannot be translated."""
         return [meant for frame in frames if (meant := self._meant(frame)) is not None]
 
     def outward(self, frame: Frame) -> bytes | None:
-        """A frame as the program is to see it; None if it cannot be turned."""
+        """A frame as the program sees it; None if it cannot be translated."""
         if not self.renumbers:
             return frame.raw
         if frame.info is None:
             self.kept_out += 1
             return None
-        return self._changed(frame, self.turned(frame.target()[0])).raw
+        return self._changed(frame, self.translated(frame.target()[0])).raw
 
     def counters(self) -> dict[str, int]:
         """JSON-able."""
@@ -70,14 +71,14 @@ class Endpoint:
         if info is None:
             self.kept_out += self.renumbers
             return None if self.renumbers else frame
-        target = self.turned(frame.target()[0])
+        target = self.translated(frame.target()[0])
         if not target and self._only and _can_be_targeted(frame):
             self.retargeted += 1
             target = self._only
         return self._changed(frame, target)
 
     def _changed(self, frame: Frame, target: int) -> Frame:
-        changed = readdressed(frame, self.turned(frame.sysid), target)
+        changed = readdressed(frame, self.translated(frame.sysid), target)
         self.unsigned += changed is not frame and frame.signed
         return changed
 
@@ -95,7 +96,7 @@ def readdressed(frame: Frame, sysid: int, target: int) -> Frame:
         return frame
     payload = bytearray(frame.payload)
     if moved:
-        payload += bytes(max(at + 1 - len(payload), 0))  # it was trimmed away while it was 0
+        payload += bytes(max(at + 1 - len(payload), 0))  # a target of 0 was trimmed
         payload[at] = target
     header = decode_header(frame.raw)
     assert header is not None
@@ -106,7 +107,7 @@ def readdressed(frame: Frame, sysid: int, target: int) -> Frame:
 
 
 def _can_be_targeted(frame: Frame) -> bool:
-    """Whether there is a target field, and room for it: MAVLink 1 carries no extensions, as COMMAND_ACK's target is."""
+    """Whether the message has a target field and carries it: MAVLink 1 has no extensions, as COMMAND_ACK's target."""
     info = frame.info
     if info is None or info.target_system_offset < 0:
         return False

@@ -1,4 +1,4 @@
-"""An endpoint's edge: pymavlink reads the same from a frame before and after, but for the ids."""
+"""An translator's edge: pymavlink reads the same from a frame before and after, but for the ids."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from skygcs.core.mavlink.frame import Frame, encode
 from skygcs.core.mavlink.header import INCOMPAT_SIGNED
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import sign
-from skygcs.core.routing.sysid_translation import Endpoint, readdressed
+from skygcs.core.routing.sysid_translation import SysidTranslator, readdressed
 from support.frames import dialect, random_values, unknown_frame
 
 PYMAVLINK = set(ardupilotmega.mavlink_map)
@@ -62,12 +62,12 @@ def test_all_but_the_ids_is_read_as_before(
 ) -> None:
     if version == 1 and (info.msgid > 255 or info.target_system_offset >= info.min_length):
         version = 2
-    endpoint = Endpoint([real], shown)
+    translator = SysidTranslator([real], shown)
     said = make(info, version, seed, sysid, shown)
-    (meant,) = endpoint.inward([said])
+    (meant,) = translator.inward([said])
     assert meant.target()[0] == real
-    same_but_for_ids(said.raw, meant.raw, endpoint.turned(sysid), real, info)
-    assert endpoint.outward(meant) == said.raw, "and turned back it is what it was"
+    same_but_for_ids(said.raw, meant.raw, translator.translated(sysid), real, info)
+    assert translator.outward(meant) == said.raw, "and turned back it is what it was"
 
 
 @pytest.mark.parametrize("info", TARGETED, ids=lambda m: m.name)
@@ -76,18 +76,18 @@ def test_all_but_the_ids_is_read_as_before(
 def test_a_target_of_0_becomes_the_one_vehicle(info: MessageInfo, version: int, seed: int, vehicle: int) -> None:
     if version == 1 and (info.msgid > 255 or info.target_system_offset >= info.min_length):
         version = 2
-    endpoint = Endpoint([vehicle])
+    translator = SysidTranslator([vehicle])
     said = make(info, version, seed, 255, 0)
-    (meant,) = endpoint.inward([said])
+    (meant,) = translator.inward([said])
     assert meant.target()[0] == vehicle
-    assert endpoint.retargeted == 1
+    assert translator.retargeted == 1
     same_but_for_ids(said.raw, meant.raw, 255, vehicle, info)
 
 
 def test_a_target_byte_that_was_trimmed_away_comes_back() -> None:
     said = parsed(encode(dialect().find("MANUAL_CONTROL"), {"x": 5}, sysid=255, compid=0, seq=1))
     assert len(said.payload) == 1
-    (meant,) = Endpoint([7]).inward([said])
+    (meant,) = SysidTranslator([7]).inward([said])
     assert meant.fields()["target"] == 7
     assert meant.fields()["x"] == 5
     assert len(meant.payload) == dialect().find("MANUAL_CONTROL").target_system_offset + 1
@@ -95,24 +95,24 @@ def test_a_target_byte_that_was_trimmed_away_comes_back() -> None:
 
 def test_the_target_of_an_ack_in_mavlink_1_has_no_place() -> None:
     said = parsed(encode(dialect().find("COMMAND_ACK"), {"command": 400}, sysid=255, compid=0, seq=1, version=1))
-    endpoint = Endpoint([7])
-    assert endpoint.inward([said]) == [said]
-    assert endpoint.retargeted == 0
+    translator = SysidTranslator([7])
+    assert translator.inward([said]) == [said]
+    assert translator.retargeted == 0
 
 
 @pytest.mark.parametrize("target", [0, 9, 4])
 def test_several_vehicles_are_left_as_they_are(target: int) -> None:
     said = make(dialect().find("COMMAND_LONG"), 2, 1, 255, target)
-    endpoint = Endpoint([4, 5])
-    assert endpoint.inward([said]) == [said]
-    assert endpoint.outward(said) == said.raw
+    translator = SysidTranslator([4, 5])
+    assert translator.inward([said]) == [said]
+    assert translator.outward(said) == said.raw
 
 
 def test_ids_change_places_so_that_none_stands_for_two() -> None:
-    endpoint = Endpoint([5], 1)
-    assert [endpoint.turned(i) for i in (0, 1, 5, 6, 255)] == [0, 5, 1, 6, 255]
+    translator = SysidTranslator([5], 1)
+    assert [translator.translated(i) for i in (0, 1, 5, 6, 255)] == [0, 5, 1, 6, 255]
     said = make(dialect().find("COMMAND_LONG"), 2, 1, 5, 5)
-    (meant,) = endpoint.inward([said])
+    (meant,) = translator.inward([said])
     assert (meant.sysid, meant.target()[0]) == (1, 1), "who says 5 there means none of the program's vehicles"
 
 
@@ -121,10 +121,10 @@ def test_a_signature_goes_where_a_frame_is_changed_and_nowhere_else(shown: int |
     plain = encode(dialect().find("COMMAND_LONG"), {"target_system": 1, "command": 400}, sysid=255, compid=0, seq=3)
     signed = parsed(sign(plain, dialect().find("COMMAND_LONG").crc_extra_byte, bytes(32), 1, 12345))
     assert signed.signed
-    endpoint = Endpoint([1 if shown is None else 9], shown)
-    (meant,) = endpoint.inward([signed])
+    translator = SysidTranslator([1 if shown is None else 9], shown)
+    (meant,) = translator.inward([signed])
     assert meant.signed == (shown is None)
-    assert endpoint.unsigned == (shown is not None)
+    assert translator.unsigned == (shown is not None)
     if shown is not None:
         assert not meant.raw[2] & INCOMPAT_SIGNED
         assert parsed(meant.raw).target()[0] == 9, "and its CRC is right without the flag"
@@ -135,12 +135,12 @@ def test_what_nobody_can_read_does_not_pass_a_renumbered_endpoint() -> None:
     parser.feed_datagram(make(dialect().find("COMMAND_LONG"), 2, 1, 5, 1).raw)
     (unknown,) = parser.feed_datagram(unknown_frame(sysid=5, compid=42))
     assert unknown.info is None
-    endpoint = Endpoint([5], 1)
-    assert endpoint.outward(unknown) is None
-    assert endpoint.inward([unknown]) == []
-    assert endpoint.counters()["unknown_kept_out"] == 2
-    assert Endpoint([5]).outward(unknown) == unknown.raw
-    assert Endpoint([5]).inward([unknown]) == [unknown]
+    translator = SysidTranslator([5], 1)
+    assert translator.outward(unknown) is None
+    assert translator.inward([unknown]) == []
+    assert translator.counters()["unknown_kept_out"] == 2
+    assert SysidTranslator([5]).outward(unknown) == unknown.raw
+    assert SysidTranslator([5]).inward([unknown]) == [unknown]
 
 
 @given(IDS, st.integers(0, 255))
@@ -154,9 +154,9 @@ def test_what_has_no_target_changes_its_source_only(sysid: int, seq: int) -> Non
     assert readdressed(before, sysid, 0) is before
 
 
-def test_an_endpoint_shows_one_vehicle_under_one_id() -> None:
+def test_a_translator_shows_one_vehicle_under_one_id() -> None:
     with pytest.raises(ValueError, match="exactly one"):
-        Endpoint([1, 2], 3)
-    with pytest.raises(ValueError, match="has vehicles"):
-        Endpoint([])
-    assert not Endpoint([4], 4).renumbers
+        SysidTranslator([1, 2], 3)
+    with pytest.raises(ValueError, match="needs vehicles"):
+        SysidTranslator([])
+    assert not SysidTranslator([4], 4).renumbers
