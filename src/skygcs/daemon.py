@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from skygcs import __version__
+from skygcs.config.files import open_regular
 from skygcs.config.models import FleetConfig
-from skygcs.config.regular_file import open_regular
 from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS

@@ -24,7 +24,7 @@ import uvloop
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.control import ControlSettings
-from skygcs.config.models import FleetConfig, MemoryLink, UdpClientLink, VehicleConfig
+from skygcs.config.models import FleetConfig, MemoryLinkConfig, UdpClientLinkConfig, VehicleConfig
 from skygcs.core.control.cascade import Estimate, Memory, Reference, step
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.guard import ControlMode
@@ -34,8 +34,8 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.vehicle import Vehicle
-from skygcs.links.memory import MemoryLink as Link
-from skygcs.links.udp import UdpClientLink as UdpLink
+from skygcs.links.memory import MemoryLink
+from skygcs.links.udp import UdpClientLink
 from skygcs.runtime.command_client import CommandClient
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.offboard_engagement import OffboardEngagement
@@ -68,7 +68,7 @@ class Flown:
             lambda event: None,
         )
         connect(hub)
-        self.link = Link(MemoryLink(type="memory", name="radio", loss=1.0), hub, self.loop)
+        self.link = MemoryLink(MemoryLinkConfig(type="memory", name="radio", loss=1.0), hub, self.loop)
         self.hub = hub
         self.vehicle = Vehicle(1, 1, dialect, decoder=Decoder(dialect))
         self.voice = Voice(1)
@@ -165,8 +165,8 @@ class Whole:
             recorder=Recorder(folder, 1 << 30, 3600.0, lambda event: None),
         )
         connect(self.hub)
-        config = UdpClientLink(name="air", host="127.0.0.1", port=self.peer.getsockname()[1], role="vehicle")
-        self.link = UdpLink(config, self.hub, asyncio.get_running_loop())
+        config = UdpClientLinkConfig(name="air", host="127.0.0.1", port=self.peer.getsockname()[1], role="vehicle")
+        self.link = UdpClientLink(config, self.hub, asyncio.get_running_loop())
         self.vehicle = Vehicle(1, 1, dialect, decoder=Decoder(dialect))
         self.voice = Voice(1)
         commands = CommandClient((1, 1), (255, 25), dialect, self.hub.send, loop)

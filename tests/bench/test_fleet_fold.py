@@ -15,11 +15,11 @@ import time
 from pathlib import Path
 from typing import cast
 
-from skygcs.config.models import FleetConfig, MemoryLink
+from skygcs.config.models import FleetConfig, MemoryLinkConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.events import Event
-from skygcs.links.memory import MemoryLink as Link
+from skygcs.links.memory import MemoryLink
 from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.route_reports import RouteReports
@@ -67,8 +67,8 @@ class Field:
         raise AssertionError(event.text)
 
     async def open(self) -> None:
-        self.radio = Link(MemoryLink(name="radio", role="radio"), self.hub, self.loop)
-        self.gcs = Link(MemoryLink(name="gcs", role="gcs"), self.hub, self.loop)
+        self.radio = MemoryLink(MemoryLinkConfig(name="radio", role="radio"), self.hub, self.loop)
+        self.gcs = MemoryLink(MemoryLinkConfig(name="gcs", role="gcs"), self.hub, self.loop)
         await self.radio.open()
         await self.gcs.open()
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink, VehicleEntry
+from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig, VehicleEntry
 from skygcs.daemon import Daemon
 
 CAPTURE = Path(__file__).parents[1] / "data" / "sitl-3ardupilot-2px4.tlog"
@@ -34,7 +34,7 @@ async def flight(tmp_path: Path) -> AsyncIterator[Flown]:
     """The daemon after the flight, all events, and the fleet's state every half second."""
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"capture": ReplayLink(name="capture", file=CAPTURE, speed=1.0)},
+        links={"capture": ReplayLinkConfig(name="capture", file=CAPTURE, speed=1.0)},
         vehicles={"one": VehicleEntry(sysid=1, autopilot="ardupilot"), "four": VehicleEntry(sysid=4, autopilot="px4")},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
@@ -118,7 +118,7 @@ async def test_a_flight_that_lost_nothing_shows_no_loss(name: str, tmp_path: Pat
     """PX4 sent frames up to 12 places late, and another program a vehicle's heartbeat: 276 and 5,610 were counted."""
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"capture": ReplayLink(name="capture", file=CAPTURE.with_name(f"{name}.tlog"), speed=1.0)},
+        links={"capture": ReplayLinkConfig(name="capture", file=CAPTURE.with_name(f"{name}.tlog"), speed=1.0)},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     running = asyncio.create_task(daemon.run())

@@ -15,7 +15,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink
+from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig
 from skygcs.daemon import Daemon
 from skygcs.tlog.flight import RecordedFlight
 from skygcs.tlog.reading import LogReader
@@ -46,7 +46,7 @@ async def test_the_vehicle_keeps_its_state_and_the_rival_is_reported(tmp_path: P
     assert len(third_party) > 10 and {m.autopilot for _, m in truth} == {mav.MAV_AUTOPILOT_ARDUPILOTMEGA}
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"capture": ReplayLink(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
+        links={"capture": ReplayLinkConfig(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     events: list[dict[str, Any]] = []

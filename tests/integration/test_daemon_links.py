@@ -13,13 +13,13 @@ import pytest
 import structlog
 
 from skygcs.config.dialects import load_dialect, offline_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink, SerialLink
+from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, SerialLinkConfig
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RouteNote
 from skygcs.daemon import Daemon
 from skygcs.errors import ConfigError, LinkError, RefusedError
-from skygcs.links.memory import MemoryLink as Memory
+from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
 from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.tlog.reading import LogReader
@@ -30,7 +30,7 @@ from support.routed import heartbeat, message
 async def running(tmp_path: Path, *, record: bool = False, **links: dict[str, Any]) -> AsyncIterator[Daemon]:
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=record),
-        links={name: MemoryLink(name=name, **keys) for name, keys in links.items()},
+        links={name: MemoryLinkConfig(name=name, **keys) for name, keys in links.items()},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     task = asyncio.create_task(daemon.run())
@@ -53,7 +53,7 @@ async def until(condition: Any) -> None:
 
 def peer_of(daemon: Daemon, name: str) -> Any:
     link = daemon.links.link(name)
-    assert isinstance(link, Memory)
+    assert isinstance(link, MemoryLink)
     return link.peer
 
 
@@ -316,10 +316,10 @@ async def test_a_fault_in_one_vehicles_tick_grounds_nobody_and_is_told_once(tmp_
 
 
 async def test_a_link_that_is_down_is_a_warning_and_not_among_the_open_ones(tmp_path: Path) -> None:
-    missing = SerialLink(name="usb", device=str(tmp_path / "no-such-device"))
+    missing = SerialLinkConfig(name="usb", device=str(tmp_path / "no-such-device"))
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"gcs": MemoryLink(name="gcs"), "usb": missing},
+        links={"gcs": MemoryLinkConfig(name="gcs"), "usb": missing},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     with structlog.testing.capture_logs() as told:

@@ -12,10 +12,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink
+from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig
 from skygcs.daemon import Daemon
 from skygcs.errors import RpcError
-from skygcs.links.memory import MemoryLink as Memory
+from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
 from support.pymav import PymavPeer
 
@@ -28,7 +28,7 @@ class Copter(PymavPeer):
     def __init__(self, daemon: Daemon, sysid: int, deaf: int) -> None:
         super().__init__(sysid, 1)
         links = [daemon.links.link(name) for name in ("radio", "wifi")]
-        self.peers = [link.peer for link in links if isinstance(link, Memory)]
+        self.peers = [link.peer for link in links if isinstance(link, MemoryLink)]
         self.mode, self.armed, self.deaf = GUIDED, True, deaf
         self.heard: list[tuple[str, Any]] = []
         self._read = [0, 0]
@@ -63,7 +63,7 @@ class Copter(PymavPeer):
 @contextlib.asynccontextmanager
 async def flown(tmp_path: Path, *deaf: int) -> AsyncIterator[tuple[Daemon, list[Copter]]]:
     """A daemon and one copter for each number of lost commands."""
-    links = {name: MemoryLink(name=name, role="radio") for name in ("radio", "wifi")}
+    links = {name: MemoryLinkConfig(name=name, role="radio") for name in ("radio", "wifi")}
     settings = DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False)
     config = FleetConfig.model_validate({"daemon": settings, "links": links, "defaults": {"streams": {}}})
     daemon = Daemon(config, load_dialect(config.dialect))

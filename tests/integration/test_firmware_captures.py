@@ -14,7 +14,7 @@ import pytest
 from pymavlink import mavutil
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLink
+from skygcs.config.models import DaemonConfig, FleetConfig, ReplayLinkConfig
 from skygcs.daemon import Daemon
 from skygcs.tlog.reading import LogReader
 
@@ -95,7 +95,7 @@ class Replayed:
 async def replay(name: str, tmp_path: Path) -> Replayed:
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
-        links={"capture": ReplayLink(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
+        links={"capture": ReplayLinkConfig(name="capture", file=DATA / f"{name}.tlog", speed=SPEED)},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     found = Replayed()

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLink
+from skygcs.config.models import DaemonConfig, FleetConfig, SimulatedLinkConfig
 from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from_enu
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
@@ -66,7 +66,7 @@ async def flight(tmp_path: Path) -> AsyncIterator[Flight]:
     """Two PX4s and an ArduCopter, 10 m up and holding."""
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", record=False),
-        links={"air": SimulatedLink(name="air", px4=2, ardupilot=1)},
+        links={"air": SimulatedLinkConfig(name="air", px4=2, ardupilot=1)},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     task = asyncio.create_task(daemon.run())

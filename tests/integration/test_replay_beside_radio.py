@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink
+from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.daemon import Daemon
 from skygcs.errors import RefusedError
-from skygcs.links.memory import MemoryLink as Memory
+from skygcs.links.memory import MemoryLink
 from skygcs.runtime.vehicle_actor import VehicleActor
 from support.routed import DIALECT, heartbeat, message
 
@@ -41,9 +41,9 @@ async def field(tmp_path: Path) -> AsyncIterator[Daemon]:
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=False),
         links={
-            "radio": MemoryLink(name="radio", role="radio"),
-            "other": MemoryLink(name="other"),
-            "gcs": MemoryLink(name="gcs", role="gcs"),
+            "radio": MemoryLinkConfig(name="radio", role="radio"),
+            "other": MemoryLinkConfig(name="other"),
+            "gcs": MemoryLinkConfig(name="gcs", role="gcs"),
         },
     )
     daemon = Daemon(config, load_dialect(config.dialect))
@@ -69,7 +69,7 @@ async def until(condition: Any) -> None:
 
 def peer(daemon: Daemon, name: str) -> Any:
     link = daemon.links.link(name)
-    assert isinstance(link, Memory)
+    assert isinstance(link, MemoryLink)
     return link.peer
 
 

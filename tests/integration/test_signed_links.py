@@ -15,13 +15,13 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLink, SimulatedLink
+from skygcs.config.models import DaemonConfig, FleetConfig, MemoryLinkConfig, SimulatedLinkConfig
 from skygcs.config.signing import SigningSettings
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.mavlink.signing import is_signed_with, key_id, timestamp_at, timestamp_of
 from skygcs.daemon import Daemon
 from skygcs.errors import KeyFileError, LinkError, RefusedError, RpcError
-from skygcs.links.memory import MemoryLink as Memory
+from skygcs.links.memory import MemoryLink
 from skygcs.rpc.client import connect
 from support.hosts import until
 from support.pymav import PymavPeer
@@ -54,7 +54,10 @@ def signing(folder: Path, **settings: Any) -> SigningSettings:
 async def running(tmp_path: Path, *, record: bool = False, **links: Any) -> AsyncIterator[Daemon]:
     config = FleetConfig(
         daemon=DaemonConfig(socket=tmp_path / "s", log_dir=tmp_path / "logs", record=record),
-        links={name: MemoryLink(name=name, **link) if isinstance(link, dict) else link for name, link in links.items()},
+        links={
+            name: MemoryLinkConfig(name=name, **link) if isinstance(link, dict) else link
+            for name, link in links.items()
+        },
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     task = asyncio.create_task(daemon.run())
@@ -69,7 +72,7 @@ async def running(tmp_path: Path, *, record: bool = False, **links: Any) -> Asyn
 
 def wire(daemon: Daemon, name: str = "radio") -> Any:
     link = daemon.links.link(name)
-    assert isinstance(link, Memory)
+    assert isinstance(link, MemoryLink)
     return link.peer
 
 
@@ -329,8 +332,8 @@ async def test_a_vehicle_is_given_no_time_of_the_future(tmp_path: Path, state_ho
 # -- giving vehicles their key
 
 
-def simulated(**settings: Any) -> SimulatedLink:
-    return SimulatedLink(name="sim", dynamics="kinematic", **settings)
+def simulated(**settings: Any) -> SimulatedLinkConfig:
+    return SimulatedLinkConfig(name="sim", dynamics="kinematic", **settings)
 
 
 async def discovered(daemon: Daemon, count: int) -> None:

@@ -43,7 +43,7 @@ async def supervised(link: Link, events: list[Event]) -> AsyncIterator[LinkSuper
 
 
 def serial_link(hub: RecordingHost, radio: PtyRadio) -> SerialLink:
-    config = models.SerialLink(name="radio", device=str(radio.path))
+    config = models.SerialLinkConfig(name="radio", device=str(radio.path))
     return SerialLink(config, hub, asyncio.get_running_loop())
 
 
@@ -51,7 +51,9 @@ def serial_link(hub: RecordingHost, radio: PtyRadio) -> SerialLink:
 async def test_a_radio_pulled_out_and_plugged_in_again_is_back_and_nobody_else_noticed(radio: PtyRadio) -> None:
     hub = RecordingHost()
     events: list[Event] = []
-    net = UdpServerLink(models.UdpServerLink(name="net", host="127.0.0.1", port=0), hub, asyncio.get_running_loop())
+    net = UdpServerLink(
+        models.UdpServerLinkConfig(name="net", host="127.0.0.1", port=0), hub, asyncio.get_running_loop()
+    )
     link = serial_link(hub, radio)
     async with supervised(net, []) as beside, supervised(link, events) as supervisor:
         await until(lambda: beside.state == "up" and supervisor.state == "down")

@@ -22,7 +22,14 @@ from skygcs.cli.process import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_OK, serve_unt
 from skygcs.cli.render import LiveView, table
 from skygcs.cli.status import status_table
 from skygcs.config.dialects import load_dialect
-from skygcs.config.models import DaemonConfig, FleetConfig, OriginConfig, SimulatedLink, UdpClientLink, VehicleEntry
+from skygcs.config.models import (
+    DaemonConfig,
+    FleetConfig,
+    OriginConfig,
+    SimulatedLinkConfig,
+    UdpClientLinkConfig,
+    VehicleEntry,
+)
 from skygcs.daemon import Daemon
 from skygcs.errors import SkygcsError
 from skygcs.rpc.address import default_socket_path
@@ -170,7 +177,7 @@ class Demo:
 def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool) -> FleetConfig:
     """Three simulated vehicles behind one radio, and the port where QGroundControl listens."""
     links: dict[str, Any] = {
-        "radio": SimulatedLink(
+        "radio": SimulatedLinkConfig(
             name="radio",
             role="radio",
             px4=2,
@@ -181,7 +188,7 @@ def demo_config(socket: Path, log_dir: Path, *, for_qgc: bool) -> FleetConfig:
         )
     }
     if for_qgc:
-        links["qgc"] = UdpClientLink(name="qgc", role="gcs", host="127.0.0.1", port=QGC_PORT)
+        links["qgc"] = UdpClientLinkConfig(name="qgc", role="gcs", host="127.0.0.1", port=QGC_PORT)
     return FleetConfig(
         daemon=DaemonConfig(socket=socket, log_dir=log_dir),
         origin=HOME,

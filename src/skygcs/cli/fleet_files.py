@@ -10,19 +10,18 @@ import tempfile
 from pathlib import Path
 
 from skygcs.cli.render import table
-from skygcs.config.checks import link_warnings, open_servers
+from skygcs.config.checks import endpoint_text, link_warnings, open_servers
 from skygcs.config.dialects import load_dialect
-from skygcs.config.endpoints import endpoint_text
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import (
     FleetConfig,
     LinkConfig,
-    MemoryLink,
-    ReplayLink,
-    SerialLink,
-    SimulatedLink,
-    TcpServerLink,
-    UdpServerLink,
+    MemoryLinkConfig,
+    ReplayLinkConfig,
+    SerialLinkConfig,
+    SimulatedLinkConfig,
+    TcpServerLinkConfig,
+    UdpServerLinkConfig,
 )
 from skygcs.config.router_import import import_router
 from skygcs.config.signing import read_key
@@ -85,16 +84,16 @@ def _show(file: Path, config: FleetConfig) -> None:
 
 def _where(link: LinkConfig) -> str:
     match link:
-        case SerialLink():
+        case SerialLinkConfig():
             rates = (link.baud,) if isinstance(link.baud, int) else link.baud
             return f"{link.device} at {' or '.join(map(str, rates))} baud"
-        case UdpServerLink() | TcpServerLink():
+        case UdpServerLinkConfig() | TcpServerLinkConfig():
             return f"listens on {link.host}:{link.port}"
-        case ReplayLink():
+        case ReplayLinkConfig():
             return str(link.file)
-        case SimulatedLink():
+        case SimulatedLinkConfig():
             return f"{link.px4} PX4 and {link.ardupilot} ArduPilot from system id {link.first_sysid}"
-        case MemoryLink():
+        case MemoryLinkConfig():
             return "in memory"
     return f"{link.host}:{link.port}"
 
@@ -103,9 +102,9 @@ def _notes(config: FleetConfig) -> list[str]:
     """Problems that may be solved before the daemon runs: a device that is not plugged in, a file that is missing."""
     notes = []
     for name, link in config.links.items():
-        if isinstance(link, SerialLink) and not Path(link.device).exists():
+        if isinstance(link, SerialLinkConfig) and not Path(link.device).exists():
             notes.append(f"links.{name}: {link.device} does not exist now; it is opened when it appears")
-        if isinstance(link, ReplayLink) and not link.file.is_file():
+        if isinstance(link, ReplayLinkConfig) and not link.file.is_file():
             notes.append(f"links.{name}: the file {link.file} does not exist now")
         if link.signing is not None and link.enabled:
             try:

@@ -41,7 +41,7 @@ from skygcs.modem.settings import (
 from skygcs.rpc.client import Client
 
 if TYPE_CHECKING:
-    from skygcs.config.models import FleetConfig, SerialLink
+    from skygcs.config.models import FleetConfig, SerialLinkConfig
 
 radios = typer.Typer(
     help="Show and set up SiK and RFD900x radios without the vendor's tool; see docs/howto/radio-setup.md.",
@@ -445,11 +445,11 @@ async def _set_up(plan: NetworkPlan, radios: Sequence[RadioAtPort], position: in
     return done
 
 
-def _radio_link(config: FleetConfig) -> SerialLink | None:
+def _radio_link(config: FleetConfig) -> SerialLinkConfig | None:
     """The serial link with the role "radio", else the first serial link."""
-    from skygcs.config.models import SerialLink
+    from skygcs.config.models import SerialLinkConfig
 
-    serial: list[Any] = [link for link in config.links.values() if isinstance(link, SerialLink)]
+    serial: list[Any] = [link for link in config.links.values() if isinstance(link, SerialLinkConfig)]
     return next((link for link in serial if link.role == "radio"), serial[0] if serial else None)
 
 

@@ -13,8 +13,8 @@ from pydantic import ValidationError
 from skygcs.cli.process import run_loop
 from skygcs.cli.sim_ports import PtyPort, SimClock, SimPort, TcpPort, UdpPort
 from skygcs.config.dialects import load_dialect
+from skygcs.config.files import load_param_set
 from skygcs.config.radio import EmulatedRadio
-from skygcs.config.sim_params import load_param_set
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import LinkError
 from skygcs.links.simulated import emulated

@@ -10,24 +10,22 @@ from collections.abc import Collection, Iterator, Mapping
 from itertools import combinations
 
 from skygcs.config.control import ControlSettings
-from skygcs.config.endpoints import endpoint_problems, endpoint_warnings
-from skygcs.config.keylines import KeyPath
 from skygcs.config.models import (
     FleetConfig,
     LinkConfig,
-    ReplayLink,
-    SerialLink,
-    SimulatedLink,
-    TcpClientLink,
-    TcpServerLink,
-    UdpBroadcastLink,
-    UdpClientLink,
-    UdpServerLink,
+    ReplayLinkConfig,
+    SerialLinkConfig,
+    SimulatedLinkConfig,
+    TcpClientLinkConfig,
+    TcpServerLinkConfig,
+    UdpBroadcastLinkConfig,
+    UdpClientLinkConfig,
+    UdpServerLinkConfig,
     VehicleSettings,
 )
-from skygcs.config.problem import Problem
 from skygcs.config.radio import RadioKeys
 from skygcs.config.signing import EVERY_MESSAGE
+from skygcs.config.tables import KeyPath, Problem
 from skygcs.core.mavlink.dialect import Dialect
 
 MAX_SOCKET_PATH_BYTES = 107
@@ -82,7 +80,9 @@ def open_servers(config: FleetConfig) -> dict[str, str]:
     """By the name of each server that anybody in the network may speak to, what keeps strangers out."""
     notes = {}
     for name, link in config.links.items():
-        if not (link.enabled and isinstance(link, UdpServerLink | TcpServerLink)) or _is_loopback(link.host):
+        if not (link.enabled and isinstance(link, UdpServerLinkConfig | TcpServerLinkConfig)) or _is_loopback(
+            link.host
+        ):
             continue
         signed = link.signing is not None and EVERY_MESSAGE not in link.signing.accept_unsigned
         if link.allow_from is None and not signed:
@@ -104,7 +104,9 @@ def _is_loopback(host: str) -> bool:
 def replay_warnings(links: Mapping[str, LinkConfig]) -> dict[str, str]:
     """By the name of each replay that stands beside links which can carry vehicles, what to think of. A recording
     never reaches a vehicle; but its vehicles stand in the same lists as live ones."""
-    live = [n for n, link in links.items() if link.enabled and link.role != "gcs" and not isinstance(link, ReplayLink)]
+    live = [
+        n for n, link in links.items() if link.enabled and link.role != "gcs" and not isinstance(link, ReplayLinkConfig)
+    ]
     if not live:
         return {}
     text = (
@@ -112,7 +114,7 @@ def replay_warnings(links: Mapping[str, LinkConfig]) -> dict[str, str]:
         "(marked replayed, no orders to them), and one whose id is heard live is not shown from the file; "
         "a daemon of its own keeps the two apart"
     )
-    return {n: text for n, link in links.items() if link.enabled and isinstance(link, ReplayLink)}
+    return {n: text for n, link in links.items() if link.enabled and isinstance(link, ReplayLinkConfig)}
 
 
 def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[Problem]:
@@ -242,7 +244,7 @@ def _own_sysid(config: FleetConfig) -> Iterator[Problem]:
 def _simulated(config: FleetConfig) -> Iterator[Problem]:
     taken: dict[int, str] = {}
     for name, link in config.links.items():
-        if not isinstance(link, SimulatedLink) or not link.enabled:
+        if not isinstance(link, SimulatedLinkConfig) or not link.enabled:
             continue
         sysids = range(link.first_sysid, link.first_sysid + link.px4 + link.ardupilot)
         path = ("links", name, "first_sysid")
@@ -264,7 +266,7 @@ def _radios(config: FleetConfig) -> Iterator[Problem]:
         for key in sorted(RadioKeys.model_fields.keys() & link.model_fields_set):
             if link.role != "radio":
                 yield Problem(("links", name, key), f'counts only with role = "radio", and the role is "{link.role}"')
-        if isinstance(link, SimulatedLink) and link.radio is not None:
+        if isinstance(link, SimulatedLinkConfig) and link.radio is not None:
             nodes = link.px4 + link.ardupilot + 1
             if link.radio.nodes is not None and link.radio.nodes < nodes:
                 text = f"{link.radio.nodes} nodes are too few for {nodes - 1} vehicles and the ground"
@@ -303,16 +305,16 @@ def _said(settings: ControlSettings | None, key: tuple[str, ...], text: str) -> 
 def _places(link: LinkConfig) -> list[tuple[str, str, int | str]]:
     """(kind, host, port or device) that a link occupies or talks to; port 0 is any free one and never clashes."""
     match link:
-        case SerialLink():
+        case SerialLinkConfig():
             return [("serial", "", os.path.realpath(link.device))]
-        case UdpServerLink():
+        case UdpServerLinkConfig():
             return [("udp", link.host, link.port)] if link.port else []
-        case TcpServerLink():
+        case TcpServerLinkConfig():
             return [("tcp", link.host, link.port)] if link.port else []
-        case UdpClientLink() | UdpBroadcastLink():
+        case UdpClientLinkConfig() | UdpBroadcastLinkConfig():
             local = [("udp", "0.0.0.0", link.local_port)] if link.local_port else []
             return [("udp to", link.host, link.port), *local]
-        case TcpClientLink():
+        case TcpClientLinkConfig():
             return [("tcp to", link.host, link.port)]
     return []
 
@@ -335,11 +337,11 @@ def _same_host(a: str, b: str) -> bool:
 def _own_places(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
     """A link that talks to another link of the same daemon: every frame would go round."""
     for name, link in links.items():
-        if isinstance(link, UdpClientLink | UdpBroadcastLink | TcpClientLink):
+        if isinstance(link, UdpClientLinkConfig | UdpBroadcastLinkConfig | TcpClientLinkConfig):
             if not link.port:
                 yield Problem(("links", name, "port"), "0 is no port to send to")
-            kind = UdpServerLink if not isinstance(link, TcpClientLink) else TcpServerLink
-            heard = link.host in _LOOPBACK or isinstance(link, UdpBroadcastLink)
+            kind = UdpServerLinkConfig if not isinstance(link, TcpClientLinkConfig) else TcpServerLinkConfig
+            heard = link.host in _LOOPBACK or isinstance(link, UdpBroadcastLinkConfig)
             for other, server in links.items():
                 if heard and isinstance(server, kind) and server.port == link.port and link.port:
                     yield Problem(
@@ -365,7 +367,7 @@ def _signing(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
     for name, link in links.items():
         if link.signing is None:
             continue
-        if isinstance(link, ReplayLink):
+        if isinstance(link, ReplayLinkConfig):
             text = "a recording cannot be checked: what it holds is older than anything that may count"
             yield Problem(("links", name, "signing"), text)
         place = (str(link.signing.key_file), link.signing.link_id)
@@ -377,3 +379,96 @@ def _signing(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
 
 def _plain(message: str | int) -> str:
     return str(message).upper()
+
+
+BINDABLE = frozenset({"udp_server", "udp_client", "udp_broadcast", "tcp_server", "tcp_client", "memory"})
+"""Types of links behind which a program may be; memory is for tests."""
+
+
+def endpoint_text(link: LinkConfig) -> str:
+    """ "kite", "kite as 1", "kite, hawk": what a bound link shows; empty if it is not bound."""
+    shown = ", ".join(map(str, link.vehicles))
+    return shown if link.present_as is None else f"{shown} as {link.present_as}"
+
+
+def endpoint_problems(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> Iterator[Problem]:
+    """Keys of bound links that do not go together, or name nobody. ``wrong`` as in `checks.conflicts`."""
+    for name, link in config.links.items():
+        path = ("links", name)
+        if not link.vehicles:
+            if link.present_as is not None and not _is_wrong((*path, "vehicles"), wrong):
+                text = "says how one vehicle is shown, and there is no `vehicles`: name that vehicle"
+                yield Problem((*path, "present_as"), text)
+            continue
+        if link.type not in BINDABLE:
+            text = (
+                f"is for links to programs, udp_… and tcp_…; a {link.type} link has the vehicles themselves behind it"
+            )
+            yield Problem((*path, "vehicles"), text)
+            continue
+        if link.role != "gcs" and (*path, "role") not in wrong:
+            text = (
+                f'needs role = "gcs" (it is "{link.role}"): behind a bound link is a program that gives orders, and '
+                "links of other roles are taken for vehicles and sent our own orders"
+            )
+            yield Problem((*path, "vehicles"), text)
+        own_sysid = None if ("daemon", "sysid") in wrong else config.daemon.sysid
+        yield from _vehicles(config, name, link, own_sysid, wrong)
+        yield from _present_as(name, link, own_sysid)
+
+
+def endpoint_warnings(config: FleetConfig) -> dict[str, str]:
+    """By the name of each bound link whose program's frames lose signatures that another link asks for."""
+    bound = {n: link for n, link in config.links.items() if link.enabled and link.vehicles}
+    signed = [n for n, link in config.links.items() if link.enabled and link.signing is not None and not link.vehicles]
+    warnings = {}
+    for name, link in bound.items():
+        if not signed or len(set(config.bound_sysids(link).values())) > 1:
+            continue
+        what = "every frame" if link.present_as is not None else "a frame that names no target"
+        warnings[name] = (
+            f"{what} from it is readdressed and loses its signature, and so does not count for vehicles that check "
+            f"signatures (links.{', links.'.join(signed)} has a signing key): give orders to those through skygcs-cli, "
+            "or through a link that is not bound"
+        )
+    return warnings
+
+
+def _is_wrong(path: KeyPath, wrong: Collection[KeyPath]) -> bool:
+    """Whether this key, or one within it, was refused for its own value."""
+    return any(other[: len(path)] == path for other in wrong)
+
+
+def _vehicles(
+    config: FleetConfig, name: str, link: LinkConfig, own_sysid: int | None, wrong: Collection[KeyPath]
+) -> Iterator[Problem]:
+    first: dict[int, str | int] = {}
+    for index, (vehicle, sysid) in enumerate(config.bound_sysids(link).items()):
+        path = ("links", name, "vehicles", index)
+        if sysid is None and _is_wrong(("vehicles", vehicle), wrong):
+            continue  # there is one, and what is wrong with it is told there
+        if sysid is None:
+            near = difflib.get_close_matches(str(vehicle), config.vehicles, n=1)
+            known = ", ".join(config.vehicles) or "none is named in this file"
+            hint = f"did you mean {near[0]}?" if near else f"there are: {known}; or a system id, 1 to 255"
+            yield Problem(path, f"there is no vehicle {vehicle!r}; {hint}")
+        elif sysid == own_sysid:
+            yield Problem(path, f"{sysid} is skygcs's own system id (daemon.sysid), and no vehicle's")
+        elif sysid in first:
+            yield Problem(path, f"{vehicle!r} is system {sysid}, as {first[sysid]!r} is: name it once")
+        else:
+            first[sysid] = vehicle
+
+
+def _present_as(name: str, link: LinkConfig, own_sysid: int | None) -> Iterator[Problem]:
+    path = ("links", name, "present_as")
+    if link.present_as is None:
+        return
+    if len(link.vehicles) > 1:
+        text = f"shows one vehicle under one id, and `vehicles` has {len(link.vehicles)}: make a link for each"
+        yield Problem(path, text)
+    if link.present_as == own_sysid:
+        yield Problem(path, f"{link.present_as} is skygcs's own system id (daemon.sysid); vehicles have 1 to 250")
+    if link.signing is not None:
+        text = "changes every frame, and a changed frame has no signature: take out `signing`, or `present_as`"
+        yield Problem(path, text)

@@ -9,8 +9,9 @@ import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from skygcs.config.tables import Model
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import LARGEST_GAIN, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 from skygcs.core.control.guard import GuardConfig
@@ -24,10 +25,6 @@ Span = Annotated[tuple[float, float], Field(description="[least, most] in metres
 ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, 20.0
 VELOCITY_HZ, POSITION_HZ = 10.0, 5.0
 """Of `core.vehicle.pilot.OffboardConfig`; a test compares them."""
-
-
-class Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class GainSettings(Model):

@@ -18,7 +18,6 @@ from pydantic_core import ErrorDetails
 from skygcs.config.checks import conflicts, dialect_problems, message_problems, stream_problems
 from skygcs.config.control import ControlSettings, FenceSettings, GainSettings
 from skygcs.config.dialects import load_dialect
-from skygcs.config.keylines import KeyPath, key_lines, line_of
 from skygcs.config.models import (
     AnyLink,
     DaemonConfig,
@@ -27,14 +26,14 @@ from skygcs.config.models import (
     LinkConfig,
     OriginConfig,
     RateLimits,
-    ReplayLink,
-    SimulatedLink,
+    ReplayLinkConfig,
+    SimulatedLinkConfig,
     VehicleEntry,
     VehicleSettings,
 )
 from skygcs.config.preflight import PreflightSettings, RuleSettings
-from skygcs.config.problem import Problem
 from skygcs.config.signing import SigningSettings
+from skygcs.config.tables import KeyPath, Problem, key_lines, line_of
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import ConfigError, DialectError
 
@@ -377,9 +376,9 @@ def _link_with_paths(name: str, link: LinkConfig, absolute: Callable[[Path, KeyP
     if link.signing is not None:
         key_file = absolute(link.signing.key_file, (*key, "signing", "key_file"))
         link = link.model_copy(update={"signing": link.signing.model_copy(update={"key_file": key_file})})
-    if isinstance(link, ReplayLink):
+    if isinstance(link, ReplayLinkConfig):
         return link.model_copy(update={"file": absolute(link.file, (*key, "file"))})
-    if isinstance(link, SimulatedLink) and link.params is not None:
+    if isinstance(link, SimulatedLinkConfig) and link.params is not None:
         return link.model_copy(update={"params": absolute(link.params, (*key, "params"))})
     return link
 

@@ -6,12 +6,13 @@ import ipaddress
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
 from skygcs.config.signing import SigningSettings
+from skygcs.config.tables import Model
 from skygcs.core.geo import EAST_DEG
 from skygcs.core.radio_link.stream_rates import DEFAULT_RATES_HZ
 from skygcs.tlog.timeline import speed_problem
@@ -58,11 +59,6 @@ OWN_SYSID = 255
 
 OWN_COMPID = 25
 """MAV_COMP_ID_USER1: 190 (QGC, Mission Planner), 230 (MAVProxy), 240 (mavlink-server) and 0 (pymavlink) are taken."""
-
-
-class Model(BaseModel):
-    # deferred: validators of tables that a fleet file does not have are not made, and the others once, inside the whole
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class DaemonConfig(Model):
@@ -145,7 +141,7 @@ class LinkCommon(Model):
     """The system id under which its one vehicle is shown there."""
 
 
-class SerialLink(RadioKeys, LinkCommon):
+class SerialLinkConfig(RadioKeys, LinkCommon):
     """A serial port: a radio, a telemetry cable, a pty."""
 
     type: Literal["serial"] = "serial"
@@ -164,7 +160,7 @@ class UdpCommon(LinkCommon):
     read only the first frame of a datagram (mavp2p 1.3)."""
 
 
-class UdpServerLink(UdpCommon):
+class UdpServerLinkConfig(UdpCommon):
     """Listens; every peer that sends a good frame becomes a channel of its own."""
 
     type: Literal["udp_server"] = "udp_server"
@@ -176,7 +172,7 @@ class UdpServerLink(UdpCommon):
     """Networks from which datagrams are taken; None: from everywhere."""
 
 
-class UdpClientLink(UdpCommon):
+class UdpClientLinkConfig(UdpCommon):
     """Sends to one address (a QGroundControl on port 14550, for instance) and hears its answers."""
 
     type: Literal["udp_client"] = "udp_client"
@@ -185,7 +181,7 @@ class UdpClientLink(UdpCommon):
     local_port: Port = 0
 
 
-class UdpBroadcastLink(UdpCommon):
+class UdpBroadcastLinkConfig(UdpCommon):
     """Broadcasts until somebody answers, then talks to that one; back to broadcast after 5 s of silence."""
 
     type: Literal["udp_broadcast"] = "udp_broadcast"
@@ -194,7 +190,7 @@ class UdpBroadcastLink(UdpCommon):
     local_port: Port = 0
 
 
-class TcpServerLink(LinkCommon):
+class TcpServerLinkConfig(LinkCommon):
     type: Literal["tcp_server"] = "tcp_server"
     host: str = "127.0.0.1"
     port: Port
@@ -203,13 +199,13 @@ class TcpServerLink(LinkCommon):
     """Networks from which connections are taken; None: from everywhere."""
 
 
-class TcpClientLink(LinkCommon):
+class TcpClientLinkConfig(LinkCommon):
     type: Literal["tcp_client"] = "tcp_client"
     host: str
     port: Port
 
 
-class ReplayLink(LinkCommon):
+class ReplayLinkConfig(LinkCommon):
     """A tlog or raw capture, played as if it came from a link. Ends when the file ends."""
 
     type: Literal["replay"] = "replay"
@@ -221,7 +217,7 @@ class ReplayLink(LinkCommon):
     """A raw capture has no times; it is played at this rate (57600 baud)."""
 
 
-class MemoryLink(LinkCommon):
+class MemoryLinkConfig(LinkCommon):
     """For tests: the other end is a Python object; a bad network on request."""
 
     type: Literal["memory"] = "memory"
@@ -234,7 +230,7 @@ class MemoryLink(LinkCommon):
     seed: int = 1
 
 
-class SimulatedLink(RadioKeys, LinkCommon):
+class SimulatedLinkConfig(RadioKeys, LinkCommon):
     """Simulated vehicles inside the daemon: no sockets, the same bytes."""
 
     type: Literal["simulated"] = "simulated"
@@ -263,15 +259,15 @@ class SimulatedLink(RadioKeys, LinkCommon):
 
 
 LinkConfig = (
-    SerialLink
-    | UdpServerLink
-    | UdpClientLink
-    | UdpBroadcastLink
-    | TcpServerLink
-    | TcpClientLink
-    | ReplayLink
-    | MemoryLink
-    | SimulatedLink
+    SerialLinkConfig
+    | UdpServerLinkConfig
+    | UdpClientLinkConfig
+    | UdpBroadcastLinkConfig
+    | TcpServerLinkConfig
+    | TcpClientLinkConfig
+    | ReplayLinkConfig
+    | MemoryLinkConfig
+    | SimulatedLinkConfig
 )
 AnyLink = Annotated[LinkConfig, Field(discriminator="type")]
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
+from skygcs.config.tables import Model
 from skygcs.core.mavlink.param_encoding import NAME_CHARS, is_name
 from skygcs.core.preflight.expectations import ControlMode, Expectations
 from skygcs.core.preflight.health import version_problem
@@ -42,10 +43,6 @@ def _span(span: tuple[float, float]) -> tuple[float, float]:
 Span = Annotated[tuple[Limit, Limit], AfterValidator(_span)]
 ParamName = Annotated[str, AfterValidator(_param_name)]
 Version = Annotated[str, AfterValidator(_version)]
-
-
-class Model(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, populate_by_name=True, defer_build=True)
 
 
 class RuleSettings(Model):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, Field
 
+from skygcs.config.tables import Model
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.core.radio_link.stream_rates import rate_problem
 
@@ -25,10 +26,8 @@ RateHz = Annotated[float, Field(ge=0), AfterValidator(_rate)]
 """Of a message; 0: none at all."""
 
 
-class ThirdPartyKeys(BaseModel):
+class ThirdPartyKeys(Model):
     """What ground stations and programs behind other links may send into a radio (`core.third_party`)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     param_lists: Literal["one", "deny", "allow"] = "one"
     """PARAM_REQUEST_LIST: one vehicle's at a time, none, or all at once."""
@@ -64,10 +63,8 @@ class RadioKeys(BaseModel):
     """What others may send into it."""
 
 
-class EmulatedRadio(BaseModel):
+class EmulatedRadio(Model):
     """The radios between the daemon and simulated vehicles (`core.sim.tdm`)."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
     air_kbps: Kbps = 64.0
     baud: Annotated[int, Field(ge=1200, le=1_000_000)] = 57600

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from skygcs.config.regular_file import open_regular
+from skygcs.config.files import open_regular
 from skygcs.core.mavlink.signing import KEY_BYTES, MAX_AHEAD_S, key_from_passphrase
 from skygcs.errors import KeyFileError
 

@@ -12,39 +12,39 @@ from skygcs.links.base import Link, LinkHost
 def make_link(config: models.LinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> Link:
     """The link of this configuration, not yet open."""
     match config:
-        case models.SerialLink():
+        case models.SerialLinkConfig():
             from skygcs.links.serial import SerialLink
 
             return SerialLink(config, host, loop)
-        case models.UdpServerLink():
+        case models.UdpServerLinkConfig():
             from skygcs.links.udp import UdpServerLink
 
             return UdpServerLink(config, host, loop)
-        case models.UdpClientLink():
+        case models.UdpClientLinkConfig():
             from skygcs.links.udp import UdpClientLink
 
             return UdpClientLink(config, host, loop)
-        case models.UdpBroadcastLink():
+        case models.UdpBroadcastLinkConfig():
             from skygcs.links.udp import UdpBroadcastLink
 
             return UdpBroadcastLink(config, host, loop)
-        case models.TcpServerLink():
+        case models.TcpServerLinkConfig():
             from skygcs.links.tcp import TcpServerLink
 
             return TcpServerLink(config, host, loop)
-        case models.TcpClientLink():
+        case models.TcpClientLinkConfig():
             from skygcs.links.tcp import TcpClientLink
 
             return TcpClientLink(config, host, loop)
-        case models.ReplayLink():
+        case models.ReplayLinkConfig():
             from skygcs.links.replay import ReplayLink
 
             return ReplayLink(config, host, loop)
-        case models.MemoryLink():
+        case models.MemoryLinkConfig():
             from skygcs.links.memory import MemoryLink
 
             return MemoryLink(config, host, loop)
-        case models.SimulatedLink():
+        case models.SimulatedLinkConfig():
             from skygcs.links.simulated import SimulatedVehiclesLink
 
             return SimulatedVehiclesLink(config, host, loop)

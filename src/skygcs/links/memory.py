@@ -31,7 +31,7 @@ class BadNetwork:
     Never from within `transmit`: delivery is always a callback of the loop. Without jitter the order is kept.
     """
 
-    def __init__(self, config: models.MemoryLink, seed: int, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.MemoryLinkConfig, seed: int, loop: asyncio.AbstractEventLoop) -> None:
         self.sent = 0
         self.lost = 0
         self._config = config
@@ -136,9 +136,9 @@ class MemoryChannel(Channel):
 class MemoryLink(Link):
     """One channel to ``peer``. Works in virtual time: it waits by the loop's timers only."""
 
-    config: models.MemoryLink
+    config: models.MemoryLinkConfig
 
-    def __init__(self, config: models.MemoryLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.MemoryLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self.peer = MemoryPeer(self)
         self.inward = BadNetwork(config, config.seed, loop)

@@ -8,7 +8,7 @@ from collections.abc import Hashable
 from typing import BinaryIO
 
 from skygcs.config import models
-from skygcs.config.regular_file import open_regular
+from skygcs.config.files import open_regular
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.errors import LinkError
 from skygcs.links.base import Channel, Link, LinkHost
@@ -48,9 +48,9 @@ class ReplayChannel(Channel):
 class ReplayLink(Link):
     """Plays its file once, or again and again. Frames of both directions come from the one channel."""
 
-    config: models.ReplayLink
+    config: models.ReplayLinkConfig
 
-    def __init__(self, config: models.ReplayLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.ReplayLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._file: BinaryIO | None = None
         self._channel: ReplayChannel | None = None

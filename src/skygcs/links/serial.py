@@ -33,9 +33,9 @@ BITS_PER_BYTE = 10
 class SerialLink(Link):
     """One serial port, one channel. ``baud`` is the rate in use; of a list, the one that worked stays first."""
 
-    config: models.SerialLink
+    config: models.SerialLinkConfig
 
-    def __init__(self, config: models.SerialLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.SerialLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._rates = (config.baud,) if isinstance(config.baud, int) else config.baud
         self.baud = self._rates[0] if self._rates else 0

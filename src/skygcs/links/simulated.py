@@ -11,8 +11,8 @@ from collections.abc import Hashable
 
 from skygcs.config import models
 from skygcs.config.dialects import load_dialect
+from skygcs.config.files import load_param_set
 from skygcs.config.radio import EmulatedRadio, RadioKeys
-from skygcs.config.sim_params import load_param_set
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE
@@ -80,7 +80,7 @@ def emulated(
     return RadioFleet(vehicles, TdmNetwork(tdm, dialect, Rng(seed), now), dialect)
 
 
-def rates_of(link: models.SimulatedLink) -> RadioRates:
+def rates_of(link: models.SimulatedLinkConfig) -> RadioRates:
     """What the daemon may know of the radio at its port: what the keys of a serial link would say."""
     assert link.radio is not None
     air = link.radio.air_kbps if link.air_speed_kbps is None else link.air_speed_kbps
@@ -151,9 +151,9 @@ class SimulatedRadioChannel(QueuedChannel):
 class SimulatedVehiclesLink(Link):
     """``vehicles`` are there from the first `open` on and live on while the link is closed, as real ones do."""
 
-    config: models.SimulatedLink
+    config: models.SimulatedLinkConfig
 
-    def __init__(self, config: models.SimulatedLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.SimulatedLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._fleet = SimFleet([])
         self._uplink: FrameParser | None = None

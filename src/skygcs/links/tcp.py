@@ -55,9 +55,9 @@ def _set_options(sock: socket.socket) -> None:
 class TcpServerLink(Link):
     """Listens on every address its host name has; each client is a channel. A client's end is not the link's."""
 
-    config: models.TcpServerLink
+    config: models.TcpServerLinkConfig
 
-    def __init__(self, config: models.TcpServerLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.TcpServerLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._listeners: dict[socket.socket, DescriptorWatcher | None] = {}
         self._clients: dict[StreamChannel, socket.socket] = {}
@@ -210,9 +210,9 @@ class TcpServerLink(Link):
 class TcpClientLink(Link):
     """One connection, one channel. When it ends the link has failed; the supervisor connects again."""
 
-    config: models.TcpClientLink
+    config: models.TcpClientLinkConfig
 
-    def __init__(self, config: models.TcpClientLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.TcpClientLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._socket: socket.socket | None = None
         self._channel: StreamChannel | None = None

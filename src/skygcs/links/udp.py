@@ -120,11 +120,11 @@ class UdpChannel(Channel):
 class UdpLink(Link):
     """The common part of the three kinds: the socket, and the path of a datagram to its peer's channel."""
 
-    config: models.UdpServerLink | models.UdpClientLink | models.UdpBroadcastLink
+    config: models.UdpServerLinkConfig | models.UdpClientLinkConfig | models.UdpBroadcastLinkConfig
 
     def __init__(
         self,
-        config: models.UdpServerLink | models.UdpClientLink | models.UdpBroadcastLink,
+        config: models.UdpServerLinkConfig | models.UdpClientLinkConfig | models.UdpBroadcastLinkConfig,
         host: LinkHost,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
@@ -270,9 +270,9 @@ class UdpServerLink(UdpLink):
     Noise makes no channels and takes no memory: an address is stored with its first good frame.
     """
 
-    config: models.UdpServerLink
+    config: models.UdpServerLinkConfig
 
-    def __init__(self, config: models.UdpServerLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.UdpServerLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._probe = host.new_parser(config)
         self._admission = Admission(self, config.max_peers, config.allow_from, self._places)
@@ -369,7 +369,7 @@ class UdpServerLink(UdpLink):
 class UdpClientLink(UdpLink):
     """Sends to one address from the start, whether or not a program listens there, and hears only that address."""
 
-    config: models.UdpClientLink
+    config: models.UdpClientLinkConfig
 
     def _set_up(self, sock: socket.socket, family: int, address: Address) -> None:
         sock.bind(("::" if family == socket.AF_INET6 else "0.0.0.0", self.config.local_port))
@@ -388,9 +388,9 @@ class UdpClientLink(UdpLink):
 class UdpBroadcastLink(UdpLink):
     """Broadcasts until a peer answers with a good frame, then sends to that peer until it is silent for 5 s."""
 
-    config: models.UdpBroadcastLink
+    config: models.UdpBroadcastLinkConfig
 
-    def __init__(self, config: models.UdpBroadcastLink, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, config: models.UdpBroadcastLinkConfig, host: LinkHost, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__(config, host, loop)
         self._probe = host.new_parser(config)
         self._channel: UdpChannel | None = None

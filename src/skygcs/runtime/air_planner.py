@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from skygcs.config.models import SerialLink, SimulatedLink
+from skygcs.config.models import SerialLinkConfig, SimulatedLinkConfig
 from skygcs.config.radio import RadioKeys
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.preflight.losses import WINDOW_S as LOSS_WINDOW_S
@@ -170,7 +170,7 @@ class AirPlanner:
     def _demand(self, radio: _Radio, key: int, actor: VehicleActor) -> RateDemand | None:
         """None: it is to be asked for nothing (``streams = {}``), and nothing of it is turned off either."""
         config = radio.channel.config
-        assert isinstance(config, SerialLink | SimulatedLink)
+        assert isinstance(config, SerialLinkConfig | SimulatedLinkConfig)
         rates = actor.config.streams if config.stream_profile == "custom" else profile_rates(config.stream_profile)
         if not rates:
             return None

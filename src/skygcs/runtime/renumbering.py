@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from skygcs.config.keylines import key_lines, line_of
+from skygcs.config.tables import key_lines, line_of
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.orders import FORCE_HINT, require_connected

@@ -11,7 +11,13 @@ import ipaddress
 from collections.abc import Callable
 from pathlib import Path
 
-from skygcs.config.models import SerialLink, TcpClientLink, TcpServerLink, UdpClientLink, UdpServerLink
+from skygcs.config.models import (
+    SerialLinkConfig,
+    TcpClientLinkConfig,
+    TcpServerLinkConfig,
+    UdpClientLinkConfig,
+    UdpServerLinkConfig,
+)
 from skygcs.config.signing import read_key
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import SETUP_SIGNING, STATUSTEXT
@@ -131,12 +137,12 @@ class SigningSetup:
         config = channel.config
         if config.role == "radio" or RADIO_SOURCE in channel.sources:
             return "a radio, heard by everyone in range"
-        if isinstance(config, UdpServerLink | UdpClientLink | TcpServerLink | TcpClientLink):
+        if isinstance(config, UdpServerLinkConfig | UdpClientLinkConfig | TcpServerLinkConfig | TcpClientLinkConfig):
             if not _is_this_machine(channel.peer):
                 return f"a network, on the way to {channel.peer}"
         elif config.type == "udp_broadcast":
             return "a broadcast"
-        elif isinstance(config, SerialLink) and config.role == "gcs":
+        elif isinstance(config, SerialLinkConfig) and config.role == "gcs":
             return "another ground station"
         others = [
             actor.name

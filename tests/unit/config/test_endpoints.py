@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.config.checks import link_warnings
-from skygcs.config.endpoints import endpoint_text
+from skygcs.config.checks import endpoint_text, link_warnings
 from skygcs.config.loader import load_fleet
 from skygcs.config.models import FleetConfig
 from skygcs.errors import ConfigError

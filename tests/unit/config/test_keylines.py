@@ -7,7 +7,7 @@ import tomllib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from skygcs.config.keylines import key_lines, line_of
+from skygcs.config.tables import key_lines, line_of
 
 TEXT = '''a = 1 # [no]
 "q=#u".b = """

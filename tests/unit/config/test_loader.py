@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skygcs.config.loader import load_fleet, parse_link
-from skygcs.config.models import FleetConfig, ReplayLink, SerialLink
+from skygcs.config.models import FleetConfig, ReplayLinkConfig, SerialLinkConfig
 from skygcs.errors import ConfigError
 from support.frames import dialect
 
@@ -323,7 +323,7 @@ def test_relative_paths_begin_at_the_files_folder(tmp_path: Path, monkeypatch: p
     assert config.daemon.socket == folder / "s.sock"
     assert config.daemon.token_file == Path("/home/somebody/token")
     link = config.links["r"]
-    assert isinstance(link, ReplayLink) and link.file == folder / "flight.tlog"
+    assert isinstance(link, ReplayLinkConfig) and link.file == folder / "flight.tlog"
     assert config.dialect == (str(tmp_path / "lab.xml"), "px4-extras")
 
 
@@ -351,7 +351,7 @@ def test_settings_of_a_vehicle_are_defaults_under_type_under_its_own(tmp_path: P
 
 def test_a_link_added_at_run_time_is_checked_as_one_in_the_file() -> None:
     link = parse_link("radio", {"type": "serial", "device": "/dev/ttyS0", "baud": [9600, 57600]}, dialect())
-    assert isinstance(link, SerialLink) and (link.name, link.baud) == ("radio", (9600, 57600))
+    assert isinstance(link, SerialLinkConfig) and (link.name, link.baud) == ("radio", (9600, 57600))
     with pytest.raises(ConfigError) as caught:
         parse_link("radio", {"type": "serial", "divice": "x", "baud": "9600"})
     assert caught.value.problems == [

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.config.loader import load_fleet
-from skygcs.config.models import SerialLink
+from skygcs.config.models import SerialLinkConfig
 from skygcs.config.radio import radio_rates
 from skygcs.core.radio_link.pacing import RadioRates
 from skygcs.errors import ConfigError
@@ -23,7 +23,7 @@ def load(tmp_path: Path, text: str) -> None:
 
 
 def test_the_keys_of_a_serial_link_are_the_rates_of_its_radio() -> None:
-    link = SerialLink(device="/dev/x", air_speed_kbps=125, nodes=9, duty_cycle=0.5, uplink_share=0.8)
+    link = SerialLinkConfig(device="/dev/x", air_speed_kbps=125, nodes=9, duty_cycle=0.5, uplink_share=0.8)
     assert radio_rates(link, 115200) == RadioRates(115200, 125, 9, 0.5, 0.8)
 
 

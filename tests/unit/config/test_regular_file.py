@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from skygcs.config.regular_file import open_regular
+from skygcs.config.files import load_param_set, open_regular
 from skygcs.config.signing import read_key
-from skygcs.config.sim_params import load_param_set
 from skygcs.errors import ConfigError, KeyFileError
 
 

@@ -27,14 +27,14 @@ def gcs_heartbeat(sysid: int = 250) -> bytes:
 
 
 async def udp_server(hub: RecordingHost, **keys: Any) -> UdpServerLink:
-    config = models.UdpServerLink.model_validate({"name": "net", "host": "127.0.0.1", "port": 0, **keys})
+    config = models.UdpServerLinkConfig.model_validate({"name": "net", "host": "127.0.0.1", "port": 0, **keys})
     link = UdpServerLink(config, hub, asyncio.get_running_loop())
     await link.open()
     return link
 
 
 async def tcp_server(hub: RecordingHost, **keys: Any) -> TcpServerLink:
-    config = models.TcpServerLink.model_validate({"name": "net", "host": "127.0.0.1", "port": 0, **keys})
+    config = models.TcpServerLinkConfig.model_validate({"name": "net", "host": "127.0.0.1", "port": 0, **keys})
     link = TcpServerLink(config, hub, asyncio.get_running_loop())
     await link.open()
     return link

@@ -26,7 +26,7 @@ NETWORKS: dict[str, dict[str, Any]] = {
 
 
 def memory_link(hub: RecordingHost, **keys: Any) -> MemoryLink:
-    return MemoryLink(models.MemoryLink(name="air", **keys), hub, asyncio.get_running_loop())
+    return MemoryLink(models.MemoryLinkConfig(name="air", **keys), hub, asyncio.get_running_loop())
 
 
 @pytest.mark.parametrize("network", NETWORKS)

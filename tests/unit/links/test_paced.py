@@ -74,7 +74,7 @@ async def test_a_serial_radio_gets_no_more_than_its_budget_and_a_cable_all(tmp_p
     radio = PtyRadio(tmp_path / "ttyRADIO")
     radio.plug_in()
     host = RecordingHost()
-    config = models.SerialLink(
+    config = models.SerialLinkConfig(
         name="radio",
         device=str(radio.path),
         role=role,
@@ -265,7 +265,7 @@ async def test_over_a_real_port_what_waits_goes_when_the_vehicle_before_has_answ
     radio = PtyRadio(tmp_path / "ttyRADIO")
     radio.plug_in()
     host = RecordingHost()
-    config = models.SerialLink(name="radio", device=str(radio.path), role="radio")
+    config = models.SerialLinkConfig(name="radio", device=str(radio.path), role="radio")
     link = SerialLink(config, host, asyncio.get_running_loop())
     await link.open()
     try:

@@ -41,7 +41,7 @@ class TimedHost(RecordingHost):
 
 
 def replay(hub: RecordingHost, path: Path, **keys: Any) -> ReplayLink:
-    return ReplayLink(models.ReplayLink(name="flight", file=path, **keys), hub, asyncio.get_running_loop())
+    return ReplayLink(models.ReplayLinkConfig(name="flight", file=path, **keys), hub, asyncio.get_running_loop())
 
 
 async def play(path: Path, **keys: Any) -> tuple[TimedHost, str]:

@@ -35,7 +35,7 @@ def radio(tmp_path: Path) -> Iterator[PtyRadio]:
 
 @asynccontextmanager
 async def opened(radio: PtyRadio, hub: RecordingHost, **keys: Any) -> AsyncIterator[SerialLink]:
-    config = models.SerialLink(name="radio", device=str(radio.path), **keys)
+    config = models.SerialLinkConfig(name="radio", device=str(radio.path), **keys)
     link = SerialLink(config, hub, asyncio.get_running_loop())
     await link.open()
     try:
@@ -291,7 +291,7 @@ async def test_baud_rates_are_tried_in_turn_until_a_good_frame_and_the_good_one_
         return int(termios.tcgetattr(radio.fd)[4])
 
     host = RecordingHost()
-    config = models.SerialLink(name="radio", device=str(radio.path), baud=tuple(speeds))
+    config = models.SerialLinkConfig(name="radio", device=str(radio.path), baud=tuple(speeds))
     link = SerialLink(config, host, asyncio.get_running_loop())
     await link.open()
     seen = set()

@@ -54,7 +54,7 @@ class Host(RecordingHost):
 
 
 def make(host: Host, **keys: Any) -> SimulatedVehiclesLink:
-    link = make_link(models.SimulatedLink(name="sim", **keys), host, asyncio.get_running_loop())
+    link = make_link(models.SimulatedLinkConfig(name="sim", **keys), host, asyncio.get_running_loop())
     assert isinstance(link, SimulatedVehiclesLink)
     return link
 

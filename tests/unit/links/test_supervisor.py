@@ -23,7 +23,7 @@ class ScriptedLink(Link):
     """Opens as ``script`` says: None, or what open raises. When the script is used up it opens."""
 
     def __init__(self, *script: Exception | None) -> None:
-        super().__init__(models.MemoryLink(name="radio"), RecordingHost(), asyncio.get_running_loop())
+        super().__init__(models.MemoryLinkConfig(name="radio"), RecordingHost(), asyncio.get_running_loop())
         self.script = list(script)
         self.opened_at: list[float] = []
         self.closed = 0
@@ -151,14 +151,14 @@ async def test_cancelled_at_any_moment_it_closes_the_link() -> None:
 @pytest.mark.parametrize(
     ("config", "kind"),
     [
-        (models.SerialLink(device="/dev/ttyUSB0"), "SerialLink"),
-        (models.UdpServerLink(port=14550), "UdpServerLink"),
-        (models.UdpClientLink(host="127.0.0.1", port=14550), "UdpClientLink"),
-        (models.UdpBroadcastLink(port=14550), "UdpBroadcastLink"),
-        (models.TcpServerLink(port=5760), "TcpServerLink"),
-        (models.TcpClientLink(host="127.0.0.1", port=5760), "TcpClientLink"),
-        (models.ReplayLink(file="flight.tlog"), "ReplayLink"),
-        (models.MemoryLink(), "MemoryLink"),
+        (models.SerialLinkConfig(device="/dev/ttyUSB0"), "SerialLink"),
+        (models.UdpServerLinkConfig(port=14550), "UdpServerLink"),
+        (models.UdpClientLinkConfig(host="127.0.0.1", port=14550), "UdpClientLink"),
+        (models.UdpBroadcastLinkConfig(port=14550), "UdpBroadcastLink"),
+        (models.TcpServerLinkConfig(port=5760), "TcpServerLink"),
+        (models.TcpClientLinkConfig(host="127.0.0.1", port=5760), "TcpClientLink"),
+        (models.ReplayLinkConfig(file="flight.tlog"), "ReplayLink"),
+        (models.MemoryLinkConfig(), "MemoryLink"),
     ],
 )
 async def test_the_factory_makes_the_link_of_each_configuration(config: models.LinkConfig, kind: str) -> None:

@@ -26,7 +26,7 @@ from support.loops import on_every_loop
 
 @asynccontextmanager
 async def serving(hub: RecordingHost, **keys: Any) -> AsyncIterator[TcpServerLink]:
-    config = models.TcpServerLink(name="gcs", **{"host": "127.0.0.1", "port": 0, **keys})
+    config = models.TcpServerLinkConfig(name="gcs", **{"host": "127.0.0.1", "port": 0, **keys})
     link = TcpServerLink(config, hub, asyncio.get_running_loop())
     await link.open()
     try:
@@ -268,7 +268,7 @@ async def test_closing_the_server_ends_its_clients_and_frees_everything() -> Non
 
 
 def client(hub: RecordingHost, port: int, host: str = "127.0.0.1") -> TcpClientLink:
-    config = models.TcpClientLink(name="sim", host=host, port=port)
+    config = models.TcpClientLinkConfig(name="sim", host=host, port=port)
     return TcpClientLink(config, hub, asyncio.get_running_loop())
 
 

@@ -37,7 +37,7 @@ def drain(sock: socket.socket) -> list[bytes]:
 
 
 async def server(hub: RecordingHost, **keys: Any) -> UdpServerLink:
-    config = models.UdpServerLink(name="net", **{"host": "127.0.0.1", "port": 0, **keys})
+    config = models.UdpServerLinkConfig(name="net", **{"host": "127.0.0.1", "port": 0, **keys})
     link = UdpServerLink(config, hub, asyncio.get_running_loop())
     await link.open()
     return link
@@ -257,7 +257,7 @@ async def test_a_name_that_does_not_resolve_is_a_link_error() -> None:
 
 
 async def client(hub: RecordingHost, port: int, **keys: Any) -> UdpClientLink:
-    config = models.UdpClientLink(name="gcs", port=port, **{"host": "127.0.0.1", **keys})
+    config = models.UdpClientLinkConfig(name="gcs", port=port, **{"host": "127.0.0.1", **keys})
     link = UdpClientLink(config, hub, asyncio.get_running_loop())
     await link.open()
     return link
@@ -300,7 +300,7 @@ async def test_a_client_hears_its_peer_only() -> None:
 async def test_closing_while_the_name_is_looked_up_leaves_nothing_open() -> None:
     loop = asyncio.get_running_loop()
     host = RecordingHost()
-    config = models.UdpClientLink(name="gcs", host="gcs.invalid", port=14550)
+    config = models.UdpClientLinkConfig(name="gcs", host="gcs.invalid", port=14550)
     link = UdpClientLink(config, host, loop)
     answer = loop.create_future()
 
@@ -329,7 +329,7 @@ async def test_a_broadcaster_locks_onto_who_answers_and_lets_go_after_silence(mo
     monkeypatch.setattr("skygcs.links.udp.BROADCAST_AGAIN_S", 0.2)
     host = RecordingHost()
     with peer(("127.255.255.255", 0)) as ear, peer() as vehicle, peer() as other:
-        config = models.UdpBroadcastLink(name="all", host="127.255.255.255", port=ear.getsockname()[1])
+        config = models.UdpBroadcastLinkConfig(name="all", host="127.255.255.255", port=ear.getsockname()[1])
         link = UdpBroadcastLink(config, host, asyncio.get_running_loop())
         await link.open()
         channel = host.channels[0]
@@ -357,7 +357,7 @@ async def test_a_broadcaster_does_not_lock_onto_itself() -> None:
     host = RecordingHost()
     with peer() as placeholder:
         port = placeholder.getsockname()[1]
-    config = models.UdpBroadcastLink(name="all", host="127.255.255.255", port=port, local_port=port)
+    config = models.UdpBroadcastLinkConfig(name="all", host="127.255.255.255", port=port, local_port=port)
     link = UdpBroadcastLink(config, host, asyncio.get_running_loop())
     await link.open()
     host.channels[0].send(heartbeat(255))

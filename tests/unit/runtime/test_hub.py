@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from skygcs.config.models import FleetConfig, LinkConfig, MemoryLink, RateLimits, ReplayLink
+from skygcs.config.models import FleetConfig, LinkConfig, MemoryLinkConfig, RateLimits, ReplayLinkConfig
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RouteNote
@@ -74,7 +74,7 @@ class Bench:
         self.notes.append((note.kind, note.sysid))
 
     def channel(self, name: str, peer: str = "x", **keys: Any) -> PlainChannel:
-        return self.channel_of(MemoryLink(name=name, **keys), peer)
+        return self.channel_of(MemoryLinkConfig(name=name, **keys), peer)
 
     def channel_of(self, config: LinkConfig, peer: str = "x") -> PlainChannel:
         channel = PlainChannel(PlainLink(config, self.hub, self.loop), peer)
@@ -176,7 +176,7 @@ async def test_a_message_everywhere_takes_every_channel_to_its_target_but_no_gro
     assert gcs.got == []
 
 
-REPLAY = ReplayLink(name="flight", file=Path("flight.tlog"))
+REPLAY = ReplayLinkConfig(name="flight", file=Path("flight.tlog"))
 
 
 async def test_what_a_recording_orders_reaches_nobody_but_a_ground_station() -> None:
@@ -300,11 +300,11 @@ async def test_a_known_frame_with_a_bad_crc_passes_only_where_that_is_configured
 
 def test_only_a_replay_is_routed_as_a_recording() -> None:
     assert channel_policy(REPLAY, DIALECT).replayed
-    assert not channel_policy(MemoryLink(name="x"), DIALECT).replayed
+    assert not channel_policy(MemoryLinkConfig(name="x"), DIALECT).replayed
 
 
 def test_a_policy_has_the_message_ids_of_its_names() -> None:
-    config = MemoryLink(
+    config = MemoryLinkConfig(
         name="x",
         role="radio",
         block_msg_id_out=("ATTITUDE", "24", 60000),
@@ -316,7 +316,7 @@ def test_a_policy_has_the_message_ids_of_its_names() -> None:
     assert (policy.default_hz_out, policy.bytes_per_s_out) == (5.0, 500.0)
     assert policy.forward_unknown is False
     with pytest.raises(KeyError, match="no message 'ATITUDE'"):
-        channel_policy(MemoryLink(name="x", allow_msg_id_in=("ATITUDE",)), DIALECT)
+        channel_policy(MemoryLinkConfig(name="x", allow_msg_id_in=("ATITUDE",)), DIALECT)
 
 
 async def test_ids_of_channels_stay_within_what_the_compiled_path_remembers() -> None:

@@ -9,14 +9,14 @@ from typing import Any, cast
 
 import pytest
 
-from skygcs.config.models import FleetConfig, MemoryLink, SerialLink
+from skygcs.config.models import FleetConfig, MemoryLinkConfig, SerialLinkConfig
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.links.base import Channel, ChannelSigning
-from skygcs.links.memory import MemoryLink as Memory
+from skygcs.links.memory import MemoryLink
 from skygcs.links.outgoing import Outgoing
-from skygcs.links.serial import SerialLink as Serial
+from skygcs.links.serial import SerialLink
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.link_view import LinkView, LinkWatch
 from skygcs.runtime.linktable import LinkTable
@@ -50,12 +50,12 @@ class Air:
         self.vehicles: list[Vehicle] = []
 
     def radio(self, name: str, baud: int = 57600) -> Channel:
-        config = SerialLink(type="serial", name=name, device="/dev/null", baud=baud, role="radio")
-        return self._attached(Mute(Serial(config, self.hub, asyncio.get_running_loop()), name))
+        config = SerialLinkConfig(type="serial", name=name, device="/dev/null", baud=baud, role="radio")
+        return self._attached(Mute(SerialLink(config, self.hub, asyncio.get_running_loop()), name))
 
     def cable(self, name: str) -> Channel:
-        config = MemoryLink(type="memory", name=name)
-        return self._attached(Mute(Memory(config, self.hub, asyncio.get_running_loop()), name))
+        config = MemoryLinkConfig(type="memory", name=name)
+        return self._attached(Mute(MemoryLink(config, self.hub, asyncio.get_running_loop()), name))
 
     def _attached(self, channel: Channel) -> Channel:
         self.hub.attach(channel)

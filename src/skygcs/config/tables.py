@@ -1,11 +1,32 @@
-"""In which line of a TOML text each key stands: tomllib does not say, and a problem without its line is a search."""
+"""What every table of the fleet file shares: the base of its models, and problems with the line of their key."""
 
 from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import dataclass
+
+from pydantic import BaseModel, ConfigDict
 
 KeyPath = tuple[str | int, ...]
+"""("links", "radio", "baud"): where a key stands in the file."""
+
+
+class Model(BaseModel):
+    """One table: frozen, unknown keys refused."""
+
+    # deferred: validators of tables that a fleet file does not have are not made, and the others once, inside the whole
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing wrong with a fleet file. ``missing``: the key at ``path`` should be there and is not."""
+
+    path: KeyPath
+    text: str
+    missing: bool = False
+
 
 _TOKEN = re.compile(
     r'"""|\'\'\''  # begin of a text over several lines

@@ -1,4 +1,4 @@
-"""Opening a file that a person named, without waiting for whatever else may stand there."""
+"""Reading files that the fleet file or a command names: never a pipe or device, which would stop the daemon."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ import os
 import stat
 from pathlib import Path
 from typing import BinaryIO
+
+from skygcs.core.params.param_file import MAX_CHARS, parse
+from skygcs.errors import ConfigError
+from skygcs.sim.param_set import ParamSet, param_set
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -29,3 +33,16 @@ def open_regular(path: Path) -> BinaryIO:
     except BaseException:
         os.close(handle)
         raise
+
+
+def load_param_set(path: Path) -> ParamSet:
+    """Raises ConfigError, for a person, for a file that is not there, is none, or is of another kind of vehicle."""
+    try:
+        with open_regular(path) as file:
+            raw = file.read(4 * MAX_CHARS + 1)
+        text = raw.decode("utf-8-sig")
+    except OSError as error:
+        raise ConfigError(str(path), [error.strerror or str(error)]) from None
+    except UnicodeDecodeError:
+        raise ConfigError(str(path), ["is no text in UTF-8"]) from None
+    return param_set(parse(text, str(path)), str(path))
