@@ -36,7 +36,7 @@ class GainSettings(Model):
     vel_d: Gain | None = None
 
 
-class FenceSettings(Model):
+class ControlFenceSettings(Model):
     """The box about the fleet's origin that neither vehicle nor reference may leave while skygcs flies it."""
 
     x_m: Span | None = None
@@ -73,14 +73,14 @@ class ControlSettings(Model):
     battery_min_percent: Annotated[float, Field(ge=0, le=100)] | None = None
     return_after_s: Seconds | None = None
     """The wanted way is taken again after what made the guard fall back was well for so long; never unless said."""
-    fence: FenceSettings | None = None
+    fence: ControlFenceSettings | None = None
 
     def over(self, lower: ControlSettings) -> ControlSettings:
         """These settings, and where they say nothing those of ``lower``, key by key. Not checked: see `problems`."""
         merged: dict[str, Any] = {}
         for key in type(self).model_fields:
             mine, below = getattr(self, key), getattr(lower, key)
-            if isinstance(mine, GainSettings | FenceSettings) and below is not None:
+            if isinstance(mine, GainSettings | ControlFenceSettings) and below is not None:
                 told = {k: v for k, v in mine.model_dump().items() if v is not None}
                 mine = below.model_copy(update=told)
             merged[key] = below if mine is None else mine
@@ -116,8 +116,8 @@ class ControlSettings(Model):
 
     def fence_at(self, origin: Origin) -> Fence:
         """The box, standing on earth about this origin. Raises ConfigError."""
-        fence = self.fence or FenceSettings()
-        told = {key: value for key in FenceSettings.model_fields if (value := getattr(fence, key)) is not None}
+        fence = self.fence or ControlFenceSettings()
+        told = {key: value for key in ControlFenceSettings.model_fields if (value := getattr(fence, key)) is not None}
         return Fence(origin, **told)
 
     def problems(self) -> list[tuple[tuple[str, ...], str]]:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from skygcs.config.checks import conflicts, dialect_problems, message_problems, stream_problems
-from skygcs.config.control import ControlSettings, FenceSettings, GainSettings
+from skygcs.config.control import ControlFenceSettings, ControlSettings, GainSettings
 from skygcs.config.dialects import load_dialect
 from skygcs.config.models import (
     AnyLink,
@@ -329,7 +329,7 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
         case (*_, "control", "xy" | "z"):
             return GainSettings
         case (*_, "control", "fence"):
-            return FenceSettings
+            return ControlFenceSettings
         case ("links", _, "rate_in" | "rate_out"):
             return RateLimits
         case ("links", _, "signing"):

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject, as_json, command, resolve
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.models import ListParams, Outcomes, Params, Result, TargetsParams
+from skygcs.rpc.models import ListParams, MethodParams, Outcomes, Result, TargetsParams
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 Gain = Annotated[float, Field(ge=0, le=100)]
@@ -36,7 +36,7 @@ class ControlSetParams(TargetsParams):
     )
 
 
-class AxisChange(Params):
+class AxisChange(MethodParams):
     """Gains of one axis; what is left out stays."""
 
     pos_p_per_s: Gain | None = Field(None, description="m/s per metre.")

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from pydantic_core import PydanticSerializationError, from_json, to_json
 
 from skygcs.errors import ConfigError, DialectError, LinkError, RefusedError, SkygcsError, TargetError
-from skygcs.rpc.models import Params
+from skygcs.rpc.models import MethodParams
 
 PARSE_ERROR = -32700
 INVALID_REQUEST = -32600
@@ -60,7 +60,7 @@ class Method(Generic[C]):
     """
 
     name: str
-    params: type[Params]
+    params: type[MethodParams]
     handler: Callable[[C, Any], Any]
     result: Any = dict
     errors: tuple[int, ...] = ()
@@ -110,7 +110,7 @@ class Dispatcher(Generic[C]):
         return isinstance(request, dict) and self._methods[request["method"]].outlives_client
 
     async def _finish(
-        self, method: Method[C], context: C, params: Params, request_id: object, notification: bool
+        self, method: Method[C], context: C, params: MethodParams, request_id: object, notification: bool
     ) -> bytes:
         try:
             result = await method.handler(context, params)
@@ -180,7 +180,7 @@ def _params_reply(request_id: object, name: str, problems: list[tuple[str, str]]
     return error_reply(request_id, INVALID_PARAMS, f"{name}: {text}", data)
 
 
-def _check(model: type[Params], params: object) -> Params:
+def _check(model: type[MethodParams], params: object) -> MethodParams:
     """Parameters by name, or by position in the declared order."""
     if params is None:
         params = {}
@@ -199,7 +199,7 @@ def _check(model: type[Params], params: object) -> Params:
         raise
 
 
-def _unknown_params(model: type[Params], error: ValidationError) -> InvalidParams:
+def _unknown_params(model: type[MethodParams], error: ValidationError) -> InvalidParams:
     problems = []
     known = list(model.model_fields)
     for loc, text in _problems(error):

@@ -14,7 +14,7 @@ from pydantic import AfterValidator, Field
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject, resolve
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.models import NoParams, Params, Result, Targets
+from skygcs.rpc.models import MethodParams, NoParams, Result, Targets
 
 LinkName = Annotated[str, Field(min_length=1, max_length=64, description="The link's name.")]
 
@@ -25,7 +25,7 @@ def _new_link_name(name: str) -> str:
     return name
 
 
-class LinkParams(Params):
+class LinkParams(MethodParams):
     name: LinkName
     link: dict[str, Any] = Field(description="The link's table as in the fleet file, with its type.")
 
@@ -34,11 +34,11 @@ class LinkAddParams(LinkParams):
     name: Annotated[LinkName, AfterValidator(_new_link_name)]
 
 
-class LinkNameParams(Params):
+class LinkNameParams(MethodParams):
     name: LinkName
 
 
-class SelectParams(Params):
+class SelectParams(MethodParams):
     targets: Targets | None = Field(None, description="null: none; the selection before this one ends.")
 
 
@@ -71,7 +71,7 @@ MAX_DATA_CHARS = 65536
 """48 kB, a minute of the richest base."""
 
 
-class CorrectionsParams(Params):
+class CorrectionsParams(MethodParams):
     data: str = Field(
         max_length=MAX_DATA_CHARS,
         description="The next bytes of an RTCM 3 stream, in base64; they may begin and end anywhere in a message.",

@@ -15,11 +15,11 @@ from skygcs.rpc.context import Context, JsonObject, command_with
 from skygcs.rpc.dispatch import InvalidParams, Method
 from skygcs.rpc.models import (
     MessageName,
+    MethodParams,
     NameOrId,
     NoParams,
     OrderTargets,
     Outcomes,
-    Params,
     Result,
     Target,
     TargetParams,
@@ -94,7 +94,7 @@ class LatestParams(TargetParams):
     name: MessageName
 
 
-class SendParams(Params):
+class SendParams(MethodParams):
     name: MessageName
     fields: dict[str, Any] = Field(
         default_factory=dict, description="Field values by name; missing fields are 0, null is NaN."

@@ -17,7 +17,7 @@ from skygcs import __version__
 from skygcs.rpc import control, dispatch, links, messages, missions, origin, params, signing, vehicles
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.models import NoParams, Params, Result, SubscribeParams
+from skygcs.rpc.models import MethodParams, NoParams, Result, SubscribeParams
 
 
 class EventRecord(Result):
@@ -29,11 +29,11 @@ class EventRecord(Result):
     data: dict[str, Any]
 
 
-class RecentParams(Params):
+class RecentParams(MethodParams):
     limit: int = Field(100, ge=1, le=10000, description="At most so many, the newest ones.")
 
 
-class UnsubscribeParams(Params):
+class UnsubscribeParams(MethodParams):
     subscription: int = Field(description="What `subscribe` answered.")
 
 

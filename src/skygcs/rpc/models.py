@@ -83,28 +83,28 @@ Enu = Annotated[
 ]
 
 
-class Params(BaseModel):
+class MethodParams(BaseModel):
     # deferred: a hundred validators, of which a start needs none and a session a few
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
-class NoParams(Params):
+class NoParams(MethodParams):
     """No parameters."""
 
 
-class ListParams(Params):
+class ListParams(MethodParams):
     targets: Targets = "all"
 
 
-class TargetParams(Params):
+class TargetParams(MethodParams):
     target: Target
 
 
-class TargetsParams(Params):
+class TargetsParams(MethodParams):
     targets: Targets
 
 
-class SubscribeParams(Params):
+class SubscribeParams(MethodParams):
     topic: Literal["telemetry", "events", "messages"] = Field(
         description='The notifications are called "telemetry", "event", "message": one of them each time.'
     )

@@ -8,10 +8,10 @@ from skygcs.core.geo import EAST_DEG, Origin
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject, as_json
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.models import Lat, Lon, NoParams, Outcomes, Params, Result, TargetParams, TargetsParams
+from skygcs.rpc.models import Lat, Lon, MethodParams, NoParams, Outcomes, Result, TargetParams, TargetsParams
 
 
-class OriginSetParams(Params):
+class OriginSetParams(MethodParams):
     lat_deg: Lat
     lon_deg: Lon
     alt_amsl_m: float = Field(description="Metres above mean sea level; up is counted from here.")

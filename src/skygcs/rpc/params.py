@@ -17,7 +17,7 @@ from skygcs.core.protocols.parameter_list import BYTES_PER_S
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.models import NoParams, Outcomes, Params, Result, TargetsParams
+from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_NAMES = 2000
@@ -299,7 +299,7 @@ def preflight_status(context: Context, params: TargetsParams) -> JsonObject:
     return context.services.fleet.preflight_status(params.targets)
 
 
-class UndoParams(Params):
+class UndoParams(MethodParams):
     id: str = Field(min_length=1, max_length=128, description="Of undo.list.")
 
 

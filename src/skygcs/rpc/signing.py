@@ -9,7 +9,7 @@ from pydantic import Field
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject, as_json
 from skygcs.rpc.dispatch import InvalidParams, Method
-from skygcs.rpc.models import NoParams, Outcomes, Params, Result, TargetsParams
+from skygcs.rpc.models import MethodParams, NoParams, Outcomes, Result, TargetsParams
 
 
 class SigningSetupParams(TargetsParams):
@@ -19,7 +19,7 @@ class SigningSetupParams(TargetsParams):
     force: bool = Field(False, description="Although others can hear the link; the key goes out in clear.")
 
 
-class SigningResetParams(Params):
+class SigningResetParams(MethodParams):
     key_id: str = Field(min_length=1, max_length=64, description="As signing.status names the key.")
     force: bool = Field(False, description="Although a vehicle is armed.")
 
