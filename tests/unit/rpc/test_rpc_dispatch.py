@@ -17,7 +17,7 @@ from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method
 from skygcs.rpc.models import NoParams, Params
 
 
-class PairParams(Params):
+class PairParams(MethodParams):
     first: int
     second: float = Field(2.0, gt=0)
 
