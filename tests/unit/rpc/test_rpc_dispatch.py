@@ -14,7 +14,7 @@ from pydantic import Field
 
 from skygcs.errors import ConfigError, LinkError, RefusedError, TargetError
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, Method, Reply, parse
-from skygcs.rpc.models import NoParams, Params
+from skygcs.rpc.models import MethodParams, NoParams
 
 
 class PairParams(MethodParams):
