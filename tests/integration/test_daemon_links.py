@@ -207,9 +207,7 @@ async def test_the_target_field_is_filled_whatever_its_name(tmp_path: Path) -> N
 
 async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_said(tmp_path: Path) -> None:
     async with with_vehicles(tmp_path) as daemon:
-        with pytest.raises(
-            RefusedError, match=r"COMMAND_LONG is addressed: give a target .* its field target_system"
-        ):
+        with pytest.raises(RefusedError, match=r"COMMAND_LONG is addressed: give a target .* its field target_system"):
             daemon.message_sender.send("COMMAND_LONG", {"command": 400, "param1": 1.0})
         with pytest.raises(RefusedError, match="its field target "):
             daemon.message_sender.send("MANUAL_CONTROL", {"x": 1})

@@ -437,6 +437,7 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
     from rich.table import Table
 
     console = Console(soft_wrap=True)
+    # the file as a whole
     duration = "" if answer["duration_s"] is None else f", {answer['duration_s']:.1f} s"
     console.print(f"[bold]{escape(file.name)}[/bold]: {kind}, {answer['records']} records{duration}", highlight=False)
     console.print(
@@ -446,6 +447,7 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
     )
     for line in _remarks(answer):
         console.print(escape(line), highlight=False)
+    # its vehicles
     if answer["vehicles"]:
         table = Table("vehicle", "autopilot", "type", "heard, s", "armed", "lost", box=box.SIMPLE_HEAD)
         table.add_column("modes", overflow="fold")
@@ -457,6 +459,7 @@ def _print_summary(file: Path, kind: str, answer: dict[str, Any]) -> None:
         console.print(table)
     else:
         console.print("no vehicle")
+    # its sources and messages
     for title, counts in (("source", answer["sources"]), ("message", answer["types"])):
         table = Table(title, box=box.SIMPLE_HEAD)
         table.add_column("frames", justify="right")

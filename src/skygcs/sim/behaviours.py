@@ -571,12 +571,8 @@ PX4: Final = Firmware(
         2.5,
         "commander/commander_params.c: COM_SPOOLUP_TIME (1 s), then half of MPC_TKO_RAMP_T (3 s)",
     ),
-    climb_accel=Fact(
-        ("MPC_ACC_UP_MAX", 1.0), "mc_pos_control/multicopter_position_control_limits_params.c"
-    ),
-    jerk=Fact(
-        "MPC_JERK_AUTO", "src/lib/motion_planning/PositionSmoothing.cpp: computeMaxSpeedFromDistance"
-    ),
+    climb_accel=Fact(("MPC_ACC_UP_MAX", 1.0), "mc_pos_control/multicopter_position_control_limits_params.c"),
+    jerk=Fact("MPC_JERK_AUTO", "src/lib/motion_planning/PositionSmoothing.cpp: computeMaxSpeedFromDistance"),
     brake=Fact(
         (3.0, 4.0, 0.3),
         "navigator/navigator_main.cpp: preproject_stop_point (MPC_ACC_HOR, MPC_JERK_AUTO; measured)",

@@ -225,6 +225,7 @@ class RecordedFlight:
         values = self._decoder.values(name, frame.payload)
         if not values:
             return
+        # battery, then positions from the best message to the least
         if name in ("SYS_STATUS", "BATTERY_STATUS"):
             folding.battery[name] = values
             battery = fold_battery(folding.battery, self._decoder)
@@ -233,6 +234,7 @@ class RecordedFlight:
         elif name == "GLOBAL_POSITION_INT":
             if not folding.height_reported:  # earlier heights may have another zero
                 folding.height_reported, vehicle.altitude = True, Curve()
+            # a restart takes back the losses since the silence before it
             if folding.clock.on_boot_ms(values[0], now):
                 vehicle.reboots += 1
                 lost = vehicle.stats.lost

@@ -97,6 +97,7 @@ def flight_figure(flight: RecordedFlight, name: str) -> Figure:
     """Map and table on top, below it one panel for each quantity over one axis of time."""
     vehicles = sorted(flight.vehicles.values(), key=lambda v: (v.sysid, v.compid))
     styles = _styles(vehicles)
+    # the panels that have curves, and the heights of all rows
     panels = [
         ("height, m", [v.altitude for v in vehicles]),
         ("battery, %", [v.percent for v in vehicles]),
@@ -108,11 +109,13 @@ def flight_figure(flight: RecordedFlight, name: str) -> Figure:
     top_in = MAP_IN if placed else TABLE_IN + ROW_IN * len(vehicles)
     heights = [top_in, *(LINES_IN for _ in panels), rows_in, rows_in]
     figure = new_figure(WIDTH_IN, sum(heights))
+    # map and summary on top
     outer = figure.add_gridspec(len(heights), 1, height_ratios=heights)
     top = outer[0].subgridspec(1, 2, width_ratios=(1.25, 1))
     if placed:
         draw_map(figure.add_subplot(top[0]), flight, vehicles, styles)
     draw_summary(figure.add_subplot(top[1] if placed else outer[0]), top_in, vehicles, styles)
+    # one panel for each quantity, then modes and links, over one axis of time
     shared = None
     for n, (label, curves) in enumerate(panels):
         panel = figure.add_subplot(outer[n + 1], sharex=shared)
@@ -390,6 +393,7 @@ def _draw_modes(panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleF
 
     modes = list(dict.fromkeys(span.mode for vehicle in vehicles for span in vehicle.modes))
     looks = _looks(modes)
+    # a row of bars for each vehicle, with names where there is room
     letter_s = LETTER_SHARE * max(flight.end_s - (flight.begin_s or 0.0), 1.0)
     for row, vehicle in enumerate(vehicles):
         for hatch in MODE_HATCHES:
@@ -408,6 +412,7 @@ def _draw_modes(panel: Axes, flight: RecordedFlight, vehicles: Sequence[VehicleF
         # its mode is not known while it was silent
         veils = [(begin_s, end_s - begin_s) for begin_s, end_s in vehicle.silences]
         _draw_bars(panel, row, veils, ["white"] * len(veils), gid(vehicle, "veil"), alpha=0.8, zorder=3)
+    # the legend
     handles: list[Any] = [
         Patch(facecolor=looks[mode][0], hatch=looks[mode][1], edgecolor="#FFFFFFB0", linewidth=0, label=mode)
         for mode in modes[:MODES_SHOWN]
