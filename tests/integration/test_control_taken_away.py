@@ -104,7 +104,7 @@ async def test_not_heard_any_more_while_positions_still_come(tmp_path: Path, kin
         ended = gcs.now
         assert ended - gone < 7.0
         (told,) = gcs.texts(gone)
-        assert told.startswith("control ended: the vehicle is not heard any more")
+        assert told.startswith("control ended: the vehicle is lost: no heartbeat")
         await gcs.ends_safe(within_m=5.0, since=gone)
 
 

@@ -1,4 +1,4 @@
-"""Whether a vehicle may be sent setpoints now, and which: asked once per tick, before the law and before any message.
+"""Decides in each tick, before the control law runs, whether setpoints may be sent and in which control mode.
 
     any fact of ...                                                      engaging    flying     afterwards
     ─────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -15,16 +15,16 @@
                 rate below rate_min_hz, attitude_refused                                        │ all well, if set
     4 none of these                                                      wanted      wanted
 
-The first row that applies decides. *Release* comes before *hold* because hold is an order, and a vehicle that is not
-ours (any more) is given none: whoever took it, its failsafe included, is not fought. A vehicle that is not following
-yet (engaging) is not ours either, so what would be a hold there only ends the attempt. *Hold* comes before the ways
-because no way of control is safe with it. Both are final until `Guard.reset`: coming back from them means changing the
-autopilot's mode, which is for a person to order. Within row 3 falling is immediate and climbing needs
-``return_after_s``: so the way cannot chatter, whatever the facts do. Only while engaging does it follow the facts up as
-well as down: nothing flies by it yet, and the round trip is just being measured.
+The first row that applies decides. *Release* comes before *hold*: a hold is an order, and skygcs sends no orders to a
+vehicle that something else (a pilot, another station, its failsafe) controls. A vehicle that does not follow yet
+(engaging) is not under our control either, so there an unsafe fact only ends the attempt. *Hold* comes before the
+choice of a control mode because no mode is safe with such a fact. Both are final until `Guard.reset`: to continue, the
+autopilot's mode must be changed again, and a person must order that. Within row 3 the change to a lower mode is
+immediate and the change to a higher one needs ``return_after_s``, so that the mode cannot oscillate. While engaging the
+mode follows the facts in both directions: no setpoint is flown yet, and the round trip is still being measured.
 
-A single late tick moves nothing until it is ``stale_s`` late: the delays are judged by their 95th percentile. A number
-that is NaN counts as bad wherever it stands.
+A single late tick changes nothing until it is ``stale_s`` late: delays are judged by their 95th percentile. NaN counts
+as bad in every fact.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ from skygcs.errors import ConfigError
 Action = Literal["send", "hold", "release"]
 
 STREAM_MIN_HZ = 2.0
-"""PX4 leaves OFFBOARD below 2 setpoints a second, and ArduPilot flies on with the last velocity for up to 3 s."""
+"""PX4 leaves OFFBOARD below 2 setpoints per second; ArduPilot keeps the last velocity for up to 3 s."""
 
 FUTURE_SLACK_S = 0.1
-"""A state may be so much younger than the tick (it came in meanwhile). What is dated later has another clock."""
+"""A state may be this much newer than the tick (it arrived meanwhile). A later date means a wrong clock."""
 
 
 class ControlMode(StrEnum):
-    """Who closes the loops: all here, the outer one here, none here."""
+    """Which loops skygcs closes: all of them, the outer one, none."""
 
     ATTITUDE = "attitude"
     VELOCITY = "velocity"
@@ -57,28 +57,28 @@ class ControlMode(StrEnum):
 
 
 CONTROL_MODES = (ControlMode.ATTITUDE, ControlMode.VELOCITY, ControlMode.POSITION)
-"""In the order of falling back."""
+"""In fallback order."""
 _, _VELOCITY, _POSITION = CONTROL_MODES
 """Naming a member of an enumeration takes 75 ns (CPython 3.11), twice in every tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class GuardConfig:
-    """The limits; arithmetic in docs/explanation/control-guard.md. Raises ConfigError, with every problem at once."""
+    """Limits of the guard; derivations in docs/explanation/control-guard.md. Raises ConfigError with every problem."""
 
     attitude_delay_s: float = 0.1
-    """Most delay (p95 of state age plus the setpoint's way up) for attitude: half of what z bears with the
-    default gains (0.213 s), the rest is for the airframe's lag. `analysis.why_not_delay`: of other gains."""
+    """Largest delay (p95 of state age plus setpoint transport) for attitude: half of the z axis' delay margin with
+    the default gains (0.213 s); the rest is for the airframe's lag. For other gains: `analysis.why_not_delay`."""
     velocity_delay_s: float = 0.5
-    """The same for velocity; what is closed here then is the outer P loop, which bears π/2 s at 1/s."""
+    """The same for velocity: skygcs then closes only the outer P loop, whose delay margin is π/2 s at 1/s."""
     stale_s: float = 0.5
-    """With a newest state older than this, in any single tick, neither attitude nor velocity."""
+    """If the newest state is older than this in any tick, neither attitude nor velocity setpoints are sent."""
     position_stale_s: float = 2.0
-    """With one older than this nothing at all. At 2 Hz three in a row may be lost, at 1 Hz none."""
+    """If it is older than this, no setpoints are sent. At 2 Hz three states in a row may be lost, at 1 Hz none."""
     battery_min_percent: float | None = 20.0
-    """Below it hold; None: not watched."""
+    """Below this charge: hold. None: not watched."""
     return_after_s: float | None = None
-    """A higher way that has been possible for so long without a break is taken again; None: never by itself."""
+    """Control returns to a higher mode after it was possible for this time without a break. None: only on order."""
 
     def __post_init__(self) -> None:
         problems = [
@@ -96,12 +96,12 @@ class GuardConfig:
         if self.attitude_delay_s > self.velocity_delay_s:
             problems.append(
                 f"attitude_delay_s: {self.attitude_delay_s} is above velocity_delay_s ({self.velocity_delay_s}), "
-                "but attitude bears less delay"
+                "but attitude tolerates less delay"
             )
         if self.stale_s > self.position_stale_s:
             problems.append(
                 f"stale_s: {self.stale_s} is above position_stale_s ({self.position_stale_s}), "
-                "but position setpoints bear older states"
+                "but position setpoints tolerate older states"
             )
         if problems:
             raise ConfigError("guard", problems)
@@ -109,52 +109,52 @@ class GuardConfig:
 
 @record
 class Facts:
-    """All the guard looks at in one tick. None is "not known"; what that means is said where it is not obvious."""
+    """The guard's input in one tick. None means unknown."""
 
     connected: bool
     armed: bool
     following: bool
-    """The autopilot is in the mode that obeys setpoints."""
+    """The autopilot is in the mode that follows setpoints."""
     state_age_s: float | None
-    """Of the newest position; None: there never was one."""
+    """Age of the newest position; None: none has come yet."""
     rtt_p95_s: float | None
     delay_p95_s: float | None
-    """As `DelayMeter` gives them. Not measured yet: no attitude. Velocity then rests on ``stale_s``."""
+    """From `DelayMeter`. While unmeasured, attitude is refused and velocity is limited by ``stale_s``."""
     estimate: Estimate | None
-    """About the vehicle's anchor. None: no position."""
+    """About the vehicle's local origin. None: no position."""
     finite: bool
-    """No NaN in what the vehicle told of its state and attitude."""
+    """No NaN in the reported state and attitude."""
     fix_ok: bool
     airborne: bool | None
-    """False, which is landed for sure, ends control; None does not: many autopilots do not say."""
+    """False (certainly landed) ends control; None does not: many autopilots do not report it."""
     battery_percent: float | None
-    """None, not told, is fine: the autopilot has a battery failsafe of its own."""
+    """None (not reported) is accepted: the autopilot has a battery failsafe of its own."""
     inside_fence: bool
     reference_inside_fence: bool
     rate_hz: float
-    """Setpoints per second that the link's budget leaves to this vehicle."""
+    """Setpoints per second that the link budget allows for this vehicle."""
     rate_min_hz: float
-    """Least of them for attitude."""
+    """The minimum for attitude."""
     refusing: str | None
-    """Why the autopilot does not take our setpoints or our mode, in its own words."""
+    """Why the autopilot refuses our setpoints or our mode, in its own words."""
     engaging: bool = False
-    """Setpoints are sent so that the mode may be entered: it need not follow yet."""
+    """Setpoints are sent so that the mode can be entered; the vehicle need not follow yet."""
     rebooted: bool = False
-    """Since control began: its time since boot ran backwards."""
+    """Its time since boot ran backwards since control began."""
     flies_disarmed: str | None = None
-    """What says that it flies although its heartbeat says disarmed; None: nothing."""
+    """The evidence that it flies although its heartbeat says disarmed; None: no evidence."""
     two_senders: bool = False
-    """Another vehicle sends with its ids on the same link: what is known of it may be of the other one."""
+    """Another vehicle sends with its ids on the same link: its state may be the other vehicle's."""
     attitude_refused: str | None = None
-    """Why this autopilot cannot be given attitude and thrust (ArduPilot: thrust means climb rate), if it cannot."""
+    """Why this autopilot must not get attitude setpoints (ArduPilot: thrust may mean climb rate); None: it may."""
     position_breach: str | None = None
     reference_breach: str | None = None
-    """The texts of `Fence.why_not`, to be told instead of a sentence without figures."""
+    """The texts of `Fence.why_not`, reported instead of a sentence without figures."""
 
 
 @record
 class Verdict:
-    """What may be done in this tick.
+    """The guard's decision for this tick.
 
     send: setpoints for ``control_mode``. hold: order a hold once (when ``changed``), send nothing. release: send
     nothing at all.
@@ -162,27 +162,27 @@ class Verdict:
 
     action: Action
     control_mode: ControlMode | None
-    """None unless sending."""
+    """None unless ``action`` is send."""
     reasons: tuple[str, ...]
-    """Why it is not what was wanted, for the operator: the figure and its limit. Empty if it is."""
+    """Why it is not the wanted mode, for the operator: the figure and its limit. Empty if it is."""
     changed: bool
-    """To be told now. Once per change of action or way, and once per new kind of reason within one."""
+    """To be reported now: at each change of action or mode, and at each new kind of reason."""
     kinds: tuple[str, ...] = ()
-    """The reasons' kinds, for programs; without figures."""
+    """The kinds of the reasons, without figures, for programs."""
 
 
 class Refusal(NamedTuple):
-    """One thing that stands against sending."""
+    """One reason not to send."""
 
     kind: str
     text: str
 
 
 class Guard:
-    """Remembers the way, and that an end is an end. One per vehicle and engagement.
+    """Keeps the control mode, and ends control finally. One per vehicle and engagement.
 
-    Ask `why_not` before control begins, then `check` in every tick and do what it says, whatever was wanted.
-    Begins on the wanted way: what is wrong with it is found, and told, by the first check.
+    Call `why_not` before control begins, then `check` in every tick, and act on its verdict. The guard begins in the
+    wanted mode; the first check finds and reports what refuses it.
     """
 
     __slots__ = (
@@ -196,11 +196,11 @@ class Guard:
 
     @property
     def control_mode(self) -> ControlMode | None:
-        """The present one; None after a hold or a release."""
+        """The present mode; None after a hold or a release."""
         return None if self._ended else self._control_mode
 
     def reset(self, wanted: ControlMode) -> None:
-        """Begin anew, on the wanted way: somebody ordered control again."""
+        """Begin again in the wanted mode, because control was ordered again."""
         self.wanted = wanted
         self._control_mode = wanted
         self._ended: Verdict | None = None
@@ -210,23 +210,23 @@ class Guard:
         self._checked_at = -math.inf
         self._as_wanted = Verdict("send", wanted, (), changed=False)
         self._as_before = False
-        """Whether all was well in the last check, and the way as wanted: another such one then changes nothing."""
+        """Whether the last check found no reason and the mode is the wanted one: another such check changes nothing."""
 
     def why_not(self, facts: Facts) -> tuple[str, ...]:
-        """All that stands against the wanted way at this moment. Changes nothing."""
+        """All present reasons against the wanted mode. Changes nothing."""
         found = (*_not_ours(facts), *_unsafe(self.config, facts), *_unfit(self.config, facts, self.wanted))
         return tuple(refusal.text for refusal in found)
 
     def check(self, facts: Facts, now: float) -> Verdict:
-        """What may be done in this tick. After a hold or a release the same again and again, with its first reasons."""
+        """The verdict for this tick. After a hold or a release it stays the same, with its first reasons."""
         if self._as_before and now >= self._checked_at and all_well(self.config, facts, self.wanted):
             self._checked_at = now
-            return self._as_wanted  # what follows would find the same: measured 3.9 us against 0.8
+            return self._as_wanted  # the full check would find the same: 0.8 us instead of 3.9 us
         if self._ended:
             return self._ended
         self._as_before, self._checked_at = False, now
         if refusals := tuple(_not_ours(facts)):
-            return self._end("release", refusals[:1])  # the first is the cause, what follows its consequence
+            return self._end("release", refusals[:1])  # the first is the cause, the others are consequences
         if refusals := tuple(_unsafe(self.config, facts)):
             return self._end("release" if facts.engaging else "hold", refusals)
         refused = {
@@ -245,18 +245,18 @@ class Guard:
         return Verdict(action, None, reasons, changed=True, kinds=kinds)
 
     def _control_modes(self) -> tuple[ControlMode, ...]:
-        """The wanted way and what it may fall back to."""
+        """The wanted mode and its fallbacks."""
         return CONTROL_MODES[CONTROL_MODES.index(self.wanted) :]
 
     def _note_clear(self, refused: dict[ControlMode, tuple[Refusal, ...]], now: float) -> None:
         for control_mode, refusals in refused.items():
             if refusals:
                 self._clear_since.pop(control_mode, None)
-            elif self._clear_since.setdefault(control_mode, now) > now:  # a clock that ran backwards proves nothing
+            elif self._clear_since.setdefault(control_mode, now) > now:  # the clock ran backwards
                 self._clear_since[control_mode] = now
 
     def _chosen(self, refused: dict[ControlMode, tuple[Refusal, ...]], now: float, *, bound: bool) -> ControlMode:
-        """The highest way that may be taken; the last, position, is never refused. ``bound``: to the present one."""
+        """The highest mode without a refusal; position is never refused. ``bound``: not above the present mode."""
         after_s = self.config.return_after_s
         for control_mode in self._control_modes():
             if refused[control_mode]:
@@ -295,8 +295,8 @@ class Guard:
 
 
 def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
-    """Whether nothing stands against the wanted way nor any it may fall back to: `_not_ours`, `_unsafe` and `_unfit` in
-    one, for the many ticks in which they have nothing to say."""
+    """True if no rule rejects the wanted mode or its fallbacks: `_not_ours`, `_unsafe` and `_unfit` in one expression,
+    for the many ticks without a reason."""
     age_s, estimate, delay_s = facts.state_age_s, facts.estimate, facts.delay_p95_s
     if (
         not facts.connected
@@ -335,16 +335,16 @@ def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
 
 
 def _not_ours(facts: Facts) -> Iterator[Refusal]:
-    """Row 1. In the order of cause and consequence: a vehicle that rebooted is also disarmed and in another mode."""
+    """Row 1, causes before consequences: a vehicle that rebooted is also disarmed and in another mode."""
     if not facts.connected:
-        yield Refusal("lost", "the vehicle is not heard any more")
+        yield Refusal("lost", "the vehicle is lost: no heartbeat")
     if facts.rebooted:
-        yield Refusal("rebooted", "the autopilot rebooted: it knows nothing of what was ordered before")
+        yield Refusal("rebooted", "the autopilot rebooted and lost all earlier orders")
     if not facts.armed and facts.flies_disarmed is None:
         yield Refusal("not_armed", "the vehicle is not armed")
     if facts.airborne is False:
-        # On the ground the loop is open: an integrator winds up against the earth, a sideways error tips the vehicle
-        # over, an upward one is a take-off nobody ordered.
+        # On the ground the loop is open: the integrators wind up, a sideways error tips the vehicle over, and an
+        # upward one is a take-off that was not ordered.
         yield Refusal("on_ground", "the vehicle is on the ground, where setpoints tip it over: take off first")
     if not facts.following and not facts.engaging:
         yield Refusal(
@@ -365,9 +365,7 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
     elif _too_old(facts.state_age_s, config.position_stale_s):
         yield Refusal("silent", _age_text(facts.state_age_s, config.position_stale_s, "any setpoint"))
     if not facts.finite:
-        yield Refusal(
-            "not_finite", "the vehicle tells of its state or attitude with numbers that are not numbers (NaN)"
-        )
+        yield Refusal("not_finite", "the vehicle reports NaN in its state or attitude")
     if not facts.fix_ok:
         yield Refusal("no_fix", "the vehicle has no usable position fix")
     if facts.estimate is None:
@@ -380,7 +378,7 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
     if not facts.inside_fence:
         yield Refusal("fence", facts.position_breach or "the vehicle is outside the control fence")
     if not facts.reference_inside_fence:
-        yield Refusal("fence_reference", facts.reference_breach or "the place to go to is outside the control fence")
+        yield Refusal("fence_reference", facts.reference_breach or "the reference is outside the control fence")
     floor, battery = config.battery_min_percent, facts.battery_percent
     if floor is not None and battery is not None and not battery >= floor:
         yield Refusal("battery", f"the battery is at {battery:g} % (limit {floor:g} %)")
@@ -389,7 +387,7 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
 
 
 def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iterator[Refusal]:
-    """Row 3. Nothing for position: what it cannot bear is row 2."""
+    """Row 3. Position has no entry: its limits are in row 2."""
     if control_mode is ControlMode.POSITION:
         return
     if facts.state_age_s is None or _too_old(facts.state_age_s, config.stale_s):
@@ -403,11 +401,11 @@ def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iter
             yield Refusal(
                 "velocity_rate",
                 f"the link leaves {facts.rate_hz:.3g} setpoints per second (velocity needs {STREAM_MIN_HZ:g}, "
-                "or the autopilot takes the stream for lost)",
+                "or the autopilot treats the stream as lost)",
             )
         return
     if facts.rtt_p95_s is None or delay_s is None:
-        yield Refusal("unmeasured", "round trip not measured yet, so nobody knows the delay attitude would have")
+        yield Refusal("unmeasured", "the round trip is not measured yet, so the delay for attitude is unknown")
     elif not (facts.rtt_p95_s >= 0 and delay_s <= config.attitude_delay_s):
         yield Refusal("attitude_delay", _delay_text(delay_s, config.attitude_delay_s, control_mode))
     if not facts.rate_hz >= facts.rate_min_hz:
@@ -417,7 +415,7 @@ def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iter
 
 
 def _too_old(age_s: float, limit_s: float) -> bool:
-    """NaN is, and what comes from the future is: its age is not known."""
+    """True also for NaN and for times in the future, whose age is unknown."""
     return not -FUTURE_SLACK_S <= age_s <= limit_s
 
 
@@ -426,15 +424,16 @@ def _age_text(age_s: float, limit_s: float, what: str) -> str:
 
 
 def _delay_text(delay_s: float, limit_s: float, control_mode: ControlMode) -> str:
-    return f"state age plus the way up is {delay_s:.3f} s in 95 of 100 ticks (limit for {control_mode} {limit_s:g} s)"
+    limit = f"limit for {control_mode} {limit_s:g} s"
+    return f"state age plus setpoint transport is {delay_s:.3f} s in 95 of 100 ticks ({limit})"
 
 
 def _rate_text(rate_hz: float, least_hz: float) -> str:
-    """The arithmetic: what a setpoint is held on average is delay, half a period of it."""
+    """Text with the average delay by holding a setpoint: half a period."""
     text = f"the link leaves {rate_hz:.3g} setpoints per second (attitude needs {least_hz:.3g})"
     if rate_hz > 0 and least_hz > 0:
         text += (
-            f": each is held until the next, on average {0.5 / rate_hz:.3f} s of delay on top, "
+            f": each is held until the next, on average {0.5 / rate_hz:.3f} s of additional delay, "
             f"instead of {0.5 / least_hz:.3f} s"
         )
     return text

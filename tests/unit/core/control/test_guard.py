@@ -84,7 +84,7 @@ HOLDS = [
     ({"estimate": Estimate((0, 2e6, 0), (0, 0, 0))}, "estimate", "2e+06"),
     ({"inside_fence": False}, "fence", "the vehicle is outside the control fence"),
     ({"inside_fence": False, "position_breach": "the vehicle is at x 51.2 m"}, "fence", "x 51.2 m"),
-    ({"reference_inside_fence": False}, "fence_reference", "the place to go to is outside"),
+    ({"reference_inside_fence": False}, "fence_reference", "the reference is outside"),
     ({"reference_inside_fence": False, "reference_breach": "is at x 99 m"}, "fence_reference", "x 99 m"),
     ({"battery_percent": 19.0}, "battery", "the battery is at 19 % (limit 20 %)"),
     ({"battery_percent": NAN}, "battery", "nan %"),
@@ -153,14 +153,14 @@ UNFIT = [
     ({"delay_p95_s": math.inf}, ControlMode.POSITION, "velocity_delay", "inf s"),
     ({"delay_p95_s": NAN}, ControlMode.POSITION, "velocity_delay", "nan s"),
     ({"rtt_p95_s": NAN}, ControlMode.VELOCITY, "attitude_delay", "limit for attitude"),
-    ({"rtt_p95_s": None, "delay_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip not measured yet"),
-    ({"rtt_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip not measured yet"),
+    ({"rtt_p95_s": None, "delay_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip is not measured yet"),
+    ({"rtt_p95_s": None}, ControlMode.VELOCITY, "unmeasured", "round trip is not measured yet"),
     (
         {"rate_hz": 8.0},
         ControlMode.VELOCITY,
         "attitude_rate",
         "the link leaves 8 setpoints per second (attitude needs 20): each is held until the next, on average 0.062 s "
-        "of delay on top, instead of 0.025 s",
+        "of additional delay, instead of 0.025 s",
     ),
     (
         {"rate_hz": 1.9},
@@ -290,7 +290,7 @@ def test_why_not_tells_everything_and_changes_nothing() -> None:
     assert [text.split(",")[0] for text in found] == [
         "the vehicle is not armed",
         "the vehicle has no usable position fix",
-        "round trip not measured yet",
+        "the round trip is not measured yet",
     ]
     assert guard.check(WELL, 0.0) == Verdict("send", ControlMode.ATTITUDE, (), changed=False)
 
