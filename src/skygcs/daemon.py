@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,6 @@ from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
 from skygcs.errors import LinkError
-from skygcs.events import Event
-from skygcs.links.base import Channel
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.admission_reports import AdmissionReports
@@ -218,29 +215,9 @@ class Daemon:
 
     # -- what a person asks
 
-    @property
-    def events(self) -> deque[dict[str, Any]]:
-        """The newest events."""
-        return self.event_log.recent
-
-    def on_event(self, event: Event) -> None:
-        """See `EventLog.publish`."""
-        self.event_log.publish(event)
-
     def _tick_third_party(self) -> None:
         self.third_party.tick(self.now())
         self.leftover_streams.tick(self.now())
-
-    def signing_status(self) -> dict[str, Any]:
-        """Keys, links with their rules, and counters per channel."""
-        channels: dict[str, list[Channel]] = {}
-        for channel in self.hub.channels.values():
-            channels.setdefault(channel.link.name, []).append(channel)
-        return self.signing.status(channels)
-
-    def subscribe_events(self, watcher: Callable[[dict[str, Any]], None]) -> Callable[[], None]:
-        """See `EventLog.subscribe`."""
-        return self.event_log.subscribe(watcher)
 
     def now(self) -> float:
         """The loop's clock."""
@@ -261,65 +238,6 @@ class Daemon:
             "faults": self.hub.faults,
             "clients": self.rpc.stats(),
             "to_undo": len(self.fleet.journal.left()),
-        }
-
-    def open_links(self) -> list[str]:
-        """Names of the links that are open now."""
-        return self.links.open_names()
-
-    def links_status(self) -> list[dict[str, Any]]:
-        """Every link with its state, channels, counters and sources."""
-        now = self.now()
-        self.hub.after_fast_path()
-        return self.links.status(now, lambda channel: self._channel_status(channel, now))
-
-    def _channel_status(self, channel: Channel, now: float) -> dict[str, Any]:
-        return {
-            "id": channel.id,
-            "peer": channel.peer,
-            "last_rx_age_s": round(now - channel.last_rx_at, 2),
-            **channel.counters(),
-            **self.hub.router.port_counters(channel.id),
-            "sources": {
-                f"{key >> 8}/{key & 0xFF}" if key >= 0 else "others": stats.as_dict(now)
-                for key, stats in channel.sources.items()
-            },
-        }
-
-    def link_quality(self, key: int) -> dict[str, Any]:
-        """Per link on which this (sysid<<8|compid) is heard: loss and rate. Of several peers of one link those of the
-        one that supplies its state."""
-        found = {}
-        for channel_id in self.hub.router.channels_of(key):
-            channel = self.hub.channels[channel_id]
-            stats = channel.sources.get(key)
-            if stats is not None and channel.link.name not in found:
-                found[channel.link.name] = stats.as_dict(self.now())
-                if channel.config.type == "replay":
-                    found[channel.link.name]["replayed"] = True
-        return found
-
-    def router_stats(self) -> dict[str, Any]:
-        """Counters of decisions and the route table."""
-        self.hub.after_fast_path()
-        router = self.hub.router
-        now = self.now()
-        return {
-            "counters": {verdict.value: count for verdict, count in router.counters.items()},
-            "refused_routes": router.refused_routes,
-            "evicted_routes": router.evicted_routes,
-            "unnoted_routes": router.unnoted_routes,
-            "routes": [
-                {
-                    "sysid": sysid,
-                    "compid": compid,
-                    "link": self.hub.channels[cid].link.name,
-                    "peer": self.hub.channels[cid].peer,
-                    "age_s": round(now - at, 2),
-                }
-                for sysid, compid, cid, at in router.routes()
-                if cid in self.hub.channels
-            ],
         }
 
 

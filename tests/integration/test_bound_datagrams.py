@@ -76,7 +76,7 @@ async def test_each_program_gets_its_vehicles_datagrams_whole(
     daemon = Daemon(config, load_dialect(config.dialect))
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
+    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
     air = daemon.links.link("air")
     assert isinstance(air, UdpServerLink)
     place = ("127.0.0.1", air.bound_port)

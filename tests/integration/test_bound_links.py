@@ -46,7 +46,7 @@ class Program(PymavPeer):
 
     @property
     def counters(self) -> dict[str, Any]:
-        row = next(row for row in self.air.daemon.links_status() if row["name"] == self.name)
+        row = next(row for row in self.air.daemon.links.status() if row["name"] == self.name)
         return dict(row["channels"][0])
 
     def sources(self) -> set[int]:
@@ -216,5 +216,5 @@ async def test_a_link_that_cannot_be_bound_so_is_refused_at_run_time(tmp_path: P
             await air.daemon.links.add("x", {"type": "memory", "role": "gcs", "vehicles": [6], "present_as": 300})
         program = await Program.start(air, "v6")
         await program.wait_heartbeat()
-        row = next(row for row in air.daemon.links_status() if row["name"] == "pv6")
+        row = next(row for row in air.daemon.links.status() if row["name"] == "pv6")
         assert (row["vehicles"], row["present_as"]) == (["v6"], None)

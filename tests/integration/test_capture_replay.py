@@ -39,7 +39,7 @@ async def flight(tmp_path: Path) -> AsyncIterator[Flown]:
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     flown = Flown(daemon)
-    daemon.subscribe_events(flown.events.append)
+    daemon.event_log.subscribe(flown.events.append)
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     for _ in range(int(FLIGHT_S * 2)):
@@ -98,10 +98,10 @@ def _check_flight(daemon: Daemon, states: list[dict[str, Any]]) -> None:
 
 async def test_counters_of_the_capture_equal_an_independent_count(tmp_path: Path) -> None:
     async with flight(tmp_path) as flown:
-        [link] = flown.daemon.links_status()
+        [link] = flown.daemon.links.status()
         assert link["state"] == "finished"
         assert flown.daemon.hub.faults == 0
-        stats = flown.daemon.router_stats()["counters"]
+        stats = flown.daemon.hub.router_stats()["counters"]
         assert sum(stats.values()) == 8144, "every record of the capture was routed"
 
 
@@ -126,7 +126,7 @@ async def test_a_flight_that_lost_nothing_shows_no_loss(name: str, tmp_path: Pat
     quality: dict[str, dict[str, Any]] = {}
     for _ in range(45):
         await asyncio.sleep(1.0)
-        now = {actor.name: daemon.link_quality(key).get("capture") for key, actor in daemon.fleet.vehicles.items()}
+        now = {actor.name: daemon.hub.link_quality(key).get("capture") for key, actor in daemon.fleet.vehicles.items()}
         quality |= {vehicle: of for vehicle, of in now.items() if of is not None}
     daemon.stop()
     await running

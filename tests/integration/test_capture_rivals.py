@@ -50,7 +50,7 @@ async def test_the_vehicle_keeps_its_state_and_the_rival_is_reported(tmp_path: P
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     events: list[dict[str, Any]] = []
-    daemon.subscribe_events(events.append)
+    daemon.event_log.subscribe(events.append)
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     began, seen, states = daemon.now(), 0, 0

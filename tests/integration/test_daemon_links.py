@@ -35,7 +35,7 @@ async def running(tmp_path: Path, *, record: bool = False, **links: dict[str, An
     daemon = Daemon(config, load_dialect(config.dialect))
     task = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    await until(lambda: all(row["state"] in ("up", "disabled") for row in daemon.links_status()))
+    await until(lambda: all(row["state"] in ("up", "disabled") for row in daemon.links.status()))
     try:
         yield daemon
     finally:
@@ -60,11 +60,11 @@ def peer_of(daemon: Daemon, name: str) -> Any:
 async def test_a_link_added_changed_and_removed_at_run_time(tmp_path: Path) -> None:
     async with running(tmp_path, radio={"role": "radio"}) as daemon, connect(tmp_path / "s") as gcs:
         await gcs.call("links.add", name="gcs", link={"type": "memory", "role": "gcs"})
-        await until(lambda: daemon.links_status()[-1]["state"] == "up")
+        await until(lambda: daemon.links.status()[-1]["state"] == "up")
         peer_of(daemon, "radio").send(heartbeat(7))
         await until(lambda: any(raw[5] == 7 for raw in peer_of(daemon, "gcs").received))
         await gcs.call("links.change", name="gcs", link={"block_msg_id_out": ["ATTITUDE"]})
-        await until(lambda: daemon.links_status()[-1]["state"] == "up")
+        await until(lambda: daemon.links.status()[-1]["state"] == "up")
         peer = peer_of(daemon, "gcs")
         peer_of(daemon, "radio").send(message("ATTITUDE", 7, seq=1) + heartbeat(7, seq=2))
         await until(lambda: any(raw[5] == 7 for raw in peer.received))
@@ -85,7 +85,7 @@ async def test_a_wrong_description_changes_nothing_and_says_what_is_wrong(tmp_pa
             await daemon.links.add("radio", {"type": "memory"})
         with pytest.raises(LinkError, match="no link 'y'; there are: radio"):
             await daemon.links.remove("y")
-        assert [row["state"] for row in daemon.links_status()] == ["up"]
+        assert [row["state"] for row in daemon.links.status()] == ["up"]
 
 
 async def test_a_conflict_is_an_event_and_both_directions_are_on_the_tlog(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ async def test_a_conflict_is_an_event_and_both_directions_are_on_the_tlog(tmp_pa
         assert answer == {"sent": 1, "message": "PARAM_REQUEST_READ"}
         with pytest.raises(RefusedError, match="was not sent"):
             daemon.message_sender.send("PARAM_REQUEST_READ", {"target_system": 99})
-        assert [e["kind"] for e in daemon.events].count("conflict") == 1
+        assert [e["kind"] for e in daemon.event_log.recent].count("conflict") == 1
         await until(lambda: any(raw[5] == 255 and raw[7] == 0 for raw in peer.received))
     [tlog] = (tmp_path / "logs").glob("*.tlog")
     names = [(r.frame.sysid, r.frame.name) for r in LogReader(tlog.read_bytes(), offline_dialect()) if r.frame]
@@ -126,8 +126,8 @@ async def test_changes_that_race_leave_no_link_behind(tmp_path: Path) -> None:
         attempts += [daemon.links.remove("gcs"), daemon.links.add("gcs", {"type": "memory", "role": "gcs"})]
         results = await asyncio.gather(*attempts, return_exceptions=True)
         assert all(isinstance(r, LinkError) for r in results if r is not None)
-        await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
-        assert sorted(row["name"] for row in daemon.links_status()) == ["gcs", "new"]
+        await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
+        assert sorted(row["name"] for row in daemon.links.status()) == ["gcs", "new"]
         assert len(daemon.hub.channels) == 2
         running_links = [t for t in asyncio.all_tasks() if t.get_name().startswith("link ") and not t.done()]
         assert sorted(t.get_name() for t in running_links) == ["link gcs", "link new"]
@@ -142,7 +142,7 @@ async def test_a_change_whose_asker_goes_away_is_carried_through(tmp_path: Path)
         await asyncio.wait({change})
         assert change.cancelled()
         await until(lambda: daemon.links.configs["gcs"].model_dump()["seed"] == 7)
-        await until(lambda: daemon.links_status()[0]["state"] == "up")
+        await until(lambda: daemon.links.status()[0]["state"] == "up")
 
 
 async def test_a_link_in_conflict_with_another_is_refused_and_the_old_one_stays(tmp_path: Path) -> None:
@@ -160,24 +160,24 @@ async def test_a_link_in_conflict_with_another_is_refused_and_the_old_one_stays(
             await daemon.links.add("sim2", {"type": "simulated", "px4": 1, "first_sysid": 6})
         with pytest.raises(LinkError, match="system ids above 255"):
             await daemon.links.change("sim", {"first_sysid": 255})
-        assert [row["state"] for row in daemon.links_status() if row["name"] in ("radio", "sim")] == ["up", "up"]
+        assert [row["state"] for row in daemon.links.status() if row["name"] in ("radio", "sim")] == ["up", "up"]
 
 
 async def test_a_link_is_switched_off_and_on_at_run_time(tmp_path: Path) -> None:
     async with running(tmp_path, radio={}, spare={"enabled": False}) as daemon:
-        states = {row["name"]: row["state"] for row in daemon.links_status()}
+        states = {row["name"]: row["state"] for row in daemon.links.status()}
         assert states == {"radio": "up", "spare": "disabled"}
         await daemon.links.change("radio", {"enabled": False})
         await daemon.links.change("spare", {"enabled": True})
-        await until(lambda: any(row["state"] == "up" for row in daemon.links_status()))
-        states = {row["name"]: row["state"] for row in daemon.links_status()}
+        await until(lambda: any(row["state"] == "up" for row in daemon.links.status()))
+        states = {row["name"]: row["state"] for row in daemon.links.status()}
         assert states == {"radio": "disabled", "spare": "up"}
         assert [c.link.name for c in daemon.hub.channels.values()] == ["spare"]
         assert daemon.links.link("radio") is None
         with pytest.raises(LinkError, match="already"):
             await daemon.links.add("radio", {"type": "memory"})
         await daemon.links.remove("radio")
-        assert [row["name"] for row in daemon.links_status()] == ["spare"]
+        assert [row["name"] for row in daemon.links.status()] == ["spare"]
 
 
 @contextlib.asynccontextmanager
@@ -245,7 +245,7 @@ async def test_two_vehicles_of_one_id_are_told_and_refused_until_one_is_gone(tmp
             RouteNote("duplicate", 7, 1, channel, present_id=channel, why="boot time differ")
         )
         daemon.hub.tick(daemon.now())
-        event = daemon.events[-1]
+        event = daemon.event_log.recent[-1]
         assert (event["kind"], event["vehicle"], event["sysid"]) == ("duplicate", "v7", 7)
         assert "give it another id" in event["text"]
         [outcome] = (await daemon.fleet.command_all("7", VehicleActor.arm)).values()
@@ -253,7 +253,10 @@ async def test_two_vehicles_of_one_id_are_told_and_refused_until_one_is_gone(tmp
         assert daemon.fleet.vehicles[key].state(daemon.now())["duplicate_sysid"] is True
         daemon.hub.router.notes.append(RouteNote("duplicate_over", 7, 1, channel))
         daemon.hub.tick(daemon.now())
-        assert (daemon.events[-1]["kind"], daemon.events[-1]["data"]["change"]) == ("duplicate", "duplicate_over")
+        assert (daemon.event_log.recent[-1]["kind"], daemon.event_log.recent[-1]["data"]["change"]) == (
+            "duplicate",
+            "duplicate_over",
+        )
         assert daemon.fleet.vehicles[key].state(daemon.now())["duplicate_sysid"] is False
 
 
@@ -309,7 +312,7 @@ async def test_a_fault_in_one_vehicles_tick_grounds_nobody_and_is_told_once(tmp_
         broken.tick = fails  # type: ignore[method-assign]
         sound.tick = ticks.append  # type: ignore[method-assign]
         await until(lambda: len(ticks) > 2)
-        assert [e["kind"] for e in daemon.events].count("fault") == 1
+        assert [e["kind"] for e in daemon.event_log.recent].count("fault") == 1
         assert daemon.hub.faults > 2
 
 
@@ -324,8 +327,8 @@ async def test_a_link_that_is_down_is_a_warning_and_not_among_the_open_ones(tmp_
         task = asyncio.create_task(daemon.run())
         await daemon.ready.wait()
         try:
-            await until(lambda: {row["state"] for row in daemon.links_status()} == {"up", "down"})
-            assert daemon.open_links() == ["gcs"]
+            await until(lambda: {row["state"] for row in daemon.links.status()} == {"up", "down"})
+            assert daemon.links.open_names() == ["gcs"]
         finally:
             daemon.stop()
             await task

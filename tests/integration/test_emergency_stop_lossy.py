@@ -69,7 +69,7 @@ async def flown(tmp_path: Path, *deaf: int) -> AsyncIterator[tuple[Daemon, list[
     daemon = Daemon(config, load_dialect(config.dialect))
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
+    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
     copters = [Copter(daemon, sysid, lost) for sysid, lost in enumerate(deaf, 1)]
 
     async def live() -> None:
@@ -114,7 +114,7 @@ async def test_a_stop_outlives_whoever_ordered_it(tmp_path: Path) -> None:
             order.cancel()
             await asyncio.gather(order, return_exceptions=True)
         await until(lambda: copter.mode == LAND)
-        await until(lambda: any(e["text"].startswith("stop: landing") for e in daemon.events))
+        await until(lambda: any(e["text"].startswith("stop: landing") for e in daemon.event_log.recent))
 
 
 async def test_a_kill_is_sent_only_with_its_word(tmp_path: Path) -> None:

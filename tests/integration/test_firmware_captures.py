@@ -99,22 +99,22 @@ async def replay(name: str, tmp_path: Path) -> Replayed:
     )
     daemon = Daemon(config, load_dialect(config.dialect))
     found = Replayed()
-    daemon.subscribe_events(found.events.append)
+    daemon.event_log.subscribe(found.events.append)
     running = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
     for _ in range(10_000):
         await asyncio.sleep(0.05)
         for key, actor in daemon.fleet.vehicles.items():
-            if (quality := daemon.link_quality(key).get("capture")) is not None:
+            if (quality := daemon.hub.link_quality(key).get("capture")) is not None:
                 found.lost[actor.sysid] = quality["lost"]
             found.state[actor.sysid] = state = actor.state(daemon.now())
             modes = found.modes.setdefault(actor.sysid, [])
             if modes[-1:] != [state["mode"]]:
                 modes.append(state["mode"])
-        [link] = daemon.links_status()
+        [link] = daemon.links.status()
         if link["state"] == "finished":
             break
-    found.counters = daemon.router_stats()["counters"]
+    found.counters = daemon.hub.router_stats()["counters"]
     found.faults = daemon.hub.faults
     daemon.stop()
     await running

@@ -104,7 +104,7 @@ async def test_a_new_origin_is_everybodys_at_once_and_moves_nobody(tmp_path: Pat
                 )
                 assert position["enu_m"] == pytest.approx(seen, abs=0.002)
                 assert position["origin_generation"] == told["generation"]
-            event = next(e for e in reversed(gcs.daemon.events) if e["kind"] == "origin")
+            event = next(e for e in reversed(gcs.daemon.event_log.recent) if e["kind"] == "origin")
             assert (event["data"]["old"], event["data"]["new"]) == (status["origin"], new)
             await asyncio.sleep(10)
             for was, now in zip(before, gcs.truth(), strict=True):

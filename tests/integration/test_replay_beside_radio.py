@@ -49,7 +49,7 @@ async def field(tmp_path: Path) -> AsyncIterator[Daemon]:
     daemon = Daemon(config, load_dialect(config.dialect))
     task = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
+    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
     peer(daemon, "radio").send(heartbeat(1, seq=200))
     await until(lambda: 1 << 8 | 1 in daemon.fleet.vehicles)
     try:
@@ -80,7 +80,7 @@ def got(daemon: Daemon, name: str) -> list[Frame]:
 async def play(daemon: Daemon, path: Path) -> None:
     write_tlog(path)
     await daemon.links.add("flight", {"type": "replay", "file": str(path), "speed": 0})
-    await until(lambda: daemon.links_status()[-1]["state"] == "finished")
+    await until(lambda: daemon.links.status()[-1]["state"] == "finished")
 
 
 async def test_nothing_of_it_reaches_the_radio_and_its_vehicle(tmp_path: Path) -> None:
@@ -128,7 +128,7 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
 async def test_it_is_warned_of_when_it_is_added(tmp_path: Path) -> None:
     async with field(tmp_path) as daemon:
         await play(daemon, tmp_path / "flight.tlog")
-        row = daemon.links_status()[-1]
+        row = daemon.links.status()[-1]
         assert row["warning"].startswith("a replay beside radio, other: nothing of it is sent there")
-        assert "warning" not in daemon.links_status()[0]
-        assert [e["data"] for e in daemon.events if e["kind"] == "warning"] == [{"link": "flight"}]
+        assert "warning" not in daemon.links.status()[0]
+        assert [e["data"] for e in daemon.event_log.recent if e["kind"] == "warning"] == [{"link": "flight"}]

@@ -106,7 +106,7 @@ async def test_what_cannot_be_reached_is_kept_and_told_at_the_next_start(tmp_pat
         sim = gcs.sim(name)
         for parameter, value in changed.items():
             put(sim, parameter, value)  # the simulator began anew, a vehicle keeps its parameters
-        told = [dict(e) for e in gcs.daemon.events if e["kind"] == "undo"]
+        told = [dict(e) for e in gcs.daemon.event_log.recent if e["kind"] == "undo"]
         assert len(told) == 1 and told[0]["vehicle"] == name and "undo run" in told[0]["text"]
         assert (await gcs("daemon.info"))["to_undo"] == 1
         (change,) = (await gcs("undo.list"))["changes"]

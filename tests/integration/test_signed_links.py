@@ -62,7 +62,7 @@ async def running(tmp_path: Path, *, record: bool = False, **links: Any) -> Asyn
     daemon = Daemon(config, load_dialect(config.dialect))
     task = asyncio.create_task(daemon.run())
     await daemon.ready.wait()
-    await until(lambda: all(row["state"] == "up" for row in daemon.links_status()))
+    await until(lambda: all(row["state"] == "up" for row in daemon.links.status()))
     try:
         yield daemon
     finally:
@@ -96,7 +96,7 @@ class SignedPeer(PymavPeer):
 
 
 def counts(daemon: Daemon, name: str = "radio") -> dict[str, Any]:
-    row = next(row for row in daemon.signing_status()["links"] if row["link"] == name)
+    row = next(row for row in daemon.signing.status(daemon.hub.channels.values())["links"] if row["link"] == name)
     return dict(row["channels"][0])
 
 
@@ -134,11 +134,11 @@ async def test_unsigned_and_badly_signed_frames_are_dropped_counted_and_told_onc
         await until(lambda: counts(daemon)["unsigned"] == 4 and counts(daemon)["bad_signature"] == 3)
         assert daemon.fleet.vehicles == {}
         assert not any(raw[5] in (8, 9) for raw in wire(daemon, "gcs").received)
-        told = [e for e in daemon.events if e["kind"] == "signing"]
+        told = [e for e in daemon.event_log.recent if e["kind"] == "signing"]
         assert [e["sysid"] for e in told] == [8, 9]
         assert "not signed" in told[0]["text"] and "another key" in told[1]["text"]
-        assert daemon.links_status()[0]["channels"][0]["signing"]["unsigned"] == 4
-        assert daemon.links_status()[0]["channels"][0]["sources"] == {}
+        assert daemon.links.status()[0]["channels"][0]["signing"]["unsigned"] == 4
+        assert daemon.links.status()[0]["channels"][0]["sources"] == {}
 
 
 async def test_a_recorded_frame_is_not_taken_twice_nor_on_another_link_of_the_key(tmp_path: Path) -> None:
@@ -244,12 +244,12 @@ async def test_a_frame_of_the_year_2104_is_dropped_told_and_pins_nothing(tmp_pat
         wire(daemon).send(stamped(peer, YEAR_2104))
         await until(lambda: counts(daemon)["ahead"] == 2)
         assert daemon.fleet.vehicles == {}
-        (told,) = [e for e in daemon.events if e["kind"] == "signing"]
+        (told,) = [e for e in daemon.event_log.recent if e["kind"] == "signing"]
         assert (
             "7/1" in told["text"] and "radio" in told["text"] and "days ahead of this computer's clock" in told["text"]
         )
         assert told["data"]["verdict"] == "ahead"
-        (key,) = daemon.signing_status()["keys"]
+        (key,) = daemon.signing.status(daemon.hub.channels.values())["keys"]
         assert key["ahead_s"] < 60 and not key["pinned"]
         peer = SignedPeer(wire(daemon))
         peer.beat()
@@ -281,7 +281,7 @@ async def test_a_clock_that_was_pinned_before_is_told_and_mended(tmp_path: Path,
     path = pin(state_home)
     radio = {"signing": signing(tmp_path)}
     async with running(tmp_path, radio=radio) as daemon, connect(tmp_path / "s") as gcs:
-        (told,) = [e for e in daemon.events if e["kind"] == "warning"]
+        (told,) = [e for e in daemon.event_log.recent if e["kind"] == "warning"]
         assert f"skygcs-cli signing reset-clock {key_id(KEY)}" in told["text"]
         assert (await gcs.call("signing.status"))["keys"][0]["pinned"]
         peer = SignedPeer(wire(daemon))
@@ -298,8 +298,8 @@ async def test_a_clock_that_was_pinned_before_is_told_and_mended(tmp_path: Path,
         daemon.message_sender.send("PARAM_REQUEST_READ", {"param_id": "SYSID_THISMAV"}, "7")
         await until(lambda: any(m.get_type() == "PARAM_REQUEST_READ" for m in peer.good()))
     async with running(tmp_path, radio=radio) as daemon:
-        assert not [e for e in daemon.events if e["kind"] == "warning"]
-        assert not daemon.signing_status()["keys"][0]["pinned"]
+        assert not [e for e in daemon.event_log.recent if e["kind"] == "warning"]
+        assert not daemon.signing.status(daemon.hub.channels.values())["keys"][0]["pinned"]
 
 
 async def test_a_clock_is_not_set_back_while_a_vehicle_is_armed_nor_one_that_nobody_uses(
@@ -362,7 +362,7 @@ async def test_a_vehicle_gets_a_key_and_signs(tmp_path: Path) -> None:
         off = await gcs.call("signing.off", targets="1")
         assert off["outcomes"]["v1"]["result"] == "timeout"
         assert "a link only that signs" in off["outcomes"]["v1"]["message"]
-        events = json.dumps(list(daemon.events))
+        events = json.dumps(list(daemon.event_log.recent))
         assert "SETUP_SIGNING" not in seen
     logs = b"".join(p.read_bytes() for p in (tmp_path / "logs").iterdir())
     assert len(logs) > 1000 and KEY not in logs and KEY.hex() not in events
@@ -464,7 +464,7 @@ async def test_a_key_from_elsewhere_is_not_forwarded_recorded_or_shown(tmp_path:
         await until(lambda: any(raw[5] == 254 for raw in wire(daemon).received))
         assert seen == ["HEARTBEAT"]
         assert not any(OTHER in raw for raw in wire(daemon).received)
-        assert [e["text"] for e in daemon.events if e["kind"] == "signing"] == [
+        assert [e["text"] for e in daemon.event_log.recent if e["kind"] == "signing"] == [
             "gcs (memory): system 254 sent a signing key (SETUP_SIGNING); keys are not forwarded: connect directly, "
             "or use skygcs-cli signing setup"
         ]

@@ -71,7 +71,7 @@ class Port:
         self._fleet = SimFleet([self.sim])
         self._up, self._of_peer = FrameParser(self.dialect), FrameParser(self.dialect)
         self._stamp = timestamp_at(time.time())
-        daemon.subscribe_events(self.events.append)
+        daemon.event_log.subscribe(self.events.append)
 
     async def live(self) -> None:
         while True:

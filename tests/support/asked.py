@@ -60,7 +60,7 @@ class Asked:
         self.events: list[dict[str, Any]] = []
         self.vehicle = PymavPeer(1, 1)
         daemon.loop.set_exception_handler(lambda _, context: self.complaints.append(context))
-        daemon.subscribe_events(self.events.append)
+        daemon.event_log.subscribe(self.events.append)
         self._sessions = Sessions(daemon, Dispatcher(METHODS), daemon.loop)
         self._transport = _Transport()
         self._session = Session(self._sessions, None)

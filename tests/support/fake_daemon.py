@@ -489,7 +489,12 @@ class FakeDaemon:
         self.link_states: dict[str, dict[str, Any]] = {}
         self.corrections = FakeCorrections()
         self.message_sender = SimpleNamespace(send=self._send)
-        self.hub = SimpleNamespace(add_observer=self._add_observer)
+        quality = {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
+        self.hub = SimpleNamespace(
+            add_observer=self._add_observer, link_quality=lambda key: quality, router_stats=self._router_stats
+        )
+        self.links.status = self._links_status  # type: ignore[attr-defined]
+        self.event_log = SimpleNamespace(recent=self.events, publish=self.on_event, subscribe=self.subscribe_events)
         self.operator_watchdog = SimpleNamespace(on_client=self._on_client)
         self.recorder = SimpleNamespace(status=lambda: {"recording": True, "file": "logs/a.tlog", "dropped": 0})
         self.air = SimpleNamespace(status=lambda now: [], select=lambda keys: None)
@@ -511,10 +516,7 @@ class FakeDaemon:
     def info(self) -> dict[str, Any]:
         return {"version": "0.1.0", "pid": 1, "uptime_s": 12.5, "sysid": 255, "compid": 25, "dialect": "common"}
 
-    def link_quality(self, key: int) -> dict[str, Any]:
-        return {"radio": {"loss_ratio": 0.013, "bytes_per_s": 812.0}}
-
-    def links_status(self) -> list[dict[str, Any]]:
+    def _links_status(self) -> list[dict[str, Any]]:
         return [
             {
                 "name": name,
@@ -555,7 +557,7 @@ class FakeDaemon:
         vehicle.sysid = sysid
         return {vehicle.name: FakeOutcome(True, "accepted", f"{vehicle.name} is system {sysid} now", 0)}
 
-    def router_stats(self) -> dict[str, Any]:
+    def _router_stats(self) -> dict[str, Any]:
         return {"forwarded": 17, "routes": {}}
 
     def _send(

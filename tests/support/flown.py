@@ -107,7 +107,7 @@ class Flown:
         """Another ground station, whose frames reach the vehicles straight."""
         self._record()
         self.link.peer.on_bytes = self._to_vehicles
-        self.daemon.subscribe_events(
+        self.daemon.event_log.subscribe(
             lambda e: self.told.append(Told(self.now, e["kind"], e["vehicle"], e["text"], e["data"] or {}))
         )
 

@@ -59,7 +59,7 @@ class OnAir:
         return {n: round(1 / streams.interval(n), 3) for n in names if n != "HEARTBEAT"}
 
     def events(self, *kinds: str) -> list[str]:
-        return [e["text"] for e in self.daemon.events if e["kind"] in kinds]
+        return [e["text"] for e in self.daemon.event_log.recent if e["kind"] in kinds]
 
     async def until(self, condition: Callable[[], object], timeout_s: float = 60.0) -> float:
         """Wait for it; when it was."""

@@ -42,7 +42,7 @@ async def serve_until_signal(daemon: Daemon, on_ready: Callable[[], None] | None
         log.info(
             "skygcs is up",
             socket=str(daemon.socket_path),
-            links=", ".join(daemon.open_links()) or "none",
+            links=", ".join(daemon.links.open_names()) or "none",
             sysid=daemon.config.daemon.sysid,
             compid=daemon.config.daemon.compid,
         )

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import TargetError
-from skygcs.events import Event
 from skygcs.rpc import dispatch
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import Outcomes, Result, SubscribeParams, TargetsParams
 from skygcs.runtime.air_planner import AirPlanner
 from skygcs.runtime.correction_feed import CorrectionFeed
+from skygcs.runtime.event_log import EventLog
 from skygcs.runtime.fleet import KEPT, Fleet, Order
 from skygcs.runtime.hub import Hub
 from skygcs.runtime.linktable import LinkTable
@@ -21,6 +20,7 @@ from skygcs.runtime.message_sender import MessageSender
 from skygcs.runtime.operator_watchdog import OperatorWatchdog
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
+from skygcs.runtime.signing_keys import Signing
 from skygcs.runtime.signing_setup import SigningSetup
 from skygcs.runtime.vehicle_actor import VehicleActor
 
@@ -41,22 +41,13 @@ class Services(Protocol):
     signing_setup: SigningSetup
     operator_watchdog: OperatorWatchdog
     recorder: Recorder | None
-
-    @property
-    def events(self) -> deque[JsonObject]:
-        """The newest events, as they are sent to clients."""
-        ...
+    signing: Signing
+    event_log: EventLog
 
     @property
     def stopping(self) -> bool: ...
     def now(self) -> float: ...
     def info(self) -> JsonObject: ...
-    def on_event(self, event: Event) -> None: ...
-    def subscribe_events(self, watcher: Callable[[JsonObject], None]) -> Callable[[], None]: ...
-    def link_quality(self, key: int) -> JsonObject: ...
-    def links_status(self) -> list[JsonObject]: ...
-    def router_stats(self) -> JsonObject: ...
-    def signing_status(self) -> JsonObject: ...
 
 
 class Context(Protocol):
@@ -131,5 +122,5 @@ def one_vehicle(services: Services, target: str) -> VehicleActor:
 def state_of(services: Services, vehicle: VehicleActor) -> JsonObject:
     """A vehicle's state with the quality of the links it is heard on."""
     state = vehicle.state(services.now())
-    state["links"] = services.link_quality(vehicle.sysid << 8 | vehicle.compid)
+    state["links"] = services.hub.link_quality(vehicle.sysid << 8 | vehicle.compid)
     return state

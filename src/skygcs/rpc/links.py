@@ -120,30 +120,30 @@ class CorrectionsStatus(Result):
 
 def links_list(context: Context, _: NoParams) -> list[JsonObject]:
     """Every link: its kind, state, vehicles if it is bound to some, channels, and counters per channel and source."""
-    return context.services.links_status()
+    return context.services.links.status()
 
 
 async def links_add(context: Context, params: LinkAddParams) -> list[JsonObject]:
     """Add a link at run time (until the daemon ends; the fleet file is not changed)."""
     await context.services.links.add(params.name, params.link)
-    return context.services.links_status()
+    return context.services.links.status()
 
 
 async def links_change(context: Context, params: LinkParams) -> list[JsonObject]:
     """Close a link and open it again with a new configuration."""
     await context.services.links.change(params.name, params.link)
-    return context.services.links_status()
+    return context.services.links.status()
 
 
 async def links_remove(context: Context, params: LinkNameParams) -> list[JsonObject]:
     """Close a link and forget it."""
     await context.services.links.remove(params.name)
-    return context.services.links_status()
+    return context.services.links.status()
 
 
 def router_stats(context: Context, _: NoParams) -> JsonObject:
     """Routes, and counters of what was forwarded, filtered and dropped."""
-    return context.services.router_stats()
+    return context.services.hub.router_stats()
 
 
 def link_status(context: Context, _: NoParams) -> list[JsonObject]:

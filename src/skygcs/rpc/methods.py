@@ -48,7 +48,7 @@ def daemon_info(context: Context, _: NoParams) -> JsonObject:
 
 def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:
     """The newest events, oldest of them first."""
-    events = context.services.events
+    events = context.services.event_log.recent
     return [dict(e) for e in islice(events, max(0, len(events) - params.limit), None)]
 
 

@@ -602,7 +602,7 @@ class Sessions:
         if self._full and len(self._placed) <= AMPLE_SHARE * MAX_SESSIONS:
             self._full = False
             text = "clients: there are free places again"
-            self.services.on_event(Event("warning", None, None, text, {"change": "not_full"}))
+            self.services.event_log.publish(Event("warning", None, None, text, {"change": "not_full"}))
 
     def close_in_time(self, transport: asyncio.Transport) -> None:
         """Close it once what was written is read, or after LINGER_S."""
@@ -641,7 +641,9 @@ class Sessions:
                 f"clients: all {MAX_SESSIONS} places are taken, {self._holders()}; further ones may stop, hold, land, "
                 "return and disarm vehicles and read their state, nothing else; close some"
             )
-            self.services.on_event(Event("warning", None, None, text, {"change": "full", "places": MAX_SESSIONS}))
+            self.services.event_log.publish(
+                Event("warning", None, None, text, {"change": "full", "places": MAX_SESSIONS})
+            )
         self.counters["connections_restricted"] += 1
         if len(self._reserve) >= MAX_RESERVE:
             silent = next((other for other in self._reserve if not other.busy), None)

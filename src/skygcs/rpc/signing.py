@@ -91,7 +91,7 @@ async def signing_off(context: Context, params: TargetsParams) -> JsonObject:
 
 def signing_status(context: Context, _: NoParams) -> JsonObject:
     """Keys in use with their clocks; links that have one, with what they accepted and dropped."""
-    return context.services.signing_status()
+    return context.services.signing.status(context.services.hub.channels.values())
 
 
 def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObject:

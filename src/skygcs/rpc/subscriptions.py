@@ -298,7 +298,7 @@ class EventFeed:
     def add(self, subscription: EventSubscription) -> None:
         self._subscriptions.add(subscription)
         if self._unsubscribe is None:
-            self._unsubscribe = self._services.subscribe_events(self._on_event)
+            self._unsubscribe = self._services.event_log.subscribe(self._on_event)
 
     def remove(self, subscription: EventSubscription) -> None:
         self._subscriptions.discard(subscription)

@@ -455,6 +455,58 @@ class Hub:
         """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
         return self._observers.add(msgids, keys, tap)
 
+    # -- status
+
+    def link_quality(self, key: int) -> dict[str, Any]:
+        """Loss and rate of a source (sysid << 8 | compid), by link. If one link has several peers, those of the peer
+        that supplies its state."""
+        found = {}
+        for channel_id in self.router.channels_of(key):
+            channel = self.channels[channel_id]
+            stats = channel.sources.get(key)
+            if stats is not None and channel.link.name not in found:
+                found[channel.link.name] = stats.as_dict(self._loop.time())
+                if channel.config.type == "replay":
+                    found[channel.link.name]["replayed"] = True
+        return found
+
+    def router_stats(self) -> dict[str, Any]:
+        """Counters of decisions and the route table."""
+        self.after_fast_path()
+        router, now = self.router, self._loop.time()
+        return {
+            "counters": {verdict.value: count for verdict, count in router.counters.items()},
+            "refused_routes": router.refused_routes,
+            "evicted_routes": router.evicted_routes,
+            "unnoted_routes": router.unnoted_routes,
+            "routes": [
+                {
+                    "sysid": sysid,
+                    "compid": compid,
+                    "link": self.channels[cid].link.name,
+                    "peer": self.channels[cid].peer,
+                    "age_s": round(now - at, 2),
+                }
+                for sysid, compid, cid, at in router.routes()
+                if cid in self.channels
+            ],
+        }
+
+    def channel_status(self, channel: Channel) -> dict[str, Any]:
+        """Counters of a channel and of each source on it."""
+        now = self._loop.time()
+        return {
+            "id": channel.id,
+            "peer": channel.peer,
+            "last_rx_age_s": round(now - channel.last_rx_at, 2),
+            **channel.counters(),
+            **self.router.port_counters(channel.id),
+            "sources": {
+                f"{key >> 8}/{key & 0xFF}" if key >= 0 else "others": stats.as_dict(now)
+                for key, stats in channel.sources.items()
+            },
+        }
+
     # -- once a second
 
     def tick(self, now: float) -> None:

@@ -12,7 +12,7 @@ from skygcs.config.models import FleetConfig, LinkConfig
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.errors import LinkError
 from skygcs.events import Event
-from skygcs.links.base import Channel, Link
+from skygcs.links.base import Link
 from skygcs.links.factory import make_link
 from skygcs.links.supervisor import LinkSupervisor
 from skygcs.runtime.hub import Hub
@@ -188,9 +188,11 @@ class LinkTable:
 
     # -- what a person asks
 
-    def status(self, now: float, channel_status: Callable[[Channel], dict[str, Any]]) -> list[dict[str, Any]]:
+    def status(self) -> list[dict[str, Any]]:
         """Every link with its state, counters and channels; ``vehicles`` where it is bound to some; ``warning`` where
-        it stands badly beside another."""
+        it conflicts with another."""
+        self._hub.after_fast_path()
+        now = self._loop.time()
         warnings = link_warnings(self._current())
         rows = []
         for name, entry in self._entries.items():
@@ -207,7 +209,7 @@ class LinkTable:
                     "failures": supervisor.failures,
                     "opened": supervisor.opened,
                     **supervisor.link.counters(),
-                    "channels": [channel_status(c) for c in supervisor.link.channels],
+                    "channels": [self._hub.channel_status(c) for c in supervisor.link.channels],
                 }
             if entry.config.vehicles:
                 row |= {"vehicles": list(entry.config.vehicles), "present_as": entry.config.present_as}

@@ -318,8 +318,11 @@ class Signing:
         data = {"link": name, "compid": frame.compid, "verdict": verdict.value, "message": frame.name}
         self._on_event(Event("signing", None, frame.sysid, text, data))
 
-    def status(self, channels: dict[str, list[Channel]]) -> dict[str, Any]:
-        """Keys by their id with their time, links with their rules and counters; ``channels`` by link."""
+    def status(self, open_channels: Iterable[Channel]) -> dict[str, Any]:
+        """Keys by their id with their time, links with their rules, and counters of each open channel."""
+        channels: dict[str, list[Channel]] = {}
+        for channel in open_channels:
+            channels.setdefault(channel.link.name, []).append(channel)
         used = {name: link.key.id for name, link in self._links.items()}
         keys = [
             {

@@ -162,7 +162,7 @@ class _Cell:
     async def run(self) -> Measured:
         self.daemon = Daemon(self.config, load_dialect(self.config.dialect))
         if self.told.column == "plain":
-            self.daemon.subscribe_events(self._on_event)
+            self.daemon.event_log.subscribe(self._on_event)
         running = asyncio.create_task(self.daemon.run())
         await self.daemon.ready.wait()
         await asyncio.sleep(0.01)  # the link opens

@@ -50,7 +50,7 @@ def test_a_narrow_terminal_lacks_columns_but_what_it_shows_is_whole(width: int) 
     for cell in ("bravo", "AUTO.LOITER", "ARMED DUPLICATE ID", "87 % 15.8 V", "0.4 s"):
         assert cell in lines[2], cell
     assert ("last text" in lines[0]) == (width > 120)
-    shown = [*FakeDaemon().links_status(), {"name": "lte", "type": "tcp_client", "state": "down", "since_s": 9.0}]
+    shown = [*FakeDaemon().links.status(), {"name": "lte", "type": "tcp_client", "state": "down", "since_s": 9.0}]
     lines = text_of(links.links_table(shown, width), width).splitlines()
     assert not any("…" in line for line in lines)
     for cell in ("radio", "up 42 s", "/dev/ttyUSB0", "1200", "1/1 1.0 %"):
@@ -189,7 +189,7 @@ def test_events_and_messages_are_one_line_and_tell_what_was_lost(monkeypatch: py
 
 def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
     daemon = FakeDaemon()
-    up = daemon.links_status()[0]
+    up = daemon.links.status()[0]
     down = {
         "name": "lte",
         "type": "tcp_client",
@@ -210,7 +210,7 @@ def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
 
 
 def test_a_bound_link_shows_its_vehicles_and_who_reaches_for_others() -> None:
-    up = FakeDaemon().links_status()[0]
+    up = FakeDaemon().links.status()[0]
     kite = {**up, "name": "p1", "role": "gcs", "vehicles": ["kite"], "present_as": 1}
     many = {**up, "name": "p2", "role": "gcs", "vehicles": [1, 2, 3, 4, 5], "present_as": None}
     many["channels"] = [{**up["channels"][0], "out_of_bounds": 7}]

@@ -182,7 +182,7 @@ async def test_full_places_are_reported_once_with_who_holds_them_and_once_when_t
 
 
 def warnings(bench: Bench) -> list[dict[str, Any]]:
-    return [event for event in bench.daemon.events if event["kind"] == "warning"]
+    return [event for event in bench.daemon.event_log.recent if event["kind"] == "warning"]
 
 
 async def test_1000_connections_beyond_the_places_put_out_no_stop(bench: Bench) -> None:
@@ -278,11 +278,11 @@ async def test_an_answer_that_is_never_read_keeps_no_connection_for_ever(
 ) -> None:
     monkeypatch.setattr(sessions, "LINGER_S", 0.1)
     await fill(bench)
-    bench.daemon.events.extend(
+    bench.daemon.event_log.recent.extend(
         {"time_unix_s": 1.0, "kind": "armed", "vehicle": None, "sysid": None, "text": "x" * 1000, "data": {}}
         for _ in range(900)
     )
-    bench.daemon.links = {f"link{n}": {"type": "x" * 1000} for n in range(3000)}
+    bench.daemon.links.update({f"link{n}": {"type": "x" * 1000} for n in range(3000)})
     late = await bench.connect()
     late.writer.transport.pause_reading()
     late.send({"jsonrpc": "2.0", "id": 1, "method": "links.list"})
