@@ -21,7 +21,7 @@ from skygcs.core.token_bucket import TokenBucket
 from skygcs.links.outgoing import Outgoing, OwnMessage
 
 FRAME_OVERHEAD_BYTES = HEADER_V2_BYTES + CRC_BYTES
-"""Of MAVLink 2, unsigned."""
+"""Header and checksum of MAVLink 2, unsigned."""
 
 RADIO_SOURCE = (51, 68)
 """SiK's and RFD900x' own frames."""

@@ -52,7 +52,7 @@ class Ledger:
     wanted: dict[str, int] = field(default_factory=dict)
     """What had to change, by the radio's names; without what was so already."""
     node_table: str | None = None
-    """"AT&M0=0,9" where it is wanted; it is acknowledged, but no firmware tells it back."""
+    """"AT&M0=0,9" where it is wanted; it is acknowledged, but no firmware reports it back."""
     before: dict[str, int] = field(default_factory=dict)
     written: list[str] = field(default_factory=list)
     """Accepted by the radio and read back."""
@@ -92,33 +92,33 @@ class Ledger:
 
     def sentences(self) -> list[str]:
         """What a person must know, in order: the trouble first, then how the radio stands."""
-        told = [] if self.problem is None else [self.problem]
+        lines = [] if self.problem is None else [self.problem]
         if not self.has_work:
-            return [*told, "nothing was to be changed"] if self.finished else [*told, "nothing was changed"]
+            return [*lines, "nothing was to be changed"] if self.finished else [*lines, "nothing was changed"]
         if self.ok:
-            return [*told, "written, saved, restarted and read back: all as wanted"]
+            return [*lines, "written, saved, restarted and read back: all as wanted"]
         if not self.written and self.unsure is None and not self.table_written and self.saved is Fact.NO:
-            return [*told, "nothing was written: the radio is as it was"]
+            return [*lines, "nothing was written: the radio is as it was"]
         if self.undone is Fact.YES:
-            return [*told, "nothing was saved; the radio was restarted and is as it was"]
+            return [*lines, "nothing was saved; the radio was restarted and is as it was"]
         todo = [name for name in self.wanted if name not in self.written and name != self.unsure]
-        told.append(
+        lines.append(
             f"written: {', '.join(self.written) or 'none'}"
             + (f"; perhaps written: {self.unsure}" if self.unsure is not None else "")
             + (f"; not written: {', '.join(todo)}" if todo else "")
             + ("" if self.node_table is None else f"; {self.node_table}: {'yes' if self.table_written else 'no'}")
         )
-        told.append(f"saved: {self.saved}; restarted: {self.restarted}; verified: {self.verified}")
+        lines.append(f"saved: {self.saved}; restarted: {self.restarted}; verified: {self.verified}")
         if self.differs:
-            told.append(
+            lines.append(
                 "it now holds " + ", ".join(f"{n}={v} (wanted {self.wanted[n]})" for n, v in self.differs.items())
             )
         if self.saved is Fact.NO:
-            told.append("what is not saved is gone once the radio is powered off and on")
+            lines.append("what is not saved is gone once the radio is powered off and on")
         elif self.verified is not Fact.YES:
             first = "give the radio at this port the same settings" if self.remote else "power it off and on"
-            told.append(f"{first}, then look with: skygcs-cli radio show")
-        return told
+            lines.append(f"{first}, then look with: skygcs-cli radio show")
+        return lines
 
 
 def prepare(state: RadioState, changes: Mapping[str, int]) -> Ledger:
@@ -182,7 +182,7 @@ def _write_all(ledger: Ledger, state: RadioState, side: Side) -> Generator[Step,
             return f"{side} stopped answering at {name}={value}: did it restart, or lose its power or cable?"
         held = yield from read_value(side, register)
         if held is None:
-            return f"{side} took {name}={value} but does not tell what it holds now"
+            return f"{side} took {name}={value} but does not report what it holds now"
         if held != value:
             return f"{side} made {held} of {name}={value}; set a value that it has"
         ledger.unsure = None
@@ -234,7 +234,7 @@ def _restart_and_verify(ledger: Ledger, side: Side, baud: int) -> Generator[Step
     ledger.differs = _differences(ledger, after)
     ledger.verified = Fact.NO if ledger.differs else Fact.YES
     if ledger.differs:
-        ledger.problem = f"{side} does not hold what it was told to save"
+        ledger.problem = f"{side} does not hold what it was to save"
 
 
 def _restart(ledger: Ledger, side: Side, bauds: tuple[int, int] | None) -> Generator[Step, Reply, RadioState | None]:
@@ -291,7 +291,7 @@ class Visit:
     state: RadioState | None = None
     """What was read of the radio that the visit is about, before any change."""
     ledger: Ledger | None = None
-    """Of a change: what was done so far."""
+    """What a change has done so far."""
     _command_line: bool = False
 
     def farewell(self) -> bytes:
@@ -316,7 +316,7 @@ def change(
     wanted: Callable[[RadioState], Mapping[str, int]],
 ) -> Generator[Step, Reply, Ledger]:
     """Bring a radio to ``wanted``, which may depend on what it is. Raises LinkError or RefusedError as long as nothing
-    has been written; from then on the ledger tells everything."""
+    has been written; from then on the ledger says everything."""
     side, state = yield from _arrive(visit, bauds, remote)
     try:
         ledger = prepare(state, wanted(state))

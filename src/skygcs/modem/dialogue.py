@@ -30,7 +30,7 @@ IDLE_S = 0.3
 """A list has no end mark; it is over when so long nothing came. A line takes 5 ms at 57600 baud, 200 ms at 1200."""
 
 MAX_HEARD_BYTES = 16384
-"""Of one answer; the longest (ATI5? of an RFD900x) has about 2 kB. More is traffic or noise: the oldest goes."""
+"""Kept of one answer; the longest (ATI5? of an RFD900x) has about 2 kB. More is traffic or noise: the oldest goes."""
 
 MAX_LINE_CHARS = 200
 """Longer than any line of an answer; of noise without a line end no more is kept."""
@@ -82,7 +82,7 @@ class Say:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """``lines`` are without echo, status, node and blank ones; ``node`` is who answered, where the firmware tells."""
+    """``lines`` are without echo, status, node and blank ones; ``node`` is the sender, if the firmware names it."""
 
     status: Status = Status.SILENCE
     lines: tuple[str, ...] = ()

@@ -104,7 +104,7 @@ def plan_network(
 
 
 def check_network(radios: Mapping[str, RadioState]) -> list[str]:
-    """What is wrong with these radios as one network, one line each; by the name they are told under."""
+    """What is wrong with these radios as one network, one line each; by the name of each radio."""
     found = [f"{where}: {text}" for where, r in radios.items() for text in inconsistencies(r.values, r.firmware)]
     if len(kinds := {r.firmware for r in radios.values()}) > 1:
         found.append("radios with different firmware do not hear each other: " + ", ".join(sorted(kinds)))
@@ -122,9 +122,9 @@ def _check_nodes(radios: Mapping[str, RadioState]) -> list[str]:
     found = []
     for node, times in Counter(nodes.values()).items():
         if times > 1:
-            who = ", ".join(where for where, n in nodes.items() if n == node)
+            where_used = ", ".join(where for where, n in nodes.items() if n == node)
             found.append(
-                f"node id {node} is in {times} radios ({who}): they send at the same time and destroy each other; give "
+                f"node id {node} is in {times} radios ({where_used}): their frames collide; give "
                 "each an id of its own, at its own port: skygcs-cli radio set PORT NODEID=N"
             )
     first = next(iter(radios.values())).firmware

@@ -101,22 +101,22 @@ def enter() -> Generator[Step, Reply, Reply]:
 
 
 def connect(bauds: Sequence[int]) -> Generator[Step, Reply, int]:
-    """Reach the command line at one of the rates; which one it was. Raises LinkError that tells what was heard."""
-    told = []
+    """Reach the command line at one of the rates; which one it was. Raises LinkError that says what was heard."""
+    tried = []
     for baud in bauds:
         yield Speak(baud)
         reply = yield from enter()
         if reply.status is Status.OK:
             return baud
         heard = "silence" if not reply.heard_bytes else f"{reply.heard_bytes} bytes that are no answer"
-        told.append(f"{baud} baud: {heard}")
+        tried.append(f"{baud} baud: {heard}")
     left = [str(baud) for baud in LIKELY_BAUD if baud not in bauds]
     rates = f" Or has it another rate? Not tried: {', '.join(left)} (--baud)." if left else ""
-    if not all(text.endswith("silence") for text in told):
+    if not all(text.endswith("silence") for text in tried):
         cause = "does another program talk to it, or is it no SiK or RFD900x radio?" + rates
     else:
         cause = "is it powered, is this its port, are TX and RX swapped?" + rates
-    raise LinkError(f"no answer to +++ ({'; '.join(told)}); {cause}")
+    raise LinkError(f"no answer to +++ ({'; '.join(tried)}); {cause}")
 
 
 def leave() -> Generator[Step, Reply, None]:
@@ -126,7 +126,7 @@ def leave() -> Generator[Step, Reply, None]:
 
 
 def read(side: Side) -> Generator[Step, Reply, RadioState]:
-    """Everything a radio tells about itself; the local one must be at its command line. Raises LinkError."""
+    """Everything a radio reports about itself; the local one must be at its command line. Raises LinkError."""
     banner = yield from _line(side, "I")
     if banner is None:
         raise LinkError(_no_answer(side))

@@ -68,7 +68,7 @@ class Register:
 
 @dataclass(frozen=True, slots=True)
 class RadioState:
-    """What one radio told about itself."""
+    """What one radio reported about itself."""
 
     banner: str
     firmware: Firmware
@@ -200,7 +200,7 @@ def inconsistencies(values: Mapping[str, int], firmware: Firmware) -> list[str]:
     known = _air_speeds(firmware)
     air = values.get("AIR_SPEED")
     if air is not None and air not in known:
-        found.append(f"AIR_SPEED {air} is none of the known ones: {', '.join(map(str, known))}")
+        found.append(f"AIR_SPEED {air} is not one of the known values: {', '.join(map(str, known))}")
     low, high = values.get("MIN_FREQ", 0), values.get("MAX_FREQ", 0)
     if low and high and low >= high:
         found.append(f"MIN_FREQ {low} is not below MAX_FREQ {high}")
@@ -221,7 +221,7 @@ def inconsistencies(values: Mapping[str, int], firmware: Firmware) -> list[str]:
 
 
 def _air_speeds(firmware: Firmware) -> tuple[int, ...]:
-    if firmware is Firmware.SIK:  # open SiK or an RFD900x as delivered: the settings do not tell which
+    if firmware is Firmware.SIK:  # open SiK or an RFD900x as delivered: the settings do not show which
         return tuple(sorted({*SIK_AIR_SPEEDS_KBPS, *RFD_AIR_SPEEDS_KBPS}))
     return SIK_AIR_SPEEDS_KBPS if firmware is Firmware.SIK_MULTIPOINT else RFD_AIR_SPEEDS_KBPS
 
@@ -246,7 +246,7 @@ class Difference:
 
 
 def to_toml(state: RadioState, note: str = "") -> str:
-    """The file's text. The node table of an RFD900x master is not in it: no firmware tells it."""
+    """The file's text. The node table of an RFD900x master is not in it: no firmware reports it."""
     text = ["# Settings of one radio; written and read by `skygcs-cli radio backup` and `restore`."]
     text += [f"# {line}" for line in note.splitlines()]
     text += [f"version = {BACKUP_VERSION}", "", "[radio]", f"banner = {_quoted(state.banner)}"]
@@ -287,8 +287,8 @@ def from_toml(text: str, source: str) -> RadioState:
     if problems:
         raise ConfigError(source, problems)
     named = {name: Register(f"S{i}", name, value) for i, (name, value) in enumerate(registers.items())}
-    told = [str(radio[key]) if key in radio else None for key in ("board", "band", "unique_id")]
-    return RadioState(radio["banner"], Firmware(radio["firmware"]), named, *told)
+    optional = [str(radio[key]) if key in radio else None for key in ("board", "band", "unique_id")]
+    return RadioState(radio["banner"], Firmware(radio["firmware"]), named, *optional)
 
 
 def restorable(backup: RadioState) -> dict[str, int]:

@@ -39,7 +39,7 @@ class AdmissionReports:
         self._on_event = on_event
 
     def tick(self, now: float) -> None:
-        """Tell what was judged since the last call."""
+        """Report what was judged since the last call."""
         for channel in tuple(self._hub.channels.values()):
             air = channel.air
             if air is None:

@@ -88,7 +88,7 @@ def test_open_sik_counts_nodes_from_zero() -> None:
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"AIR_SPEED": 80}, "AIR_SPEED 80 is none"),
+        ({"AIR_SPEED": 80}, "AIR_SPEED 80 is not one"),
         ({"MIN_FREQ": 928_000, "MAX_FREQ": 915_000}, "not below MAX_FREQ"),
         ({"NODEID": 3, "NODEDESTINATION": 3}, "the node itself"),
         ({"NODEID": 3, "NODECOUNT": 3}, "must be the highest node id and one"),

@@ -194,7 +194,7 @@ def test_a_save_without_an_answer_is_looked_into() -> None:
 def test_a_radio_that_forgets_what_it_saved_is_caught_after_the_restart() -> None:
     ledger = changed(AtRadio(faults=Faults(forgets=frozenset({"NETID"}))), NETID=7, AIR_SPEED=125)
     assert ledger.sentences() == [
-        "the radio does not hold what it was told to save",
+        "the radio does not hold what it was to save",
         "written: NETID, AIR_SPEED",
         "saved: yes; restarted: yes; verified: no",
         "it now holds NETID=0 (wanted 7)",

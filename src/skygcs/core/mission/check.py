@@ -1,7 +1,7 @@
 """What is wrong with a plan before it is sent: every finding with the number of its item.
 
 An error is what an autopilot would refuse, or fly to a place nobody meant; a warning is what may be meant. What depends
-on the autopilot is told for the one that is given, or with its name where none is.
+on the autopilot is reported for the given one, or with its name if none is given.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ MAX_RADIUS_M = 100_000.0
 """No fence of a small vehicle is larger; a radius in millimetres or of 1e9 is a mistake."""
 
 MAX_CORNERS = 1000
-"""Of one polygon: the check for self-intersection compares every pair of edges. ArduPilot's store ends far below."""
+"""In one polygon: the check for self-intersection compares every pair of edges. ArduPilot stores far fewer."""
 
 
 def fence_problems(fence: FencePlan) -> Iterator[tuple[str, str, bool]]:

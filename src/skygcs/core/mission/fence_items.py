@@ -1,6 +1,6 @@
 """A geofence of polygons and circles, and its form as mission items (MAV_CMD 5000 to 5004).
 
-A polygon is as many items as it has corners, each of which tells in param1 how many those are; nothing else says where
+A polygon is as many items as it has corners, each of which says in param1 how many those are; nothing else says where
 one polygon ends and the next begins, so a wrong count makes another fence of the same items. It is refused here.
 """
 
@@ -116,7 +116,7 @@ def _corners(items: Sequence[MissionItem], at: int) -> tuple[Corner, ...]:
     begin = items[at]
     count = begin.params[0]
     if count is None or count < 1 or count != int(count):
-        raise ValueError(f"a polygon's corner must tell in param1 how many there are, not {count}")
+        raise ValueError(f"a polygon's corner must say in param1 how many there are, not {count}")
     members = items[at : at + int(count)]
     same = [m for m in members if m.command == begin.command and m.params[0] == count]
     if len(same) < count:

@@ -86,10 +86,10 @@ ARDUPILOT_PLACED = frozenset({16, 17, 18, 19, 21, 22, 30, 31, 82, 84, 85, 92, 94
 """`stored_in_location`: latitude, longitude and altitude must be valid, and the frame one that has them, or MISSION."""
 
 ARDUPILOT_HERE = ARDUPILOT_PLACED - {16, 82, 94, 195, 201}
-"""Of those what 0, 0 is good for: "where it is then", or nothing."""
+"""Those for which 0, 0 means "where it is then", or nothing."""
 
 ARDUPILOT_ANY_HEIGHT = frozenset({NAV_LAND, VTOL_LAND, 92, 179, 188, 189, 191})
-"""Of those what an altitude is not used for, so that 0 may be sent for one that is not set."""
+"""Those that do not use an altitude, so that 0 may be sent for one that is not set."""
 
 COPTER_SKIPS = frozenset({30, 83, 191, 193, 194, 210, 212, 213, 223, 3000})
 """Taken, because planes or rovers fly them; an ArduCopter goes on with the next item."""
@@ -122,7 +122,7 @@ def for_firmware(items: tuple[MissionItem, ...], family: Family | None, names: M
     kept: list[MissionItem] = []
     changes: list[Change] = []
     numbers: list[int] = []
-    """Of each item of the plan what it is in ``kept``; of one that is left out, what the next one is."""
+    """For each item of the plan its number in ``kept``; for one that is left out, that of the next one."""
     for number, item in enumerate(items, 1):
         numbers.append(len(kept) + 1)
         converted, texts = convert(item, family, names)

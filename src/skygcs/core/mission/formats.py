@@ -21,7 +21,7 @@ SUFFIXES: dict[str, Format] = {".plan": "plan", ".waypoints": "wpl", ".txt": "wp
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A plan as read; ``notes`` tell what of the file became something else."""
+    """A plan as read; ``notes`` say what in the file became something else."""
 
     plan: MissionPlan
     format: Format

@@ -16,7 +16,7 @@ PLACELESS = frozenset(
     {20, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 187, 197, 203, 205, 206, 211, 218, 222, 223, 530, 531, 532}
     | {600, 601, 2000, 2001, 2500, 2501, 3000}
 )
-"""Commands without a place. Their frame means nothing to an ArduPilot, which keeps none and tells frame 0 of them; a
+"""Commands without a place. Their frame means nothing to an ArduPilot, which keeps none and reports frame 0 for them; a
 PX4 takes them in MAV_FRAME_MISSION only, which Mission Planner's files do not have."""
 
 
@@ -94,7 +94,7 @@ class MissionPlan:
 
 
 def same_item(sent: MissionItem, kept: MissionItem) -> bool:
-    """Whether a vehicle that says it holds ``kept`` holds what was sent, as far as it can tell: it may drop parameters
+    """Whether a vehicle that says it holds ``kept`` holds what was sent, as far as can be seen: it may drop parameters
     that it has no use for."""
     near = abs((sent.z or 0.0) - (kept.z or 0.0)) <= ALTITUDE_GRID_M
     return (sent.command, sent.x, sent.y) == (kept.command, kept.x, kept.y) and near

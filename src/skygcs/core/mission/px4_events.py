@@ -35,7 +35,7 @@ REASONS: Mapping[str, str] = {
     "navigator_mis_add_land_or_rm_to": "it has a take-off and no landing (MIS_TKO_LAND_REQ)",
     "navigator_mis_add_to_or_rm_land": "it has a landing and no take-off (MIS_TKO_LAND_REQ)",
     "navigator_mis_wp_gate_too_close": "a gate is at the place of a waypoint",
-    "navigator_mis_vtol_items": "it has items for a VTOL, and the vehicle is none",
+    "navigator_mis_vtol_items": "it has items for a VTOL, and the vehicle is not one",
     "navigator_mis_geofence_no_home": "its fence needs a home",
     "navigator_mis_geofence_no_home2": "its fence needs a home",
     "navigator_mis_geofence_violation": "an item is beyond its fence",

@@ -27,7 +27,7 @@ OLD_MISSION_VERSIONS = (1, 2)
 """Version 1 says "1.0", as text, and has a whole item for its home."""
 
 GROUP_VERSIONS = (1, 2)
-"""Of the fence and rally sections: version 1 had one polygon without a kind."""
+"""Version of the fence and rally sections: version 1 had one polygon without a kind."""
 
 COMPLEX_VERSIONS = {"survey": (2, 3, 4, 5), "CorridorScan": (1, 2)}
 """Versions of complex items whose stored items are known to be the whole of what they fly (QGroundControl 3.4 to 5)."""

@@ -45,7 +45,7 @@ class StructureScan:
 
 
 def structure_items(scan: StructureScan) -> tuple[MissionItem, ...]:
-    """The scan's items. Raises ValueError for an outline that is none and for more than MAX_LAYERS."""
+    """The scan's items. Raises ValueError for what is not an outline and for more than MAX_LAYERS."""
     if not 0 < scan.layers <= MAX_LAYERS:
         raise ValueError(f"{scan.layers} layers are not between 1 and {MAX_LAYERS}")
     path = offset_outline(scan.outline, scan.distance_m)

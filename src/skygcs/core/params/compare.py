@@ -68,7 +68,7 @@ class ApplyPlan:
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
     rounding: Rounding = "exact"
-    """Of the file's values: what differs by less than that counts as the same."""
+    """Rounding of the file's values: what differs by less counts as the same."""
 
 
 def equal(first: Value, second: Value, slack: float = 0.0) -> bool:
@@ -165,15 +165,15 @@ def _name_in(name: str, names: Mapping[str, object]) -> str | None:
 def _warnings(
     file: ParamFile, held: Mapping[str, Param], unknown: list[str], total: int, sysid: int, stack: str
 ) -> tuple[str, ...]:
-    told = []
+    warnings = []
     if file.sysids and sysid not in file.sysids:
-        told.append(f"the file is of vehicle {', '.join(map(str, sorted(file.sysids)))}; this is vehicle {sysid}")
+        warnings.append(f"the file is of vehicle {', '.join(map(str, sorted(file.sysids)))}; this is vehicle {sysid}")
     says = file.about.get("Stack", "").lower()
     for family in ("px4", "ardupilot"):
         if says.startswith(family) and stack != family:
-            told.append(f"the file is of {file.about['Stack']}; this vehicle runs {stack}")
+            warnings.append(f"the file is of {file.about['Stack']}; this vehicle runs {stack}")
     if total and len(unknown) / total > THIRD_PARTY_RATIO:
-        told.append(
+        warnings.append(
             f"the vehicle has none of {len(unknown)} of the file's {total} parameters: "
             "the file is of another firmware, version or type of vehicle"
         )
@@ -181,5 +181,5 @@ def _warnings(
         present = held.get(entry.name)
         if entry.name in FRAME_NAMES and present is not None and not equal(present.value, entry.value, entry.slack):
             here = value_text(present.value)
-            told.append(f"{entry.name} is {value_text(entry.value)} in the file and {here} here: another airframe")
-    return tuple(told)
+            warnings.append(f"{entry.name} is {value_text(entry.value)} in the file and {here} here: another airframe")
+    return tuple(warnings)

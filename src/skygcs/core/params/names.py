@@ -1,4 +1,4 @@
-"""What the names of parameters tell: two generations of one, and which belong to one vehicle alone."""
+"""What the names of parameters show: two generations of one, and which belong to one vehicle alone."""
 
 from __future__ import annotations
 

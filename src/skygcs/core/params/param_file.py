@@ -38,7 +38,7 @@ Rounding = Literal["exact", "6 decimals", "7 digits", "18 decimals"]
 """How the writer of a file rounds values that are no whole numbers."""
 
 MAX_CHARS = 4_000_000
-"""Of one file: fifty times the largest set there is."""
+"""Most entries of one file: fifty times the largest set there is."""
 
 MAX_PROBLEMS = 20
 """Told at once; a file of another kind has one in every line."""
@@ -50,7 +50,7 @@ _HEAD = re.compile(r"#\s*(Stack|Vehicle|Version|Git Revision)\s*:\s*(.+)")
 _FOR_VEHICLE = re.compile(r"#\s*Onboard parameters for Vehicle (\d+)")
 
 QGC_DECIMALS = 18
-"""Of every value that is no whole number (`QString::number(value, 'f', 18)`)."""
+"""Decimals of a value that is not a whole number (`QString::number(value, 'f', 18)`)."""
 
 MAVPROXY_DECIMALS = 6
 """`%f` of pymavlink's mavparm.py, with which MAVProxy writes, too."""
@@ -97,8 +97,8 @@ class ParamFile:
     @property
     def sysids(self) -> frozenset[int]:
         """Vehicles it says it is of; none where it does not say."""
-        told = {int(m[1]) for line in self.header if (m := _FOR_VEHICLE.match(line)) is not None}
-        return frozenset(told | {e.sysid for e in self.entries if e.sysid is not None})
+        named = {int(m[1]) for line in self.header if (m := _FOR_VEHICLE.match(line)) is not None}
+        return frozenset(named | {e.sysid for e in self.entries if e.sysid is not None})
 
     def of_component(self, compid: int) -> tuple[Entry, ...]:
         """The entries for one component; those of a file that names none are for any."""

@@ -1,4 +1,4 @@
-"""What every request/reply state machine is: time goes in, effects come out, one deadline tells when to call again.
+"""Base of the request/reply state machines: time goes in, effects come out, one deadline says when to call again.
 
 The shell owns the machine: it calls `start` once, `on_timer` when ``deadline`` has come, the machine's own ``on_x``
 methods when something arrived, and carries out the effects returned, in order. A machine with an outcome returns no

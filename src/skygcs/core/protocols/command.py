@@ -14,7 +14,7 @@ Rule: everything that decides how a command goes on is in this file.
     WORKING      ack accepted / refusing                      DONE / SETTLING
     WORKING      timer: silent or too long                    DONE         Finish: timeout or in_progress
     SETTLING     timer                                        DONE         Finish: that refusal
-    not DONE     stop (cancelled, vehicle lost, ...)          DONE         Finish: as told
+    not DONE     stop (cancelled, vehicle lost, ...)          DONE         Finish: as given
     any          an ack of another command or for another     unchanged    -
     DONE         anything                                     DONE         -
 

@@ -17,12 +17,12 @@ Rule: everything that decides how a download goes on is in this file.
     BURSTING, FILLING   NAK: the session is gone              OPENING    TerminateSession, OpenFileRO, next session
     BURSTING, FILLING   the last byte                         DONE       TerminateSession, Finish: accepted
     BURSTING, FILLING   silent too long, or given up          DONE       TerminateSession, Finish: timeout or incomplete
-    not DONE   stop (cancelled, vehicle lost, ...)            DONE       TerminateSession, Finish: as told
+    not DONE   stop (cancelled, vehicle lost, ...)            DONE       TerminateSession, Finish: as given
     DONE       anything                                       DONE       -
 
 A file is read in blocks of one size from multiples of it, since ArduPilot lays some files out by the size of the reads
-and refuses another one in the same session. How long the file is, only its end tells: a block that is not full, or the
-NAK of a read behind it. The size an Ack of OpenFileRO tells is a guess for files that are made up while they are read.
+and refuses another one in the same session. Only its end shows how long the file is: a block that is not full, or the
+NAK of a read behind it. The size in an Ack of OpenFileRO is a guess for files that are made up while they are read.
 ArduPilot sends a burst to its end, whatever comes meanwhile, and has one session for all ground stations; it closes one
 of which nothing was heard for 3 s, which is why a lost TerminateSession is not repeated. Each session has its own
 number, so that what is late from the last one is not taken for this one's.

@@ -8,7 +8,7 @@
     WAITING    ack accepted                                   DONE         Finish: accepted
     WAITING    ack refusing                                   SETTLING     - (the text that says why may follow)
     SETTLING   timer                                          DONE         Finish: that refusal
-    not DONE   stop (cancelled, vehicle lost, ...)            DONE         Finish: as told
+    not DONE   stop (cancelled, vehicle lost, ...)            DONE         Finish: as given
 
 Upload and download have files of their own. Of all of them only messages of this vehicle that are addressed to us and
 of this list's type may be handed in.
@@ -136,8 +136,9 @@ class Texts:
 class RoundTrip:
     """How long to wait for an answer before asking again, from the link's own round trips.
 
-    A round trip is counted from the first of several requests, since nobody knows which of them was answered. So the
-    quicker ones tell the link's time, and the slower ones its losses: the lower quartile of the last few counts.
+    A round trip is counted from the first of several requests, since it is not known which of them was answered. So
+    the quicker ones show the link's time, and the slower ones its losses: the lower quartile of the last few counts.
+    `ReplyTimeout` (TCP's rule) waits longer on a bad link, and a PX4 ends a transfer after 5 s without a request.
     """
 
     __slots__ = ("_took", "wait_s")

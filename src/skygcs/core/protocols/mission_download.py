@@ -17,7 +17,7 @@ Rule: everything that decides how a download goes on is in this file.
     FETCHING   another count, or ack refusing                 LISTING      MISSION_REQUEST_LIST: it is another list now
     LISTING, FETCHING   timer, or rounds, none left           DONE         Finish: timeout or failed
     SETTLING   timer                                          DONE         Finish: that refusal
-    not DONE   stop (cancelled, vehicle lost, ...)            DONE         MISSION_ACK (cancelled), Finish: as told
+    not DONE   stop (cancelled, vehicle lost, ...)            DONE         MISSION_ACK (cancelled), Finish: as given
     DONE       anything                                       DONE         -
 
 One request is under way at a time: a PX4 answers only the next item and the one before it.
@@ -142,8 +142,8 @@ class MissionDownload(MissionProtocol):
     def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
         if self.state in (DownloadState.IDLE, DownloadState.DONE):
             return ()
-        told = self._send("MISSION_ACK", type=OPERATION_CANCELLED)
-        return (told, *self._finish(now, result, f"{message}; the vehicle's {self.kind.word} is as it was"))
+        cancel = self._send("MISSION_ACK", type=OPERATION_CANCELLED)
+        return (cancel, *self._finish(now, result, f"{message}; the vehicle's {self.kind.word} is as it was"))
 
     def _list(self, now: float) -> tuple[Effect, ...]:
         self.state = DownloadState.LISTING

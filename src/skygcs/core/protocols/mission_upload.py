@@ -19,7 +19,7 @@ Rule: everything that decides how an upload goes on is in this file.
     OFFERING, SENDING   any other ack refusing                SETTLING     - (the text that says why may follow)
     SETTLING   timer                                          DONE         Finish: that refusal
     not DONE   rounds or messages used up                     DONE         Finish: failed
-    not DONE   stop (cancelled, vehicle lost, ...)            DONE         MISSION_ACK (cancelled), Finish: as told
+    not DONE   stop (cancelled, vehicle lost, ...)            DONE         MISSION_ACK (cancelled), Finish: as given
     DONE       a request, if it was accepted lately           DONE         that item (a MISSION_COUNT came late)
 
 The vehicle leads: it asks for items, again where one is lost. The old MISSION_REQUEST is answered by MISSION_ITEM_INT,
@@ -146,8 +146,8 @@ class MissionUpload(MissionProtocol):
         if self.state is UploadState.READING:
             assert self._reading is not None
             if result == ACCEPTED:  # it was only late
-                told = self._passed(self._reading.stop(now, "cancelled", ""))
-                return (*told, *self._accepted(now, "", number))
+                stopped = self._passed(self._reading.stop(now, "cancelled", ""))
+                return (*stopped, *self._accepted(now, "", number))
             return self._read(now, self._reading.on_ack(result, now))
         if self.state not in (UploadState.OFFERING, UploadState.SENDING):
             return ()
@@ -155,7 +155,7 @@ class MissionUpload(MissionProtocol):
             return self._accepted(now, "", number) if self._all_sent else ()
         if result in (INVALID_SEQUENCE, ERROR):
             # to an item that came twice, or late: an ArduPilot goes on after the first, either says the second when it
-            # is done already. Silence tells what has become of it
+            # is done already. Silence shows what has become of it
             self._hint = meaning_of(result)[1]
             return ()
         if result == OPERATION_CANCELLED:
@@ -199,8 +199,8 @@ class MissionUpload(MissionProtocol):
     def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
         if self.state in (UploadState.IDLE, UploadState.DONE):
             return ()
-        told = self._send("MISSION_ACK", type=OPERATION_CANCELLED)
-        return (told, *self._finish(now, result, message))
+        cancel = self._send("MISSION_ACK", type=OPERATION_CANCELLED)
+        return (cancel, *self._finish(now, result, message))
 
     @property
     def _all_sent(self) -> bool:
@@ -245,7 +245,7 @@ class MissionUpload(MissionProtocol):
         return passed
 
     def _same(self, held: tuple[MissionItem, ...]) -> bool:
-        """Whether the vehicle holds what was sent, as far as it can tell: it may drop parameters that it has no use
+        """Whether the vehicle holds what was sent, as far as can be seen: it may drop parameters that it has no use
         for, and its home is its own."""
         pairs = list(zip(self._items, held, strict=False))[self._home_first :]
         return len(held) == len(self._items) and all(same_item(sent, kept) for sent, kept in pairs)

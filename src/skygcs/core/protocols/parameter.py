@@ -22,7 +22,7 @@ Rule: everything that decides how reading or setting one parameter goes on is in
     WRITING    timer, repeats left                            WRITING    PARAM_SET again
     WRITING    timer, none left                               DONE       Finish: timeout
     any        PARAM_ERROR, or PX4's text: no such parameter  DONE       Finish: unknown or denied
-    not DONE   stop (cancelled, vehicle lost, ...)            DONE       Finish: as told
+    not DONE   stop (cancelled, vehicle lost, ...)            DONE       Finish: as given
     DONE       anything                                       DONE       -
 
 Neither autopilot refuses in so many words: it sends what the parameter is now. The old value may as well be an answer

@@ -14,7 +14,7 @@ Rule: everything that decides how a list of parameters goes on is in this file.
     FILLING    the list is not the one it was                 DRAINING   - (what is still on its way belongs to the old)
     DRAINING   timer                                          FILLING    requests, from index 0 on
     BURST, FILLING   the last value                           DONE       Finish: accepted
-    not DONE   stop (cancelled, vehicle lost, ...)            DONE       Finish: as told
+    not DONE   stop (cancelled, vehicle lost, ...)            DONE       Finish: as given
     DONE       anything                                       DONE       -
 
 Requests go one index each, a few of them under way at a time, not faster than the bytes a second that the answers may
@@ -102,7 +102,7 @@ class ParamList(ProtocolMachine):
     """See the table at the top. Only PARAM_VALUEs of this vehicle may be handed in.
 
     ``bytes_per_s``: what the answers may take of the link; None: as fast as the window lets them. ``stops_burst``: the
-    vehicle stops a burst when told to (PX4).
+    vehicle stops a burst on request (PX4).
     """
 
     def __init__(
@@ -198,7 +198,7 @@ class ParamList(ProtocolMachine):
         return self._fill(now)
 
     def stop(self, now: float, result: str, message: str) -> tuple[Effect, ...]:
-        """End it from outside; a burst that the vehicle cannot be told to stop goes on, and the message says so."""
+        """End it from outside; a burst that the vehicle does not stop on request goes on, and the message says so."""
         if self.state in (ListState.IDLE, ListState.DONE):
             return ()
         if self.state is not ListState.BURST:

@@ -22,7 +22,7 @@ from skygcs.core.radio_link.turn_gate import FILE_SILENCE_S, LONGEST_FILE_S, Par
 from skygcs.core.token_bucket import TokenBucket
 
 THIRD_PARTY_SHARE = 0.5
-"""Of what goes up into the radio, for all third-party traffic; the other half is ours whatever others do."""
+"""Part of the uplink for all third-party traffic; the other half is ours whatever others do."""
 
 CORRECTIONS_SHARE = 0.4
 """The same for RTCM corrections, which are counted apart: of 500 B/s 200, the observations of one constellation."""
@@ -98,7 +98,7 @@ class Note(NamedTuple):
     target: int
     msgid: int
     hz: float
-    """Of thinned: how often they came."""
+    """With "thinned": how often they came."""
 
 
 IsWaiting = Callable[[Priority, Hashable, Hashable], bool]
@@ -273,7 +273,7 @@ class ThirdPartyTraffic:
         if hz is not None and hz <= 0:
             return self._refuse("rate", frame, source)
         if frame.msgid == HEARTBEAT and frame.source >> 8 == self.own_sysid:
-            source.count("needless")  # ours goes anyway, and vehicles tell stations apart by system (airtime.md)
+            source.count("needless")  # ours goes anyway, and vehicles distinguish stations by system (airtime.md)
             return REFUSED
         if kind is Kind.LOG and rules.logs == "deny":
             return self._refuse("logs", frame, source)
@@ -362,7 +362,7 @@ class ThirdPartyTraffic:
     def _note_thinned(self, frame: ThirdPartyFrame, source: _Source, hz: float, now: float) -> None:
         """``hz``: how many of them go; those are not among the ones left out, which are counted here."""
         if frame.msgid == HEARTBEAT:
-            return  # every station sends one a second, and need not be told to change that
+            return  # every station sends one a second, and need not change that
         number, since = source.thinned.get(frame.msgid, (0, now))
         source.thinned[frame.msgid] = number + 1, since
         if number + 1 >= REPORT_AFTER and now - since >= REPORT_AFTER_S:

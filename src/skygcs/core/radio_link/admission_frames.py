@@ -137,7 +137,7 @@ _KINDS = {
     REQUEST_DATA_STREAM: Kind.STREAM_RATE,
     MESSAGE_INTERVAL: Kind.STREAM_RATE,
 }
-"""Of messages that are always of one kind."""
+"""The kind of messages that have only one."""
 
 
 class ThirdPartyFrame(NamedTuple):

@@ -79,7 +79,7 @@ def round_s(air_kbps: float, nodes: int) -> float:
 
 
 def profile_bytes_per_s(rates_hz: Mapping[str, float]) -> float:
-    """Of one vehicle. Raises KeyError for a message whose size is not known here."""
+    """Bytes a second of one vehicle. Raises KeyError for a message whose size is not known here."""
     return sum(FRAME_BYTES[name] * rate for name, rate in rates_hz.items())
 
 
@@ -229,7 +229,7 @@ def _scaled(demand: LinkDemand, factor: float) -> dict[str, float]:
 
 
 GOTO = "one goto per vehicle (47 B each; land and rtl for all of them in one frame) instead of streaming setpoints"
-"""A goto is a COMMAND_INT; what all are told alike goes out as one broadcast COMMAND_LONG (`runtime.fleet`)."""
+"""A goto is a COMMAND_INT; what all get alike goes out as one broadcast COMMAND_LONG (`runtime.fleet`)."""
 
 
 def _proposals(demand: LinkDemand) -> list[str]:

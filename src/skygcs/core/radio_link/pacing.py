@@ -1,6 +1,6 @@
 """How many bytes a second may go up into a radio: from what its serial port, its air and its own reports say.
 
-A radio without reports is paced by its rates alone. One that reports RADIO_STATUS tells how much of its transmit buffer
+A radio without reports is paced by its rates alone. One that reports RADIO_STATUS says how much of its transmit buffer
 is free (txbuf, percent FREE), and so how fast it really empties it.
 
 ArduPilot and PX4 turn their rate up and down by fixed steps while the buffer is emptier or fuller than some marks. Rate
@@ -18,17 +18,17 @@ from typing import Any
 from skygcs.core.radio_link.capacity import BITS_PER_BYTE, SLOT_BYTES, round_s
 
 HALF_DUPLEX_SHARE = 0.5
-"""Of the serial rate, for the way up, where nothing is known of the air: it has to carry both directions."""
+"""Part of the serial rate for the uplink, where nothing is known of the air, which carries both directions."""
 
 SLOT_SHARE = 0.9
-"""Of the ground's timeslot. The slot is nobody else's; packets are not always full, for frames are not split."""
+"""Part of the ground's timeslot that is used. Packets are not always full, since frames are not split."""
 
 BUFFER_BYTES = 1850
-"""Of an SiK radio's transmit buffer (ArduPilot/SiK serial.c; 1024 on its Si1030 boards, RFD900x unknown). A smaller one
-makes the correction stronger than meant, by less than it bears (see the tests)."""
+"""Size of an SiK radio's transmit buffer (ArduPilot/SiK serial.c; 1024 on its Si1030 boards, RFD900x unknown). A
+smaller one makes the correction stronger than meant, by less than it bears (see the tests)."""
 
 TARGET_FREE = 0.7
-"""Of the buffer: what arrives between two slots fills part of it, and what stands there can be overtaken by nothing."""
+"""Part of the buffer. What arrives between two slots fills some of it, and nothing overtakes what is in there."""
 
 SETTLE_S = 6.0
 """In which a wrong level is corrected. Reports come every second: with the level smoothed, as it is, the loop's gain is
@@ -49,7 +49,7 @@ RISE_PER_S = 0.05
 more."""
 
 LEAST_SHARE = 0.05
-"""Of the base: our heartbeats go out whatever a radio reports, and without them it reports nothing."""
+"""Part of the base rate: our heartbeats go out whatever a radio reports; without them it reports nothing."""
 
 STALE_AFTER_S = 5.0
 """Reports come once a second. Without them it is paced by its rates."""
@@ -92,7 +92,7 @@ class RadioReport:
 
 
 def report_of(fields: dict[str, Any], now: float) -> RadioReport:
-    """Of the fields of a RADIO_STATUS or RADIO, which are alike. A txbuf above 100 % is 100 %."""
+    """The report in the fields of a RADIO_STATUS or RADIO, which are alike. A txbuf above 100 % is 100 %."""
     return RadioReport(
         now,
         min(int(fields["txbuf"]), 100) / 100,
@@ -107,9 +107,9 @@ class RadioRates:
     baud: int = 57600
     air_kbps: float | None = None
     nodes: int | None = None
-    """Of a multipoint network, the ground's included; None: as many as vehicles are heard, and the ground."""
+    """Nodes of a multipoint network with the ground's; None: the vehicles that are heard, and the ground."""
     duty_cycle: float = 1.0
-    """Of its time in which the radio may send."""
+    """Part of its time in which the radio may send."""
     uplink_share: float | None = None
     """Instead of HALF_DUPLEX_SHARE of the serial rate or SLOT_SHARE of the slot."""
 
@@ -122,7 +122,7 @@ class RadioRates:
         return min(serial, slot) * self.duty_cycle * (self.uplink_share or SLOT_SHARE)
 
     def node_count(self, vehicles: int) -> int:
-        """Of the network, never fewer than are heard."""
+        """Nodes of the network, never fewer than are heard."""
         return max(self.nodes or 2, vehicles + 1, 2)
 
     def round_s(self, vehicles: int) -> float | None:
@@ -182,7 +182,7 @@ class Pacer:
         return min(base, max(self._drain + correction, LEAST_SHARE * base))
 
     def burst_bytes(self) -> float:
-        """Of the budget."""
+        """The burst of the budget."""
         return max(LEAST_BURST_BYTES, BURST_S * self.base, min(SLOT_BYTES, self.base))
 
     def status(self, now: float) -> dict[str, Any]:

@@ -40,7 +40,7 @@ class Stream(NamedTuple):
 
 @dataclass(slots=True)
 class _Requests:
-    """Of one vehicle."""
+    """The requests to one vehicle."""
 
     before_hz: Mapping[str, float]
     programs: dict[Stream, set[Program]] = field(default_factory=dict)

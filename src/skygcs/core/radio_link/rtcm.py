@@ -1,7 +1,7 @@
 """RTCM 3 frames in a stream of bytes, and on their way as GPS_RTCM_DATA.
 
 RTCM 10403, transport layer: 0xD3, six reserved bits (zero), ten bits of length, so many bytes, CRC-24Q of all that.
-What is inside is not read beyond what tells one message from the next: its type, and for observations their epoch.
+Of the content only the type is read, and the epoch of observations.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 PREAMBLE = 0xD3
 RESERVED_BITS = 0xFC
-"""Of the second byte; they are zero."""
+"""In the second byte; they are zero."""
 HEADER_BYTES = 3
 CRC_BYTES = 3
 MAX_FRAME_BYTES = HEADER_BYTES + 1023 + CRC_BYTES
@@ -100,7 +100,7 @@ class RtcmDeframer:
 
     @property
     def held_bytes(self) -> int:
-        """Of a frame that has only begun."""
+        """Bytes of a frame that has only begun."""
         return len(self._held)
 
     def drop_held(self) -> None:

@@ -1,8 +1,7 @@
 """Which message at which rate from each vehicle behind one radio, so that all of them together fit.
 
 Pure. `fit` divides what the radio carries down among the vehicles; `Downlink` says how much that is now, from losses
-and the radio's own state; `RateController` has one vehicle follow its part: what it is asked for is verified by what
-comes.
+and the radio's own state. `rate_controller` has one vehicle follow its part.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ DEFAULT_RATES_HZ: Mapping[str, float] = {
 clock (11 B/s more), and of ArduPilot the estimator (7 B/s more) and the current item of its mission (9 B/s more)."""
 
 ARDUPILOT_ONLY = frozenset({"EKF_STATUS_REPORT", "MISSION_CURRENT"})
-"""PX4 tells of its estimator by ESTIMATOR_STATUS and streams MISSION_CURRENT, both by itself."""
+"""PX4 reports its estimator by ESTIMATOR_STATUS, and streams that and MISSION_CURRENT by itself."""
 
 ARDUPILOT_GROUPS: Mapping[int, tuple[str, ...]] = {
     1: ("RAW_IMU", "SCALED_IMU2", "SCALED_IMU3", "SCALED_PRESSURE", "SCALED_PRESSURE2"),
@@ -62,7 +61,7 @@ POSITION_FLOOR_HZ = 0.2
 """However little room there is: a position every five seconds."""
 
 OTHERS_FLOOR = 0.2
-"""Of their wanted rates, before the position is slowed down, too."""
+"""Part of their wanted rates that the other messages keep before the position is slowed down, too."""
 
 GRID_HZ = (
     0.05,
@@ -119,7 +118,7 @@ def fit(
     """Hz of each message from each vehicle, so that all heartbeats and streams are within ``total_bytes_per_s`` and no
     vehicle's above ``each_bytes_per_s`` (its own timeslot), as far as the floors allow.
 
-    Room is divided by the wishes' weights; who wants less leaves the rest to the others. ``frame_bytes`` by message.
+    Room is divided by the weights; a vehicle that needs less leaves the rest to the others. ``frame_bytes`` by message.
     """
     beat = FRAME_BYTES["HEARTBEAT"]
     wanted = {key: _bytes(demand.rates_hz, frame_bytes) for key, demand in demands.items()}
@@ -152,7 +151,7 @@ def intended_rate(measured_hz: float) -> float:
 
 
 def plan_bytes_per_s(rates_hz: Mapping[str, float], frame_bytes: Mapping[str, int]) -> float:
-    """Of one vehicle, its heartbeat included."""
+    """Bytes a second of one vehicle's plan, its heartbeat included."""
     return FRAME_BYTES["HEARTBEAT"] + _bytes(rates_hz, frame_bytes)
 
 
@@ -183,7 +182,7 @@ WORSE, BETTER, LEAST = 0.75, 1.15, 0.3
 longer: they get more again, and never less than the least. Two marks and two times: it does not chatter."""
 
 TXBUF_LOW = 0.15
-"""Of the ground radio's buffer free: the air is so full of what comes down that what is to go up does not get out."""
+"""Free part of the ground radio's buffer: the downlink fills the air so much that the uplink does not get out."""
 
 
 class Downlink:

@@ -1,4 +1,4 @@
-"""What waits to be sent on one link, in which order and how fast: strict classes, vehicles served alike within a class,
+"""What waits to be sent on one link, in which order and how fast: strict classes, vehicles share a class equally,
 every class with a bound and a policy, all of it within a budget of bytes.
 
 Pure: the sender (shell) offers, asks when the next may go and what it is, and writes. How large the budget is decides
@@ -56,7 +56,7 @@ DROPS_OLDEST = frozenset({Priority.HEARTBEAT, Priority.CORRECTION, Priority.FORW
 """Classes whose newest entry is worth more than their oldest; the others refuse when full, and the sender retries."""
 
 RESERVED_SHARE = 0.5
-"""Of the burst, kept for emergencies, commands and an overdue heartbeat: they find it filled however busy the link is,
+"""Part of the burst kept for emergencies, commands and an overdue heartbeat: they find it filled on a busy link,
 and so leave at once. Everything else is sent from the other half."""
 
 
@@ -116,8 +116,8 @@ class _Class(Generic[T]):
         self.lines: dict[Hashable, dict[Hashable, Waiting[T]]] = {}
         """In order of arrival. An entry without a key stands under a serial number, one with a key under (key,)."""
         self._used: dict[Hashable, float] = {}
-        """Bytes sent of each flow with a line, on a clock that those who come later begin at: who was silent for an
-        hour has not saved up an hour."""
+        """Bytes sent of each flow with entries, on a clock at which later flows begin: one that was silent for an hour
+        has not saved up an hour."""
         self._left: dict[Hashable, float] = {}
         """The same of flows that have nothing waiting any more."""
         self._clock = 0.0
@@ -147,7 +147,7 @@ class _Class(Generic[T]):
         entry = line.pop(next(iter(line)))
         self.length -= 1
         used = self._used.pop(flow)
-        self._clock = used  # that of the flow in service: who comes now is served from here on
+        self._clock = used  # that of the flow in service: a flow that comes now begins here
         if line:
             self._used[flow] = used + entry[1]  # at the end: of equals it is the last
         else:
@@ -156,7 +156,7 @@ class _Class(Generic[T]):
         return entry
 
     def drop_oldest(self) -> None:
-        """Of the flow that has most waiting: who floods loses his own."""
+        """Drop from the flow with most waiting: a flood loses its own entries."""
         lines = self.lines
         flow = next(iter(lines)) if len(lines) == 1 else max(lines, key=lambda f: len(lines[f]))
         line = lines[flow]

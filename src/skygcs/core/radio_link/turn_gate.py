@@ -32,7 +32,7 @@ LONGEST_FILE_S = 300.0
 """After so long the next request takes the turn, whosever it is."""
 
 ALL_COMPONENTS_ANSWER = 1
-"""Of a list that was requested of all components (0), the autopilot's values are counted."""
+"""The autopilot. Its values are counted in a list that was requested of all components (0)."""
 
 MAX_WAITING = 254
 """Vehicles there can be."""
