@@ -250,7 +250,7 @@ def track(
 
     async def command(gcs: Client) -> None:
         if not once:
-            updates = gcs.telemetry(targets, rate_hz=rate_hz, sections=["control", "connected"])
+            updates = gcs.telemetry(targets, rate_hz=rate_hz, groups=["control", "connected"])
             await follow_states(updates, count, json_output, track_line, track_table)
             return
         states = await gcs.vehicles(targets)

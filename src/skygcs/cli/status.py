@@ -113,7 +113,7 @@ def watch(
         return "  ".join(cell for cell in status_cells(state) if cell)
 
     async def command(gcs: Client) -> None:
-        updates = gcs.telemetry(targets, rate_hz=rate_hz, sections=sections)
+        updates = gcs.telemetry(targets, rate_hz=rate_hz, groups=sections)
         await follow_states(
             updates, count, json_output, line, lambda states, width: status_table(states, wanted, width)
         )

@@ -566,7 +566,7 @@ async def _follow(gcs: Client, flights: Sequence[TableFlight], radius_m: float, 
         return
     clock = asyncio.get_running_loop().time
     began = clock()
-    updates = gcs.telemetry(list(by_name), rate_hz=WATCH_HZ, sections=["position", "connected"])
+    updates = gcs.telemetry(list(by_name), rate_hz=WATCH_HZ, groups=["position", "connected"])
     view = LiveView(lambda _: flight_table(flights, clock() - began), enabled=live)
     with contextlib.closing(updates), view:
         async for state in updates:

@@ -10,7 +10,7 @@
 
 Every method of docs/reference/rpc.md can be called by name: ``await gcs.call("vehicles.arm", targets="all")``.
 An error answer is raised as RpcError (``code``, ``message``, ``data``), a daemon that is not there or goes away as
-DaemonUnreachable; connecting again is the caller's business. A cancelled call is no longer waited for, but the order
+DaemonUnreachable; the caller decides whether to connect again. A cancelled call is no longer waited for, but the order
 may have been sent; closing the connection cancels what the daemon still does for it, except land, rtl, hold and disarm,
 which are carried out to their end. One client belongs to one loop.
 """
@@ -242,13 +242,13 @@ class Client:
     # -- subscriptions
 
     def telemetry(
-        self, targets: Targets = "all", *, rate_hz: float = 2.0, sections: Sequence[str] | None = None
+        self, targets: Targets = "all", *, rate_hz: float = 2.0, groups: Sequence[str] | None = None
     ) -> Subscription:
-        """States as they come, at most ``rate_hz`` (up to 20) per vehicle; only some ``sections`` of them if given.
+        """States as they come, at most ``rate_hz`` (up to 20) per vehicle; only these telemetry ``groups`` if given.
 
-        Who is slow gets each vehicle's newest state, never old ones.
+        A slow reader gets each vehicle's newest state, never old ones.
         """
-        params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(sections)}
+        params = {"targets": _plain(targets), "rate_hz": rate_hz, "names": _listed(groups)}
         return Subscription(self._connected(), self._next_id(), {"topic": "telemetry", **params}, Latest())
 
     def events(self, targets: Targets = "all", *, kinds: Sequence[str] | None = None) -> Subscription:
@@ -282,8 +282,8 @@ class Client:
 
 
 async def _connected_to(path: str) -> socket.socket:
-    """A Unix socket connected to the daemon's. Its queue of connections may be full for a moment: what asyncio then
-    takes for a connection in the making is none. Raises OSError."""
+    """A Unix socket connected to the daemon's. Its queue of connections may be full for a moment, which
+    asyncio mistakes for a connection in progress. Raises OSError."""
     loop = asyncio.get_running_loop()
     deadline = loop.time() + CONNECT_WITHIN_S
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -465,7 +465,7 @@ class _Wire(asyncio.Protocol):
         self.lose("it closed the connection")
 
     def lose(self, reason: str) -> None:
-        """Everyone who waits is told. Idempotent."""
+        """End every waiting call and subscription with the reason. Idempotent."""
         if self._lost is None:
             self._lost = DaemonUnreachable(self._address, reason)
         error = self._refused or self._lost

@@ -25,14 +25,14 @@ Axes = Annotated[
 
 
 class ControlSetParams(TargetsParams):
-    """Who closes the loops: the autopilot all (position) or the velocity loop (velocity), or skygcs (attitude)."""
+    """Which control loops skygcs closes: none (position), position (velocity), position and velocity (attitude)."""
 
     mode: Mode = Field(
         description="What is sent: attitude and thrust, velocities, or places; off: nothing, and hold. See "
         "docs/explanation/flight-control.md."
     )
     force: bool = Field(
-        False, description="Attitude also where the autopilot would lean on long after a lost setpoint."
+        False, description="Attitude although the autopilot would keep its tilt for long after setpoints were lost."
     )
 
 
@@ -57,8 +57,8 @@ class ControlGainsParams(TargetsParams):
 
     def changes(self) -> dict[str, Any]:
         """What is to change, nested as it came."""
-        told = self.model_dump(exclude={"targets", "force"}, exclude_none=True)
-        return {key: value for key, value in told.items() if value != {}}
+        given = self.model_dump(exclude={"targets", "force"}, exclude_none=True)
+        return {key: value for key, value in given.items() if value != {}}
 
 
 class SetpointParams(TargetsParams):
@@ -112,8 +112,8 @@ class ControlState(Result):
     """The state's ``control`` section, with the vehicle's name where it stands alone."""
 
     vehicle: str
-    mode: str | None = Field(description="The way that was wanted; null: off.")
-    control_mode: str | None = Field(description="The way it is flown now: attitude, velocity or position.")
+    mode: str | None = Field(description="The control mode that was ordered; null: off.")
+    control_mode: str | None = Field(description="The control mode it is flown in now: attitude, velocity or position.")
     state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
     reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
     reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")
@@ -141,7 +141,7 @@ async def control_set(context: Context, params: ControlSetParams) -> JsonObject:
     """Fly vehicles by setpoints of skygcs, or leave them to their autopilots again.
 
     The whole sequence: checks, a stream of setpoints, the autopilot's mode (OFFBOARD, GUIDED), its verification; undone
-    on failure. A vehicle begins by staying where it is. With "off" it is told to hold.
+    on failure. A vehicle begins by staying where it is. "off" ends the setpoints and orders hold.
     """
     return await command(context, params.targets, VehicleActor.control, mode=params.mode, force=params.force)
 
@@ -149,12 +149,12 @@ async def control_set(context: Context, params: ControlSetParams) -> JsonObject:
 async def control_gains(context: Context, params: ControlGainsParams) -> JsonObject:
     """Read the gains of the control law, or change some of them from the next tick on."""
     changes = params.changes()
-    told: JsonObject = {}
+    outcomes: JsonObject = {}
     if changes:
         answer = await command(context, params.targets, VehicleActor.change_gains, changes=changes, force=params.force)
-        told = answer["outcomes"]
+        outcomes = answer["outcomes"]
     vehicles = context.services.fleet.resolve(params.targets)
-    return {"outcomes": told, "gains": {vehicle.name: vehicle.gains() for vehicle in vehicles}}
+    return {"outcomes": outcomes, "gains": {vehicle.name: vehicle.gains() for vehicle in vehicles}}
 
 
 def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
@@ -163,7 +163,7 @@ def control_setpoint(context: Context, params: SetpointParams) -> JsonObject:
 
 
 def control_status(context: Context, params: ListParams) -> list[JsonObject]:
-    """How each vehicle is flown: way, error, ages, ticks. The state of a vehicle has the same under "control"."""
+    """How each vehicle is flown: control mode, error, ages, ticks; as "control" in the state of the vehicle."""
     now = context.services.now()
     return [{"vehicle": v.name, **v.control_state(now)} for v in resolve(context.services, params.targets)]
 

@@ -46,7 +46,7 @@ class InvalidParams(SkygcsError):
 
 
 class LimitExceeded(SkygcsError):
-    """A client wants more than one client gets; the text names the limit."""
+    """A client has reached a limit per client; the text names it."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Method(Generic[C]):
 
 
 Reply = bytes | Coroutine[Any, Any, bytes] | None
-"""Encoded reply without newline; or a coroutine that makes it; or nothing to say (a notification that is done)."""
+"""Encoded reply without newline; or a coroutine that makes it; or None (a notification that is done)."""
 
 
 class Dispatcher(Generic[C]):
@@ -122,7 +122,7 @@ class Dispatcher(Generic[C]):
 class _MethodNotFound(SkygcsError):
     def __init__(self, name: str, known: Mapping[str, object]) -> None:
         close = difflib.get_close_matches(name[:MAX_ECHO_CHARS], known, n=3)
-        hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists what there is"
+        hint = f"; did you mean {', '.join(close)}?" if close else "; rpc.discover lists the methods"
         super().__init__(f"no method {_clip(name)}{hint}")
 
 
@@ -150,7 +150,7 @@ def error_reply(request_id: object, code: int, message: str, data: object = None
 
 
 def failure_reply(request_id: object, name: str, error: Exception) -> bytes:
-    """The reply for an exception; one that nobody raised on purpose is logged here and answered without its text."""
+    """The reply for an exception; an unexpected one is logged here and answered without its text."""
     match error:
         case ValidationError():
             return _params_reply(request_id, name, _problems(error))
@@ -187,7 +187,9 @@ def _check(model: type[MethodParams], params: object) -> MethodParams:
     elif type(params) is list:
         fields = list(model.model_fields)
         if len(params) > len(fields):
-            raise InvalidParams(("", f"{len(params)} parameters given, there are {len(fields)}: {', '.join(fields)}"))
+            raise InvalidParams(
+                ("", f"{len(params)} parameters given; the method has {len(fields)}: {', '.join(fields)}")
+            )
         params = dict(zip(fields, params, strict=False))
     elif type(params) is not dict:
         raise InvalidParams(("", "params must be an object or an array"))
@@ -207,8 +209,8 @@ def _unknown_params(model: type[MethodParams], error: ValidationError) -> Invali
             problems.append((loc, text))
             continue
         close = difflib.get_close_matches(loc, known, n=1)
-        there_is = ", ".join(known) or "none"
-        hint = f"did you mean {close[0]}?" if close else f"there is: {there_is}"
+        names = ", ".join(known) or "none"
+        hint = f"did you mean {close[0]}?" if close else f"the parameters are: {names}"
         problems.append((_clip(loc), f"no such parameter; {hint}"))
     return InvalidParams(*problems)
 

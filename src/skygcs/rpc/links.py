@@ -80,7 +80,7 @@ class CorrectionsParams(MethodParams):
         "rpc",
         min_length=1,
         max_length=64,
-        description="Whose stream it is. Another one is refused until this one has ended or was silent for 10 s.",
+        description="Name of the stream. Another one is refused until this one has ended or was silent for 10 s.",
     )
     end: bool = Field(False, description="This is its last piece: another source may follow at once.")
 
@@ -88,20 +88,20 @@ class CorrectionsParams(MethodParams):
 class CorrectionsTaken(Result):
     """What became of the messages that this piece completed."""
 
-    messages: int = Field(description="Handed to links; what a narrow radio carries of it tells corrections.status.")
+    messages: int = Field(description="Handed to links; corrections.status shows what a narrow radio carried of them.")
     bytes: int = Field(description="Of RTCM in them.")
     types: dict[str, int] = Field(description="Messages by RTCM type.")
     refused: int = Field(description="Messages that no link took.")
     too_long: int = Field(description="Messages of more than 720 bytes, which GPS_RTCM_DATA cannot carry.")
     bad_crc: int = Field(description="Starts of messages whose checksum was wrong.")
-    skipped_bytes: int = Field(description="Bytes that belong to no sound message.")
-    links: int = Field(description="Open channels that may carry vehicles. 0: nobody to send to.")
+    skipped_bytes: int = Field(description="Bytes that are part of no valid message.")
+    links: int = Field(description="Open channels that may carry vehicles; 0: the message was sent to none.")
 
 
 class CorrectionsStatus(Result):
     """What went since the daemon began, without what ground stations send by themselves."""
 
-    source: str | None = Field(description="Whose stream comes now.")
+    source: str | None = Field(description="Name of the stream that is being received.")
     age_s: float | None = Field(description="Since the last message; null: none yet.")
     bytes_per_s: float = Field(description="Of RTCM, in the last 10 s.")
     messages: int

@@ -77,7 +77,7 @@ class CommandParams(TargetsParams):
     y: int | None = Field(None, description="COMMAND_INT's y as on the wire (longitude in 1e-7 degrees).")
     z: float | None = Field(None, description="COMMAND_INT's z (altitude in metres).")
     force: bool = Field(
-        False, description="Although it would fly a vehicle or stop its motors past the checks of an order."
+        False, description="Send it although it would fly a vehicle or stop its motors without the checks of an order."
     )
 
     @model_validator(mode="after")
@@ -104,7 +104,7 @@ class SendParams(MethodParams):
     )
     link: str | None = Field(None, description="Send on this link only, to all that is there.")
     force: bool = Field(
-        False, description="Although it would fly a vehicle or stop its motors past the checks of an order."
+        False, description="Send it although it would fly a vehicle or stop its motors without the checks of an order."
     )
 
 
@@ -140,19 +140,19 @@ _INTEGER = re.compile(r"(u?)int(8|16|32|64)_t")
 
 
 async def vehicles_interval(context: Context, params: IntervalParams) -> JsonObject:
-    """Ask for one message at a rate (SET_MESSAGE_INTERVAL)."""
+    """Request one message at a rate (SET_MESSAGE_INTERVAL)."""
     find_message(context.services.dialect, params.message, "message")
     return await command_with(context, VehicleActor.set_message_interval, params)
 
 
 async def vehicles_request(context: Context, params: RequestParams) -> JsonObject:
-    """Ask for one message once; it is there (messages.latest) when the outcome is good."""
+    """Request one message once; when the outcome is ok, messages.latest has it."""
     find_message(context.services.dialect, params.message, "message")
     return await command_with(context, VehicleActor.request_message, params)
 
 
 async def vehicles_stream(context: Context, params: StreamParams) -> JsonObject:
-    """Ask for a group of messages at a rate (REQUEST_DATA_STREAM)."""
+    """Request a group of messages at a rate (REQUEST_DATA_STREAM)."""
     _check_entry(context.services.dialect, "MAV_DATA_STREAM", params.stream, "stream")
     return await command_with(context, VehicleActor.request_stream, params)
 
@@ -180,8 +180,8 @@ def messages_send(context: Context, params: SendParams) -> JsonObject:
     """Send any message of the dialect, checked field by field.
 
     A message with a target field (COMMAND_LONG, MANUAL_CONTROL, …) needs target, link or that field; "all", or 0 in the
-    field, is everyone. Others go to everyone unless told otherwise. Setpoints, and whatever else does what an order
-    does without its checks, are refused for vehicles that are not known to be disarmed, unless forced.
+    field, is everyone. Others go to everyone unless a target or link is given. Setpoints, and other messages that do
+    what an order does without its checks, are refused for vehicles that are not known to be disarmed, unless forced.
     """
     info = find_message(context.services.dialect, params.name, "name")
     fields = _checked_fields(context.services.dialect, info, params.fields)
@@ -218,7 +218,7 @@ def find_message(dialect: Dialect, name: str | int, param: str) -> MessageInfo:
 
 
 def _check_command(dialect: Dialect, command: str | int) -> None:
-    """Raises InvalidParams for a name that is none, once instead of for each vehicle; any number may be sent."""
+    """Raises InvalidParams for an unknown name, once instead of for each vehicle; any number may be sent."""
     if isinstance(command, int) or command.isdigit():
         return
     known = [name.removeprefix(COMMAND_PREFIX) for name in dialect.enums.get("MAV_CMD", {}).values()]
@@ -236,7 +236,7 @@ def _check_command(dialect: Dialect, command: str | int) -> None:
 
 
 def _check_entry(dialect: Dialect, enum: str, given: str | int, param: str) -> None:
-    """Raises InvalidParams for a name that is no entry of ``enum``, with or without its prefix; any number may be."""
+    """Raises InvalidParams for a name that is no entry of ``enum``, with or without its prefix; any number is right."""
     if isinstance(given, int) or given.isdigit():
         return
     known = [name.removeprefix(f"{enum}_") for name in dialect.enums.get(enum, {}).values()]
@@ -246,7 +246,7 @@ def _check_entry(dialect: Dialect, enum: str, given: str | int, param: str) -> N
 
 
 def _checked_fields(dialect: Dialect, info: MessageInfo, fields: JsonObject) -> JsonObject:
-    """Fields as the dialect packs them; every wrong one is told, not only the first."""
+    """Fields as the dialect packs them. InvalidParams names every wrong one, not only the first."""
     by_name = {f.name: f for f in info.fields}
     problems: list[tuple[str, str]] = []
     result: JsonObject = {}

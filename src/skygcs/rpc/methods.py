@@ -47,19 +47,19 @@ def daemon_info(context: Context, _: NoParams) -> JsonObject:
 
 
 def events_recent(context: Context, params: RecentParams) -> list[JsonObject]:
-    """The newest events, oldest of them first."""
+    """The newest events, oldest first."""
     events = context.services.event_log.recent
     return [dict(e) for e in islice(events, max(0, len(events) - params.limit), None)]
 
 
 def recorder_status(context: Context, _: NoParams) -> JsonObject:
-    """What is recorded where, and what could not be."""
+    """What is recorded, where, and what could not be recorded."""
     recorder = context.services.recorder
     return {"recording": False} if recorder is None else recorder.status()
 
 
 def subscribe(context: Context, params: SubscribeParams) -> JsonObject:
-    """Be told from now on, by notifications: "telemetry", "event" or "message".
+    """Receive notifications from now on: "telemetry", "event" or "message".
 
     Each carries the subscription's number and a state, an event or a message. A client that reads slowly gets fewer,
     fresher telemetry updates; events and messages that did not fit are counted in "dropped".
@@ -85,11 +85,11 @@ def _document() -> JsonObject:
 
 
 ERRORS: dict[int, str] = {
-    dispatch.TARGET_ERROR: "The targets name no vehicle; the text says which part, and what there is.",
+    dispatch.TARGET_ERROR: "The targets name no vehicle; the text names the part that matches none, and the vehicles.",
     dispatch.REFUSED: "skygcs refuses the order itself; the text says why.",
     dispatch.LINK_ERROR: "A link could not be opened, changed or sent on.",
     dispatch.NOT_AUTHENTICATED: "TCP only: the first request must be auth with the token.",
-    dispatch.LIMIT_EXCEEDED: "More than one client gets; the text names the limit.",
+    dispatch.LIMIT_EXCEEDED: "A limit per client is reached; the text names it.",
 }
 
 

@@ -35,9 +35,9 @@ ItemNumber = Annotated[int, Field(ge=1, le=65535, description="An item of the mi
 
 class PlanUploadParams(TargetsParams):
     plan: str = Field(min_length=1, description="The content of a .plan or QGC WPL 110 file.")
-    name: str = Field("plan", max_length=200, description="What to call it in error texts: the file's name.")
+    name: str = Field("plan", max_length=200, description="Name of the plan in error texts: the file's name.")
     lists: Lists | None = Field(None, description="Which of mission, fence, rally; null: those that the plan holds.")
-    force: bool = Field(False, description="Although the plan has errors, or the vehicle flies its mission.")
+    force: bool = Field(False, description="Upload although the plan has errors, or the vehicle flies its mission.")
 
 
 class PlanDownloadParams(TargetParams):
@@ -46,7 +46,9 @@ class PlanDownloadParams(TargetParams):
 
 class PlanClearParams(TargetsParams):
     lists: Lists = Field(["mission"], description="Which of mission, fence, rally.")
-    force: bool = Field(False, description="Although it flies its mission, or is in the air without a fence then.")
+    force: bool = Field(
+        False, description="Clear although it flies its mission, or would be in the air without a fence."
+    )
 
 
 class MissionStartParams(TargetsParams):
@@ -68,24 +70,24 @@ class PlanDownload(Result):
 
 
 class MissionStatus(Result):
-    """What a vehicle tells of its mission."""
+    """What a vehicle reports of its mission."""
 
     vehicle: str
     item: int | None = Field(description="The current item, from 1; 0 is an ArduPilot's home.")
     reached: int | None = Field(description="The item it reached last.")
-    state: str | None = Field(description="no mission, not started, active, paused, complete; null: it does not say.")
+    state: str | None = Field(description="no mission, not started, active, paused, complete; null: not reported.")
     counts: dict[str, int | None] = Field(description="Items per list, as last sent or read; null: not known.")
     opaque_ids: dict[str, int | None] = Field(description="The vehicle's own numbers for its lists (PX4).")
-    transfer: dict[str, Any] | None = Field(description="what, percent, sent of the transfer under way.")
+    transfer: dict[str, Any] | None = Field(description="what, percent, sent of the transfer in progress.")
     last: dict[str, dict[str, Any] | None] = Field(
         description="How the last transfer of each list ended: an outcome, with state (complete, cleared, unchanged, "
-        "partial or unknown: what the vehicle holds) and a message that says the same."
+        "partial or unknown: what the vehicle holds) and the same as a sentence in message."
     )
     fence: dict[str, Any] | None = Field(description="Fields of FENCE_STATUS; null: it sends none (PX4).")
 
 
 async def missions_upload(context: Context, params: PlanUploadParams) -> JsonObject:
-    """Check a plan against each vehicle and bring it there, its fence first.
+    """Check a plan against each vehicle and upload it, its fence first.
 
     Progress comes as events of kind command, every ten percent. An outcome that is not ok says what the vehicle holds;
     a client that goes away ends the upload, and an event says the same.
@@ -139,12 +141,12 @@ async def missions_set_current(context: Context, params: MissionItemParams) -> J
 
 def missions_status(context: Context, params: ListParams) -> list[JsonObject]:
     """Where each vehicle is in its mission, what it holds, and what is being transferred."""
-    told = []
+    reports = []
     for vehicle in resolve(context.services, params.targets):
         has_fence = "FENCE_STATUS" in context.services.dialect.by_name
         fence = vehicle.latest("FENCE_STATUS") if has_fence else None
-        told.append({"vehicle": vehicle.name, **vehicle.missions.status(), "fence": fence and fence["fields"]})
-    return told
+        reports.append({"vehicle": vehicle.name, **vehicle.missions.status(), "fence": fence and fence["fields"]})
+    return reports
 
 
 def _kinds(lists: list[ListName]) -> tuple[MissionType, ...]:
@@ -152,7 +154,7 @@ def _kinds(lists: list[ListName]) -> tuple[MissionType, ...]:
 
 
 def _written(plan: MissionPlan) -> str | None:
-    """None for what the format cannot hold: rally points above sea level; the items are told anyway."""
+    """None if the format cannot hold it (rally points above sea level); the items are returned in any case."""
     try:
         return write_qgc(plan)
     except ValueError:
@@ -170,15 +172,17 @@ def _item(number: int, item: MissionItem) -> JsonObject:
 
 
 class FenceSetParams(TargetsParams):
-    radius_m: float | None = Field(None, ge=0, le=100_000, description="About home; 0 takes it away; null leaves it.")
-    height_m: float | None = Field(None, ge=0, le=10_000, description="Above home; 0 takes it away; null leaves it.")
-    action: FenceAction | None = Field(None, description="What it does beyond the fence; none: no fence. null: as is.")
+    radius_m: float | None = Field(None, ge=0, le=100_000, description="Around home; 0 removes it; null leaves it.")
+    height_m: float | None = Field(None, ge=0, le=10_000, description="Above home; 0 removes it; null leaves it.")
+    action: FenceAction | None = Field(
+        None, description="What it does outside the fence; none: no fence; null: leaves it."
+    )
 
 
 class FenceTestParams(TargetsParams):
-    radius_m: float = Field(2.0, ge=1, le=50, description="Of the test's fence, about home.")
-    action: FenceAction = Field("return", description="What it is to do beyond it.")
-    timeout_s: float = Field(120.0, ge=5, le=1800, description="For the walk.")
+    radius_m: float = Field(2.0, ge=1, le=50, description="Radius of the test fence around home.")
+    action: FenceAction = Field("return", description="What it must do outside it.")
+    timeout_s: float = Field(120.0, ge=5, le=1800, description="Time for the walk.")
 
 
 class FenceResult(OutcomeResult):
@@ -201,15 +205,15 @@ async def fence_set(context: Context, params: FenceSetParams) -> JsonObject:
 
 
 async def fence_status(context: Context, params: ListParams) -> JsonObject:
-    """The fence of each vehicle, read now, and what it tells of breaches."""
+    """The fence of each vehicle, read now, and what it reports of breaches."""
     return await command(context, params.targets, VehicleActor.read_fence)
 
 
 async def fence_test(context: Context, params: FenceTestParams) -> JsonObject:
-    """Test the fence on foot, propellers off: a small one is set, the vehicle is carried out of it, and what it says
+    """Test the fence on foot, propellers off: a small one is set, the vehicle is carried out of it, and what it reports
     and does is recorded to a file in the log directory; then its fence is put back, also when the caller goes away.
 
-    Progress comes as events of kind fence. Ok: it told of the breach, and did what it is to do if it was armed.
+    Progress comes as events of kind fence. ok: it reported the breach and, if it was armed, took its action.
     """
     return await command_with(context, VehicleActor.test_fence, params)
 

@@ -120,7 +120,7 @@ class SubscribeParams(MethodParams):
     )
     names: Annotated[list[NameOrId], Field(min_length=1, max_length=64)] | None = Field(
         None,
-        description="telemetry: sections of the state. events: kinds. messages: names or ids. null: all of them.",
+        description="telemetry: groups of the state. events: kinds. messages: names or ids. null: all of them.",
     )
 
     @model_validator(mode="after")
@@ -128,7 +128,7 @@ class SubscribeParams(MethodParams):
         if self.topic == "telemetry" and self.rate_hz is not None and self.rate_hz > MAX_TELEMETRY_HZ:
             raise ValueError(f"telemetry has at most {MAX_TELEMETRY_HZ:g} updates a second")
         if self.topic == "events" and self.rate_hz is not None:
-            raise ValueError("events have no rate_hz: every one is sent")
+            raise ValueError("events have no rate_hz: each event is sent")
         return self
 
 

@@ -18,12 +18,14 @@ class OriginSetParams(MethodParams):
     x_heading_deg: float | None = Field(
         None, ge=-360, le=360, description="Compass heading of the x axis; null: as it is, 90 (plain ENU) at first."
     )
-    force: bool = Field(False, description="Although a vehicle is farther than 20 km from it.")
+    force: bool = Field(False, description="Set it although a vehicle is farther than 20 km away.")
 
 
 class OriginFromParams(TargetParams):
     heading: bool = Field(False, description="Point x along the vehicle's nose; else it stays as it is.")
-    force: bool = Field(False, description="Without a 3D fix, too, and although another vehicle is farther than 20 km.")
+    force: bool = Field(
+        False, description="Set it without a 3D fix, too, and although another vehicle is farther than 20 km away."
+    )
 
 
 class OriginPushParams(TargetsParams):
@@ -31,7 +33,9 @@ class OriginPushParams(TargetsParams):
         False,
         description="Set their homes there as well: they would all return to that one place. The checks of a home.",
     )
-    force: bool = Field(False, description="Although it is armed, and a home in the air or beyond the goto limit.")
+    force: bool = Field(
+        False, description="Send it although it is armed, and set a home in the air or beyond the goto limit."
+    )
 
 
 class OriginPlace(Result):
@@ -44,8 +48,8 @@ class OriginPlace(Result):
 class OriginStatus(Result):
     """The fleet's world frame."""
 
-    origin: OriginPlace | None = Field(description="null: there is none, and no position in it.")
-    generation: int = Field(description="Increases with every change; positions tell theirs as origin_generation.")
+    origin: OriginPlace | None = Field(description="null: no origin is set, and positions have no enu_m.")
+    generation: int = Field(description="Increases with every change; positions name theirs as origin_generation.")
 
 
 def origin_get(context: Context, _: NoParams) -> JsonObject:
@@ -54,7 +58,7 @@ def origin_get(context: Context, _: NoParams) -> JsonObject:
 
 
 def origin_set(context: Context, params: OriginSetParams) -> JsonObject:
-    """Set the origin; every position is told in the new frame from now on, and no vehicle moves.
+    """Set the origin; every position is given in the new frame from now on, and no vehicle moves.
 
     It is kept until the daemon ends; the fleet file is not changed.
     """
@@ -74,9 +78,9 @@ def origin_from_vehicle(context: Context, params: OriginFromParams) -> JsonObjec
 
 
 async def origin_push(context: Context, params: OriginPushParams) -> JsonObject:
-    """Tell vehicles the origin (SET_GPS_GLOBAL_ORIGIN) and ask them for theirs; armed only with force.
+    """Send vehicles the origin (SET_GPS_GLOBAL_ORIGIN) and read theirs back; armed only with force.
 
-    Nothing of skygcs needs it: it moves the vehicle's own local frame, for programs on board. ArduPilot takes it only
+    skygcs does not need it: it moves the vehicle's own local frame, for programs on board. ArduPilot accepts it only
     while it has no origin yet.
     """
     return as_json(await context.services.fleet.push_origin(params.targets, home=params.home, force=params.force))

@@ -57,17 +57,18 @@ class ParamSetParams(TargetsParams):
 
 
 class ParamListParams(TargetsParams):
-    refresh: bool = Field(False, description="Read all, although the vehicle vouches for what is known.")
+    refresh: bool = Field(False, description="Read all, although the vehicle confirms what is known.")
     burst: bool = Field(
-        False, description="Have the vehicle send all at once, then fill gaps: quicker, but it drowns a shared radio."
+        False,
+        description="Have the vehicle send all at once, then fill gaps: quicker, but it saturates a shared radio.",
     )
     bytes_per_s: float | None = Field(
         BYTES_PER_S,
         ge=100,
         le=1e8,
-        description="What answers may take of the link, per vehicle; null: as fast as it goes.",
+        description="Bandwidth for the answers, per vehicle; null: no limit.",
     )
-    values: bool = Field(True, description="Whether the answer has the values, or only how it went.")
+    values: bool = Field(True, description="Whether the answer has the values, or only the outcome.")
 
 
 class ParamResult(Result):
@@ -80,7 +81,7 @@ class ParamResult(Result):
     )
     message: str
     name: str = Field(description="The vehicle's own name for it; another one than asked for in two generations.")
-    value: float | None = Field(description="What the vehicle says it holds; null: it did not say, or no number.")
+    value: float | None = Field(description="The value that the vehicle reports; null: none reported, or no number.")
     type: str | None = Field(description="MAV_PARAM_TYPE: REAL32, INT32, …")
     before: float | None
     attempts: int
@@ -103,10 +104,10 @@ class ParamsOfVehicle(Result):
     ok: bool
     result: str = Field(description="accepted, incomplete, timeout, changing, cancelled, lost or refused.")
     message: str
-    source: str = Field(description='"vehicle", or "cache": nothing was transferred but what vouches for it.')
+    source: str = Field(description='"vehicle", or "cache": nothing was transferred but the proof that it is current.')
     vouched: str = Field(
-        description='How sure it is: "read" (and changes since were heard), "hash" (over all values), or "count": only '
-        "their number and the firmware are what they were in an earlier run (ArduPilot)."
+        description='How it was confirmed: "read" (and later changes were heard), "hash" (over all values) or "count": '
+        "only their number and the firmware are those of an earlier run (ArduPilot)."
     )
     count: int | None
     sent: int = Field(description="Messages it took.")
@@ -122,11 +123,11 @@ class ParamListResults(Result):
 
 
 class ParamStatus(Result):
-    """What is known of a vehicle's parameters, and what is going on."""
+    """What is known of a vehicle's parameters, and what is in progress."""
 
     known: int
     complete: bool
-    hash: int | None = Field(description="PX4's over all values, as far as the vehicle has vouched for what is known.")
+    hash: int | None = Field(description="PX4's hash over all values, if the vehicle has confirmed what is known.")
     loading: dict[str, Any] | None = Field(description="received, count, percent, elapsed_s, remaining_s of a list.")
     under_way: int = Field(description="Requests that are not answered yet.")
 
@@ -152,8 +153,8 @@ async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
     values = {name: int(v) if v.is_integer() else v for name, v in params.params.items()}
 
     async def write(vehicle: VehicleActor) -> JsonObject:
-        told = await vehicle.params.set(values, settle=params.settle)
-        return {name: outcome.as_dict() for name, outcome in told.items()}
+        outcomes = await vehicle.params.set(values, settle=params.settle)
+        return {name: outcome.as_dict() for name, outcome in outcomes.items()}
 
     return {"outcomes": await _each(context, params, write)}
 
@@ -161,7 +162,7 @@ async def params_set(context: Context, params: ParamSetParams) -> JsonObject:
 async def params_list(context: Context, params: ParamListParams) -> JsonObject:
     """All parameters; one vehicle after another, so that they do not share a radio. Progress comes as events "params".
 
-    What was read before is not read again while the vehicle vouches for it: PX4 by a hash over all values, ArduPilot
+    What was read before is not read again while the vehicle confirms it: PX4 by a hash over all values, ArduPilot
     only by its firmware and their number.
     """
     lists = {}
@@ -206,7 +207,7 @@ def params_status(context: Context, params: TargetsParams) -> JsonObject:
 def params_cancel(context: Context, params: TargetsParams) -> JsonObject:
     """Stop reading and setting parameters; what a vehicle has taken already it keeps.
 
-    The answer is how many requests were under way, by vehicle.
+    The result is how many requests were pending, by vehicle.
     """
     return {v.name: v.params.cancel() for v in context.services.fleet.resolve(params.targets)}
 
@@ -223,17 +224,17 @@ async def _each(
 
 class PreflightParams(TargetsParams):
     fix: bool = Field(
-        False, description="Set the parameters that would put something right, read them back, and examine it again."
+        False, description="Set the parameters that would mend a failed check, read them back, and examine it again."
     )
     confirmed: dict[str, dict[Name, float]] | None = Field(
         None,
-        description="With fix: only these values, by vehicle's name, then by parameter's, as somebody has agreed to "
+        description="With fix: only these values, by vehicle's name, then by parameter's, as the user has agreed to "
         "them; null: all.",
     )
 
 
 class PreflightFix(Result):
-    """A parameter that would put something right."""
+    """A parameter that would mend a failed check."""
 
     name: str
     before: float
@@ -246,7 +247,7 @@ class PreflightFinding(Result):
     check: str = Field(description="What was checked; a parameter's name for those of the fleet file.")
     verdict: str = Field(description="pass, fail, unknown (which is no pass) or skipped (nothing is expected of it).")
     severity: str = Field(description="Of a failure: danger, fault, note.")
-    text: str = Field(description="What is so, with the figure and the limit.")
+    text: str = Field(description="What was found, with the figure and the limit.")
     todo: str = Field(description="What to do about it.")
     fixes: list[PreflightFix]
 
@@ -267,7 +268,7 @@ class PreflightReport(Result):
 class PreflightAnswer(Result):
     ok: bool = Field(description="Whether every one of them is ready.")
     vehicles: dict[str, PreflightReport] = Field(
-        description="By name, also those of the fleet file that are meant and have not been heard."
+        description="By name, also those of the fleet file that have not been heard."
     )
 
 
@@ -285,13 +286,13 @@ class PreflightStatus(Result):
 async def preflight_run(context: Context, params: PreflightParams) -> JsonObject:
     """Examine vehicles before a flight: parameters, sensors, estimator, GPS, battery, home, clock, link.
 
-    Asks each for what is not known; some seconds a vehicle. With fix, parameters are set: not on a vehicle that is
+    Requests from each what is not known; some seconds a vehicle. With fix, parameters are set: not on a vehicle that is
     armed, and never its system id. Some take effect only after a reboot.
     """
-    told: dict[str, Any] = await context.services.fleet.preflight(
+    reports: dict[str, Any] = await context.services.fleet.preflight(
         params.targets, fix=params.fix, confirmed=params.confirmed
     )
-    return {"ok": all(report["ok"] for report in told.values()), "vehicles": told}
+    return {"ok": all(report["ok"] for report in reports.values()), "vehicles": reports}
 
 
 def preflight_status(context: Context, params: TargetsParams) -> JsonObject:
@@ -304,11 +305,11 @@ class UndoParams(MethodParams):
 
 
 class UndoRunParams(UndoParams):
-    force: bool = Field(False, description="Although it is armed, or somebody else has changed the parameters since.")
+    force: bool = Field(False, description="Although it is armed, or another program has changed the parameters since.")
 
 
 class UndoChange(Result):
-    """Parameters that a daemon changed for a while and did not put back."""
+    """Parameters that a daemon changed temporarily and did not restore."""
 
     id: str
     vehicle: str
@@ -316,7 +317,7 @@ class UndoChange(Result):
     autopilot: str
     what: str = Field(description="The order that changed them.")
     began: str = Field(description="UTC.")
-    before: dict[str, float] = Field(description="What they were, in the order in which they are put back.")
+    before: dict[str, float] = Field(description="Their values before, in the order in which they are restored.")
     changed: dict[str, float] = Field(description="What they were set to.")
 
 
@@ -326,13 +327,12 @@ class UndoLeft(Result):
 
 
 def undo_list(context: Context, _: NoParams) -> JsonObject:
-    """What was changed in vehicles for a while and could not be put back: the daemon was killed, or the vehicle was out
-    of reach."""
+    """Temporary changes of parameters that could not be undone: the daemon was killed, or the vehicle was lost."""
     return context.services.fleet.undo.left()
 
 
 async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
-    """Put back what one of them changed, and read it back.
+    """Undo one of them, and read the parameters back.
 
     Refused to an armed vehicle, and where a parameter holds neither the value of before nor that of the change, unless
     forced.
@@ -342,7 +342,7 @@ async def undo_run(context: Context, params: UndoRunParams) -> JsonObject:
 
 
 def undo_drop(context: Context, params: UndoParams) -> JsonObject:
-    """Forget one of them: it stays as it is."""
+    """Forget one of them; the parameters stay as they are."""
     context.services.fleet.undo.drop(params.id)
     return {"dropped": params.id}
 

@@ -1,7 +1,7 @@
 """The socket: newline-delimited JSON-RPC 2.0 on a Unix socket, and on TCP loopback if a token is configured.
 
-Every client is a session of its own with bounds on all it can make the daemon keep or do; what one does wrong is
-answered to it, counted, and noticed by nobody else.
+Every client is a session of its own with bounds on all it can make the daemon keep or do. Its errors are answered to
+it and counted, and do not affect other clients.
 
 This module is light: sessions and methods with their models are imported by `RpcServer.start`, beside the loop, so that
 a daemon that is restarted in flight forwards frames meanwhile.
@@ -63,9 +63,9 @@ class RpcServer:
         self._tcp_listener: socket.socket | None = None
 
     def claim(self) -> None:
-        """Make sure of the socket's path and the TCP port before anything else is begun; `start` listens there.
+        """Reserve the socket's path and the TCP port before anything else begins; `start` listens there.
 
-        Raises LinkError if another daemon has one of them, or it cannot be had. `close` gives them back.
+        Raises LinkError if another daemon has one of them, or it is not available. `close` releases them.
         """
         if self._lock_fd >= 0:
             return
@@ -126,14 +126,14 @@ class RpcServer:
         address = listener.getsockname()
         try:
             server = await asyncio.get_running_loop().create_server(new_session, sock=listener, backlog=BACKLOG)
-        except OSError as error:  # two that had bound it: the second to listen is told
+        except OSError as error:  # two had bound it: the second to listen gets the error
             raise LinkError(f"cannot listen on 127.0.0.1:{address[1]}: {error.strerror or error}") from None
         self._tcp_listener = None  # the server's now
         self._servers.append(server)
         self.tcp_address = address
 
     def _bind(self) -> socket.socket:
-        """A bound Unix socket of mode 0600. Nobody can connect before it listens, and it does so only after this."""
+        """A bound Unix socket of mode 0600. No client can connect before it listens, which it does only after this."""
         path = os.fspath(self.socket_path)
         try:
             listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -151,17 +151,17 @@ class RpcServer:
         return listener
 
     def _make_directory(self) -> None:
-        """The directory, private if it is made here; in /tmp it may not be somebody else's trap."""
+        """The directory, private if it is made here; in /tmp it must not belong to another user."""
         folder = self.socket_path.parent
         with contextlib.suppress(FileExistsError):
             folder.mkdir(mode=0o700, parents=True)
         if folder.name == f"skygcs-{os.getuid()}":
             status = folder.lstat()
             if status.st_uid != os.getuid() or not stat.S_ISDIR(status.st_mode) or status.st_mode & 0o022:
-                raise LinkError(f"{folder} belongs to somebody else or others may write to it; choose another socket")
+                raise LinkError(f"{folder} belongs to another user, or others can write to it; choose another socket")
 
     def _take_lock(self, path: str) -> None:
-        """Held as long as this daemon lives, by the system, whatever kills it: two daemons never share a socket."""
+        """The system holds the lock as long as this process lives: two daemons never share a socket."""
         self._lock_fd = os.open(f"{path}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         try:
             fcntl.flock(self._lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -177,7 +177,7 @@ class RpcServer:
             self._lock_fd = -1
 
     def _remove_stale(self, path: str) -> None:
-        """What a dead daemon left is replaced; anything alive, or no socket at all, is not."""
+        """Remove the socket of a daemon that has ended. Raises LinkError for one that answers and for another file."""
         try:
             mode = os.lstat(path).st_mode
         except FileNotFoundError:
@@ -197,7 +197,7 @@ class RpcServer:
         raise LinkError(_in_use(path))
 
     def _remove_socket(self) -> None:
-        """Only our own: a path that somebody replaced meanwhile is theirs."""
+        """Only our own: a path that was replaced meanwhile is left alone."""
         if self._socket_inode is None:
             return
         with contextlib.suppress(OSError):
@@ -214,7 +214,7 @@ async def _import_beside(module: str) -> None:
 
 
 def _bound_tcp(port: int) -> socket.socket:
-    """A socket that nobody can connect to before it listens. Raises LinkError."""
+    """A bound socket, to which no client can connect before it listens. Raises LinkError."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

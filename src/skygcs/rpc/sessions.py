@@ -1,11 +1,11 @@
-"""One client of the socket, and what all clients share: their places, their turns, and orders that outlive a client.
+"""Sessions of the socket's clients: their number, their turns, and orders that outlive a client.
 
-a place is free (MAX_SESSIONS)        whoever comes gets it
+a place is free (MAX_SESSIONS)        a new connection gets it
 else                                  the session that was idle for longest, IDLE_S at least, is closed for it
 else                                  it is let in beyond the places (MAX_RESERVE), for one request that ends a flight
                                       or shows what flies (`Method.always`), to be asked within RESERVE_S
-those too are all there               the one that came first and has asked for nothing yet goes
-TCP, before the token is there        takes no place; the one that came first goes when MAX_UNAUTHENTICATED wait
+those are taken, too                  the oldest that has not asked for anything yet is closed
+TCP, before authentication            takes no place; the oldest is closed when MAX_UNAUTHENTICATED wait
 """
 
 from __future__ import annotations
@@ -40,40 +40,40 @@ does not put one out before what it sent with its connection was read."""
 
 
 RESERVE_S = 2.0
-"""In which a connection beyond the places has to say what it wants; skygcs-cli does so at once."""
+"""Time for the one request of a connection beyond the places; skygcs-cli sends it at once."""
 
 
 MAX_UNAUTHENTICATED = 128
-"""As MAX_RESERVE: whoever has no token neither uses up the places of those who have, nor keeps them out."""
+"""As MAX_RESERVE: clients without the token neither use up the places of others nor keep them out."""
 
 
 IDLE_S = 10.0
-"""A session that has asked for nothing for so long, and subscribed to nothing, gives way. A dashboard asks once a
+"""A session without requests for so long, and without subscriptions, may be closed for another. A dashboard asks once a
 second or subscribes."""
 
 
 AMPLE_SHARE = 0.9
-"""Places that may be taken at most before it is said that there are free ones again."""
+"""Share of the places below which an event reports that there are free ones again."""
 
 
 TURN_S = 0.002
-"""All clients' requests together are worked on this long, then it is everybody else's turn (routing, too)."""
+"""All clients' requests together may use the loop this long before routing and everything else get their turn."""
 
 
 LINGER_S = 5.0
 
 
 MAX_LINGERING = 64
-"""Connections that were closed and whose last answer has not been read: none of them longer, and no more of them."""
+"""Longest time and largest number of closed connections whose last answer has not been read."""
 
 
 EVENT_QUIET_S = 10.0
-"""Places that fill and empty more often than this are reported once in this time."""
+"""At most one report of full places in this time."""
 
 
 MAX_WITHOUT_CLIENT = 256
-"""Landings and the like that go on after their clients have gone; beyond that they end with the client. One client
-that connects, orders and leaves in a loop must not make the daemon keep more and more."""
+"""Orders that end a flight and go on without their client; further ones end with their client. A client that connects,
+orders and leaves in a loop must not grow the daemon's memory."""
 
 
 MAX_LINE_BYTES = 1 << 20
@@ -84,7 +84,7 @@ MAX_LINE_BEFORE_AUTH_BYTES = 4096
 
 
 AUTH_TIMEOUT_S = 5.0
-"""A TCP client that does not say its token by then is closed."""
+"""A TCP client that has not sent its token by then is closed."""
 
 
 MAX_BATCH = 128
@@ -218,11 +218,11 @@ class Session(asyncio.Protocol):
 
     @property
     def busy(self) -> bool:
-        """Whether it waits for the outcome of what it asked for."""
+        """Whether it waits for the outcome of a request."""
         return bool(self.tasks)
 
     def idle_s(self, now: float) -> float:
-        """For how long it has wanted nothing, nor taken what it subscribed to; 0 if it does."""
+        """How long it has sent no request, or not read what it subscribed to; 0 while it does."""
         if self.tasks:
             return 0.0
         if self._subscriptions:
@@ -230,18 +230,18 @@ class Session(asyncio.Protocol):
         return now - self.used_at
 
     def close_after(self, seconds: float) -> None:
-        """Close it then, unless a later call says otherwise or a request of it is answered first."""
+        """Close it after this time, unless `keep` is called or a request of it is being answered."""
         if self._deadline is not None:
             self._deadline.cancel()
         self._deadline = self._hub.loop.call_later(seconds, self._on_deadline)
 
     def keep(self) -> None:
-        """Close it no more at a certain time."""
+        """Cancel `close_after`."""
         if self._deadline is not None:
             self._deadline.cancel()
 
     def dismiss(self, reason: str) -> None:
-        """Close it with an error that says why."""
+        """Close it with an error that gives the reason."""
         if self.writable:
             self._reply(error_reply(None, dispatch.LIMIT_EXCEEDED, reason))
         self.close()
@@ -266,7 +266,7 @@ class Session(asyncio.Protocol):
     # -- lines
 
     def work(self) -> bool:
-        """Work on one line that has come whole; whether there may be another one."""
+        """Process one complete line; True if there may be another one."""
         if not self.writable or self._answered or (line := self._next_line()) is None:
             self._pace_reading(more=False)
             self._close_if_idle()
@@ -276,7 +276,7 @@ class Session(asyncio.Protocol):
         return self._transport is not None
 
     def hold_back(self) -> None:
-        """Read no more of it before what has come is worked on."""
+        """Stop reading until the received lines are processed."""
         self._pace_reading(more=True)
 
     def _pace_reading(self, *, more: bool) -> None:
@@ -441,7 +441,7 @@ class Session(asyncio.Protocol):
         assert self._token is not None
         if not isinstance(request_id, str | int | None) or not hmac.compare_digest(given, self._token.encode()):
             self._hub.counters["auth_failures"] += 1
-            text = "the token is wrong" if given else 'a token is wanted; the first request is: auth {"token": "…"}'
+            text = "the token is wrong" if given else 'a token is required; the first request is: auth {"token": "…"}'
             self._reply(error_reply(None, dispatch.NOT_AUTHENTICATED, text))
             self._hang_up()
             return
@@ -461,7 +461,7 @@ class Session(asyncio.Protocol):
     def _peer_still_reads(self) -> bool:
         """After an end of file: whether the client has only shut down its sending side.
 
-        On a Unix socket poll tells (POLLHUP: both directions are shut); on TCP nothing does, so it counts as gone.
+        On a Unix socket poll shows it (POLLHUP: both directions are shut); on TCP nothing does, so it counts as gone.
         """
         peer = self._transport.get_extra_info("socket") if self._transport is not None else None
         if peer is None or peer.family != socket.AF_UNIX:
@@ -471,7 +471,7 @@ class Session(asyncio.Protocol):
         return not poll.poll(0)
 
     def _close_if_idle(self) -> None:
-        """After the client's end of file, or its one request: close once nothing is left to answer or to tell."""
+        """After the client's end of file, or its one request: close once nothing is left to send."""
         if self._transport is None or self.tasks:
             return
         if self._answered or (self._eof and not (self._subscriptions or self._buffer)):
@@ -499,7 +499,7 @@ def _joined(replies: list[bytes]) -> bytes:
 
 
 class Turns:
-    """Sessions with lines to work on: one line of each in turn, those beyond the places first, TURN_S at a time."""
+    """Sessions with lines to process: one line of each in turn, those beyond the places first, TURN_S at a time."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
@@ -528,7 +528,7 @@ class Turns:
             more = False
             try:
                 more = session.work()
-            except Exception as error:  # a fault of ours ends with the client whose line met it
+            except Exception as error:  # an internal fault ends only the session whose line caused it
                 _log.error("rpc session failed", exc_info=error)
                 session.close()
             if more:
@@ -601,7 +601,7 @@ class Sessions:
             group.pop(session, None)
         if self._full and len(self._placed) <= AMPLE_SHARE * MAX_SESSIONS:
             self._full = False
-            text = "clients: there are free places again"
+            text = "clients: sessions are free again"
             self.services.event_log.publish(Event("warning", None, None, text, {"change": "not_full"}))
 
     def close_in_time(self, transport: asyncio.Transport) -> None:
@@ -638,8 +638,8 @@ class Sessions:
             self._full = True
             self._reported_at = now
             text = (
-                f"clients: all {MAX_SESSIONS} places are taken, {self._holders()}; further ones may stop, hold, land, "
-                "return and disarm vehicles and read their state, nothing else; close some"
+                f"clients: all {MAX_SESSIONS} places are taken, {self._holders()}; further ones may only stop, hold, "
+                "land, return and disarm vehicles and read their state; close some"
             )
             self.services.event_log.publish(
                 Event("warning", None, None, text, {"change": "full", "places": MAX_SESSIONS})
@@ -672,7 +672,7 @@ class Sessions:
     # -- orders that outlive their clients
 
     def outlive(self, work: Coroutine[Any, Any, bytes]) -> Coroutine[Any, Any, bytes]:
-        """Begin ``work`` at once, whoever goes away; awaiting what is returned gives its reply."""
+        """Begin ``work`` at once, independent of the client; awaiting the returned coroutine gives its reply."""
         if len(self.lasting) >= MAX_WITHOUT_CLIENT:
             return work
         task = self.loop.create_task(work, name="rpc order")

@@ -16,7 +16,7 @@ class SigningSetupParams(TargetsParams):
     key_file: str = Field(
         min_length=1, max_length=4096, description="Absolute path of the key file, on the daemon's machine."
     )
-    force: bool = Field(False, description="Although others can hear the link; the key goes out in clear.")
+    force: bool = Field(False, description="Although others can receive the link: the key is sent in clear text.")
 
 
 class SigningResetParams(MethodParams):
@@ -31,10 +31,10 @@ class SigningReset(Result):
 class SigningKeyState(Result):
     """A key in use."""
 
-    key_id: str = Field(description="Tells keys apart; the key cannot be had from it.")
+    key_id: str = Field(description="Distinguishes keys; the key cannot be derived from it.")
     time_unix_s: float = Field(description="The key's clock: the highest of ours and of all that was heard.")
     ahead_s: float = Field(description="Of the system clock.")
-    pinned: bool = Field(description="It is ahead by more than anybody may move it: see signing.reset_clock.")
+    pinned: bool = Field(description="It is farther ahead than any source may move it: see signing.reset_clock.")
     links: list[str]
 
 
@@ -42,7 +42,7 @@ class SigningChannelState(Result):
     """Frames of one channel since it was opened, by what became of them."""
 
     peer: str
-    signed: int = Field(description="Rightly signed and new.")
+    signed: int = Field(description="Correctly signed and new.")
     unsigned_allowed: int = Field(description="Not signed, and named in accept_unsigned.")
     unsigned: int = Field(description="Dropped: not signed.")
     bad_signature: int = Field(description="Dropped: signed with another key, or changed.")
@@ -71,16 +71,16 @@ class SigningStatus(Result):
 
 
 async def signing_setup(context: Context, params: SigningSetupParams) -> JsonObject:
-    """Give vehicles a signing key (SETUP_SIGNING), and wait until they sign with it.
+    """Send vehicles a signing key (SETUP_SIGNING), and wait until they sign with it.
 
-    Refused to a vehicle that is armed, and over a link that others can hear. The message is neither recorded nor shown
-    to anybody. To sign with the key ourselves is up to the link's signing table.
+    Refused to a vehicle that is armed, and over a link that others can receive. The message is neither recorded nor
+    sent to subscribers. Whether skygcs itself signs with the key is set by the link's signing table.
     """
     path = Path(params.key_file)
     if "\0" in params.key_file:
         raise InvalidParams(("key_file", "holds a NUL character"))
     if not path.is_absolute():
-        raise InvalidParams(("key_file", "must be an absolute path: the daemon's folder is not yours"))
+        raise InvalidParams(("key_file", "must be an absolute path: the daemon runs in another folder"))
     return as_json(await context.services.signing_setup.setup(params.targets, path, force=params.force))
 
 
@@ -95,10 +95,10 @@ def signing_status(context: Context, _: NoParams) -> JsonObject:
 
 
 def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObject:
-    """Set a key's clock back to the system clock, after somebody has moved it far ahead; not while a vehicle is armed.
+    """Set a key's clock back to the system clock after a frame moved it far ahead; not while a vehicle is armed.
 
-    Streams that are ahead of it are forgotten. Vehicles that have followed the later time take no order of ours until
-    they get their key again over a cable (signing.setup).
+    Streams that are ahead of it are forgotten. Vehicles that have followed the later time accept no message of ours
+    until they get their key again over a cable (signing.setup).
     """
     return {"message": context.services.signing_setup.reset_clock(params.key_id, force=params.force)}
 

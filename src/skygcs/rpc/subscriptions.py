@@ -32,7 +32,7 @@ GRID_S = 0.05
 
 
 SLICE_S = 0.002
-"""Telemetry gives way to everything else in the loop after this long: routing must not wait for 250 snapshots."""
+"""Telemetry yields to everything else in the loop after this long: routing must not wait for 250 snapshots."""
 
 
 VEHICLES_PER_WRITE = 16
@@ -44,7 +44,7 @@ QUEUED = 256
 
 
 MAX_RATED_SOURCES = 4096
-"""Different (sysid, compid, message) one rate limit keeps apart; noise cannot grow the table further."""
+"""Different (sysid, compid, message) of one rate limit; noise cannot grow the table further."""
 
 
 _log = structlog.get_logger(__name__)
@@ -88,7 +88,7 @@ class TelemetrySubscription:
 
 
 class TelemetryFeed:
-    """Encodes each vehicle's state once per tick and hands it to whoever is due and able to take it."""
+    """Encodes each vehicle's state once per tick and writes it to the subscriptions that are due and can take it."""
 
     def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
         self._services = services
@@ -189,7 +189,9 @@ class TelemetryFeed:
         for key in list(pending)[:VEHICLES_PER_WRITE]:
             vehicle = pending.pop(key)
             if subscription.vehicles.pop(key, None) is not None:
-                subscription.vehicles[key] = vehicle  # to the end: next round begins with who waited longest
+                subscription.vehicles[key] = (
+                    vehicle  # to the end: the next round begins with the one that waited longest
+                )
             body = self._encode(key, vehicle, subscription.names)
             if body:
                 pieces.append(body)
@@ -216,7 +218,7 @@ class TelemetryFeed:
 
 
 class QueuedSubscription:
-    """Encoded events or messages in order, at most QUEUED waiting; what was pushed out is told with the next one."""
+    """Encoded events or messages in order, at most QUEUED waiting; the number of dropped ones is sent with the next."""
 
     def __init__(self, sink: Sink, number: int, loop: asyncio.AbstractEventLoop) -> None:
         self._sink = sink
@@ -349,7 +351,7 @@ class MessageSubscription(QueuedSubscription):
 
 
 class MessageFeed:
-    """Decodes and encodes each frame once, however many want it."""
+    """Decodes and encodes each frame once for all subscriptions."""
 
     def __init__(self, services: Services, loop: asyncio.AbstractEventLoop) -> None:
         self._services = services
@@ -415,11 +417,11 @@ class Feeds:
         self._messages = MessageFeed(services, loop)
 
     def add(self, sink: Sink, number: int, params: SubscribeParams) -> Subscription:
-        """Begin to tell ``sink``. Raises TargetError and InvalidParams."""
+        """Begin to write to ``sink``. Raises TargetError and InvalidParams."""
         texts = frozenset(str(name) for name in params.names or ())
         match params.topic:
             case "telemetry":
-                _check_sections(texts)
+                _check_groups(texts)
                 rate_hz = params.rate_hz or DEFAULT_TELEMETRY_HZ
                 telemetry = TelemetrySubscription(sink, number, params.targets, rate_hz, texts)
                 self._telemetry.add(telemetry)
@@ -455,8 +457,8 @@ class Feeds:
         self._messages.close()
 
 
-def _check_sections(names: frozenset[str]) -> None:
+def _check_groups(names: frozenset[str]) -> None:
     unknown = sorted(names - VehicleState.__annotations__.keys())
     if unknown:
-        there_is = ", ".join(VehicleState.__annotations__)
-        raise InvalidParams(("names", f"a vehicle's state has no {', '.join(unknown)[:80]}; it has: {there_is}"))
+        names_known = ", ".join(VehicleState.__annotations__)
+        raise InvalidParams(("names", f"a vehicle's state has no {', '.join(unknown)[:80]}; it has: {names_known}"))

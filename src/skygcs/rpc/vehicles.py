@@ -23,7 +23,7 @@ for _typed in (StatusTextEntry, ComponentEntry, MessageRate, VehicleState):
 
 
 class SystemComponent(ComponentEntry):
-    """One component, and whose."""
+    """One component and the vehicle it belongs to."""
 
     __pydantic_config__ = StateConfig  # type: ignore[misc]
 
@@ -49,7 +49,7 @@ class DisarmParams(TargetsParams):
         None,
         max_length=100,
         description='Only while two vehicles send with one system id, and both would get it: "disarm-" and the number '
-        'of vehicles, as "disarm-2"; without it the refusal names their links and the word.',
+        'of vehicles, as "disarm-2"; without it the error names their links and the word.',
     )
 
 
@@ -66,7 +66,7 @@ class TakeoffParams(TargetsParams):
         0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to fly yet."
     )
     force: bool = Field(
-        False, description="Although preflight is required and not passed; the autopilot's own checks remain."
+        False, description="Take off although preflight is required and not passed; the autopilot's own checks remain."
     )
 
 
@@ -90,7 +90,7 @@ class GotoParams(TargetsParams):
     yaw_deg: float | None = Field(None, description="Heading, clockwise from north; null: the autopilot's choice.")
     force: bool = Field(False, description="Go although it is farther than the configured limit.")
     same_place: bool = Field(
-        False, description="Several vehicles: all to the very point, instead of keeping their places to each other."
+        False, description="Several vehicles: all to the same point, instead of keeping their formation."
     )
 
     @model_validator(mode="after")
@@ -108,12 +108,12 @@ class RebootParams(TargetsParams):
 
 
 class ForgetParams(TargetsParams):
-    force: bool = Field(False, description="Although it is heard, or was lost armed in the last half hour.")
+    force: bool = Field(False, description="Forget it although it is heard, or was lost armed in the last half hour.")
 
 
 class RenumberParams(TargetParams):
-    sysid: int = Field(ge=1, le=250, description="The new system id; 251 to 255 are ground stations'.")
-    force: bool = Field(False, description="Although the fleet file gives it to a vehicle that is not heard.")
+    sysid: int = Field(ge=1, le=250, description="The new system id; 251 to 255 belong to ground stations.")
+    force: bool = Field(False, description="Use it although the fleet file gives it to a vehicle that is not heard.")
 
 
 class SetHomeParams(TargetsParams):
@@ -149,14 +149,14 @@ async def vehicles_mode(context: Context, params: ModeParams) -> JsonObject:
 
 
 def vehicles_forget(context: Context, params: ForgetParams) -> JsonObject:
-    """Forget vehicles that are gone, so that "all" no longer means them. One that is heard again is met anew."""
+    """Forget vehicles that are gone, so that "all" no longer means them. One that is heard again is discovered anew."""
     return as_json(context.services.fleet.forget(params.targets, force=params.force))
 
 
 async def vehicles_renumber(context: Context, params: RenumberParams) -> JsonObject:
-    """Give a vehicle another system id: set the parameter, restart it, find it under the new id, read it back there.
+    """Give a vehicle another system id: set the parameter, reboot, find it under the new id, read the parameter.
 
-    Refused while it is not surely disarmed, and for an id that is taken. It keeps its name until the daemon ends.
+    Refused while it is not known to be disarmed, and for an id that is taken. It keeps its name until the daemon ends.
     """
     return as_json(await context.services.renumbering.run(params.target, params.sysid, force=params.force))
 

@@ -90,7 +90,7 @@ async def test_calls_from_many_tasks_find_their_own_answers(served: Served, gcs:
 
 async def test_telemetry_comes_until_it_is_left(served: Served, gcs: Client) -> None:
     seen = []
-    async for state in gcs.telemetry("1,2", rate_hz=20, sections=["mode"]):
+    async for state in gcs.telemetry("1,2", rate_hz=20, groups=["mode"]):
         seen.append(state["name"])
         if len(seen) == 5:
             break
@@ -102,7 +102,7 @@ async def test_telemetry_comes_until_it_is_left(served: Served, gcs: Client) -> 
 
 
 async def test_who_iterates_slowly_gets_the_newest_state_only(served: Served, gcs: Client) -> None:
-    states = gcs.telemetry("alpha", rate_hz=20, sections=["mode"])
+    states = gcs.telemetry("alpha", rate_hz=20, groups=["mode"])
     await anext(states)
     for i in range(10):
         served.daemon.vehicle("alpha").mode = f"MODE{i}"

@@ -218,5 +218,5 @@ async def test_a_parameter_that_is_never_told_fails_the_plan_within_its_time() -
         vehicle.script = lambda *_: None
         outcome = await actor._orders.execute(offboard_entry.ask_parameters(actor.vehicle, ground.loop.time()))
         assert (outcome.ok, outcome.result) == (False, "timeout")
-        assert "does not tell its parameter GUID_OPTIONS" in outcome.message
+        assert "does not report its parameter GUID_OPTIONS" in outcome.message
         assert len([s for s in vehicle.got if s.name == "PARAM_REQUEST_READ"]) == 6

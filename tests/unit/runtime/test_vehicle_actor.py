@@ -628,7 +628,7 @@ async def test_old_arducopter_without_reposition_is_sent_one_guided_target_and_a
         ({"height_m": 0}, "use land, or insist with force"),
         ({"lat_deg": HOME[0] + 0.1, "lon_deg": HOME[1]}, "--force"),
         ({"lat_deg": HOME[0]}, "both latitude and longitude"),
-        ({}, "say where to"),
+        ({}, "give a place"),
         ({"enu_m": [1.0, 2.0, 3.0]}, "no origin"),
         ({"enu_m": [1.0, 2.0]}, "three numbers"),
         ({"enu_m": [1.0, 2.0, 3.0], "lat_deg": 1.0}, "either"),

@@ -64,7 +64,7 @@ CLIMBED_M = 0.5
 
 @dataclass(frozen=True, slots=True)
 class LiftedOff:
-    """Armed, and off the ground by its own word or by its height over ``from_amsl_m``."""
+    """Armed, and off the ground by its landed state or by its height over ``from_amsl_m``."""
 
     from_amsl_m: float | None
 
@@ -123,7 +123,7 @@ class MessageAfter:
 
 @dataclass(frozen=True, slots=True)
 class ParamKnown:
-    """A parameter of `parameters.WATCHED` was told, by whomever it was asked for, at or after that time."""
+    """A parameter of `watched_params.WATCHED` was reported at or after that time, whichever program requested it."""
 
     name: str
     after: float
@@ -133,7 +133,7 @@ class ParamKnown:
         return told_at is not None and told_at >= self.after
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
-        return f"it does not tell its parameter {self.name}"
+        return f"it does not report its parameter {self.name}"
 
 
 TARGET_TOLERANCE_M = 2.0
@@ -142,7 +142,7 @@ TARGET_TOLERANCE_M = 2.0
 
 @dataclass(frozen=True, slots=True)
 class TargetNear:
-    """The vehicle says (POSITION_TARGET_GLOBAL_INT) that it flies to this place."""
+    """The vehicle reports (POSITION_TARGET_GLOBAL_INT) that it flies to this place."""
 
     lat_deg: float
     lon_deg: float
@@ -155,7 +155,7 @@ class TargetNear:
         return off <= TARGET_TOLERANCE_M
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
-        return "it does not say that it flies there"
+        return "it does not report that it flies there"
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,9 +188,9 @@ class Step:
 class Plan:
     """``done`` is the outcome's message when all steps have worked.
 
-    ``emergency``: sent over every link, before anything else, and to whom plain orders are not sent. For ``persist_s``
-    its steps are given again until the vehicle shows them or refuses. ``final``: no newer order takes its place.
-    ``despite_duplicate``: safe for, or confirmed for, two vehicles of one system id.
+    ``emergency``: sent over every link, before anything else, and to vehicles that take no plain orders. For
+    ``persist_s`` its steps are given again until the vehicle shows them or refuses. ``final``: no newer order takes its
+    place. ``despite_duplicate``: safe for, or confirmed for, two vehicles of one system id.
     """
 
     order: str

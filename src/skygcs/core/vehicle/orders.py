@@ -1,6 +1,6 @@
-"""Orders as people give them, checked: what skygcs refuses itself is here, what differs by autopilot is in `autopilot`.
+"""Orders with their checks: what skygcs itself refuses is here, what differs by autopilot is in `autopilot`.
 
-Every function returns the plan or raises RefusedError, whose text says why and, where one can, how to insist.
+Every function returns the plan or raises RefusedError, whose text gives the reason and, if possible, how to insist.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ LOWEST_M = 1.0
 """A goto lower than this above home flies into the ground; a height of 0 is most likely one never filled in."""
 
 MAX_ENU_M = 100_000.0
-"""Farther out the flat frame is 800 m above the ground; no order that far is meant."""
+"""Farther out the flat frame is 800 m above the ground; such an order is a mistake."""
 
 MAX_HEIGHT_M = 20_000.0
 
@@ -39,7 +39,7 @@ GROUND_TYPES = frozenset({10, 11, 12, 46})
 """Rovers, boats, submarines, legged: they go somewhere without being in the air."""
 
 COMMON_WORDS = frozenset({"NAV", "SET", "GET", "MAV", "CMD"})
-"""So many commands have them in their names that they tell nothing."""
+"""Too many commands have them in their names to suggest one by them."""
 
 INT32 = 1 << 31
 
@@ -90,7 +90,7 @@ def takeoff(vehicle: Vehicle, now: float, height_m: float, *, arm: bool = True) 
     if vehicle.in_air(now):
         raise RefusedError("it is in the air already; use goto with a height")
     if not vehicle.armed and not arm:
-        raise RefusedError("it is not armed, and the takeoff was to leave that alone")
+        raise RefusedError("it is not armed, and the takeoff was ordered without arming")
     position = _fresh_position(vehicle, now)
     return autopilot.takeoff(vehicle, height_m, None if position is None else position[2])
 
@@ -111,7 +111,7 @@ def hold(vehicle: Vehicle, now: float) -> Plan:
 
 
 class Where(TypedDict, total=False):
-    """What is said of a place to go to; see `destination`."""
+    """A place to go to; see `destination`."""
 
     lat_deg: float | None
     lon_deg: float | None
@@ -200,7 +200,7 @@ def message_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: st
 
 
 def interval_plan(dialect: Dialect, message: str | int, rate_hz: float | None, whose: str = "it") -> Plan:
-    """SET_MESSAGE_INTERVAL to whatever component; ``whose`` refusal it would be."""
+    """SET_MESSAGE_INTERVAL to any component; ``whose`` names it in a refusal."""
     problem = None if rate_hz is None else rate_problem(rate_hz)
     if problem is not None:
         raise RefusedError(f"its rate {problem}")
@@ -209,12 +209,12 @@ def interval_plan(dialect: Dialect, message: str | int, rate_hz: float | None, w
 
 
 def read_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
-    """Have it tell by MESSAGE_INTERVAL how often it streams a message."""
+    """Read how often it streams a message (MESSAGE_INTERVAL)."""
     require_connected(vehicle, now)
     msgid, name = find_message(dialect, message)
-    refused = f"{autopilot.firmware_name(vehicle)} does not tell how often it streams {name}"
+    refused = f"{autopilot.firmware_name(vehicle)} does not report how often it streams {name}"
     step = Step("read interval", CommandSpec(GET_MESSAGE_INTERVAL, (float(msgid),)), refused=refused)
-    return Plan("read interval", (step,), "told")
+    return Plan("read interval", (step,), "interval read")
 
 
 def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str | int) -> Plan:
@@ -233,7 +233,7 @@ def request_stream(vehicle: Vehicle, now: float, dialect: Dialect, stream: int |
 
 
 def stream_plan(dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
-    """REQUEST_DATA_STREAM to whatever component. It knows whole rates only; 0 stops it."""
+    """REQUEST_DATA_STREAM to any component. It knows whole rates only; 0 stops it."""
     if rate_hz != 0 and not 1 <= rate_hz <= MAX_RATE_HZ:
         raise RefusedError(f"a stream's rate must be 0 (off) or 1 to {MAX_RATE_HZ:g} Hz, not {rate_hz:g}")
     values = {
@@ -268,7 +268,7 @@ def command_plan(
     y: int | None = None,
     z: float | None = None,
 ) -> Plan:
-    """Any MAV_CMD to whatever component. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it
+    """Any MAV_CMD to any component. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it
     goes as COMMAND_INT, x and y as on the wire: degrees * 1e7 in a global frame, metres * 1e4 in a local one."""
     number, name = find_command(dialect, command)
     values = tuple(math.nan if p is None else float(p) for p in params)
@@ -325,7 +325,7 @@ def _near_commands(wanted: str, names: Sequence[str]) -> list[str]:
 def require_live(vehicle: Vehicle) -> None:
     """Raises RefusedError for a vehicle of a recording."""
     if vehicle.replayed:
-        raise RefusedError("it is heard only in a recording: nobody is there to take an order")
+        raise RefusedError("it is heard only in a recording and cannot take orders")
 
 
 def require_connected(vehicle: Vehicle, now: float) -> None:
@@ -348,7 +348,7 @@ def require_going(vehicle: Vehicle, now: float) -> tuple[tuple[float, float, flo
     here = _fresh_position(vehicle, now)
     home_amsl_m = vehicle.home_alt_amsl_m()
     if here is None or home_amsl_m is None:
-        raise RefusedError("its position is not known (or older than 10 s), so the way cannot be checked")
+        raise RefusedError("its position is not known (or older than 10 s), so the distance cannot be checked")
     return here, home_amsl_m
 
 
@@ -411,7 +411,7 @@ def _from_geodetic(
 ) -> Destination:
     if lat_deg is None and lon_deg is None:
         if height_m is None:
-            raise RefusedError("say where to: lat_deg and lon_deg, a height_m, or enu_m")
+            raise RefusedError("give a place: lat_deg and lon_deg, a height_m, or enu_m")
         lat_deg, lon_deg = here[:2]
     if lat_deg is None or lon_deg is None:
         raise RefusedError("a place needs both latitude and longitude")
@@ -423,7 +423,7 @@ def _from_geodetic(
 
 
 def is_place(lat_deg: float, lon_deg: float) -> bool:
-    """Whether somebody can mean this: a coordinate of exactly 0 is a forgotten one."""
+    """Whether it is a plausible place: a coordinate of exactly 0 was most likely never filled in."""
     return 0 < abs(lat_deg) <= 90 and 0 < abs(lon_deg) <= 180
 
 
