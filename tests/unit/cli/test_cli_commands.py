@@ -103,7 +103,7 @@ def test_orders_take_targets_first_and_negative_numbers(fleet: Fleet) -> None:
     assert (raw["command"], raw["int_frame"], raw["x"], raw["y"], raw["z"]) == (192, 6, -437806000, 5, 10)
 
 
-def test_the_origin_is_shown_set_taken_and_told(fleet: Fleet) -> None:
+def test_the_origin_is_shown_set_taken_and_reported(fleet: Fleet) -> None:
     asked = fleet.daemon.fleet.origin_asked
     assert "no origin" in fleet.run("origin")
     assert fleet.json("origin", "get") == {"origin": None, "generation": 0}
@@ -202,7 +202,7 @@ def test_an_order_exits_1_if_any_vehicle_does_not_do_it_and_says_why(fleet: Flee
         (["links", "add", "x", "port=1"], USAGE, "links.x.type: is missing"),
     ],
 )
-def test_mistakes_are_told_in_words_with_the_right_exit_code(
+def test_mistakes_are_reported_in_words_with_the_right_exit_code(
     fleet: Fleet, args: list[str], code: int, text: str
 ) -> None:
     assert text in fleet.run(*args, code=code)
@@ -305,7 +305,7 @@ def test_any_method_can_be_called_and_all_are_listed(fleet: Fleet) -> None:
     assert "recorder.recording  true" in fleet.run("info").splitlines()
 
 
-def test_nobody_at_the_socket_is_exit_code_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_daemon_at_the_socket_is_exit_code_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
     for args in (["status"], ["arm", "all"], ["watch"], ["links"], ["message", "list"], ["call", "daemon.info"]):
         result = CliRunner().invoke(app, [*args, "--socket", str(tmp_path / "nobody")])
@@ -320,14 +320,14 @@ def test_a_token_file_that_cannot_be_read_is_said(tmp_path: Path, monkeypatch: p
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:abc", "http://127.0.0.1:80", "tcp://:5", "tcp://h:99999"])
-def test_an_address_that_is_none_is_a_usage_error(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_address_is_a_usage_error(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
     result = CliRunner().invoke(app, ["status", "--socket", address])
     assert result.exit_code == USAGE
     assert "tcp://HOST:PORT" in result.output
 
 
-def test_a_token_that_is_missing_or_wrong_is_told_with_what_to_do(
+def test_a_token_that_is_missing_or_wrong_is_reported_with_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SKYGCS_SOCKET", "restored after the test")
@@ -381,7 +381,7 @@ def test_every_command_is_in_the_reference() -> None:
     assert missing == []
 
 
-def test_a_stop_holds_unless_told_otherwise(fleet: Fleet) -> None:
+def test_a_stop_holds_by_default(fleet: Fleet) -> None:
     assert fleet.order("stop", "all") == ("stop", {"action": "hold"})
     assert fleet.order("stop", "alpha", "land") == ("stop", {"action": "land"})
     fleet.run("stop", "alpha", "fall", code=USAGE)
@@ -396,7 +396,7 @@ def test_a_script_kills_nothing_without_the_word_for_as_many_as_it_hits(fleet: F
 
 
 @pytest.mark.parametrize(("typed", "code", "ordered"), [("kill-1\n", DONE, 1), ("no\n", FAILED, 0), ("\n", FAILED, 0)])
-def test_a_person_is_told_who_falls_and_types_the_word(
+def test_a_person_sees_which_vehicles_fall_and_types_the_word(
     fleet: Fleet, monkeypatch: pytest.MonkeyPatch, typed: str, code: int, ordered: int
 ) -> None:
     monkeypatch.setattr(orders, "_has_terminal", lambda: True)

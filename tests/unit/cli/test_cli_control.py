@@ -49,7 +49,7 @@ def test_gains_without_options_are_a_table_of_all(fleet: Commanded) -> None:
     assert fleet.json("control", "gains", "alpha")["gains"]["alpha"]["z"]["vel_p"] == 0.3
 
 
-def test_changed_gains_are_told_old_and_new(fleet: Commanded) -> None:
+def test_changed_gains_are_reported_old_and_new(fleet: Commanded) -> None:
     text = fleet.run("control", "gains", "1,2", "--xy-vel-p", "0.1", "--z-pos-p", "1.2", "--hover", "0.5", "--force")
     assert "alpha: xy.vel_p 0.08 -> 0.1, z.pos_p_per_s 1 -> 1.2, hover_thrust 0.45 -> 0.5" in text
     changes = {"xy": {"vel_p": 0.1}, "z": {"pos_p_per_s": 1.2}, "hover_thrust": 0.5}
@@ -155,7 +155,7 @@ def test_a_narrow_terminal_keeps_whole_what_counts(width: int) -> None:
         assert word in lines[1]
 
 
-def test_no_vehicle_is_told() -> None:
+def test_no_vehicle_is_reported() -> None:
     assert "no vehicle heard yet" in text_of(track_table([]), render.PIPE_WIDTH)
 
 
@@ -186,7 +186,7 @@ def test_a_trace_is_replayed_without_a_daemon(trace: Path) -> None:
     }
 
 
-def test_a_difference_is_told_by_line_and_column_and_exits_1(trace: Path) -> None:
+def test_a_difference_is_reported_by_line_and_column_and_exits_1(trace: Path) -> None:
     lines = trace.read_text().splitlines(keepends=True)
     cells = lines[99].split(",")
     cells[COLUMNS.index("thrust")] = "0.45000000000000007"
@@ -197,14 +197,14 @@ def test_a_difference_is_told_by_line_and_column_and_exits_1(trace: Path) -> Non
     assert "1 cells differ" not in text and "1 cell differs" in text
 
 
-def test_only_the_first_differences_are_told(trace: Path) -> None:
+def test_only_the_first_differences_are_reported(trace: Path) -> None:
     text = trace.read_text().replace('"vel_i": 0.02', '"vel_i": 0.021', 1)
     trace.write_text(text)
     lines = replayed(trace, code=FAILED).splitlines()
     assert len(lines) == 12 and lines[10].startswith("… and ")
 
 
-def test_a_cut_line_is_told_and_left_out(trace: Path) -> None:
+def test_a_cut_line_is_reported_and_left_out(trace: Path) -> None:
     trace.write_text(trace.read_text()[:-20])
     text = replayed(trace)
     assert text.startswith("line 1507 is incomplete") and "1,424 steps, all bit-identical" in text

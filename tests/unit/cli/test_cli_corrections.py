@@ -1,4 +1,4 @@
-"""`skygcs-cli corrections`: streams what is piped into it, tells what went, and what is wrong with it."""
+"""`skygcs-cli corrections`: streams its input, reports what was sent, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ async def test_much_at_once_goes_in_pieces_that_the_daemon_takes() -> None:
     assert stream.tally.read_bytes == 2 * PIECE_BYTES + 1
 
 
-async def test_what_a_person_should_do_something_about_is_told_once() -> None:
+async def test_a_problem_that_a_person_can_solve_is_reported_once() -> None:
     down = {"links": 0, "refused": 1}
     client = FakeClient(down, down, {"messages": 1}, {"refused": 1}, {"refused": 1}, {"too_long": 1}, {"too_long": 1})
     stream, told = stream_of(client)
@@ -98,14 +98,14 @@ async def test_what_a_person_should_do_something_about_is_told_once() -> None:
     ]
 
 
-async def test_a_stream_of_something_else_is_told() -> None:
+async def test_a_stream_of_something_else_is_reported() -> None:
     stream, told = stream_of(FakeClient())
     for _ in range(10):
         await stream.send(b"$GPGGA" * 50)
     assert told == [corrections.NO_RTCM]
 
 
-async def test_the_end_is_told_to_the_daemon_even_if_it_is_gone() -> None:
+async def test_the_end_is_reported_to_the_daemon_even_if_it_is_gone() -> None:
     client = FakeClient({}, DaemonUnreachable("s", "gone"))
     stream, _ = stream_of(client)
     await stream.end()
@@ -151,7 +151,7 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded
         yield fleet
 
 
-def test_a_file_is_sent_and_its_end_told(fleet: Commanded, tmp_path: Path) -> None:
+def test_a_file_is_sent_and_its_end_reported(fleet: Commanded, tmp_path: Path) -> None:
     (tmp_path / "base.rtcm3").write_bytes(STANDARD_1005)
     text = fleet.run("corrections", "send", str(tmp_path / "base.rtcm3"))
     assert text == "sent 1 message, 25 B  1005:1\n"
@@ -169,13 +169,13 @@ def test_a_file_without_corrections_fails_and_says_so(fleet: Commanded, tmp_path
     assert "no RTCM 3 message" in text
 
 
-def test_the_daemons_refusal_is_told(fleet: Commanded, tmp_path: Path) -> None:
+def test_the_daemons_refusal_is_reported(fleet: Commanded, tmp_path: Path) -> None:
     fleet.daemon.corrections.fails = RefusedError("roof sends corrections already")
     (tmp_path / "base.rtcm3").write_bytes(STANDARD_1005)
     assert "roof sends" in fleet.run("corrections", "send", str(tmp_path / "base.rtcm3"), code=FAILED)
 
 
-def test_what_cannot_be_read_is_told(fleet: Commanded, tmp_path: Path) -> None:
+def test_what_cannot_be_read_is_reported(fleet: Commanded, tmp_path: Path) -> None:
     text = fleet.run("corrections", "send", str(tmp_path / "none"), code=FAILED)
     assert f"cannot read {tmp_path}/none: No such file" in text.replace("\n  ", " ")
 
@@ -236,7 +236,7 @@ STATUS = {
 }
 
 
-def test_the_status_tells_what_went_and_the_fixes(fleet: Commanded) -> None:
+def test_the_status_shows_what_went_and_the_fixes(fleet: Commanded) -> None:
     fleet.daemon.corrections.told = STATUS
     assert fleet.json("corrections", "status") == STATUS
     assert fleet.run("corrections", "status").splitlines() == [
@@ -248,7 +248,7 @@ def test_the_status_tells_what_went_and_the_fixes(fleet: Commanded) -> None:
     ]
 
 
-def test_the_status_tells_what_each_radio_made_of_it() -> None:
+def test_the_status_shows_what_each_radio_made_of_it() -> None:
     corrections = Corrections(165.0, 0.0)
     corrections.offer(1, bytes([0, 36]) + rtcm_frame(1087, epoch=1), 0.0)
     corrections.offer(1, bytes([0, 36]) + rtcm_frame(1087, epoch=2), 0.0)

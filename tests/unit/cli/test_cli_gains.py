@@ -72,7 +72,7 @@ def test_without_options_it_prints_three_lines_and_a_hint() -> None:
     assert len(run("--hover", "0.4", *SHORT).splitlines()) > 20
 
 
-def test_eq_16_is_told_row_by_row_and_y_as_unstable() -> None:
+def test_eq_16_is_reported_row_by_row_and_y_as_unstable() -> None:
     rows = answer()["utias_eq16"]
     numbers = {axis: (round(row["kiv"], 3), round(row["kpv"], 3)) for axis, row in rows.items()}
     assert {axis: n for axis, n in numbers.items() if axis != "x"} == {"y": (0.125, 0.712), "z": (0.305, 0.234)}
@@ -86,7 +86,7 @@ def test_eq_16_is_told_row_by_row_and_y_as_unstable() -> None:
 
 
 @pytest.mark.parametrize("args", [("--xy", "0.95,0.09,0.02"), ("--z", "1,0.2,0.02"), ("--plant-gain", "9.81,1")])
-def test_eq_16_is_not_told_of_other_gains(args: tuple[str, str]) -> None:
+def test_eq_16_is_not_reported_of_other_gains(args: tuple[str, str]) -> None:
     assert answer(*args)["utias_eq16"] is None
     assert "Eq. 16" not in run(*args, *SHORT)
 
@@ -166,7 +166,7 @@ def test_hover_thrust_sets_the_gain_of_thrust() -> None:
     assert loop(answer("--hover", "0.3", *SHORT), "z", "thrust")["plant_gain"] == pytest.approx(32.7)
 
 
-def test_unstable_gains_are_told_as_such_and_get_no_suggestion() -> None:
+def test_unstable_gains_are_reported_as_such_and_get_no_suggestion() -> None:
     args = ("--xy", "0.95,0.08,0.02", "--plant-gain", "-9.81", "--delay", "0.2", *SHORT)
     found = loop(answer(*args), "xy", "given")
     assert (found["stable"], found["margins"], found["suggestion"]) == (False, None, None)

@@ -28,7 +28,7 @@ def test_what_fits_is_shown_with_its_shares() -> None:
     assert "vehicles that fit with these options: 14" in said
 
 
-def test_what_does_not_fit_is_told_with_figures_and_a_proposal() -> None:
+def test_what_does_not_fit_is_reported_with_figures_and_a_proposal() -> None:
     said = run("10", "--setpoints", "position", "--setpoint-rate", "2", code=FAILED)
     assert "does not fit: up, the ground's slot carries 553 B/s, of which 276 may be planned with; 1,321 are wa" in said
     for proposal in ("one goto per vehicle", "4 vehicles instead of 10", "air speed 125 kbit/s for up to 5 vehicles"):

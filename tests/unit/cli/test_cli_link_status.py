@@ -1,4 +1,4 @@
-"""`skygcs-cli link status` against what link.status tells."""
+"""`skygcs-cli link status` against the answers of link.status."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_a_radio_that_says_nothing_and_has_no_timeslots_is_shown_too() -> None:
     assert "MAVLink framing" in text and "a round" not in text
 
 
-def test_it_shows_who_else_sends_what_became_of_it_and_what_waits() -> None:
+def test_it_shows_third_party_traffic_what_became_of_it_and_what_waits() -> None:
     busy = radio()
     counts = {"refused_streams": 420, "slowed": 85, "thinned": 1037}
     sources: list[dict[str, Any]] = [

@@ -95,7 +95,7 @@ def test_only_the_fence_of_a_plan_is_uploaded_by_fence_upload(site: Site) -> Non
     assert site.asked()[1]["force"] is True
 
 
-def test_a_file_that_is_no_plan_needs_no_daemon_to_be_told(site: Site) -> None:
+def test_a_file_that_is_no_plan_is_refused_without_a_daemon(site: Site) -> None:
     path = site.file("a.waypoints", "QGC WPL 120\n")
     result = CliRunner().invoke(app, ["--socket", str(site.folder / "none"), "mission", "upload", "all", str(path)])
     assert result.exit_code == FAILED and "line 1: version 120" in result.output
@@ -104,7 +104,7 @@ def test_a_file_that_is_no_plan_needs_no_daemon_to_be_told(site: Site) -> None:
     assert result.exit_code == UNREACHABLE
 
 
-def test_a_refused_upload_is_told_per_vehicle_and_fails(site: Site) -> None:
+def test_a_refused_upload_is_reported_per_vehicle_and_fails(site: Site) -> None:
     site.daemon.vehicle("alpha").outcome = FakeOutcome(False, "refused", "refused: mission item 2: too far")
     said = site.run("mission", "upload", "alpha", site.file("a.waypoints", WPL), code=FAILED)
     assert "FAIL" in said and "mission item 2: too far" in said
@@ -121,7 +121,7 @@ def test_what_is_downloaded_is_written_in_the_format_of_its_name(site: Site, nam
     site.run("mission", "download", "alpha", path, *lists, "--force")
 
 
-def test_without_a_file_the_items_are_told(site: Site) -> None:
+def test_without_a_file_the_items_are_reported(site: Site) -> None:
     site.daemon.vehicle("alpha").stored_plan = PLAN
     said = site.run("mission", "download", "alpha")
     assert "mission    1     22  frame  3  0 0 0 - 43.78 -79.46 10" in said
@@ -158,7 +158,7 @@ def test_item_0_is_usage(site: Site) -> None:
     site.run("mission", "current", "alpha", "0", code=USAGE)
 
 
-def test_status_tells_item_and_transfer_of_each_vehicle(site: Site) -> None:
+def test_status_shows_item_and_transfer_of_each_vehicle(site: Site) -> None:
     told = site.daemon.vehicle("alpha").missions.told
     told.update(item=3, reached=2, state="active", transfer={"what": "fence upload", "percent": 40, "sent": 9})
     told["counts"]["mission"] = 12
@@ -189,7 +189,7 @@ def test_watch_shows_the_status_and_then_what_concerns_missions(site: Site) -> N
     ]
 
 
-def test_fence_status_tells_what_is_held_and_breaches(site: Site) -> None:
+def test_fence_status_shows_what_is_held_and_breaches(site: Site) -> None:
     alpha = site.daemon.vehicle("alpha")
     alpha.missions.told["counts"]["fence"] = 5
     said = site.run("fence", "status", "alpha")
@@ -211,7 +211,7 @@ def test_a_fence_is_set_by_what_is_given(site: Site) -> None:
     site.run("fence", "set", "alpha", "--height", "nan", code=USAGE)
 
 
-def test_a_fence_is_tested_only_by_who_says_that_the_propellers_are_off(site: Site) -> None:
+def test_a_fence_is_tested_only_after_the_propellers_are_confirmed_off(site: Site) -> None:
     said = site.run("fence", "test", "alpha", code=FAILED)
     assert "Take the propellers off" in said and "--yes" in said
     assert site.daemon.vehicle("alpha").orders == []

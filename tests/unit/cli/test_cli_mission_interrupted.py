@@ -1,4 +1,4 @@
-"""What is said of a list after Ctrl-C. The whole of it, with processes: tests/system/test_mission_interrupt.py."""
+"""What is reported of a list after Ctrl-C. The whole of it, with processes: tests/system/test_mission_interrupt.py."""
 
 from __future__ import annotations
 

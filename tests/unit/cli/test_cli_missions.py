@@ -45,7 +45,7 @@ def fenced_plan(folder: Path) -> Path:
     return path
 
 
-def test_an_error_is_told_with_its_item_and_the_exit_code(tmp_path: Path) -> None:
+def test_an_error_is_reported_with_its_item_and_the_exit_code(tmp_path: Path) -> None:
     said = run("mission", "check", waypoints(tmp_path, *MISSION), code=FAILED)
     assert "2 mission items, home at 43.78, -79.46" in said
     assert "ERROR    mission item 2: the altitude is not set (NaN)" in said
@@ -118,7 +118,7 @@ def test_a_fenced_plan_needs_a_choice_for_wpl(tmp_path: Path) -> None:
     assert target.read_text().count("5001") == 4
 
 
-def test_nothing_is_overwritten_unless_told_to(tmp_path: Path) -> None:
+def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
     source, target = fenced_plan(tmp_path), tmp_path / "b.plan"
     target.write_text("precious")
     assert "exists; --force overwrites it" in run("mission", "convert", source, target, code=FAILED)

@@ -118,7 +118,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     served.close()
 
 
-def test_get_tells_each_and_fails_with_any(served: Served) -> None:
+def test_get_shows_each_and_fails_with_any(served: Served) -> None:
     assert served.run("get", "alpha", "wpnav_speed") == "ok   alpha  WPNAV_SPEED       500.0\n"
     assert "FAIL alpha  NO_SUCH" in served.run("get", "alpha", "WPNAV_SPEED", "NO_SUCH", code=1)
 
@@ -182,8 +182,8 @@ def test_apply_lists_what_differs_when_it_has_read_again(served: Served, tmp_pat
     text = served.run("apply", "alpha", str(path), code=1)
     assert "ok   alpha  WPNAV_SPEED       -> 600" in text
     assert "alpha: read again, 1 still differs from the file:\n  WPNAV_SPEED       500 instead of 600" in text
-    told = json.loads(served.run("apply", "alpha", str(path), "--json", code=1))["alpha"]
-    assert [(d["name"], d["before"], d["value"]) for d in told["differs"]] == [("WPNAV_SPEED", 500.0, 600.0)]
+    reported = json.loads(served.run("apply", "alpha", str(path), "--json", code=1))["alpha"]
+    assert [(d["name"], d["before"], d["value"]) for d in reported["differs"]] == [("WPNAV_SPEED", 500.0, 600.0)]
 
 
 def test_diff_and_apply_see_the_second_digit(served: Served, tmp_path: Path) -> None:
@@ -198,17 +198,17 @@ def test_diff_and_apply_see_the_second_digit(served: Served, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("# Onboard parameters for Vehicle 9\nWPNAV_SPEED,600\n", "the file is of vehicle 9"),
         ("WPNAV_SPEED,600\nFENCE_ENABLE,0.5\n", "line 2: FENCE_ENABLE: 0.5 is not whole"),
         ("WPNAV_SPEED,fast\n", "line 1: 'fast' is no number"),
     ],
 )
-def test_of_a_wrong_file_nothing_is_sent(served: Served, tmp_path: Path, text: str, told: str) -> None:
+def test_of_a_wrong_file_nothing_is_sent(served: Served, tmp_path: Path, text: str, reported: str) -> None:
     path = tmp_path / "a.param"
     path.write_text(text)
-    assert told in served.run("apply", "alpha", str(path), code=1)
+    assert reported in served.run("apply", "alpha", str(path), code=1)
     assert served.params.set_calls == []
 
 
@@ -247,7 +247,7 @@ def test_diff_of_two_files_needs_no_daemon(tmp_path: Path, monkeypatch: pytest.M
     param("diff", str(first), str(second), "--include", "nonsense", code=2)
 
 
-def test_a_bar_tells_how_far_and_how_long() -> None:
+def test_a_bar_shows_how_far_and_how_long() -> None:
     data = {"received": 650, "count": 1300, "percent": 50, "remaining_s": 12.4}
     text = params.bar({"vehicle": "alpha", "text": "", "data": data})
     assert text == f"alpha  [{'#' * 15}{'.' * 15}] 650/1300  12 s left"

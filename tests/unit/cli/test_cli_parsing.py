@@ -67,7 +67,7 @@ def test_pairs_make_a_table_and_dots_nest_it() -> None:
 
 
 @pytest.mark.parametrize("pairs", [["x"], ["=1"], ["a=1", "a=2"], ["a=1", "a.b=2"]])
-def test_pairs_that_are_none_are_usage_errors(pairs: list[str]) -> None:
+def test_wrong_pairs_are_usage_errors(pairs: list[str]) -> None:
     with pytest.raises(typer.BadParameter):
         parse_pairs(pairs)
 

@@ -48,7 +48,7 @@ def report(*findings: dict[str, Any], fixed: dict[str, Any] | None = None) -> di
     }
 
 
-GOOD = report(finding("link", "pass", "fault", "heard"), finding("radio", "skipped", "fault", "no radio told"))
+GOOD = report(finding("link", "pass", "fault", "heard"), finding("radio", "skipped", "fault", "no radio reported"))
 BAD = report(
     finding("clock", "fail", "note", "its clock is 9.4 s behind ours (at most 5 s)", "see which is wrong"),
     finding("loss", "unknown", "danger", "how much of it is lost is not known", "ask again"),
@@ -115,8 +115,8 @@ def test_ready_is_exit_0(served: Served) -> None:
 
 
 def test_all_shows_what_is_well_and_what_was_not_expected(served: Served) -> None:
-    told = served.run("bravo", "--all")
-    assert "  ok      link: heard" in told and "  -       radio: no radio told" in told
+    reported = served.run("bravo", "--all")
+    assert "  ok      link: heard" in reported and "  -       radio: no radio reported" in reported
 
 
 def test_json_is_the_answer(served: Served) -> None:
@@ -128,21 +128,21 @@ def test_a_vehicle_that_is_not_there(served: Served) -> None:
     assert "no vehicle 'zulu'" in served.run("zulu", code=Exit.FAILED)
 
 
-def test_fix_sets_nothing_when_nobody_can_be_asked(served: Served) -> None:
-    told = served.run("alpha", "--fix", code=Exit.FAILED)
-    assert "alpha  RTL_ALT           8000 -> 3000" in told and "--yes sets it" in told
+def test_fix_sets_nothing_without_a_terminal_to_ask_at(served: Served) -> None:
+    reported = served.run("alpha", "--fix", code=Exit.FAILED)
+    assert "alpha  RTL_ALT           8000 -> 3000" in reported and "--yes sets it" in reported
     assert served.fleet.preflight_asked == [(False, None)]
 
 
-def test_fix_with_yes_sets_what_was_told(served: Served) -> None:
+def test_fix_with_yes_sets_what_was_reported(served: Served) -> None:
     served.run("alpha", "--fix", "--yes", code=Exit.FAILED)
     assert served.fleet.preflight_asked[1:] == [(True, {"alpha": {"RTL_ALT": 3000}})]
 
 
-def test_fix_tells_what_was_set(served: Served) -> None:
+def test_fix_shows_what_was_set(served: Served) -> None:
     served.fleet.preflight_told["alpha"] = {**BAD, "fixed": {"RTL_ALT": OUTCOME}}
-    told = served.run("alpha", "--fix", "-y", code=Exit.FAILED)
-    assert "ok   alpha  RTL_ALT           8000 -> 3000" in told and "after a reboot" in told
+    reported = served.run("alpha", "--fix", "-y", code=Exit.FAILED)
+    assert "ok   alpha  RTL_ALT           8000 -> 3000" in reported and "after a reboot" in reported
 
 
 @pytest.mark.parametrize(("answer", "agreed"), [("y", True), ("n", False), ("", False)])
@@ -156,7 +156,7 @@ def test_fix_with_nothing_to_set(served: Served) -> None:
     assert "no finding can be corrected by a parameter" in served.run("bravo", "--fix")
 
 
-def test_fix_as_json_has_nobody_to_ask(served: Served) -> None:
+def test_fix_as_json_cannot_ask(served: Served) -> None:
     assert "give --yes" in served.run("alpha", "--fix", "--json", code=Exit.USAGE)
 
 

@@ -1,4 +1,4 @@
-"""`radio …` without a radio: plans, refusals, ports that are none, and what is asked of the daemon."""
+"""`radio …` without a radio: plans, refusals, wrong ports, and what is asked of the daemon."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_a_plan_is_made_of_the_fleet_file_and_is_the_same_every_time(tmp_path: P
         (("emulate", "{}/new", "--remotes", "a"), USAGE, "--remotes"),
     ],
 )
-def test_what_cannot_be_done_is_told(args: tuple[str, ...], code: int, said: str, tmp_path: Path) -> None:
+def test_what_cannot_be_done_is_reported(args: tuple[str, ...], code: int, said: str, tmp_path: Path) -> None:
     (tmp_path / "fleet.toml").write_text(FLEET)
     (tmp_path / "file").write_text("x = 1\n")
     (tmp_path / "same").symlink_to(tmp_path / "file")
@@ -164,7 +164,7 @@ async def test_the_daemon_lends_the_port_under_whatever_name_and_takes_it_back_a
     assert gcs.changes[1:] == [("radio", {"enabled": True})]
 
 
-async def test_another_port_is_none_of_the_daemons_business(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_another_port_leaves_the_daemons_links_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     gcs = Gcs("/dev/one", armed=("alpha",))
     running(monkeypatch, gcs)
     async with lent(["/dev/two"], changes=False, force=False):
@@ -187,13 +187,13 @@ async def test_nothing_happens_while_a_vehicle_is_armed_unless_forced(
     assert len(gcs.changes) == (2 if port == "/dev/one" else 0)
 
 
-async def test_without_a_daemon_there_is_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_without_a_daemon_no_link_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
     running(monkeypatch, None)
     async with lent(["/dev/one"], changes=True, force=False):
         pass
 
 
-async def test_a_link_that_stays_closed_is_told(
+async def test_a_link_that_stays_closed_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     running(monkeypatch, Gcs("/dev/one", broken=True))

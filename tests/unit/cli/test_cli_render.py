@@ -25,7 +25,7 @@ def state(**changes: Any) -> dict[str, Any]:
     return {**made, "links": {"radio": {"loss_ratio": 0.013}, "lte": {"loss_ratio": 0.5}}, **changes}
 
 
-def test_the_status_table_tells_what_one_asks_first() -> None:
+def test_the_status_table_shows_what_one_asks_first() -> None:
     lines = text_of(status.status_table([state(), state(name="bravo", sysid=2, armed=True)])).splitlines()
     for column in ("name", "autopilot", "mode", "armed", "alt", "battery", "gps", "link", "loss", "age", "last text"):
         assert column in lines[0]
@@ -132,7 +132,7 @@ def test_every_vehicle_has_a_line_with_its_outcome_and_reason() -> None:
     assert render.outcome_lines({}) == []
 
 
-def test_a_long_reason_that_many_share_is_told_once_per_reason() -> None:
+def test_a_long_reason_that_many_share_is_reported_once_per_reason() -> None:
     modes = ", ".join(f"AUTO.MODE{i}" for i in range(30))
     reasons = {"a": f"no mode 'X'; there are {modes}", "b": f"no mode 'X'; there are {modes.replace('AUTO.', '')}"}
     answers = {f"{kind}{i}": outcome(ok=False, message=reasons[kind], attempts=0) for i in range(2) for kind in "ab"}
@@ -169,7 +169,7 @@ def test_a_long_last_text_is_cut_instead_of_wrapped() -> None:
     assert lines[1].startswith("alpha") and lines[1].rstrip().endswith("…")
 
 
-def test_events_and_messages_are_one_line_and_tell_what_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_events_and_messages_are_one_line_and_show_what_was_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TZ", "UTC")
     time.tzset()
     event = {"time_unix_s": 3661.0, "kind": "mode", "vehicle": "alpha", "text": "AUTO.LAND", "data": {}}
@@ -209,7 +209,7 @@ def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
     assert " ".join(lines[5:]).split() == ["lte:", *["refused"] * 40]
 
 
-def test_a_bound_link_shows_its_vehicles_and_who_reaches_for_others() -> None:
+def test_a_bound_link_shows_its_vehicles_and_frames_for_others() -> None:
     up = FakeDaemon().links.status()[0]
     kite = {**up, "name": "p1", "role": "gcs", "vehicles": ["kite"], "present_as": 1}
     many = {**up, "name": "p2", "role": "gcs", "vehicles": [1, 2, 3, 4, 5], "present_as": None}

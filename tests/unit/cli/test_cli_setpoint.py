@@ -1,4 +1,4 @@
-"""`skygcs-cli setpoint`: streams at a rate, forwards lines, and says what vehicles do afterwards."""
+"""`skygcs-cli setpoint`: streams at a rate, forwards lines, and reports what vehicles do afterwards."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded
 # --- the command -----------------------------------------------------------------------------------------------------
 
 
-def test_one_setpoint_is_streamed_and_its_end_told(fleet: Commanded) -> None:
+def test_one_setpoint_is_streamed_and_its_end_reported(fleet: Commanded) -> None:
     text = fleet.run("setpoint", "alpha", "--pos", "1", "-2", "5", "--yaw", "90", "--for", "0.2", "--rate", "50")
     assert fleet.vehicles["alpha"].setpoints[0] == {"pos_enu_m": [1.0, -2.0, 5.0], "yaw_deg": 90.0, "valid_s": 0.5}
     assert "setpoints in 0." in text
@@ -68,7 +68,7 @@ def test_a_vehicle_that_takes_none_ends_it_with_its_reason(fleet: Commanded) -> 
     assert answer["refused_by_all"] == 0
 
 
-def test_what_all_refuse_for_one_reason_is_told_once(fleet: Commanded) -> None:
+def test_what_all_refuse_for_one_reason_is_reported_once(fleet: Commanded) -> None:
     for vehicle in fleet.vehicles.values():
         vehicle.refuses = "refused: control is off"
     text = fleet.run("setpoint", "all", "--vel", "1", "0", "0", code=FAILED)
@@ -124,8 +124,8 @@ class FakeClient:
 
 
 def sender_of(client: FakeClient) -> tuple[Sender, list[str]]:
-    told: list[str] = []
-    return Sender(client, 0.5, told.append), told  # type: ignore[arg-type]
+    reported: list[str] = []
+    return Sender(client, 0.5, reported.append), reported  # type: ignore[arg-type]
 
 
 @pytest.mark.looptime(start=0)
@@ -155,7 +155,7 @@ async def lines_at(*timed: tuple[float, str]) -> AsyncIterator[bytes]:
 @pytest.mark.looptime(start=0)
 async def test_lines_are_sent_as_they_come_the_newest_of_each_vehicle() -> None:
     client = FakeClient(delay_s=0.1)
-    sender, told = sender_of(client)
+    sender, reported = sender_of(client)
     burst = '1,1,1\n2,2,2\n{"vehicle":"bravo","pos":[7,7,7]}\n3,3,3\n'
     await forward(sender, "alpha", lines_at((0.5, "0,0,0\n"), (0.05, burst), (1.0, "4,4,4")), None)
     assert [(at, name, s["pos_enu_m"][0]) for at, name, s in client.sent] == [
@@ -164,7 +164,7 @@ async def test_lines_are_sent_as_they_come_the_newest_of_each_vehicle() -> None:
         (0.7, "bravo", 7.0),
         (1.55, "alpha", 4.0),
     ]
-    assert (sender.tally.sent, sender.tally.skipped, told) == (4, 2, [])
+    assert (sender.tally.sent, sender.tally.skipped, reported) == (4, 2, [])
 
 
 @pytest.mark.looptime(start=0)
@@ -178,29 +178,29 @@ async def test_with_a_rate_every_line_is_flown_one_after_the_other() -> None:
 
 
 @pytest.mark.looptime(start=0)
-async def test_wrong_lines_are_told_by_number_and_do_not_end_it() -> None:
+async def test_wrong_lines_are_reported_by_number_and_do_not_end_it() -> None:
     client = FakeClient()
-    sender, told = sender_of(client)
+    sender, reported = sender_of(client)
     await forward(sender, "alpha", lines_at((0.0, "1,2,3\nnonsense\n" + "x" * 5000 + "\n"), (0.1, "4,5,6\n")), None)
     assert [s["pos_enu_m"][0] for _, _, s in client.sent] == [1.0, 4.0]
-    assert [line.split(":")[0] for line in told] == ["line 2", "line 3"]
+    assert [line.split(":")[0] for line in reported] == ["line 2", "line 3"]
     assert sender.tally.wrong_lines == 2 and not sender.tally.ok
 
 
 @pytest.mark.looptime(start=0)
-async def test_a_program_that_writes_nonsense_is_not_told_for_ever() -> None:
-    sender, told = sender_of(FakeClient())
+async def test_wrong_lines_are_reported_up_to_a_limit() -> None:
+    sender, reported = sender_of(FakeClient())
     await forward(sender, "alpha", lines_at((0.0, "nonsense\n" * 1000)), None)
-    assert len(told) == 11 and sender.tally.wrong_lines == 1000
+    assert len(reported) == 11 and sender.tally.wrong_lines == 1000
 
 
 @pytest.mark.looptime(start=0)
-async def test_what_the_daemon_finds_wrong_in_a_line_is_told_with_its_number() -> None:
+async def test_what_the_daemon_finds_wrong_in_a_line_is_reported_with_its_number() -> None:
     client = FakeClient()
     client.outcome = RpcError(-32602, "yaw_deg: should be at most 360")
-    sender, told = sender_of(client)
+    sender, reported = sender_of(client)
     await forward(sender, "alpha", lines_at((0.0, "\n1,2,3,999\n")), None)
-    assert told == ["line 2: yaw_deg: should be at most 360"]
+    assert reported == ["line 2: yaw_deg: should be at most 360"]
     client.outcome = RpcError(-32603, "a fault")
     with pytest.raises(RpcError, match="a fault"):
         await forward(sender, "alpha", lines_at((0.0, "1,2,3\n"), (99.0, "never read\n")), None)
@@ -210,7 +210,7 @@ async def test_what_the_daemon_finds_wrong_in_a_line_is_told_with_its_number() -
 async def test_a_vehicle_may_be_taken_under_control_while_its_program_runs_already() -> None:
     client = FakeClient()
     client.outcome = {"ok": False, "message": "refused: control is off"}
-    sender, told = sender_of(client)
+    sender, reported = sender_of(client)
     steps = [(0.1, f"{i},0,5\n") for i in range(MOST_REFUSED - 1)]
 
     async def lines() -> AsyncIterator[bytes]:
@@ -220,16 +220,16 @@ async def test_a_vehicle_may_be_taken_under_control_while_its_program_runs_alrea
         yield b"1,1,1\n"
 
     await forward(sender, "alpha", lines(), None)
-    assert told == ["alpha: refused: control is off", "alpha accepts setpoints again"]
+    assert reported == ["alpha: refused: control is off", "alpha accepts setpoints again"]
 
 
 @pytest.mark.looptime(start=0)
 async def test_a_vehicle_that_keeps_refusing_ends_it() -> None:
     client = FakeClient()
     client.outcome = {"ok": False, "message": "refused: control is off"}
-    sender, told = sender_of(client)
+    sender, reported = sender_of(client)
     await forward(sender, "alpha", lines_at(*[(0.1, "1,2,3\n")] * 1000), None)
-    assert len(client.sent) == MOST_REFUSED and "stopped sending" in told[-1]
+    assert len(client.sent) == MOST_REFUSED and "stopped sending" in reported[-1]
 
 
 def test_of_more_vehicles_than_there_can_be_the_oldest_go() -> None:

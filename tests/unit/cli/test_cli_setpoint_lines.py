@@ -73,7 +73,7 @@ def test_nothing_and_remarks_are_passed_over_and_a_system_id_is_a_name() -> None
         (['{"yaw_deg": 3}'], "neither a position nor a velocity"),
     ],
 )
-def test_a_line_that_is_none_says_why(lines: list[str], reason: str) -> None:
+def test_a_wrong_line_has_a_reason(lines: list[str], reason: str) -> None:
     with pytest.raises(LineError, match=reason):
         read(*lines)
 

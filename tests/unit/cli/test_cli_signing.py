@@ -91,7 +91,7 @@ def signing(*args: str, code: int = 0) -> str:
     return result.output
 
 
-def test_setup_asks_with_the_whole_path_and_tells_the_outcome(daemon: SigningDaemon, tmp_path: Path) -> None:
+def test_setup_asks_with_the_whole_path_and_shows_the_outcome(daemon: SigningDaemon, tmp_path: Path) -> None:
     assert "ok   alpha  it signs with key 2c6184d5" in signing("setup", "alpha", "--key", "lab.key")
     signing("setup", "all", "--key", "lab.key", "--force")
     key = tmp_path / "lab.key"
@@ -106,7 +106,7 @@ def test_off_fails_if_a_vehicle_still_signs(daemon: SigningDaemon) -> None:
     assert "FAIL alpha  it still signs" in signing("off", "alpha", code=1)
 
 
-def test_status_tells_what_was_dropped(daemon: SigningDaemon) -> None:
+def test_status_shows_what_was_dropped(daemon: SigningDaemon) -> None:
     assert signing("status").splitlines() == [
         "radio: key 2c6184d5, link id 3, signs",
         "  accepted without a signature: RADIO_STATUS, 166",
@@ -135,9 +135,9 @@ def test_a_relative_key_file_is_refused_by_the_daemon(daemon: SigningDaemon) -> 
 
 def test_a_new_key_needs_no_daemon_and_is_not_printed(tmp_path: Path) -> None:
     path = tmp_path / "new.key"
-    told = signing("key", str(path))
+    reported = signing("key", str(path))
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    assert "keep a copy" in told and path.read_text()[:16] not in told
+    assert "keep a copy" in reported and path.read_text()[:16] not in reported
     before = path.read_text()
     assert "exists" in signing("key", str(path), code=1)
     assert path.read_text() == before
@@ -153,6 +153,6 @@ def test_a_fault_in_the_log_shows_no_values(capsys: pytest.CaptureFixture[str]) 
         structlog.get_logger("skygcs").error("failed", exc_info=error)
     finally:
         structlog.reset_defaults()
-    told = capsys.readouterr().err
-    assert "a fault beside" in told and "Traceback" in told
-    assert secret not in told
+    reported = capsys.readouterr().err
+    assert "a fault beside" in reported and "Traceback" in reported
+    assert secret not in reported

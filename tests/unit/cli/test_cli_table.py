@@ -38,7 +38,7 @@ def table(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_all_fly_to_their_places_and_their_arrivals_are_told(fleet: Commanded, table: str) -> None:
+def test_all_fly_to_their_places_and_their_arrivals_are_reported(fleet: Commanded, table: str) -> None:
     text = fleet.run("table", table, "final")
     assert "all 3 arrived in" in text
     assert sum("arrived, 0." in line for line in text.splitlines()) == 3
@@ -47,7 +47,7 @@ def test_all_fly_to_their_places_and_their_arrivals_are_told(fleet: Commanded, t
     assert fleet.vehicles["bravo"].orders[0][1]["yaw_deg"] is None
 
 
-def test_who_is_there_already_has_arrived(fleet: Commanded, table: str) -> None:
+def test_a_vehicle_that_is_there_already_has_arrived(fleet: Commanded, table: str) -> None:
     assert fleet.json("table", table, "initial")["vehicles"]["alpha"]["arrived"]
 
 
@@ -59,13 +59,13 @@ def test_only_some_of_the_table(fleet: Commanded, table: str) -> None:
     assert "has no delta; it has: alpha, bravo, 3" in fleet.run("table", table, "final", "delta", code=FAILED)
 
 
-def test_who_does_not_arrive_in_time_is_named_with_its_distance(fleet: Commanded, table: str) -> None:
+def test_a_vehicle_that_does_not_arrive_in_time_is_named_with_its_distance(fleet: Commanded, table: str) -> None:
     fleet.vehicles["bravo"].stuck = True
     text = fleet.run("table", table, "final", "--timeout", "2", code=FAILED)
     assert "2 of 3 arrived in 2." in text and "not: bravo (20.00 m away)" in text
 
 
-def test_who_refuses_is_not_waited_for(fleet: Commanded, table: str) -> None:
+def test_a_vehicle_that_refuses_is_not_waited_for(fleet: Commanded, table: str) -> None:
     fleet.vehicles["bravo"].outcome = FakeOutcome(False, "refused", "refused: it is on the ground")
     text = fleet.run("table", table, "final", code=FAILED)
     assert "bravo does not fly: refused: it is on the ground" in text and "2 of 3 arrived" in text
@@ -97,7 +97,7 @@ def nothing_flew(fleet: Commanded) -> bool:
     return not any(vehicle.orders for vehicle in fleet.vehicles.values())
 
 
-def test_unknown_vehicles_are_all_named_and_nobody_flies(fleet: Commanded, tmp_path: Path) -> None:
+def test_unknown_vehicles_are_all_named_and_no_vehicle_flies(fleet: Commanded, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("vehicle,final_x,final_y,final_z\nalpha,0,0,5\ndelta,9,0,5\n44,20,0,5\n")
     text = fleet.run("table", str(path), "final", code=FAILED)
@@ -110,7 +110,7 @@ def test_a_vehicle_by_name_and_id_is_named_twice(fleet: Commanded, tmp_path: Pat
     assert "twice" in fleet.run("table", str(path), "final", code=FAILED) and nothing_flew(fleet)
 
 
-def test_without_an_origin_a_position_or_a_vehicle_nobody_flies(fleet: Commanded, table: str) -> None:
+def test_without_an_origin_a_position_or_a_vehicle_no_vehicle_flies(fleet: Commanded, table: str) -> None:
     fleet.vehicles["bravo"].no_frame = True
     assert "skygcs-cli origin set" in fleet.run("table", table, "final", code=FAILED)
     fleet.vehicles["bravo"].position_m = None
@@ -184,7 +184,7 @@ def test_arrival_is_taken_back_when_a_vehicle_leaves() -> None:
     assert flight.see((0.4, 0.0, 5.0), 4.0, 0.5) and flight.arrived_s == 4.0
 
 
-def test_the_live_table_says_who_is_where() -> None:
+def test_the_live_table_shows_where_each_vehicle_is() -> None:
     from rich.console import Console
 
     spot = Spot((10.0, -2.5, 5.0))

@@ -53,12 +53,12 @@ def test_both_formats_say_the_same(tmp_path: Path, text: str, name: str) -> None
     assert list(spots(table, "final")) == ["alpha"]
 
 
-def test_columns_that_nobody_needs_may_be_missing(tmp_path: Path) -> None:
+def test_columns_that_are_not_needed_may_be_missing(tmp_path: Path) -> None:
     table = read_table(written(tmp_path, "final_z,final_y,final_x,vehicle\n3,2,1,7\n"))
     assert table == {"7": {"final": Spot((1.0, 2.0, 3.0))}}
 
 
-def test_every_problem_is_told_at_once_with_its_line(tmp_path: Path) -> None:
+def test_every_problem_is_reported_at_once_with_its_line(tmp_path: Path) -> None:
     text = problems(
         tmp_path,
         "vehicle,final_x,final_y,final_z,final_heading_deg\n"
@@ -106,11 +106,13 @@ def test_every_problem_is_told_at_once_with_its_line(tmp_path: Path) -> None:
         ("[vehicles.a]\ninitial_heading_deg = 3", "t.toml", "neither an initial nor"),
     ],
 )
-def test_a_file_that_is_no_table_says_what_is_wanted(tmp_path: Path, text: str, name: str, reason: str) -> None:
+def test_a_file_that_is_no_table_is_refused_with_the_expected_form(
+    tmp_path: Path, text: str, name: str, reason: str
+) -> None:
     assert reason in problems(tmp_path, text, name)
 
 
-def test_a_file_that_cannot_be_read_or_is_no_text_is_told(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_or_is_no_text_is_reported(tmp_path: Path) -> None:
     with pytest.raises(SkygcsError, match="No such file"):
         read_table(tmp_path / "none.csv")
     (tmp_path / "x.csv").write_bytes(b"vehicle\xff")
@@ -147,7 +149,7 @@ def test_head_on_is_a_crossing_in_the_middle() -> None:
     assert (near.distance_m, near.at) == (pytest.approx(0.0), pytest.approx(5.0))
 
 
-def test_paths_that_cross_at_different_times_are_none() -> None:
+def test_paths_that_cross_at_different_times_are_no_problem() -> None:
     starts, goals = {"a": A, "b": (5.0, -9.0, 5.0)}, {"a": B, "b": (5.0, 9.0, 5.0)}
     assert crossings(starts, goals, 2.0) == []  # a passes the point at 5 m, b at 9 m
     assert crossings({**starts, "b": (5.0, -5.0, 5.0)}, goals, 2.0)
@@ -157,7 +159,7 @@ def test_other_heights_are_no_crossing() -> None:
     assert crossings({"a": A, "b": (10.0, 0.0, 8.0)}, {"a": B, "b": (0.0, 0.0, 8.0)}, 2.0) == []
 
 
-def test_who_stays_is_in_the_way_too() -> None:
+def test_a_vehicle_that_stays_counts_too() -> None:
     (near,) = crossings({"a": A, "b": (5.0, 1.0, 5.0)}, {"a": B}, 2.0)
     assert (near.distance_m, near.at) == (pytest.approx(1.0), pytest.approx(5.0))
 
@@ -167,7 +169,7 @@ def test_one_that_arrived_early_is_met_where_it_stays() -> None:
     assert (near.distance_m, near.at) == (pytest.approx(0.5), pytest.approx(12.0))
 
 
-def test_moving_apart_is_none_however_near_they_begin() -> None:
+def test_moving_apart_is_no_problem_however_near_they_begin() -> None:
     assert crossings({"a": A, "b": (1.0, 0.0, 5.0)}, {"a": (-9.0, 0.0, 5.0), "b": B}, 2.0) == []
     assert crossings({"a": A, "b": (1.0, 0.0, 5.0)}, {}, 2.0) == []
     assert crossings({"a": A, "b": (1.0, 0.0, 5.0)}, {"a": A}, 2.0) == []

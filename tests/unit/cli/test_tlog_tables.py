@@ -131,7 +131,7 @@ def test_the_mode_of_a_part_is_known_from_before_it(tmp_path: Path) -> None:
     assert [row["mode"] for row in rows] == ["STABILIZE"]
 
 
-def test_nothing_to_tell_is_no_table(tmp_path: Path) -> None:
+def test_nothing_to_show_is_no_table(tmp_path: Path) -> None:
     log = tmp_path / "gcs.tlog"
     log.write_bytes(encode_record(T0_US, heartbeat(255, 190, type=6, autopilot=8)))
     assert "no row in it" in run(log, code=FAILED).stderr
