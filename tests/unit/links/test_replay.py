@@ -195,6 +195,14 @@ def test_a_file_window_reads_as_the_bytes_of_the_file(tmp_path: Path) -> None:
         assert window[150_000] == 0 and window[150_000:150_010] == b"", "truncated under our hands: nothing, no crash"
 
 
+async def test_records_out_of_order_and_a_clock_that_was_set_back_take_no_time(tmp_path: Path) -> None:
+    path = tmp_path / "flight.tlog"
+    times = (0.0, 20.0, 19.0, 20.5, 1.0, 2.0)
+    path.write_bytes(tlog(*((at_s, heartbeat(n + 1)) for n, at_s in enumerate(times))))
+    host, _ = await play(path)
+    assert host.elapsed == [0.0, 10.0, 10.0, 10.5, 10.5, 11.5], "a pause is cut to 10 s; nothing else takes time"
+
+
 async def test_a_pipe_is_no_recording_and_is_not_waited_for(tmp_path: Path) -> None:
     path = tmp_path / "pipe.tlog"
     os.mkfifo(path)

@@ -1,4 +1,4 @@
-"""One channel in the routing table, and what may pass from one to another whoever is meant (`core.routing`'s table)."""
+"""One channel in the routing table, and the rules between two channels (see the table in `core.routing.router`)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Port:
         self.limiter_out = policy.limiter_out() or None
         self.heard: dict[int, float] = {}
         self.of_system: dict[int, set[int]] = {}
-        """The sources of ``heard`` by their system."""
+        """The sources in ``heard`` by system."""
         self.echoes: set[int] = set()
         self.boot_ms: dict[int, int] = {}
         self.vehicles: set[int] = set()
@@ -70,17 +70,17 @@ class Port:
 
     @property
     def restricts_out(self) -> bool:
-        """Whether each frame for it has to be looked at."""
+        """Whether each frame to it must be checked."""
         return self.filter_out is not None or self.limiter_out is not None
 
     def may_forward(self, port: Port) -> bool:
-        """Whether anything that came here may go there."""
+        """Whether frames from here may go there."""
         if port is self or port.policy.replayed or (self.policy.replayed and port.policy.role != "gcs"):
             return False
         return self.policy.group is None or self.policy.group != port.policy.group
 
     def takes_broadcast(self, port: Port, kind: int) -> bool:
-        """Whether a frame without a target that came here goes there; ``kind``: the bits above."""
+        """Whether a frame without a target from here goes there; ``kind``: the bits above."""
         if not self.may_forward(port):
             return False
         if kind & TELEMETRY and port.policy.carries_vehicles:

@@ -1,4 +1,4 @@
-"""Which frames are copies: the same (sysid, compid, seq, CRC) heard on another channel a moment ago.
+"""Copies of frames: the same (sysid, compid, seq, CRC) heard on another channel a moment ago.
 
 Copies on the *same* channel pass: some senders never count their seq up, and their repeated commands are meant.
 """
@@ -17,18 +17,18 @@ MAX_REMEMBERED = 65536
 """Bound of one generation: 65,000 frames within half a second are more than the process can route."""
 
 SCORE_FRAMES = 64
-"""How many distinct frames decide which of parallel channels is better: a third of a second of telemetry at full
-rate, half a minute at 2 Hz."""
+"""Distinct frames by which parallel channels are compared: a third of a second of telemetry at full rate, half a minute
+at 2 Hz."""
 
 COPIES_SHARE = 0.3
 """Least share of copies among a system's frames for its channels to count as parallel: of two radios on one mast the
 worse one still hears this much, or it is no use."""
 
 BETTER_BY = 0.1
-"""A channel takes over only if it hears this share more of the frames: no flapping between equals."""
+"""A channel is preferred only if it hears this share more of the frames, so that equal ones do not alternate."""
 
 SILENT_S = 2.0
-"""A channel that has heard nothing of the system for so long, while another has, is not preferred."""
+"""A channel that has heard nothing of the system for this time, while another has, is not preferred."""
 
 
 class FirstHeard(Protocol):
@@ -63,7 +63,7 @@ class DuplicateFilter:
 
 
 class ParallelChannels:
-    """The channels over which one system may be heard twice, and which of them hears it best.
+    """The channels over which one system is heard twice, and the one that hears it best.
 
     ``active`` once copies were COPIES_SHARE of the last SCORE_FRAMES frames: two ground stations of one id now and then
     send equal heartbeats, and are no parallel channels. ``over`` when a whole count went by without enough copies.
@@ -112,7 +112,7 @@ class ParallelChannels:
             self.best = max(left, key=lambda c: self._share.get(c, 0.0)) if left else 0
 
     def choose(self, candidates: dict[int, float], now: float) -> int | None:
-        """Of ``candidates`` (channel id -> last heard at) the one to send on; None if they are not parallel."""
+        """The one of ``candidates`` (channel id -> last heard at) to send on; None if they are not parallel."""
         known = [c for c in candidates if c in self._share or c in self._heard]
         if not self.active or len(known) < 2:
             return None

@@ -1,4 +1,4 @@
-"""The places of a server: which of its peers gives way when all are taken, and who is let in.
+"""The places of a server: which newcomers are admitted when all are taken, and which peer is replaced.
 
     a place is free               whoever comes is let in
     without an autopilot          takes the place of the peer without an autopilot that was silent for longest, if that
@@ -20,23 +20,23 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 SILENT_S = 3.0
-"""Two lost heartbeats: whoever has a program behind it has said something meanwhile."""
+"""Two lost heartbeats: a peer with a running program has sent something in this time."""
 
 AUTOPILOT_SILENT_S = 10.0
 """Twice the time after which a vehicle counts as lost."""
 
 MIN_OTHERS_SHARE = 1 / 8
-"""Ground stations that speak keep as many places, whatever claims to be an autopilot."""
+"""Places kept for ground stations that are heard, whatever claims to be an autopilot."""
 
 KEPT_SHARE = 1 / 16
-"""Places beyond the number there is, for addresses that hold none: 16 beside 256."""
+"""Additional places for addresses that hold none: 16 for 256."""
 
 VIEW_S = 0.1
-"""How long what was found out of the peers is used: a flood of strangers costs one look at them in this time."""
+"""How long a review of the peers is used: a flood of newcomers costs one review in this time."""
 
 
 class Peer(NamedTuple):
-    """One that has a place. ``host`` is its address without the port."""
+    """A peer that has a place. ``host`` is its address without the port."""
 
     key: Hashable
     host: str
@@ -45,7 +45,7 @@ class Peer(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """``put_out``: the key of the peer whose place it gets, if it needs one."""
+    """``put_out``: the key of the peer that it replaces, if any."""
 
     admitted: bool
     put_out: Hashable = None
@@ -57,21 +57,21 @@ LET_IN = Judgement(admitted=True)
 
 @dataclass(slots=True)
 class _View:
-    """Who has the places."""
+    """A review of the peers that have places."""
 
     at: float
     number: int
     by_host: Counter[str]
     others: int
     silent: Peer | None
-    """Without an autopilot, silent for longest."""
+    """The peer without an autopilot that was silent for longest."""
     crowded: Peer | None
-    """The same among those of the address that has most of them."""
+    """The same among the peers of the address that has most."""
     silent_autopilot: Peer | None
 
 
 class PeerPlaces:
-    """Judges newcomers to a server with so many places. ``peers`` lists who has one; `changed` when that changes."""
+    """Decides about newcomers to a server. ``peers`` lists its peers; call `changed` when they change."""
 
     __slots__ = ("_peers", "_view", "kept", "places")
 
@@ -86,7 +86,7 @@ class PeerPlaces:
         self._view = None
 
     def judge(self, host: str, *, autopilot: bool, now: float) -> Judgement:
-        """What becomes of somebody who comes while all places are taken."""
+        """Whether a newcomer is admitted while all places are taken."""
         view = self._view
         if view is None or now - view.at >= VIEW_S:
             view = self._view = self._look(now)

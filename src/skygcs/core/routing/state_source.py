@@ -1,27 +1,27 @@
-"""Which channel supplies the state of a vehicle that is heard on several, and what others send with its ids.
+"""The channel that supplies the state of a vehicle heard on several, and detection of duplicate system ids.
 
-One vehicle may be heard on two channels: it has two radios, two receivers hear one radio, its ground station hands back
-its frames, or it came back from another UDP port. Two vehicles may have one system id, and anybody may forge frames. So
+One vehicle may be heard on two channels: it has two radios, two receivers hear one radio, its ground station sends its
+frames back, or it came back from another UDP port. Two vehicles may have one system id, and frames may be forged. So
 one channel at a time, *the present one*, supplies the state, and orders are sent there:
 
     another channel ...                                         what becomes of its frames
     --------------------------------------------------------    -----------------------------------------------------
-    while the present one is heard                              ignored, but for answers to us if the channel agrees
+    while the present one is heard                              ignored, except answers to us if the channel agrees
     the present one is silent for SILENT_S, or hears clearly    takes over, if it agrees: boot time and position are
     less for WORSE_WINDOWS in a row                             those of the vehicle
     the present one is closed                                   takes over, unless it contradicts
     the present one is silent for the vehicle's timeout         takes over; if it contradicts or cannot be compared, as
                                                                 a new start: another vehicle, or the same rebooted
-    the present one is a ground station's that hands back       takes over
+    the present one is a ground station's that sends back       takes over
     what came over this one
 
     contradicts for CONTRADICTED_S: boot time, position, mode   a duplicate: reported with both channels, orders that do
     or arming state, firmware or type                           not end a flight are refused while it lasts
     the same link, and nothing shows that it is one vehicle     the same
-    contradicts for less, and nothing explains it               reported as ignored
+    contradicts for less, without an explanation                reported as ignored
 
-Numbering differs per radio, so a second way of one vehicle is in general no copy byte by byte: it agrees by its clock
-(time_boot_ms) and by where it is.
+Sequence numbers differ per radio, so a second channel of one vehicle has in general no copies byte by byte: it agrees
+by its clock (time_boot_ms) and its position.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from skygcs.core.mavlink.modes import SAFETY_ARMED
 from skygcs.core.mavlink.msgids import GLOBAL_POSITION_INT, HEARTBEAT, HIGH_LATENCY2, SYSTEM_TIME
 
 SILENT_S = 2.5
-"""Two heartbeats may be lost; a channel that is silent for longer does not hear the vehicle now."""
+"""Two heartbeats may be lost; a channel that is silent for longer does not receive the vehicle."""
 
 DEFAULT_LOST_S = 5.0
 """`daemon.vehicle_timeout_s`."""
@@ -48,60 +48,59 @@ HIGH_LATENCY_FACTOR = 4
 """A satellite channel sends HIGH_LATENCY2 every 5 s instead of heartbeats (as `core.vehicle`)."""
 
 BOOT_AGREES_S = 3.0
-"""Two channels of one vehicle show the same clock but for their delays: a second or two on a multipoint radio. Two
-vehicles that were switched on together may agree by this; they differ by place or state then."""
+"""Two channels of one vehicle show the same clock except for their delays: a second or two on a multipoint radio. Two
+vehicles that were switched on together may agree by this; they then differ in position or state."""
 
 PLACE_MARGIN_M = 10.0
 """Two messages of one estimator differ by its drift; two receivers on one vehicle by GPS noise."""
 
 PLACE_DELAY_S = 1.5
-"""Difference of the channels' delays, in which the vehicle may have moved, where their clocks cannot be compared."""
+"""Difference of the channels' delays if their clocks cannot be compared; the vehicle may have moved meanwhile."""
 
 PLACE_STEP_S = 0.3
-"""Of one clock, positions of the same time differ by what the vehicle flies between two steps of its estimator."""
+"""For one clock, positions of the same time differ by the vehicle's motion between two steps of its estimator."""
 
 ACCELERATION_MPS2 = 5.0
-"""Of a multirotor at 27 degrees of tilt."""
+"""Acceleration of a multirotor tilted by 27 degrees."""
 
 PLACE_FRESH_S = 3.0
-"""An older position is compared with no other channel's while the present one is heard."""
+"""An older position is not compared with another channel's while the present one is heard."""
 
 CONTRADICTED_S = 4.0
 """A mode change shows on a slow link within one or two heartbeats, and a vehicle that moved to another channel is
-silent on its old one; what lasts longer is two vehicles."""
+silent on its old one; a contradiction that lasts longer means two vehicles."""
 
 CONTRADICTIONS = 3
-"""So many frames at least."""
+"""Contradicting frames, at least."""
 
 OVER_S = 5.0
-"""A duplicate is over after so long without a contradiction: several heartbeats of the slowest link."""
+"""A duplicate is over after this time without a contradiction: several heartbeats of the slowest link."""
 
 WINDOW_S = 10.0
 WORSE_BY = 4
 WORSE_WINDOWS = 3
 """The present channel is worse if in each of three windows of 10 s in a row it heard the heartbeat in at least four
-seconds less than the other: at equal loss of 20 % that is a matter of days."""
+seconds less than the other: with equal loss of 20 % that happens once in days."""
 
-HANDED_BACK = 3
-"""Heartbeats in a row that a ground station's channel has only as copies of what came over another one: it echoes."""
+ECHOED_HEARTBEATS = 3
+"""Successive heartbeats that a ground station's channel had only as copies from another channel: then it echoes."""
 
 REPORT_AGAIN_S = 60.0
 """Frames that were ignored are reported at most this often per channel."""
 
 MAX_CHANNELS = 16
-"""Channels remembered for one vehicle; the one that agrees least, and was silent for longest, gives way to another."""
+"""Channels remembered for one vehicle; the one that agrees least, and was silent for longest, is replaced."""
 
 MAX_STATES = 8
 
 BOOT_MS_AT = {SYSTEM_TIME: 8, 30: 0, 31: 0, 32: 0, GLOBAL_POSITION_INT: 0}
-"""Where time_boot_ms stands: SYSTEM_TIME, ATTITUDE, ATTITUDE_QUATERNION, LOCAL_POSITION_NED, GLOBAL_POSITION_INT."""
-
+"""Offset of time_boot_ms: SYSTEM_TIME, ATTITUDE, ATTITUDE_QUATERNION, LOCAL_POSITION_NED, GLOBAL_POSITION_INT."""
 
 KNOWN_BY = (HEARTBEAT, HIGH_LATENCY2, *BOOT_MS_AT)
 
 ANSWERS = frozenset({22, 39, 40, 44, 47, 51, 73, 77, 110, 148, 322, 324})
-"""Messages of which every one counts and none is a state: PARAM_VALUE, MISSION_ITEM, MISSION_REQUEST, MISSION_COUNT,
-MISSION_ACK, MISSION_REQUEST_INT, MISSION_ITEM_INT, COMMAND_ACK, FILE_TRANSFER_PROTOCOL, AUTOPILOT_VERSION,
+"""Answers: each of them counts, and none is a state. PARAM_VALUE, MISSION_ITEM, MISSION_REQUEST, MISSION_COUNT, MISSION_ACK,
+MISSION_REQUEST_INT, MISSION_ITEM_INT, COMMAND_ACK, FILE_TRANSFER_PROTOCOL, AUTOPILOT_VERSION,
 PARAM_EXT_VALUE, PARAM_EXT_ACK."""
 
 _WRAP_S = 2**32 / 1000
@@ -123,8 +122,8 @@ class ReportedPosition:
 
 
 Known = Iterable[tuple[Frame, float]]
-"""The last frames of a vehicle, each with the time it came: what is known of it when a second channel hears it, or when
-it is heard again. (`KNOWN_BY` lists the messages.)"""
+"""The last frames of a vehicle, each with the time it came, for comparison when a second channel hears it, or when it
+is heard again. (`KNOWN_BY` lists the messages.)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,12 +175,12 @@ class _Heard:
         self.ignored = 0
         self.reported_at = -math.inf
         self.seconds: set[int] = set()
-        """Of the present window, those in which a heartbeat came."""
+        """Seconds of the present window in which a heartbeat came."""
         self.worse = 0
         """Windows in a row in which the present channel heard less than this one."""
 
     def look(self, frame: Frame, now: float) -> None:
-        """Take what this frame says of who sends it."""
+        """Take what this frame shows of its sender."""
         msgid = frame.msgid
         if msgid == HEARTBEAT:
             if discovers(frame):
@@ -208,8 +207,8 @@ class _Heard:
 
 
 class StateSource:
-    """Of one vehicle (sysid and compid) that may be heard on several channels. `accepts` for every frame of it, `tick`
-    once a second; ``reports`` are to be taken away."""
+    """The state source of one vehicle (sysid and compid) heard on several channels. Call `accepts` for each frame of it
+    and `tick` once a second, and take ``reports`` out."""
 
     def __init__(
         self, present_id: int | None, link: str, known: Known | None, now: float, *, lost_s: float = DEFAULT_LOST_S
@@ -272,7 +271,7 @@ class StateSource:
         heard = self._heard.get(channel_id)
         if heard is None or heard is self._present or heard.heartbeat_at == -math.inf:
             return False
-        return self._present.only_copies >= HANDED_BACK or self._agrees(heard)
+        return self._present.only_copies >= ECHOED_HEARTBEATS or self._agrees(heard)
 
     def may_be(self, channel_id: int) -> bool:
         """Whether nothing shows that this channel hears another vehicle."""

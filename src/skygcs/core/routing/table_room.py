@@ -1,4 +1,4 @@
-"""Room in the routing table: what a flood of forged sources may take, and what it may not.
+"""Room in the routing table: limits on what a flood of forged sources can take.
 
 Sources come from outside, and anybody can write any of 65,000 of them into frames. So that one channel cannot starve
 another:
@@ -24,21 +24,21 @@ MAX_LINK_ROUTES = 4096
 """Four such channels; some 1.5 MB."""
 
 KEPT_ROUTES = 16
-"""Of each channel, whatever its link's others take: an autopilot and all that is on board of one vehicle."""
+"""Kept for each channel, whatever its link's others take: an autopilot and the components of one vehicle."""
 
 AMPLE_SHARE = 0.9
 CROWDED_QUIET_S = 10.0
 """A link with a full channel counts as crowded until all are no fuller than this, and is reported no more often than
-that: no event per source, nor per client that comes, floods and goes."""
+this: not for each source, nor for each client that connects, floods and goes."""
 
 ROUTE_NOTES = 64
 ROUTE_NOTES_PER_S = 1.0
-"""Routes of one link that are noted as learned or expired: the start of a large fleet, then one a second. A flood of
-forged sources would push everything else out of the daemon's events; what is left out is counted."""
+"""Reports of learned or expired routes of one link: the start of a large fleet, then one a second. A flood of forged
+sources would displace all other events of the daemon; reports left out are counted."""
 
 
 class RouteRoom:
-    """Counts the routes of each link, and says which route gives way to a new one."""
+    """Counts the routes of each link, and chooses the route that a new one replaces."""
 
     __slots__ = ("_notes", "_of_link", "_reported_at", "crowded", "evicted", "refused")
 
@@ -47,11 +47,11 @@ class RouteRoom:
         self._notes: dict[str, tuple[float, float]] = {}
         self._reported_at: dict[str, float] = {}
         self.crowded: set[str] = set()
-        """Links of which it was reported that there is no room, and not yet that there is again."""
+        """Links reported as crowded, until it is reported that there is room again."""
         self.refused = 0
-        """Frames of sources that found no room."""
+        """Frames of sources for which there was no room."""
         self.evicted = 0
-        """Sources that gave way to an autopilot."""
+        """Sources that were replaced by an autopilot."""
 
     def added(self, port: Port) -> None:
         """A route was learned on this channel."""
@@ -75,7 +75,7 @@ class RouteRoom:
         return known < KEPT_ROUTES or self._of_link.get(port.policy.link, 0) < MAX_LINK_ROUTES
 
     def gives_way(self, port: Port, ports: Iterable[Port]) -> tuple[Port, int] | None:
-        """Channel and source that an autopilot, new on ``port``, takes the place of; None: nothing gives way."""
+        """Channel and source that an autopilot, new on ``port``, replaces; None: none can be replaced."""
         if len(port.heard) >= MAX_CHANNEL_ROUTES:
             crowded = port
         else:
@@ -86,7 +86,7 @@ class RouteRoom:
         return crowded, min((s for s in crowded.heard if s not in crowded.vehicles), key=crowded.heard.__getitem__)
 
     def became_crowded(self, link: str, now: float) -> bool:
-        """There was no room for a source of this link: whether that is to be reported."""
+        """There was no room for a source of this link. Returns whether to report it."""
         if link in self.crowded or now - self._reported_at.get(link, float("-inf")) < CROWDED_QUIET_S:
             return False
         self._reported_at[link] = now
@@ -94,7 +94,7 @@ class RouteRoom:
         return True
 
     def became_ample(self, ports: Iterable[Port]) -> list[str]:
-        """Links that are crowded no longer; each is named once."""
+        """Links that are no longer crowded, each once."""
         full = {p.policy.link for p in ports if len(p.heard) > AMPLE_SHARE * MAX_CHANNEL_ROUTES}
         full |= {link for link, number in self._of_link.items() if number > AMPLE_SHARE * MAX_LINK_ROUTES}
         over = sorted(self.crowded - full)
@@ -102,7 +102,7 @@ class RouteRoom:
         return over
 
     def may_note(self, link: str, now: float) -> bool:
-        """Whether one more route of this link may be noted as learned or expired; counts it then."""
+        """Whether one more learned or expired route of this link may be reported; counts it then."""
         left, as_of = self._notes.get(link, (float(ROUTE_NOTES), now))
         left = min(float(ROUTE_NOTES), left + (now - as_of) * ROUTE_NOTES_PER_S)
         self._notes[link] = (left - 1.0 if left >= 1.0 else left), now
@@ -110,5 +110,5 @@ class RouteRoom:
 
 
 def _others(port: Port) -> int:
-    """Sources of a channel that are no autopilots."""
+    """Sources of a channel that are not autopilots."""
     return len(port.heard) - len(port.vehicles)

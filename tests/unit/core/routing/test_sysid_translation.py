@@ -6,6 +6,7 @@ import random
 from typing import Any
 
 import pytest
+from fastcrc.crc16 import mcrf4xx
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega
@@ -160,3 +161,15 @@ def test_a_translator_shows_one_vehicle_under_one_id() -> None:
     with pytest.raises(ValueError, match="needs vehicles"):
         SysidTranslator([])
     assert not SysidTranslator([4], 4).renumbers
+
+
+def test_a_changed_frame_keeps_its_compatibility_flags() -> None:
+    """A receiver may ignore those that it does not know; the frame is the same message with them."""
+    info = dialect().find("ATTITUDE")
+    raw = bytearray(encode(info, {"roll": 0.5}, sysid=5, compid=1, seq=7))
+    raw[3] = 0x02
+    raw[-2:] = mcrf4xx(bytes(raw[1:-2]) + info.crc_extra_byte).to_bytes(2, "little")
+    (said,) = FrameParser(dialect()).feed_datagram(bytes(raw))
+    shown = SysidTranslator([5], 1).outward(said)
+    assert shown is not None
+    assert (shown[3], shown[4], shown[5]) == (0x02, 7, 1)
