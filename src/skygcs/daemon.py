@@ -37,9 +37,8 @@ from skygcs.runtime.param_cache import ParamCache, default_cache_dir
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.renumbering import Renumbering
 from skygcs.runtime.route_reports import RouteReports
-from skygcs.runtime.signing_keys import Signing
+from skygcs.runtime.signing_keys import Signing, SigningStore, default_state_dir
 from skygcs.runtime.signing_setup import SigningSetup
-from skygcs.runtime.signing_store import SigningStore, default_state_dir
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 MAX_TOKEN_BYTES = 4096

@@ -28,7 +28,7 @@ from skygcs.links.base import StateUpdate
 from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.param_cache import ParamCache
-from skygcs.runtime.preflight_all import examine_all, meant
+from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.task_set import TaskSet, fault
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
@@ -413,8 +413,12 @@ class Fleet:
         fix: bool = False,
         confirmed: Mapping[str, Mapping[str, float]] | None = None,
     ) -> dict[str, Any]:
-        """See `examine_all`: also of vehicles of the fleet file that are not heard. Raises TargetError."""
-        vehicles = meant(expression, self.vehicles.values(), self._configs.values())
+        """See `examine_all`; includes the vehicles of the fleet file that are not heard. Raises TargetError."""
+        heard = list(self.vehicles.values())
+        unheard = [Unheard(config) for sysid, config in self._configs.items() if not self._of_system.get(sysid)]
+        everything: list[VehicleActor | Unheard] = [*heard, *unheard]
+        found = targets.select(expression, everything)
+        vehicles = {v.name: v if isinstance(v, Unheard) else v.preflight for v in found}
         return await examine_all(vehicles, fix=fix, confirmed=confirmed)
 
     def preflight_status(self, expression: str | int | Sequence[str | int]) -> dict[str, Any]:

@@ -27,15 +27,115 @@ from skygcs.events import Event
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, ForwardingPath, StateUpdate
 from skygcs.links.fast_path import new_table
 from skygcs.links.outgoing import OwnMessage
-from skygcs.runtime.channel_policy import channel_policy
 from skygcs.runtime.fleet import Fleet
-from skygcs.runtime.frame_observers import FrameObserver, FrameObservers
 from skygcs.runtime.recorder import Recorder
 from skygcs.runtime.route_reports import RouteReports
 from skygcs.runtime.signing_keys import Signing
 
 if TYPE_CHECKING:
     from skygcs.links._fast_path import Table
+
+
+from skygcs.config.models import MessageName
+from skygcs.core.routing.filters import ChannelPolicy, MessageFilter
+
+FrameObserver = Callable[[Frame, Channel, float], None]
+
+_Entry = tuple[set[int] | None, set[int] | None, FrameObserver]
+
+
+class FrameObservers:
+    """``on_change()`` is called whenever what is watched changes."""
+
+    def __init__(self, on_change: Callable[[], None]) -> None:
+        self.msgids: frozenset[int] | None = frozenset()
+        """Messages that some observer wants; None: all. To be checked before `show`: most frames are not observed."""
+        self._entries: list[_Entry] = []
+        self._on_change = on_change
+
+    def add(self, msgids: set[int] | None, keys: set[int] | None, observer: FrameObserver) -> Callable[[], None]:
+        """Hand frames of these ids and sources (sysid<<8|compid, component 0: the whole system; None: all) to
+        ``observer``; returns how to stop it."""
+        entry = (msgids, keys, observer)
+        self._entries.append(entry)
+        self._changed()
+
+        def remove() -> None:
+            if entry in self._entries:
+                self._entries.remove(entry)
+                self._changed()
+
+        return remove
+
+    def watch(self, msgid: int, key: int) -> bool:
+        """True if an observer wants frames of this message and source."""
+        return any((m is None or msgid in m) and (k is None or _has(k, key)) for m, k, _ in self._entries)
+
+    def show(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
+        """Give it to each observer that wants it."""
+        for msgids, keys, observer in tuple(self._entries):
+            if (msgids is None or frame.msgid in msgids) and (keys is None or _has(keys, key)):
+                observer(frame, channel, now)
+
+    def _changed(self) -> None:
+        wanted: set[int] | None = set()
+        for msgids, _, _ in self._entries:
+            wanted = None if wanted is None or msgids is None else wanted | msgids
+        self.msgids = None if wanted is None else frozenset(wanted)
+        self._on_change()
+
+
+def _has(keys: set[int], key: int) -> bool:
+    return key in keys or key & ~0xFF in keys
+
+
+def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int] = frozenset()) -> ChannelPolicy:
+    """The routing policy of a link's channels; ``vehicles``: the system ids it is bound to. Raises KeyError for a
+    message name the dialect does not have."""
+
+    def msgid(name: MessageName) -> int:
+        if isinstance(name, int) or name.isdecimal():
+            return int(name)  # an id the dialect does not have may be filtered, too
+        return dialect.find(name).msgid
+
+    def msgids(names: tuple[MessageName, ...]) -> frozenset[int]:
+        return frozenset(msgid(n) for n in names)
+
+    def rates(named: Mapping[str, float]) -> dict[int, float]:
+        return {msgid(n): hz for n, hz in named.items() if n != "*"}
+
+    unknown = config.forward_unknown
+    return ChannelPolicy(
+        role=config.role,
+        link=config.name,
+        replayed=config.type == "replay",
+        group=config.group,
+        vehicles=vehicles,
+        forward_unknown=config.role != "radio" if unknown is None else unknown,
+        filter_in=MessageFilter(
+            msgids(config.allow_msg_id_in),
+            msgids(config.block_msg_id_in),
+            frozenset(config.allow_src_sys_in),
+            frozenset(config.block_src_sys_in),
+            frozenset(config.allow_src_comp_in),
+            frozenset(config.block_src_comp_in),
+        ),
+        filter_out=MessageFilter(
+            msgids(config.allow_msg_id_out),
+            msgids(config.block_msg_id_out),
+            frozenset(config.allow_src_sys_out),
+            frozenset(config.block_src_sys_out),
+            frozenset(config.allow_src_comp_out),
+            frozenset(config.block_src_comp_out),
+        ),
+        rates_in=rates(config.rate_in.messages),
+        rates_out=rates(config.rate_out.messages),
+        default_hz_in=config.rate_in.messages.get("*"),
+        default_hz_out=config.rate_out.messages.get("*"),
+        bytes_per_s_in=config.rate_in.bytes_per_s,
+        bytes_per_s_out=config.rate_out.bytes_per_s,
+    )
+
 
 OTHER_SOURCES = -1
 """Key under which one channel's further sources are counted together once its table is full."""

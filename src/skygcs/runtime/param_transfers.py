@@ -17,10 +17,12 @@ from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
-from skygcs.core.mavlink.ftp_payload import decode
+from skygcs.core.mavlink.ftp_payload import CAPABILITY_FTP, MESSAGE, decode
 from skygcs.core.mavlink.msgids import FILE_TRANSFER_PROTOCOL, PARAM_VALUE
 from skygcs.core.mavlink.param_encoding import HASH_NAME, Param, Value, bits_message, value_reader, value_text
+from skygcs.core.params import pck
 from skygcs.core.params.names import other_name
 from skygcs.core.protocols.base import Effect, ProtocolMachine, Report, Send
 from skygcs.core.protocols.command import MAX_TEXTS
@@ -30,11 +32,53 @@ from skygcs.core.protocols.parameter_list import BYTES_PER_S, MAX_COUNT, ListPro
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
-from skygcs.runtime import param_file
 from skygcs.runtime.deadline_timer import DeadlineTimer
-from skygcs.runtime.param_book import ParamBook
+from skygcs.runtime.param_cache import ParamBook
 from skygcs.runtime.task_set import fault
 from skygcs.runtime.vehicle_services import VehicleServices
+
+GUESSED_BYTES = 12
+"""Bytes of a parameter: ArduPilot estimates with it the size that it reports when the file is opened."""
+
+
+def offered(vehicle: Vehicle, dialect: Dialect, capabilities: int) -> bool:
+    """Whether the vehicle says that it serves files, and has this one."""
+    return vehicle.family == "ardupilot" and bool(capabilities & CAPABILITY_FTP) and MESSAGE in dialect.by_name
+
+
+def download(session: int, *, burst: bool, bytes_per_s: float | None, link_bytes_per_s: float) -> FileDownload:
+    """``link_bytes_per_s``: what the narrowest link in the way leaves, infinite where none is known to be thin. There
+    it comes at once, unless a rate below that of a narrow link is requested."""
+    wide = math.isinf(link_bytes_per_s) and (bytes_per_s is None or bytes_per_s >= BYTES_PER_S)
+    return FileDownload(
+        pck.PATH,
+        session=session,
+        max_bytes=pck.MAX_BYTES,
+        burst=burst or wide,
+        bytes_per_s=None if wide else bytes_per_s,
+    )
+
+
+def progress_of(exchange: FileDownload, now: float) -> ListProgress:
+    """In parameters, as far as the vehicle's guess of the file's size goes."""
+    progress = exchange.progress(now)
+    count = None if progress.size is None else progress.size // GUESSED_BYTES
+    received = progress.received // GUESSED_BYTES
+    return ListProgress(
+        received if count is None else min(received, count), count, progress.sent, progress.elapsed_s, None
+    )
+
+
+def params_of(outcome: FileOutcome, heard: Mapping[str, Param]) -> tuple[Param, ...]:
+    """All parameters; ``heard``: what the vehicle said while it was read, which is newer. Raises ValueError, for a
+    person, if they are not all there."""
+    if not outcome.ok:
+        raise ValueError(outcome.message)
+    held = pck.decode(outcome.data)
+    if not held.params or len(held.params) != held.total:
+        raise ValueError(f"it holds {len(held.params)} of {held.total} parameters")
+    return tuple(heard.get(p.name, p) for p in held.params)
+
 
 NEEDED = ("PARAM_VALUE", "PARAM_SET", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST")
 
@@ -348,7 +392,7 @@ class VehicleParams:
         if self._cancelled != cancelled:
             return Loaded(False, "cancelled", "cancelled", "vehicle", "read", (), None, 0, self._loop.time() - started)
         why_not = ""
-        if param_file.offered(self._vehicle, self._dialect, self._book.capabilities):
+        if offered(self._vehicle, self._dialect, self._book.capabilities):
             by_file = await self._load_file(burst=burst, bytes_per_s=bytes_per_s)
             if by_file.ok or by_file.result in ("cancelled", "lost", "refused"):
                 return by_file
@@ -383,7 +427,7 @@ class VehicleParams:
         self._file_session = (self._file_session + 16) & 0xFF  # a download may need some
         started, services = self._loop.time(), self._services
         link = services.links.setpoint_bytes_per_s(self._vehicle, services.flown())
-        protocol = param_file.download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
+        protocol = download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
         self._changed.clear()
         self._file_running = True
         try:
@@ -397,7 +441,7 @@ class VehicleParams:
 
     def _loaded_file(self, outcome: FileOutcome, elapsed_s: float) -> Loaded:
         try:
-            params = param_file.params_of(outcome, self._changed)
+            params = params_of(outcome, self._changed)
         except ValueError as error:
             result = "incomplete" if outcome.ok else outcome.result
             return Loaded(False, result, str(error), "vehicle", "read", (), None, outcome.sent, elapsed_s)
@@ -462,7 +506,7 @@ class VehicleParams:
                 self.progress = protocol.progress(self._loop.time())
                 self._progress("list", self.progress, "reading parameters")
             elif isinstance(effect, Report) and isinstance(protocol, FileDownload):
-                self.progress = param_file.progress_of(protocol, self._loop.time())
+                self.progress = progress_of(protocol, self._loop.time())
                 self._progress("list", self.progress, "reading parameters by file, some")
         done = self._running.get(protocol)
         if protocol.done and done is not None and not done.done():

@@ -19,7 +19,7 @@ from skygcs.core.params.names import turns_on
 from skygcs.core.preflight.expectations import Expectations
 from skygcs.core.preflight.facts import Answer, Facts
 from skygcs.core.preflight.health import FRESH_S
-from skygcs.core.preflight.report import Fix, Report
+from skygcs.core.preflight.report import Fix, Report, Severity, failed
 from skygcs.core.preflight.table import examine, needed_messages, needed_params
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.protocols.parameter import ParamOutcome
@@ -32,6 +32,9 @@ from skygcs.runtime.vehicle_services import VehicleServices
 
 AT_ONCE = 8
 """Parameters of one vehicle asked for at the same time: 8 x 45 B are 65 ms of 57600 baud; one it has not takes 7 s."""
+
+VEHICLES_AT_ONCE = 3
+"""Vehicles examined at the same time: their questions share a radio, and each has some fifteen."""
 
 SETTLE_S = 3.0
 """From a parameter that was set until the vehicle's telemetry reflects it: it looks at its arming checks once
@@ -69,7 +72,7 @@ class Preflight:
         self.required = config.require_preflight
         self.last: Examined | None = None
         """The last report since the vehicle started; a reboot clears it."""
-        self._vehicle = vehicle
+        self.vehicle = vehicle
         self._config = config
         self._params = params
         self._services = services
@@ -96,7 +99,7 @@ class Preflight:
             fixes = _agreed(examined.report.fixes, confirmed) if fix else ()
             if not fixes:
                 return examined
-            if (why := why_not_idle(self._vehicle, self._loop.time())) is not None:
+            if (why := why_not_idle(self.vehicle, self._loop.time())) is not None:
                 return await self._examine({}, f"{why}: parameters are not changed then")
             fixed = await self._params.set({f.name: f.value for f in fixes})
             await asyncio.sleep(SETTLE_S)
@@ -110,9 +113,9 @@ class Preflight:
 
     def refusal(self, *, force: bool = False) -> str | None:
         """Why it must not be armed now; None if it may. Nothing is asked of the vehicle."""
-        if force or not self.required or self._vehicle.armed:
+        if force or not self.required or self.vehicle.armed:
             return None
-        state, name = self.state(), self._vehicle.name
+        state, name = self.state(), self.vehicle.name
         if state == "passed":
             return None
         how = f"run skygcs-cli preflight {name}, or {FORCE_HINT}"
@@ -142,7 +145,7 @@ class Preflight:
             "age_s": None if age_s is None else round(age_s, 1),
             "valid_s": None if age_s is None or self.state() != "passed" else round(self._valid_s - age_s, 1),
             "refusal": self.refusal(),
-            "report": None if last is None else result(last, self._vehicle),
+            "report": None if last is None else result(last, self.vehicle),
         }
 
     async def _examine(self, fixed: Mapping[str, ParamOutcome], unfixed: str) -> Examined:
@@ -160,13 +163,13 @@ class Preflight:
 
     def _facts(self, answers: Mapping[str, Answer]) -> Facts:
         return Facts(
-            state=dict(take_snapshot(self._vehicle, self._loop.time(), self.wall_clock())),
+            state=dict(take_snapshot(self.vehicle, self._loop.time(), self.wall_clock())),
             gcs_sysid=self._services.own[0],
             configured=self._configured,
             expected_autopilot=self._config.autopilot,
-            links=self._services.links.facts(self._vehicle.key, self._loop.time()),
+            links=self._services.links.facts(self.vehicle.key, self._loop.time()),
             answers=answers,
-            copter=is_copter(self._vehicle.type),
+            copter=is_copter(self.vehicle.type),
         )
 
     async def _ask_params(self, wanted: Expectations) -> dict[str, Answer]:
@@ -191,14 +194,14 @@ class Preflight:
                         self._absent.add(name)
 
         async with asyncio.TaskGroup() as group:
-            for names in needed_params(self._vehicle.family, wanted, self._vehicle.mode):
-                group.create_task(ask(names), name=f"preflight of {self._vehicle.name}: {names[0]}")
+            for names in needed_params(self.vehicle.family, wanted, self.vehicle.mode):
+                group.create_task(ask(names), name=f"preflight of {self.vehicle.name}: {names[0]}")
         return answers
 
     async def _ask_messages(self) -> None:
         """Those that have not come lately, one after another; what does not come is reported by its check."""
-        for message in needed_messages(self._vehicle.family):
-            slot = self._vehicle.slot(message) if message in self._dialect.by_name else None
+        for message in needed_messages(self.vehicle.family):
+            slot = self.vehicle.slot(message) if message in self._dialect.by_name else None
             if message in self._dialect.by_name and (slot is None or self._loop.time() - slot.at > FRESH_S):
                 if self._unneeded(message):
                     continue
@@ -206,13 +209,61 @@ class Preflight:
 
     def _unneeded(self, message: str) -> bool:
         """True if this is known: a battery's charge is in SYS_STATUS, too, and the version does not change."""
-        vehicle = self._vehicle
+        vehicle = self.vehicle
         if message == "BATTERY_STATUS":
             battery = vehicle.section("battery")
             return battery is not None and battery["percent"] is not None
         if message == "AUTOPILOT_VERSION":
             return vehicle.firmware is not None
         return False
+
+
+@dataclass(frozen=True, slots=True)
+class Unheard:
+    """A vehicle of the fleet file from which nothing has come since the daemon started."""
+
+    config: VehicleConfig
+    compid: int = 1
+
+    @property
+    def name(self) -> str:
+        return self.config.name
+
+    @property
+    def sysid(self) -> int:
+        return self.config.sysid
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        return self.config.groups
+
+    def result(self) -> dict[str, Any]:
+        text = "it is in the fleet file and has not been heard"
+        todo = "switch it on; check its radio and the link; or take it out of the file"
+        finding = failed(text, todo).named("link", Severity.FAULT)
+        report = Report((finding,))
+        return {"sysid": self.sysid, "autopilot": "", "in_air": None, **report.as_dict(), "fixed": {}, "unfixed": ""}
+
+
+async def examine_all(
+    vehicles: Mapping[str, Preflight | Unheard],
+    *,
+    fix: bool = False,
+    confirmed: Mapping[str, Mapping[str, float]] | None = None,
+) -> dict[str, Any]:
+    """JSON-able, each by its name; see `Preflight.run`. ``confirmed``: by vehicle's name, then by parameter's."""
+    slots = asyncio.Semaphore(VEHICLES_AT_ONCE)
+
+    async def one(name: str, vehicle: Preflight | Unheard) -> dict[str, Any]:
+        if isinstance(vehicle, Unheard):
+            return vehicle.result()
+        agreed = None if confirmed is None else confirmed.get(name, {})
+        async with slots:
+            return result(await vehicle.run(fix=fix, confirmed=agreed), vehicle.vehicle)
+
+    async with asyncio.TaskGroup() as group:
+        tasks = {n: group.create_task(one(n, v), name=f"preflight of {n}") for n, v in vehicles.items()}
+    return {name: task.result() for name, task in tasks.items()}
 
 
 def result(examined: Examined, vehicle: Vehicle) -> dict[str, Any]:

@@ -15,8 +15,14 @@ from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.routing.decision import RouteNote
 from skygcs.links.base import MAX_SOURCES_PER_CHANNEL, Channel, Link
 from skygcs.links.outgoing import Outgoing
-from skygcs.runtime.channel_policy import channel_policy
-from skygcs.runtime.hub import MAX_CHANNEL_ID, MAX_CLOSED_CHANNELS, MAX_CLOSED_SOURCES, OTHER_SOURCES, Hub
+from skygcs.runtime.hub import (
+    MAX_CHANNEL_ID,
+    MAX_CLOSED_CHANNELS,
+    MAX_CLOSED_SOURCES,
+    OTHER_SOURCES,
+    Hub,
+    channel_policy,
+)
 from support.routed import DIALECT, heartbeat, message
 from support.services import connect, list_recorder
 

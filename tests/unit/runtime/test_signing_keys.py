@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skygcs.core.mavlink.signing import MAX_TIMESTAMP, TICKS_PER_S
-from skygcs.runtime.signing_store import AFTER_CRASH_S, SigningStore, default_state_dir
+from skygcs.runtime.signing_keys import AFTER_CRASH_S, SigningStore, default_state_dir
 
 NOW = 37_000_000_000_000
 
