@@ -26,7 +26,7 @@ def plot(
         float | None, typer.Option("--to", metavar="S", help="Default: its end.", parser=finite, show_default=False)
     ] = None,
 ) -> None:
-    """Draw reference and estimate per axis, error, thrust and tilt, ages, and who closed the loops."""
+    """Draw reference and estimate per axis, error, thrust and tilt, ages, and the control mode."""
     path = file.with_suffix(".png") if output is None else output
     if path.suffix.lower() not in PLOT_SUFFIXES:
         raise typer.BadParameter(f"--output: {path.name!r} ends neither in .png nor in .svg")

@@ -51,7 +51,7 @@ Messages = Annotated[
 ]
 FleetFile = Annotated[
     Path | None,
-    typer.Option("--fleet", metavar="TOML", help="A fleet file: whose names mean what.", show_default=False),
+    typer.Option("--fleet", metavar="TOML", help="A fleet file, for names of vehicles.", show_default=False),
 ]
 DialectName = Annotated[
     str | None,

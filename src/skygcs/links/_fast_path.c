@@ -589,10 +589,10 @@ static int report_peer(Peer *peer) {
 }
 
 /* Report each item of a list, after taking it out: the list ends empty even if a report fails. */
-#define REPORT(list, item, tell, faults, where) \
+#define REPORT(list, item, report, faults, where) \
     while ((item = (list))) { \
         (list) = item->next, item->touched = 0; \
-        if (!(tell)) set_aside(faults, where); \
+        if (!(report)) set_aside(faults, where); \
     }
 
 /* Report the collected counts to Python's objects. Calls only `SourceStats.on_burst`, which counts; but a call of Python

@@ -97,9 +97,8 @@ class Admission:
             self._reported_at = now
             became = "took the place of another" if judgement.admitted else "was refused"
             self._report(
-                f"all {self.places.places} places are taken: {format_address(address)} {became}; a peer without an "
-                "autopilot that is silent gives way first, an autopilot that is heard never; allow_from keeps "
-                "strangers out",
+                f"all {self.places.places} places are taken: {format_address(address)} {became}; a silent peer "
+                "without an autopilot is replaced first, an autopilot that is heard never; allow_from keeps strangers out",
                 {"change": "full", "address": format_host(address), "places": self.places.places},
             )
         return judgement

@@ -1,5 +1,5 @@
-"""Channels into a radio: how large a message is and whom it is for, a budget that follows what the radio says, and what
-of others' traffic may have a part of it."""
+"""The sender's side of a channel into a radio: its queue, a budget that follows the radio's reports, and the share of
+third-party traffic."""
 
 from __future__ import annotations
 

@@ -24,8 +24,8 @@ STUCK_AFTER_S = 10.0
 """A client that takes nothing for this long has gone without saying so, or is of no use to anybody."""
 
 SEND_BUFFER_BYTES = 256 << 10
-"""Asked of the kernel, which counts a small frame under way as some 1 kB: 256 frames within one round trip. More would
-only let a slow client fall further behind."""
+"""Requested from the kernel, which counts a small frame under way as some 1 kB: 256 frames within one round trip. More
+would only let a slow client fall further behind."""
 
 KEEPALIVE_IDLE_S = 10
 KEEPALIVE_STEP_S = 5

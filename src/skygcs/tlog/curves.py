@@ -19,7 +19,7 @@ FIRST_TOLERANCE_M = 0.05
 """Finer than any GPS."""
 
 MOST_SPANS = 1000
-"""Mode changes or silences; beyond them they are only counted."""
+"""Mode changes or silences that are kept; more are only counted."""
 
 
 class _CurveBucket:

@@ -264,7 +264,7 @@ class RecordedFlight:
         self._move(vehicle, name, now, x, y)
 
     def _move(self, vehicle: VehicleFlight, name: str, now: float, x_m: float, y_m: float) -> None:
-        if vehicle.place != name:  # a better message than before: its track begins anew
+        if vehicle.place != name:  # a better message than before: its track restarts
             vehicle.place, vehicle.track, vehicle.farthest_m = name, Track(), 0.0
             vehicle.placed_s = now
         vehicle.track.add(now, x_m, y_m)

@@ -159,7 +159,7 @@ MODE_COLOURS = (
     *("#9CC9E8", "#F6C28B", "#A5D6A7", "#E3A9C9", "#F2E08A", "#C5B4E3", "#B7C0C7", "#F0A79B"),
     *("#8FD3CB", "#D7CBA8", "#CFE39B", "#DDDDDD"),
 )
-"""Behind black letters; a log has five modes or so, and from the thirteenth on they begin anew, hatched."""
+"""Background of black letters. A log has some five modes; from the thirteenth on the colours repeat, hatched."""
 
 MODE_HATCHES = ("", "////", "....", r"\\\\\\", "xxxx", "||||", "----", "++++")
 """With the colours 96 modes that look different: PX4 has 30, ArduPilot's copters and planes 55 between them."""

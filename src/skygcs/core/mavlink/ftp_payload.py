@@ -17,7 +17,7 @@ CAPABILITY_FTP = 1 << 5
 
 PAYLOAD_BYTES = 251
 MAX_DATA_BYTES = 239
-"""Of one packet: the payload without its head of 12 bytes."""
+"""Data bytes of one packet: the payload without its header of 12 bytes."""
 
 FRAME_BYTES = 12 + 3 + PAYLOAD_BYTES
 """A full packet as a MAVLink 2 frame: header and checksum, target fields, payload."""
@@ -85,7 +85,7 @@ class Packet:
 
     @property
     def error(self) -> int:
-        """Of a NAK; 0 where it says none."""
+        """Error code of a NAK; 0 if it has none."""
         return self.data[0] if self.data else 0
 
 

@@ -37,7 +37,7 @@ NOT_VEHICLES = frozenset({6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 38, 39, 40, 41,
 log, OSD, IMU, GPS, winch, illuminator, gripper. Parachute (37) is an airframe; what is yet to be defined is one too."""
 
 DEFAULT_LOST_S = 5.0
-"""Without an own heartbeat for this long the vehicle is lost, and the next one says anew what it is."""
+"""Without an own heartbeat for this time the vehicle is lost, and the next one identifies it again."""
 
 TYPE_CHANGE_S = 4.0
 """So long the known type has to be silent before the same autopilot is believed another type (PX4 changes MAV_TYPE
@@ -158,13 +158,13 @@ class HeartbeatCheck:
         return self._alternating
 
     def forget(self) -> None:
-        """The vehicle is lost or has started anew: whoever is heard next is it."""
+        """The vehicle is lost or has restarted: the next heartbeat with its ids is its own."""
         self.identity = None
         self._left.clear()
         self._alternating = False
 
     def heard(self, now: float) -> None:
-        """It was heard by another message that says who it is (HIGH_LATENCY2)."""
+        """It was heard by another message that identifies it (HIGH_LATENCY2)."""
         self._own_at = now
 
     def expect_change(self, command: int, result: int, now: float) -> None:

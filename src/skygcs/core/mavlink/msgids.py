@@ -1,7 +1,7 @@
 """Message ids that the code compares with (common.xml, ardupilotmega.xml), each defined once.
 
-What encodes or decodes a message goes by its name and the dialect; these are for decisions about frames whose payload
-need not be decoded.
+Code that encodes or decodes a message uses its name and the dialect; these ids are for decisions about frames whose
+payload need not be decoded.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def is_name(text: str) -> bool:
 
 
 def float32(value: float) -> float:
-    """The nearest 32-bit float. Raises OverflowError where there is none."""
+    """The nearest 32-bit float. Raises OverflowError if there is none."""
     nearest: float = struct.unpack("<f", struct.pack("<f", value))[0]
     return nearest
 
@@ -173,8 +173,8 @@ def bits_message(info: MessageInfo) -> MessageInfo:
 
 
 def value_reader(dialect: Dialect) -> Callable[[bytes, Encoding], ParamValue | None]:
-    """A function PARAM_VALUE's payload -> what it says; None if its name or type is none. Raises KeyError at once for a
-    dialect without the message."""
+    """A function from PARAM_VALUE's payload to its parameter; None if its name or type is invalid.
+    Raises KeyError at once for a dialect without the message."""
     read = bits_message(dialect.by_name["PARAM_VALUE"]).reader(
         "param_value", "param_count", "param_index", "param_id", "param_type"
     )

@@ -6,7 +6,7 @@ Rules (docs/explanation/routing.md, "strict frames"):
 - a frame whose id the dialect does not know cannot be checked and is taken only from a (sysid, compid) that a good
   CRC verified before on this link, with incompat_flags in {0, 1} and compat_flags 0, if the next frame begins where
   it ends (or the data ends) and no good frame stands inside it;
-- after a false start the search goes on at the next byte, never behind the claimed length: a noise byte that
+- after a false start the search continues at the next byte, never after the claimed length: a noise byte that
   looks like a start would otherwise eat the good frames behind it (pymavlink, gomavlib, mavlink-router do that);
 - nothing raises and nothing grows: at most one incomplete frame (280 bytes) is kept.
 """
@@ -93,14 +93,14 @@ class FrameParser:
 
     def finish(self) -> list[Frame]:
         """At the end of the stream (a file, a closed connection): the complete frames that were held back; the rest is
-        skipped, and the next `feed` begins anew."""
+        skipped, and the next `feed` starts with empty state."""
         frames: list[Frame] = []
         buffer, self._buffer = self._buffer, b""
         self._scan(buffer, frames, final=True)
         return frames
 
     def rescue(self) -> list[Frame]:
-        """To be called after a silence on the stream: the complete frames among the bytes that are kept.
+        """Call after a silence on the stream: returns the complete frames among the kept bytes.
 
         If there are any behind the first byte, the incomplete frame was a false start and its bytes are skipped;
         otherwise nothing changes and the rest of a slow frame may still come.
@@ -119,7 +119,7 @@ class FrameParser:
         return frames
 
     def _complete_at(self, buffer: bytes) -> int:
-        """Where the first complete frame stands: at 0 also one of unknown id, further on only a checked one. Or -1."""
+        """Place of the first complete frame: at 0 also one with an unknown id, later only a checked one. Or -1."""
         frame, _ = self._frame_at(buffer, 0, len(buffer), final=True, count=False)
         return 0 if frame is not None else self._good_from(buffer, 1)
 
@@ -205,7 +205,7 @@ class FrameParser:
         return Frame(raw, seq, sysid, compid, msgid, None), size
 
     def _good_from(self, buffer: bytes, at: int) -> int:
-        """Where the first complete frame of a right CRC stands, from ``at`` on; -1 if there is none."""
+        """Place of the first complete frame with a correct CRC, from ``at`` on; -1 if there is none."""
         for found in _MAGIC.finditer(buffer, at):
             start = found.start()
             size = frame_size(buffer, start)

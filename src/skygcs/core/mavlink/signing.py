@@ -40,7 +40,7 @@ recorded of it earlier could be played to us."""
 MAX_AHEAD_S = 86_400.0
 """A stamp further ahead of the computer's clock is neither believed nor followed: it would take the time of the key, of
 every vehicle that hears us and of what is kept on disk along, for good, and one of the year 2104 ends all signing. A
-day, and not the guide's minute, because honest clocks run ahead: an ArduPilot without GPS goes on a minute later at
+day, and not the guide's minute, because honest clocks run ahead: an ArduPilot without GPS starts a minute later at
 each start, and a computer whose clock was set to local time is up to 14 h off."""
 
 MAX_STREAMS = 512

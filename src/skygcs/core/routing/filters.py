@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from skygcs.core.token_bucket import TokenBucket
 
 MAX_RATE_KEYS = 4096
-"""Bound of one limiter's table of (source, msgid); 250 vehicles send some 20 each. Past it, all starts anew."""
+"""Bound of one limiter's table of (source, msgid); 250 vehicles send some 20 each. Above it the table is cleared."""
 
 BURST = 1.5
 """Tokens a message may save up: enough to take a jittering 1.0-rate stream whole, too little for two at once."""

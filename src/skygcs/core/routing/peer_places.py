@@ -1,12 +1,12 @@
 """The places of a server: which newcomers are admitted when all are taken, and which peer is replaced.
 
-    a place is free               whoever comes is let in
+    a place is free               any newcomer is admitted
     without an autopilot          takes the place of the peer without an autopilot that was silent for longest, if that
                                   was for SILENT_S; else one of an address that holds at least two more than its own
     with an autopilot             takes the place of a peer without one: of one that was silent for SILENT_S, else one
                                   of the address that holds most, but MIN_OTHERS_SHARE of the places stay with such
                                   peers; else the place of an autopilot that was silent for AUTOPILOT_SILENT_S
-    an address without a place    takes one of a few that are kept for such, beyond the number there is
+    an address without a place    takes one of a few additional places that are kept for such
     otherwise                     it is refused: those that were there first keep their places
 
 An autopilot that is heard is never put out. A flood of peers that claim to be autopilots keeps what it took first.

@@ -12,7 +12,7 @@ from typing import Any
 WINDOW = 64
 """Sequence numbers on either side of the newest within which a frame is new or late. PX4 1.16 sends frames up to 12
 places late (measured: two of its threads take numbers and send). RFC 3550 A.1 allows RTP 100 of 65,536; here each
-place more makes it harder to tell a late frame from one after an outage, as there are only 256 numbers."""
+place more makes it harder to distinguish a late frame from one after an outage, as there are only 256 numbers."""
 
 CONTINUES_WITHIN = 16
 """A frame far off counts once the next frame continues it, with fewer than so many lost in between."""
@@ -24,7 +24,7 @@ OUTAGE_S = 2.0
 """After a silence of so long no late frame is expected: radios of one network take turns within 1 s."""
 
 FIRST_NUMBERS = 4
-"""A sender that starts anew begins with number 0; of its first frames this many may be lost unseen."""
+"""A sender that restarts begins with number 0; this many of its first frames may be lost unseen."""
 
 RESTART_S = 10.0
 """A reboot shows in time_boot_ms or a boot text at most so long after the first frame."""
@@ -53,7 +53,7 @@ class SourceStats:
     - less than WINDOW back and not so counted: a repeated frame, which changes nothing;
     - farther off, or back after OUTAGE_S of silence: held. If the next frame continues it (an outage), those left out
       are lost; else it is another sender's and changes nothing;
-    - one of the FIRST_NUMBERS after OUTAGE_S of silence: the sender started anew, nothing is lost.
+    - one of the FIRST_NUMBERS after OUTAGE_S of silence: the sender restarted, nothing is lost.
 
     The numbers have 8 bits: of an outage of n frames n modulo 256 are counted, and none of 254 or 255.
     """
@@ -122,7 +122,7 @@ class SourceStats:
         self.last_at = last_at
 
     def restart(self) -> None:
-        """The sender rebooted: its sequence starts anew. Nor is it a loss that its numbers have jumped by now."""
+        """The sender rebooted: its sequence restarts, and a jump of its numbers since then is no loss."""
         if self.last_at - self._paused_at < RESTART_S:
             self.lost = min(self.lost, self._lost_before)
         self.resume()

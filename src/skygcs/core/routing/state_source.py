@@ -420,7 +420,7 @@ class StateSource:
         msgid = frame.msgid
         if msgid == HEARTBEAT:
             if not discovers(frame):
-                self._report_ignored(self._id_of(heard), heard, "firmware", now)  # of no second vehicle
+                self._report_ignored(self._id_of(heard), heard, "firmware", now)  # not a second vehicle
             elif self._firmware_agrees(heard) is False:
                 self._contradicted(heard, "firmware", now)
             elif heard.shown is not None and heard.shown != present.shown and present.shown is not None:
