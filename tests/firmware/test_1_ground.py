@@ -65,6 +65,7 @@ def test_nothing_is_lost_on_loopback(ground: Field, figures: dict[str, Any]) -> 
     assert all(count == 0 for counts in found.values() for count in counts), found
 
 
+@pytest.mark.minutes
 def test_stream_rates_are_the_same_after_a_restart(ground: Field, figures: dict[str, Any]) -> None:
     before = rates(ground, 6)[ground.one]
     ground.restart_daemon()

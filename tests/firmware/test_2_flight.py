@@ -79,6 +79,7 @@ def test_all_take_off_go_return_and_land(ground: Field, figures: dict[str, Any])
     assert max(figures["from home m"].values()) < 3
 
 
+@pytest.mark.minutes
 def test_a_mission_is_flown(ground: Field, figures: dict[str, Any]) -> None:
     ground.order("missions.upload", ground.one, plan=plan(ground), lists=["mission"])
     began = time.monotonic()

@@ -51,7 +51,7 @@ def trace_rms(path: Path, began_s: float) -> tuple[float, float]:
     return math.sqrt(sum(e * e for e in errors) / len(errors)), max(errors)
 
 
-MODES = [pytest.param("position", marks=pytest.mark.minutes), "velocity", "attitude"]
+MODES = [*(pytest.param(mode, marks=pytest.mark.minutes) for mode in ("position", "velocity")), "attitude"]
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -222,7 +222,7 @@ def fence(field: Field) -> dict[str, Any]:
     return {name: answer[name]["value"] for name in FENCE[field.firmware]}
 
 
-@pytest.mark.parametrize("where", ["ground", "air"])
+@pytest.mark.parametrize("where", [IN_FULL("ground"), "air"])
 def test_sigterm_in_a_fence_test_leaves_no_fence(ground: Field, figures: dict[str, Any], where: str) -> None:
     """`air`: it takes off while the test is under way, inside the test's fence."""
     before = fence(ground)
@@ -269,6 +269,7 @@ def gps(field: Field, on: bool) -> None:
     field.order("params.set", field.one, params=params, settle=False)
 
 
+@pytest.mark.minutes
 def test_gps_is_lost(air: Field, figures: dict[str, Any]) -> None:
     with air.controlled("velocity"):
         began = time.monotonic()

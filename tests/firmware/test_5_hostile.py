@@ -75,7 +75,7 @@ def test_one_forged_disarmed_heartbeat_under_control(air: Field, figures: dict[s
         assert far < 3
 
 
-@pytest.mark.parametrize("mode", ["hold", "velocity"])
+@pytest.mark.parametrize("mode", ["hold", pytest.param("velocity", marks=pytest.mark.minutes)])
 def test_forged_positions_fly_nobody(air: Field, figures: dict[str, Any], mode: str) -> None:
     """Positions 30 m north of it at 10 Hz, with its ids, from another peer."""
     began = time.monotonic()

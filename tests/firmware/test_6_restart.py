@@ -52,6 +52,7 @@ def test_a_reboot_and_an_arm_that_waits_for_a_position(ground: Field, figures: d
     ground.land()
 
 
+@pytest.mark.minutes
 def test_a_cold_start_is_waited_for(ground: Field, figures: dict[str, Any]) -> None:
     """`arm all --wait 60` and `takeoff all` as soon as the vehicles are heard, before they have a position."""
     off = time.monotonic()

@@ -9,7 +9,7 @@ import pytest
 
 from support.firmware_field import Field
 
-pytestmark = pytest.mark.only("ardupilot")
+pytestmark = [pytest.mark.only("ardupilot"), pytest.mark.minutes]
 
 
 def test_signed_flight_and_nobody_else(ground: Field, figures: dict[str, Any]) -> None:
