@@ -98,7 +98,8 @@ class Admission:
             became = "took the place of another" if judgement.admitted else "was refused"
             self._report(
                 f"all {self.places.places} places are taken: {format_address(address)} {became}; a silent peer "
-                "without an autopilot is replaced first, an autopilot that is heard never; allow_from keeps strangers out",
+                "without an autopilot is replaced first, an autopilot that is heard never; allow_from keeps "
+                "strangers out",
                 {"change": "full", "address": format_host(address), "places": self.places.places},
             )
         return judgement
