@@ -41,7 +41,7 @@ def own_port(kind: int) -> int:
 
 
 def link_of(kind: str, port: int, vehicle: str, form: str) -> str:
-    bound = f'vehicles = ["{vehicle}"]\npresent_as = 1\n' if form == "bound" else ""
+    bound = f'vehicles = ["{vehicle}"]\ntranslated_sysid = 1\n' if form == "bound" else ""
     return f'[links.program]\ntype = "{kind}"\nhost = "127.0.0.1"\nport = {port}\nrole = "gcs"\n{bound}'
 
 

@@ -19,7 +19,7 @@ from skygcs.links.udp import UdpServerLink
 from support.hosts import until
 from support.routed import DIALECT, heartbeat, message
 
-PROGRAMS = {"plain": {"vehicles": [5]}, "turned": {"vehicles": [5], "present_as": 1}, "other": {"vehicles": [6]}}
+PROGRAMS = {"plain": {"vehicles": [5]}, "turned": {"vehicles": [5], "translated_sysid": 1}, "other": {"vehicles": [6]}}
 
 
 def bound_socket() -> socket.socket:

@@ -102,7 +102,7 @@ async def test_eight_programs_fly_eight_vehicles(tmp_path: Path, shown: int | No
         heard = overhear(air)
         programs = {}
         for n, sysid in enumerate(VEHICLES):
-            programs[sysid] = await Program.start(air, sysid, present_as=shown, seed=n, **network)
+            programs[sysid] = await Program.start(air, sysid, translated_sysid=shown, seed=n, **network)
         for program in programs.values():
             program.peer.send(program.heartbeat(vehicle=False))
         for sysid, program in programs.items():
@@ -136,7 +136,7 @@ async def test_a_script_may_ask_before_it_has_heard_anybody(tmp_path: Path) -> N
     async with on_air(tmp_path, **RADIO) as air:
         heard = overhear(air)
         await air.until(lambda: len(air.daemon.fleet.vehicles) == len(VEHICLES))
-        program = await Program.start(air, 6, present_as=1)
+        program = await Program.start(air, 6, translated_sysid=1)
         request = mav.MAVLink_param_request_read_message(0, 0, b"ARMING_CHECK", -1)
         value = await program.asked(request, "PARAM_VALUE")
         assert (value.param_id, value.get_srcSystem()) == ("ARMING_CHECK", 1)
@@ -148,7 +148,7 @@ async def test_who_reaches_for_another_vehicle_is_told_once_and_reaches_nobody(t
     async with on_air(tmp_path, **RADIO) as air:
         heard = overhear(air)
         await air.until(lambda: len(air.daemon.fleet.vehicles) == len(VEHICLES))
-        program = await Program.start(air, 6, present_as=1)
+        program = await Program.start(air, 6, translated_sysid=1)
         for target in (6, 2, 255, 2, 6):
             program.peer.send(program.command(target, 1, p1=1.0, p2=float(FORCE)))
             await asyncio.sleep(0.1)
@@ -186,7 +186,7 @@ async def test_a_recording_and_what_is_told_of_vehicles_hold_real_ids(tmp_path: 
     async with on_air(tmp_path, **RADIO) as air:
         recorded: list[bytes] = []
         air.daemon.hub._record = lambda raw, unix_us: recorded.append(raw)
-        program = await Program.start(air, 6, present_as=1)
+        program = await Program.start(air, 6, translated_sysid=1)
         await program.wait_heartbeat()
         await program.arm()
         orders = [raw for raw in recorded if raw[0] == 0xFD and raw[7:10] == b"\x4c\0\0" and raw[5:7] == b"\xff\0"]
@@ -213,8 +213,8 @@ async def test_a_link_that_cannot_be_bound_so_is_refused_at_run_time(tmp_path: P
         with pytest.raises(LinkError, match="no vehicle 'kite'"):
             await air.daemon.links.add("x", {"type": "memory", "role": "gcs", "vehicles": ["kite"]})
         with pytest.raises(ConfigError):
-            await air.daemon.links.add("x", {"type": "memory", "role": "gcs", "vehicles": [6], "present_as": 300})
+            await air.daemon.links.add("x", {"type": "memory", "role": "gcs", "vehicles": [6], "translated_sysid": 300})
         program = await Program.start(air, "v6")
         await program.wait_heartbeat()
         row = next(row for row in air.daemon.links.status() if row["name"] == "pv6")
-        assert (row["vehicles"], row["present_as"]) == (["v6"], None)
+        assert (row["vehicles"], row["translated_sysid"]) == (["v6"], None)

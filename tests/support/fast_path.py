@@ -428,7 +428,7 @@ def _links(rng: random.Random) -> dict[str, dict[str, Any]]:
         return {key: rng.choice(values) for key, values in of.items() if rng.random() < share}
 
     whole = {"whole_datagrams": (True, False)}
-    bound: list[dict[str, Any]] = [{}, {}, {"vehicles": [1]}, {"vehicles": [2], "present_as": 1}]
+    bound: list[dict[str, Any]] = [{}, {}, {"vehicles": [1]}, {"vehicles": [2], "translated_sysid": 1}]
     return {
         "air": {
             "role": rng.choice(("peer", "peer", "radio", "vehicle")),

@@ -193,7 +193,7 @@ host = "127.0.0.1"
 port = {self.bound_port}
 role = "gcs"
 vehicles = ["{self.one}"]
-present_as = 1
+translated_sysid = 1
 
 [links.bound_tcp]
 type = "tcp_server"
@@ -201,7 +201,7 @@ host = "127.0.0.1"
 port = {self.bound_tcp_port}
 role = "gcs"
 vehicles = ["{self.one}"]
-present_as = 1
+translated_sysid = 1
 
 [links.bound_out]
 type = "udp_client"
@@ -209,7 +209,7 @@ host = "127.0.0.1"
 port = {self.program_port}
 role = "gcs"
 vehicles = ["{self.one}"]
-present_as = 1
+translated_sysid = 1
 
 [defaults.control]
 fence = {{ x_m = [-30, 30], y_m = [-30, 30], up_m = [0, 25] }}

@@ -44,7 +44,7 @@ class Script:
 
     @property
     def link(self) -> str:
-        shown = f"present_as = {SHOWN[self.sysid]}\n" if self.sysid in SHOWN else ""
+        shown = f"translated_sysid = {SHOWN[self.sysid]}\n" if self.sysid in SHOWN else ""
         return (
             f'[links.p{self.sysid}]\ntype = "{self.kind}"\nhost = "127.0.0.1"\nport = {self.port}\nrole = "gcs"\n'
             f"vehicles = [{self.sysid}]\n{shown}"
@@ -169,7 +169,7 @@ def test_eight_unmodified_programs_each_have_their_own_vehicle(tmp_path: Path, s
         for sysid, script in scripts.items():
             assert script.sources == {(SHOWN.get(sysid, sysid), 1)}, f"program of vehicle {sysid}"
         rows = {row["name"]: row for row in daemon.call("links.list")}
-        assert (rows["p6"]["vehicles"], rows["p6"]["present_as"]) == ([6], 1)
+        assert (rows["p6"]["vehicles"], rows["p6"]["translated_sysid"]) == ([6], 1)
         shown = daemon.cli("links")
         assert "6 as 1" in shown.stdout, shown.stdout + shown.stderr
         assert daemon.known() == 8

@@ -139,7 +139,7 @@ def _role(link: Mapping[str, Any]) -> str:
     """ "radio"; for a link bound to vehicles also which, and the system id it shows: "gcs: kite as 1"."""
     bound = [str(vehicle) for vehicle in link.get("vehicles") or ()]
     vehicles = ", ".join(bound[:3]) + (f" +{len(bound) - 3}" if len(bound) > 3 else "")
-    shown_as = f" as {link['present_as']}" if link.get("present_as") is not None else ""
+    shown_as = f" as {link['translated_sysid']}" if link.get("translated_sysid") is not None else ""
     return f"{link.get('role', '')}{vehicles and ': '}{vehicles}{shown_as}"
 
 

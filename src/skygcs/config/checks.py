@@ -1,4 +1,4 @@
-"""What pydantic cannot see in a fleet file: keys that are each right and do not go together."""
+"""Checks of the fleet file as a whole: keys that are valid each and contradict each other."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 
 def conflicts(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> list[Problem]:
-    """Every conflict between keys. ``wrong`` are keys whose own values were refused: nothing is claimed about them."""
+    """Every conflict between keys. ``wrong`` are keys whose own values were refused: they are not checked again."""
     problems = [*_vehicle_names(config), *_vehicle_sysids(config), *_vehicle_types(config)]
     if ("daemon", "sysid") not in wrong:
         problems += _own_sysid(config)
@@ -72,12 +72,12 @@ def added_conflicts(config: FleetConfig, name: str, link: LinkConfig) -> list[st
 
 
 def link_warnings(config: FleetConfig) -> dict[str, str]:
-    """By the name of each link that stands badly beside another, what to think of."""
+    """By the name of each link that disturbs another one, a warning."""
     return {**replay_warnings(config.links), **endpoint_warnings(config)}
 
 
 def open_servers(config: FleetConfig) -> dict[str, str]:
-    """By the name of each server that anybody in the network may speak to, what keeps strangers out."""
+    """By the name of each server that accepts every host of the network, a warning that names the remedy."""
     notes = {}
     for name, link in config.links.items():
         if not (link.enabled and isinstance(link, UdpServerLinkConfig | TcpServerLinkConfig)) or _is_loopback(
@@ -88,7 +88,7 @@ def open_servers(config: FleetConfig) -> dict[str, str]:
         if link.allow_from is None and not signed:
             where = f"{link.host or '0.0.0.0'}:{link.port}"
             notes[name] = (
-                f"whoever reaches {where} may speak here as a vehicle or a ground station; keep strangers out with "
+                f"any host that reaches {where} can act as a vehicle or a ground station here; restrict it with "
                 'allow_from = ["10.0.0.0/24"] (your network), with signing, or listen on 127.0.0.1'
             )
     return notes
@@ -102,8 +102,8 @@ def _is_loopback(host: str) -> bool:
 
 
 def replay_warnings(links: Mapping[str, LinkConfig]) -> dict[str, str]:
-    """By the name of each replay that stands beside links which can carry vehicles, what to think of. A recording
-    never reaches a vehicle; but its vehicles stand in the same lists as live ones."""
+    """By the name of each replay beside links that can carry vehicles, a warning. A recording never reaches a vehicle,
+    but its vehicles are listed beside live ones."""
     live = [
         n for n, link in links.items() if link.enabled and link.role != "gcs" and not isinstance(link, ReplayLinkConfig)
     ]
@@ -142,16 +142,16 @@ def message_problems(links: Mapping[str, LinkConfig], dialect: Dialect) -> list[
 
 
 def dialect_problems(dialect: Dialect) -> list[Problem]:
-    """A dialect in which nobody could be found or commanded."""
+    """A dialect that lacks what discovering and commanding a vehicle needs."""
     missing = [name for name in ("HEARTBEAT", "COMMAND_LONG", "COMMAND_ACK") if name not in dialect.by_name]
     if not missing:
         return []
-    text = f"{dialect.name} has no {' and no '.join(missing)}; name one that has beside it: "
+    text = f"{dialect.name} has no {' and no '.join(missing)}; name one that has as well: "
     return [Problem(("dialect",), text + '["ardupilotmega", "px4-extras"], for instance')]
 
 
 def stream_problems(config: FleetConfig, dialect: Dialect) -> list[Problem]:
-    """Messages in a ``streams`` key that the dialect does not have: nobody could be asked for them."""
+    """Messages in a ``streams`` key that the dialect does not have: they cannot be requested."""
     return [
         Problem((*path, "streams", message), text)
         for path, settings in _settings(config)
@@ -181,7 +181,7 @@ def _vehicle_names(config: FleetConfig) -> Iterator[Problem]:
         elif name in groups:
             yield Problem(path, f"{name!r} is the name of a vehicle and of a group; orders to it would be ambiguous")
         elif re.fullmatch(r"v[0-9]+", name) and int(name[1:]) != entry.sysid:
-            yield Problem(path, f"the name {name!r} is what a vehicle {name[1:]} is called that has no name of its own")
+            yield Problem(path, f"the name {name!r} is the default name of vehicle {name[1:]}")
     for path, group in _group_keys(config):
         if text := _name_problem(group):
             yield Problem(path, f"the group name {group!r} {text}")
@@ -209,7 +209,7 @@ def _group_keys(config: FleetConfig) -> Iterator[tuple[KeyPath, str]]:
 
 
 def _settings(config: FleetConfig) -> list[tuple[KeyPath, VehicleSettings]]:
-    """Every table that may say something of vehicles."""
+    """Every table with settings of vehicles."""
     sections: list[tuple[KeyPath, VehicleSettings]] = [(("defaults",), config.defaults)]
     sections += [(("types", name), settings) for name, settings in config.types.items()]
     sections += [(("vehicles", name), entry) for name, entry in config.vehicles.items()]
@@ -220,7 +220,7 @@ def _vehicle_sysids(config: FleetConfig) -> Iterator[Problem]:
     first: dict[int, str] = {}
     for name, entry in config.vehicles.items():
         if entry.sysid in first:
-            text = f"{entry.sysid} is already the system id of {first[entry.sysid]}: two vehicles of one id are one"
+            text = f"{entry.sysid} is already the system id of {first[entry.sysid]}: a system id belongs to one vehicle"
             yield Problem(("vehicles", name, "sysid"), text)
         else:
             first[entry.sysid] = name
@@ -249,11 +249,11 @@ def _simulated(config: FleetConfig) -> Iterator[Problem]:
         sysids = range(link.first_sysid, link.first_sysid + link.px4 + link.ardupilot)
         path = ("links", name, "first_sysid")
         if not sysids:
-            yield Problem(("links", name), "has no vehicles: say how many with px4 and ardupilot")
+            yield Problem(("links", name), "has no vehicles: give their number with px4 and ardupilot")
         elif sysids[-1] > MAX_SYSID:
             yield Problem(path, f"{len(sysids)} vehicles from {sysids[0]} on need system ids above {MAX_SYSID}")
         elif config.daemon.sysid in sysids:
-            yield Problem(path, f"{config.daemon.sysid} would be a simulated vehicle and is skygcs's own system id")
+            yield Problem(path, f"{config.daemon.sysid} is skygcs's own system id and cannot be a simulated vehicle")
         elif clash := next((s for s in sysids if s in taken), None):
             yield Problem(path, f"{clash} is also a vehicle of the simulated link {taken[clash]}")
         taken.update(dict.fromkeys(sysids, name))
@@ -265,7 +265,9 @@ def _radios(config: FleetConfig) -> Iterator[Problem]:
             continue
         for key in sorted(RadioKeys.model_fields.keys() & link.model_fields_set):
             if link.role != "radio":
-                yield Problem(("links", name, key), f'counts only with role = "radio", and the role is "{link.role}"')
+                yield Problem(
+                    ("links", name, key), f'has an effect only with role = "radio"; the role is "{link.role}"'
+                )
         if isinstance(link, SimulatedLinkConfig) and link.radio is not None:
             nodes = link.px4 + link.ardupilot + 1
             if link.radio.nodes is not None and link.radio.nodes < nodes:
@@ -277,7 +279,7 @@ def _radios(config: FleetConfig) -> Iterator[Problem]:
 
 
 def _control(config: FleetConfig) -> Iterator[Problem]:
-    """Keys of flight control that do not go together, told at the level that first says so."""
+    """Keys of flight control that contradict each other, reported at the first level that has them."""
     base = config.defaults.control or ControlSettings()
     types = {name: t.control.over(base) if t.control else base for name, t in config.types.items()}
     levels: list[tuple[KeyPath, ControlSettings, ControlSettings]] = [(("defaults",), base, ControlSettings())]
@@ -294,7 +296,7 @@ def _control(config: FleetConfig) -> Iterator[Problem]:
 
 
 def _said(settings: ControlSettings | None, key: tuple[str, ...], text: str) -> tuple[str, ...]:
-    """Of the keys that a text is about the one this level has said; ``key`` if none."""
+    """The key of a text that this level sets; ``key`` if it sets none."""
     table = None if settings is None else settings.model_dump(exclude_none=True)
     for part in key[:-1]:
         table = (table or {}).get(part)
@@ -335,7 +337,7 @@ def _same_host(a: str, b: str) -> bool:
 
 
 def _own_places(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
-    """A link that talks to another link of the same daemon: every frame would go round."""
+    """A link that sends to another link of the same daemon: every frame would loop."""
     for name, link in links.items():
         if isinstance(link, UdpClientLinkConfig | UdpBroadcastLinkConfig | TcpClientLinkConfig):
             if not link.port:
@@ -344,9 +346,7 @@ def _own_places(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
             heard = link.host in _LOOPBACK or isinstance(link, UdpBroadcastLinkConfig)
             for other, server in links.items():
                 if heard and isinstance(server, kind) and server.port == link.port and link.port:
-                    yield Problem(
-                        ("links", name, "port"), f"{link.port} is our own link {other}: frames would go round"
-                    )
+                    yield Problem(("links", name, "port"), f"{link.port} is our own link {other}: frames would loop")
 
 
 def _contradicting_filters(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
@@ -357,22 +357,22 @@ def _contradicting_filters(links: Mapping[str, LinkConfig]) -> Iterator[Problem]
                 allowed = {_plain(entry) for entry in getattr(link, allow)}
                 for index, entry in enumerate(getattr(link, block)):
                     if _plain(entry) in allowed:
-                        text = f"{entry} also stands in {allow}; take it out of one of them"
+                        text = f"{entry} is also in {allow}; remove it from one of them"
                         yield Problem(("links", name, block, index), text)
 
 
 def _signing(links: Mapping[str, LinkConfig]) -> Iterator[Problem]:
-    """Links whose signatures nobody could tell apart, or check."""
+    """Links whose signatures cannot be distinguished or checked."""
     used: dict[tuple[str, int], str] = {}
     for name, link in links.items():
         if link.signing is None:
             continue
         if isinstance(link, ReplayLinkConfig):
-            text = "a recording cannot be checked: what it holds is older than anything that may count"
+            text = "a recording cannot be checked: its signatures are too old to be accepted"
             yield Problem(("links", name, "signing"), text)
         place = (str(link.signing.key_file), link.signing.link_id)
         if other := used.get(place):
-            text = f"{place[1]} is already that of links.{other}, which has the same key; give each link its own"
+            text = f"{place[1]} is already the link_id of links.{other}, which has the same key; give each link its own"
             yield Problem(("links", name, "signing", "link_id"), text)
         used.setdefault(place, name)
 
@@ -382,23 +382,23 @@ def _plain(message: str | int) -> str:
 
 
 BINDABLE = frozenset({"udp_server", "udp_client", "udp_broadcast", "tcp_server", "tcp_client", "memory"})
-"""Types of links behind which a program may be; memory is for tests."""
+"""Types of links that can have a program behind them; memory is for tests."""
 
 
 def endpoint_text(link: LinkConfig) -> str:
     """ "kite", "kite as 1", "kite, hawk": what a bound link shows; empty if it is not bound."""
     shown = ", ".join(map(str, link.vehicles))
-    return shown if link.present_as is None else f"{shown} as {link.present_as}"
+    return shown if link.translated_sysid is None else f"{shown} as {link.translated_sysid}"
 
 
 def endpoint_problems(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> Iterator[Problem]:
-    """Keys of bound links that do not go together, or name nobody. ``wrong`` as in `checks.conflicts`."""
+    """Keys of bound links that contradict each other, or name no vehicle. ``wrong`` as in `checks.conflicts`."""
     for name, link in config.links.items():
         path = ("links", name)
         if not link.vehicles:
-            if link.present_as is not None and not _is_wrong((*path, "vehicles"), wrong):
-                text = "says how one vehicle is shown, and there is no `vehicles`: name that vehicle"
-                yield Problem((*path, "present_as"), text)
+            if link.translated_sysid is not None and not _is_wrong((*path, "vehicles"), wrong):
+                text = "gives one vehicle another id, but there is no `vehicles`: name that vehicle"
+                yield Problem((*path, "translated_sysid"), text)
             continue
         if link.type not in BINDABLE:
             text = (
@@ -408,26 +408,26 @@ def endpoint_problems(config: FleetConfig, wrong: Collection[KeyPath] = ()) -> I
             continue
         if link.role != "gcs" and (*path, "role") not in wrong:
             text = (
-                f'needs role = "gcs" (it is "{link.role}"): behind a bound link is a program that gives orders, and '
-                "links of other roles are taken for vehicles and sent our own orders"
+                f'needs role = "gcs" (it is "{link.role}"): a bound link has a program behind it that gives orders; '
+                "links of other roles carry vehicles and are sent our own orders"
             )
             yield Problem((*path, "vehicles"), text)
         own_sysid = None if ("daemon", "sysid") in wrong else config.daemon.sysid
         yield from _vehicles(config, name, link, own_sysid, wrong)
-        yield from _present_as(name, link, own_sysid)
+        yield from _translated_sysid(name, link, own_sysid)
 
 
 def endpoint_warnings(config: FleetConfig) -> dict[str, str]:
-    """By the name of each bound link whose program's frames lose signatures that another link asks for."""
+    """By the name of each bound link whose program's frames lose signatures that another link requires, a warning."""
     bound = {n: link for n, link in config.links.items() if link.enabled and link.vehicles}
     signed = [n for n, link in config.links.items() if link.enabled and link.signing is not None and not link.vehicles]
     warnings = {}
     for name, link in bound.items():
         if not signed or len(set(config.bound_sysids(link).values())) > 1:
             continue
-        what = "every frame" if link.present_as is not None else "a frame that names no target"
+        what = "every frame" if link.translated_sysid is not None else "a frame that names no target"
         warnings[name] = (
-            f"{what} from it is readdressed and loses its signature, and so does not count for vehicles that check "
+            f"{what} from it is readdressed and loses its signature, so vehicles that check "
             f"signatures (links.{', links.'.join(signed)} has a signing key): give orders to those through skygcs-cli, "
             "or through a link that is not bound"
         )
@@ -446,10 +446,10 @@ def _vehicles(
     for index, (vehicle, sysid) in enumerate(config.bound_sysids(link).items()):
         path = ("links", name, "vehicles", index)
         if sysid is None and _is_wrong(("vehicles", vehicle), wrong):
-            continue  # there is one, and what is wrong with it is told there
+            continue  # it exists, and its problem is reported there
         if sysid is None:
             near = difflib.get_close_matches(str(vehicle), config.vehicles, n=1)
-            known = ", ".join(config.vehicles) or "none is named in this file"
+            known = ", ".join(config.vehicles) or "this file names none"
             hint = f"did you mean {near[0]}?" if near else f"there are: {known}; or a system id, 1 to 255"
             yield Problem(path, f"there is no vehicle {vehicle!r}; {hint}")
         elif sysid == own_sysid:
@@ -460,15 +460,15 @@ def _vehicles(
             first[sysid] = vehicle
 
 
-def _present_as(name: str, link: LinkConfig, own_sysid: int | None) -> Iterator[Problem]:
-    path = ("links", name, "present_as")
-    if link.present_as is None:
+def _translated_sysid(name: str, link: LinkConfig, own_sysid: int | None) -> Iterator[Problem]:
+    path = ("links", name, "translated_sysid")
+    if link.translated_sysid is None:
         return
     if len(link.vehicles) > 1:
-        text = f"shows one vehicle under one id, and `vehicles` has {len(link.vehicles)}: make a link for each"
+        text = f"gives one vehicle another id, and `vehicles` has {len(link.vehicles)}: make a link for each"
         yield Problem(path, text)
-    if link.present_as == own_sysid:
-        yield Problem(path, f"{link.present_as} is skygcs's own system id (daemon.sysid); vehicles have 1 to 250")
+    if link.translated_sysid == own_sysid:
+        yield Problem(path, f"{link.translated_sysid} is skygcs's own system id (daemon.sysid); vehicles have 1 to 250")
     if link.signing is not None:
-        text = "changes every frame, and a changed frame has no signature: take out `signing`, or `present_as`"
+        text = "changes every frame, and a changed frame has no signature: remove `signing`, or `translated_sysid`"
         yield Problem(path, text)

@@ -1,6 +1,6 @@
-"""The ``control`` table of a vehicle, a type or the defaults: how skygcs flies it when it is told to.
+"""The ``control`` table of a vehicle, a type or the defaults: how skygcs flies it by setpoints.
 
-Every key may be left out at every level; what nobody says has the default of `core.control`.
+Every key is optional at every level; a key that no level sets has the default of `core.control`.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ class ControlFenceSettings(Model):
 
 
 class ControlSettings(Model):
-    """What may be said of flight control; None: not said here."""
+    """Settings of flight control; None: not set at this level."""
 
     rate_hz: Annotated[float, Field(ge=5, le=200)] | None = None
-    """Attitude setpoints per second, 50 unless said; the link's budget may leave fewer."""
+    """Attitude setpoints per second, default 50; the link's budget may leave fewer."""
     velocity_hz: Annotated[float, Field(ge=3, le=100)] | None = None
     """Velocity setpoints per second: 10. PX4 leaves OFFBOARD below 2."""
     position_hz: Annotated[float, Field(ge=3, le=50)] | None = None
@@ -60,7 +60,7 @@ class ControlSettings(Model):
     xy: GainSettings | None = None
     z: GainSettings | None = None
     hover_thrust: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Unless said, the autopilot's own (MPC_THR_HOVER, MOT_THST_HOVER), else 0.45."""
+    """Default: the autopilot's own (MPC_THR_HOVER, MOT_THST_HOVER), else 0.45."""
     thrust_min: Annotated[float, Field(ge=0, lt=1)] | None = None
     thrust_max: Annotated[float, Field(gt=0, le=1)] | None = None
     tilt_max_deg: Annotated[float, Field(gt=0, le=80)] | None = None
@@ -72,17 +72,17 @@ class ControlSettings(Model):
     position_stale_s: Seconds | None = None
     battery_min_percent: Annotated[float, Field(ge=0, le=100)] | None = None
     return_after_s: Seconds | None = None
-    """The wanted way is taken again after what made the guard fall back was well for so long; never unless said."""
+    """The ordered control mode is resumed when the cause of the fallback was absent for so long; default: never."""
     fence: ControlFenceSettings | None = None
 
     def over(self, lower: ControlSettings) -> ControlSettings:
-        """These settings, and where they say nothing those of ``lower``, key by key. Not checked: see `problems`."""
+        """These settings, completed key by key from ``lower``. Not checked: see `problems`."""
         merged: dict[str, Any] = {}
         for key in type(self).model_fields:
             mine, below = getattr(self, key), getattr(lower, key)
             if isinstance(mine, GainSettings | ControlFenceSettings) and below is not None:
-                told = {k: v for k, v in mine.model_dump().items() if v is not None}
-                mine = below.model_copy(update=told)
+                given = {k: v for k, v in mine.model_dump().items() if v is not None}
+                mine = below.model_copy(update=given)
             merged[key] = below if mine is None else mine
         return ControlSettings.model_construct(**merged)
 
@@ -91,7 +91,7 @@ class ControlSettings(Model):
         return 1.0 / (self.rate_hz or ATTITUDE_HZ)
 
     def law(self, hover_thrust: float | None = None) -> ControlConfig:
-        """The law's gains and limits; ``hover_thrust`` is what the autopilot says. Raises ConfigError."""
+        """The law's gains and limits; ``hover_thrust`` is what the autopilot reports. Raises ConfigError."""
         hover = self.hover_thrust or hover_thrust or UTIAS_HOVER_THRUST
         limits = {
             key: value
@@ -111,19 +111,19 @@ class ControlSettings(Model):
     def guard(self) -> GuardConfig:
         """What the guard watches."""
         keys = ("attitude_delay_s", "velocity_delay_s", "stale_s", "position_stale_s", "battery_min_percent")
-        told = {key: value for key in (*keys, "return_after_s") if (value := getattr(self, key)) is not None}
-        return GuardConfig(**told)
+        given = {key: value for key in (*keys, "return_after_s") if (value := getattr(self, key)) is not None}
+        return GuardConfig(**given)
 
     def fence_at(self, origin: Origin) -> Fence:
         """The box, standing on earth about this origin. Raises ConfigError."""
         fence = self.fence or ControlFenceSettings()
-        told = {key: value for key in ControlFenceSettings.model_fields if (value := getattr(fence, key)) is not None}
-        return Fence(origin, **told)
+        given = {key: value for key in ControlFenceSettings.model_fields if (value := getattr(fence, key)) is not None}
+        return Fence(origin, **given)
 
     def problems(self) -> list[tuple[tuple[str, ...], str]]:
         """What is impossible together though each key by itself is not: the path of a key in this table, and a text.
 
-        To be asked of whole settings only (`over`): what one level says may be right with what another says.
+        For complete settings only (`over`): a key of one level may be valid only with one of another.
         """
         found = [
             *_problems((), self.law),
@@ -137,7 +137,7 @@ class ControlSettings(Model):
 
 
 def _problems(table: tuple[str, ...], make: Callable[[], object]) -> list[tuple[tuple[str, ...], str]]:
-    """What `core.control` says of it; its texts begin with the keys they are about."""
+    """Problems that `core.control` finds; its texts begin with the keys they are about."""
     try:
         make()
     except ConfigError as error:
@@ -151,10 +151,10 @@ def _about(keys: str, text: str) -> str:
 
 
 def _gains(seed: AxisGains, settings: GainSettings | None) -> AxisGains:
-    told = {} if settings is None else {k: v for k, v in settings.model_dump().items() if v is not None}
+    given = {} if settings is None else {k: v for k, v in settings.model_dump().items() if v is not None}
     return AxisGains(
-        told.get("pos_p_per_s", seed.pos_p_per_s),
-        told.get("vel_p", seed.vel_p),
-        told.get("vel_i", seed.vel_i),
-        told.get("vel_d", seed.vel_d),
+        given.get("pos_p_per_s", seed.pos_p_per_s),
+        given.get("vel_p", seed.vel_p),
+        given.get("vel_i", seed.vel_i),
+        given.get("vel_d", seed.vel_d),
     )

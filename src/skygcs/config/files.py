@@ -14,9 +14,9 @@ from skygcs.sim.param_set import ParamSet, param_set
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """The file, open for reading. Raises OSError, also if it is none.
+    """The file, open for reading. Raises OSError, also for what is no regular file.
 
-    To open a named pipe waits until somebody writes to it: the loop, and with it the daemon, would stand still. A
+    Opening a named pipe waits until a program writes to it: the loop, and with it the daemon, would stop. A
     device such as /dev/zero has no end.
     """
     try:
@@ -36,7 +36,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def load_param_set(path: Path) -> ParamSet:
-    """Raises ConfigError, for a person, for a file that is not there, is none, or is of another kind of vehicle."""
+    """Raises ConfigError for a file that does not exist, is no text, or belongs to another kind of vehicle."""
     try:
         with open_regular(path) as file:
             raw = file.read(4 * MAX_CHARS + 1)
@@ -44,5 +44,5 @@ def load_param_set(path: Path) -> ParamSet:
     except OSError as error:
         raise ConfigError(str(path), [error.strerror or str(error)]) from None
     except UnicodeDecodeError:
-        raise ConfigError(str(path), ["is no text in UTF-8"]) from None
+        raise ConfigError(str(path), ["is not UTF-8 text"]) from None
     return param_set(parse(text, str(path)), str(path))

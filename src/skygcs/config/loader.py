@@ -58,9 +58,9 @@ _EXPECTED = {
     "model_type": "a table",
     "model_attributes_type": "a table",
 }
-"""pydantic's error type -> what was wanted, after "must be"."""
+"""pydantic's error type -> what is expected, after "must be"."""
 
-RENAMED_KEYS = {"foreign": "third_party", "control_way": "control_mode"}
+RENAMED_KEYS = {"foreign": "third_party", "control_way": "control_mode", "present_as": "translated_sysid"}
 """Keys of fleet files written for an earlier version: old -> new, wherever the new one is known."""
 
 _BOUNDS = {
@@ -151,7 +151,7 @@ def _parse(path: Path, text: str) -> dict[str, Any]:
 
 
 def _as_json(table: dict[str, Any]) -> str:
-    """JSON, because only there does pydantic's strict mode tell "57600" from 57600 and still make paths of text."""
+    """As JSON: only there pydantic's strict mode distinguishes "57600" from 57600 and still makes paths of text."""
     return json.dumps(table, default=str)
 
 
@@ -236,7 +236,7 @@ def _translated(errors: Iterable[ErrorDetails], table: dict[str, Any]) -> list[P
         elif kind == "value_error":
             text = error["msg"].removeprefix("Value error, ")
             named = re.match(r"([a-z_]+(?:\.[a-z_]+)*) ", text) if not path else None
-            if named:  # a check of several keys says itself which one it is about
+            if named:  # a check of several keys names the one it is about
                 problems.append(Problem(tuple(named.group(1).split(".")), text[named.end() :]))
             else:
                 problems.append(Problem(path, text))
@@ -245,7 +245,7 @@ def _translated(errors: Iterable[ErrorDetails], table: dict[str, Any]) -> list[P
     deepest = set(expected) | {p.path for p in problems}
     for path, wanted_list in expected.items():
         if any(len(other) > len(path) and other[: len(path)] == path for other in deepest):
-            continue  # the other branch of a union says it more exactly
+            continue  # the other branch of a union has the more exact error
         if any(p.path == path for p in problems):
             continue
         wanted = " or ".join(dict.fromkeys(wanted_list))

@@ -62,7 +62,7 @@ OWN_COMPID = 25
 
 
 class DaemonConfig(Model):
-    """[daemon]: who we are to others and where we keep things."""
+    """[daemon]: our MAVLink ids, sockets, logs and limits."""
 
     sysid: Sysid = OWN_SYSID
     compid: Compid = OWN_COMPID
@@ -90,7 +90,7 @@ class DaemonConfig(Model):
     operator_timeout_s: Annotated[float, Field(ge=2, le=3600)] | None = None
     """When for so long no ground station's heartbeat and no client's request came, vehicles flown by setpoints ..."""
     operator_lost: Literal["hold", "land", "rtl"] = "hold"
-    """... are told this. Never unless a time is set."""
+    """... get this order. Default: never."""
     require_preflight: bool = False
     """Arm and take off only vehicles that have passed preflight since they started ..."""
     preflight_valid_minutes: Annotated[float, Field(gt=0, le=1440)] = 30.0
@@ -116,7 +116,7 @@ class LinkCommon(Model):
     enabled: bool = True
     role: Role = "peer"
     group: str | None = None
-    """Links of one group are parallel ways to the same systems: nothing is forwarded between them."""
+    """Links of one group are parallel links to the same systems: nothing is forwarded between them."""
     forward_unknown: bool | None = None
     """Send frames of unknown id to this link; default: yes, but not to a radio."""
     allow_msg_id_in: tuple[MessageName, ...] = ()
@@ -136,9 +136,9 @@ class LinkCommon(Model):
     signing: SigningSettings | None = None
     """Check the signature of what comes and sign what is ours."""
     vehicles: tuple[str | int, ...] = ()
-    """Names or system ids of the only vehicles that who is behind this link sees and may speak to ("bound")."""
-    present_as: Sysid | None = None
-    """The system id under which its one vehicle is shown there."""
+    """Names or system ids of the only vehicles that the program behind this link can see and address ("bound")."""
+    translated_sysid: Sysid | None = None
+    """The system id that its one vehicle has behind this link."""
 
 
 class SerialLinkConfig(RadioKeys, LinkCommon):
@@ -182,7 +182,7 @@ class UdpClientLinkConfig(UdpCommon):
 
 
 class UdpBroadcastLinkConfig(UdpCommon):
-    """Broadcasts until somebody answers, then talks to that one; back to broadcast after 5 s of silence."""
+    """Broadcasts until a peer answers, then sends to that one; broadcasts again after 5 s of silence."""
 
     type: Literal["udp_broadcast"] = "udp_broadcast"
     host: str = "255.255.255.255"
@@ -273,18 +273,18 @@ AnyLink = Annotated[LinkConfig, Field(discriminator="type")]
 
 
 class VehicleSettings(Model):
-    """What [defaults] and [types.NAME] may say; None = not said here."""
+    """Settings of [defaults] and [types.NAME]; None: not set at this level."""
 
     autopilot: Autopilot | None = None
     group: str | tuple[str, ...] | None = None
     takeoff_height_m: Annotated[float, Field(gt=0, le=500)] | None = None
     goto_limit_m: Annotated[float, Field(gt=0)] | None = None
     streams: dict[str, Annotated[RateHz, Field(le=400)]] | None = None
-    """Hz per message to ask the vehicle for where it does not come by itself; {} asks for nothing."""
+    """Hz per message to request from the vehicle if it does not send it by itself; {} requests nothing."""
     control: ControlSettings | None = None
     """Gains, limits, fence and guard of flight control; laid over the lower levels' key by key."""
     preflight: PreflightSettings | None = None
-    """What is expected of it before it flies; laid over the lower levels' key by key."""
+    """Expectations before a flight; laid over the lower levels' key by key."""
     require_preflight: bool | None = None
     """As in [daemon], for these vehicles."""
 
@@ -362,7 +362,7 @@ class FleetConfig(Model):
         return tuple(self._resolved(n, entry).model_copy(update=named) for n, entry in self.vehicles.items())
 
     def bound_sysids(self, link: LinkConfig) -> dict[str | int, int | None]:
-        """The system id of each of the link's ``vehicles``; None for what is none: no name, no id from 1 to 255."""
+        """The system id of each of the link's ``vehicles``; None: neither a name nor an id from 1 to 255."""
         return {vehicle: self._sysid_of(vehicle) for vehicle in link.vehicles}
 
     def _sysid_of(self, vehicle: str | int) -> int | None:

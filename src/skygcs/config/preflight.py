@@ -1,6 +1,6 @@
 """The ``preflight`` table of a vehicle, a type or the defaults: what is expected of it before it flies.
 
-Every key may be left out at every level; what nobody says has the default of `core.preflight.Expectations`.
+Every key is optional at every level; a key that no level sets has the default of `core.preflight.Expectations`.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Version = Annotated[str, AfterValidator(_version)]
 
 
 class RuleSettings(Model):
-    """Comparisons with one parameter; all that are said must hold."""
+    """Comparisons with one parameter; all that are given must hold."""
 
     one_of: Annotated[tuple[ParamValue, ...], Field(min_length=1)] | None = Field(None, alias="in")
     min: ParamValue | None = None
@@ -56,7 +56,7 @@ class RuleSettings(Model):
     no_bits: Mask | None = None
     """A mask of bits that must be clear."""
     set: ParamValue | None = None
-    """What --fix sets it to; unless said, what is nearest to what it is."""
+    """What --fix sets it to; default: the permitted value nearest to its present one."""
     why: str = ""
     optional: bool = False
     """A vehicle that has no such parameter passes."""
@@ -89,7 +89,7 @@ class RuleSettings(Model):
 
 
 class PreflightSettings(Model):
-    """What may be said of preflight; None: not said here. A limit of 0 turns its check off."""
+    """Settings of preflight; None: not set at this level. A limit of 0 turns its check off."""
 
     params: dict[ParamName, ParamValue | RuleSettings] | None = None
     """By name: a value, or a table of comparisons; an empty table takes a lower level's expectation away."""
@@ -111,24 +111,24 @@ class PreflightSettings(Model):
     geofence_required: bool | None = None
     transmitter: bool | None = None
     control_mode: ControlMode | Literal["none"] | None = None
-    """How skygcs is to fly it; unless said "attitude" where there is a control table, else "none"."""
+    """How skygcs will fly it; default: "attitude" where there is a control table, else "none"."""
 
     def over(self, lower: PreflightSettings) -> PreflightSettings:
-        """These settings, and where they say nothing those of ``lower``; params by name."""
-        told = {key: value for key in type(self).model_fields if (value := getattr(self, key)) is not None}
+        """These settings, completed from ``lower``; params by name."""
+        given = {key: value for key in type(self).model_fields if (value := getattr(self, key)) is not None}
         if self.params is not None and lower.params is not None:
-            told["params"] = {**lower.params, **self.params}
-        return lower.model_copy(update=told)
+            given["params"] = {**lower.params, **self.params}
+        return lower.model_copy(update=given)
 
     def expectations(self, *, control: bool, setpoint_hz: float) -> Expectations:
-        """``control``: whether the vehicle has a control table; ``setpoint_hz``: of the slowest way it may be flown."""
+        """``control``: whether the vehicle has a control table; ``setpoint_hz``: of its slowest control mode."""
         keys = {f.name for f in fields(Expectations)} & set(type(self).model_fields)
-        told: dict[str, Any] = {key: value for key in keys if (value := getattr(self, key)) is not None}
-        told["params"] = {name: _rule(value) for name, value in (self.params or {}).items()}
+        given: dict[str, Any] = {key: value for key in keys if (value := getattr(self, key)) is not None}
+        given["params"] = {name: _rule(value) for name, value in (self.params or {}).items()}
         if isinstance(self.firmware, str):
-            told["firmware"] = (self.firmware,)
+            given["firmware"] = (self.firmware,)
         control_mode = self.control_mode or ("attitude" if control else "none")
-        return Expectations(**told, control=None if control_mode == "none" else control_mode, setpoint_hz=setpoint_hz)
+        return Expectations(**given, control=None if control_mode == "none" else control_mode, setpoint_hz=setpoint_hz)
 
 
 def _rule(value: ParamValue | RuleSettings) -> Rule:

@@ -1,4 +1,4 @@
-"""What the fleet file says of a radio: how fast it is, how it is shared, and how an emulated one behaves."""
+"""Settings of a radio: its speed, how it is shared, and the behaviour of an emulated one."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ class RadioKeys(BaseModel):
     duty_cycle: Share = 1.0
     """Of its time in which the radio may send (its DUTY_CYCLE, as a share)."""
     uplink_share: Share | None = None
-    """Of the serial rate (0.5 unless said) or, with an air speed, of the ground's timeslot (0.9), for the way up."""
+    """Share for the uplink: of the serial rate (default 0.5) or, with an air speed, of the ground's timeslot (0.9)."""
     downlink_share: Share = 0.5
     """Of the serial rate and of a vehicle's timeslot that the planned streams may fill."""
     stream_profile: Profile = "custom"
-    """What every vehicle behind it streams if there is room; custom: what its own ``streams`` say."""
+    """Streams of every vehicle behind it if they fit; custom: its own ``streams``."""
     third_party: ThirdPartyKeys = ThirdPartyKeys()
     """What others may send into it."""
 
@@ -78,5 +78,5 @@ class EmulatedRadio(Model):
 
 
 def radio_rates(keys: RadioKeys, baud: int) -> RadioRates:
-    """What a serial link's keys say of the radio at its port."""
+    """The rates of the radio at a serial port, by the link's keys."""
     return RadioRates(baud, keys.air_speed_kbps, keys.nodes, keys.duty_cycle, keys.uplink_share)

@@ -211,7 +211,7 @@ class _Reader:
         if listens:
             return ['type = "udp_server"', f"host = {_quoted(host)}", f"port = {port}"]
         if host.endswith(".255"):
-            seen = "# a broadcast address: sent there until somebody answers, then to that one, as mavlink-router does"
+            seen = "# a broadcast address: sent there until a peer answers, then to that peer, as mavlink-router does"
             return [seen, 'type = "udp_broadcast"', f"host = {_quoted(host)}", f"port = {port}"]
         return ['type = "udp_client"', f"host = {_quoted(host)}", f"port = {port}"]
 
@@ -227,7 +227,7 @@ class _Reader:
         return out
 
     def noted(self, line: int, reason: str) -> str:
-        """A comment for the file; the same is a note for whoever imports."""
+        """A comment for the file, which is also a note for the user."""
         text = f"{_one_line(self._lines[line - 1].strip())}: {reason}"
         self.notes.append(f"line {line}: {text}")
         return f"# not brought over (line {line}): {text}"

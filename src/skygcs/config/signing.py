@@ -33,7 +33,7 @@ class SigningSettings(BaseModel):
     sign_outgoing: bool = True
     """Sign our own messages. What others sent is forwarded as it came, signed or not."""
     max_ahead_s: Annotated[float, Field(ge=60, le=3.2e9)] = MAX_AHEAD_S
-    """What is stamped further ahead of this computer's clock is dropped, and nobody's clock follows it."""
+    """Frames stamped further ahead of this computer's clock are dropped, and no clock follows them."""
     accept_unsigned: tuple[str | int, ...] = ("RADIO_STATUS", "RADIO")
     """Messages that may come unsigned (a telemetry radio has no key); [] for none, ["*"] for all."""
 
@@ -53,7 +53,7 @@ def read_key(path: Path) -> bytes:
         raise KeyFileError(str(path), f"{(error.strerror or str(error)).lower()}{hint}") from None
     key = _key_in(path, data)
     if not any(key):
-        raise KeyFileError(str(path), "is all zeros, which means no key at all (and everybody knows it)")
+        raise KeyFileError(str(path), "is all zeros, which means no key at all")
     return key
 
 
@@ -82,7 +82,7 @@ def _require_private(path: Path, status: os.stat_result) -> None:
         raise KeyFileError(
             str(path),
             f"others can read or change it (mode {mode:04o}); run: chmod 600 {path}, "
-            "and make a new key if somebody else may have seen this one",
+            "and make a new key if others may have read this one",
         )
     if status.st_uid not in (os.geteuid(), 0):
         raise KeyFileError(str(path), f"belongs to another user (uid {status.st_uid}); it must be your own")

@@ -238,7 +238,7 @@ class Hub:
             channel.sources = parted
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
         if channel.config.vehicles:  # which the fleet file's checks have found: an endpoint without any raises
-            channel.translator = SysidTranslator(sysids, channel.config.present_as)
+            channel.translator = SysidTranslator(sysids, channel.config.translated_sysid)
             if channel.translator.renumbers:
                 self._renumbering[channel.id] = channel.translator
         self.router.open(channel.id, channel_policy(channel.config, self.dialect, sysids))

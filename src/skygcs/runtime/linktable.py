@@ -212,7 +212,7 @@ class LinkTable:
                     "channels": [self._hub.channel_status(c) for c in supervisor.link.channels],
                 }
             if entry.config.vehicles:
-                row |= {"vehicles": list(entry.config.vehicles), "present_as": entry.config.present_as}
+                row |= {"vehicles": list(entry.config.vehicles), "translated_sysid": entry.config.translated_sysid}
             if name in warnings:
                 row["warning"] = warnings[name]
             rows.append(row)

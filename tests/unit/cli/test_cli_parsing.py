@@ -73,8 +73,8 @@ def test_wrong_pairs_are_usage_errors(pairs: list[str]) -> None:
 
 
 def test_filters_and_vehicles_of_a_link_are_lists_of_one_as_well() -> None:
-    pairs = ["port=14561", "vehicles=kite", "present_as=1", "allow_src_sys_in=5"]
-    assert parse_link(pairs) == {"port": 14561, "vehicles": ["kite"], "present_as": 1, "allow_src_sys_in": [5]}
+    pairs = ["port=14561", "vehicles=kite", "translated_sysid=1", "allow_src_sys_in=5"]
+    assert parse_link(pairs) == {"port": 14561, "vehicles": ["kite"], "translated_sysid": 1, "allow_src_sys_in": [5]}
     assert parse_link(["vehicles=kite,6"]) == {"vehicles": ["kite", 6]}
 
 

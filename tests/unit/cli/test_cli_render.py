@@ -211,8 +211,8 @@ def test_links_have_a_row_per_channel_and_say_why_they_are_down() -> None:
 
 def test_a_bound_link_shows_its_vehicles_and_frames_for_others() -> None:
     up = FakeDaemon().links.status()[0]
-    kite = {**up, "name": "p1", "role": "gcs", "vehicles": ["kite"], "present_as": 1}
-    many = {**up, "name": "p2", "role": "gcs", "vehicles": [1, 2, 3, 4, 5], "present_as": None}
+    kite = {**up, "name": "p1", "role": "gcs", "vehicles": ["kite"], "translated_sysid": 1}
+    many = {**up, "name": "p2", "role": "gcs", "vehicles": [1, 2, 3, 4, 5], "translated_sysid": None}
     many["channels"] = [{**up["channels"][0], "out_of_bounds": 7}]
     lines = [line.rstrip() for line in text_of(links.links_table([kite, many])).splitlines()]
     assert "gcs: kite as 1  " in lines[1]

@@ -15,8 +15,8 @@ from skygcs.config.control import (
     ATTITUDE_MIN_HZ,
     POSITION_HZ,
     VELOCITY_HZ,
+    ControlFenceSettings,
     ControlSettings,
-    FenceSettings,
     GainSettings,
 )
 from skygcs.config.loader import load_fleet
@@ -64,7 +64,7 @@ def test_every_key_reaches_what_it_is_for() -> None:
         position_stale_s=1.5,
         battery_min_percent=30,
         return_after_s=5,
-        fence=FenceSettings(x_m=(-10, 20), y_m=(-5, 5), up_m=(2, 9), margin_m=1),
+        fence=ControlFenceSettings(x_m=(-10, 20), y_m=(-5, 5), up_m=(2, 9), margin_m=1),
     )
     law = settings.law(0.7)  # the file's word counts more than the vehicle's
     assert (law.period_s, law.hover_thrust, law.thrust_min, law.thrust_max) == (1 / 40, 0.4, 0.2, 0.8)
@@ -104,7 +104,7 @@ def test_levels_are_laid_over_each_other_key_by_key_also_within_gains_and_fence(
     a, b = (vehicle.control for vehicle in config.vehicle_configs())
     assert (a.rate_hz, a.hover_thrust) == (40, 0.6)
     assert a.xy == GainSettings(pos_p_per_s=0.5, vel_p=0.1, vel_i=0.03)
-    assert a.fence == FenceSettings(x_m=(-10, 10), up_m=(0, 30), margin_m=1)
+    assert a.fence == ControlFenceSettings(x_m=(-10, 10), up_m=(0, 30), margin_m=1)
     law = a.law()
     assert (law.xy.vel_p, law.xy.vel_d) == (0.1, UTIAS_XY.vel_d)
     assert (b.hover_thrust, b.xy) == (0.4, GainSettings(pos_p_per_s=0.5, vel_p=0.06))

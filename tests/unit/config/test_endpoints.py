@@ -27,8 +27,8 @@ def load(folder: Path, text: str) -> FleetConfig:
     [
         ('vehicles = ["kite"]', [5], "kite"),
         ('vehicles = ["kite", 7, "v8", "9"]', [5, 7, 8, 9], "kite, 7, v8, 9"),
-        ("vehicles = [5]\npresent_as = 1", [5], "5 as 1"),
-        ('vehicles = ["hawk"]\npresent_as = 6', [6], "hawk as 6"),
+        ("vehicles = [5]\ntranslated_sysid = 1", [5], "5 as 1"),
+        ('vehicles = ["hawk"]\ntranslated_sysid = 6', [6], "hawk as 6"),
     ],
 )
 def test_vehicles_are_names_or_system_ids(tmp_path: Path, keys: str, sysids: list[int], shown: str) -> None:
@@ -41,7 +41,7 @@ def test_several_programs_may_see_one_id(tmp_path: Path) -> None:
     text = VEHICLES
     for n, vehicle in enumerate(("kite", "hawk", "kite")):
         text += LINK.replace("links.p", f"links.p{n}").replace("14561", f"1456{n}")
-        text += f'vehicles = ["{vehicle}"]\npresent_as = 1\n'
+        text += f'vehicles = ["{vehicle}"]\ntranslated_sysid = 1\n'
     assert len(load(tmp_path, text).links) == 3
 
 
@@ -57,14 +57,14 @@ def test_several_programs_may_see_one_id(tmp_path: Path) -> None:
         (LINK.replace("gcs", "vehicle") + "vehicles = [5]", 'needs role = "gcs" (it is "vehicle")'),
         (
             LINK.replace('role = "gcs"\n', "") + "vehicles = [5]",
-            'needs role = "gcs" (it is "peer"): behind a bound link',
+            'needs role = "gcs" (it is "peer"): a bound link has a program',
         ),
-        (LINK + 'vehicles = ["kite", "hawk"]\npresent_as = 1', "and `vehicles` has 2: make a link for each"),
-        (LINK + "present_as = 1", "links.p.present_as (line 9): says how one vehicle is shown"),
-        (LINK + "vehicles = [5]\npresent_as = 255", "255 is skygcs's own system id (daemon.sysid)"),
-        (LINK + "vehicles = [5]\npresent_as = 0", "present_as"),
+        (LINK + 'vehicles = ["kite", "hawk"]\ntranslated_sysid = 1', "and `vehicles` has 2: make a link for each"),
+        (LINK + "translated_sysid = 1", "links.p.translated_sysid (line 9): gives one vehicle another id"),
+        (LINK + "vehicles = [5]\ntranslated_sysid = 255", "255 is skygcs's own system id (daemon.sysid)"),
+        (LINK + "vehicles = [5]\ntranslated_sysid = 0", "translated_sysid"),
         (
-            LINK + 'vehicles = [5]\npresent_as = 1\n[links.p.signing]\nkey_file = "k"',
+            LINK + 'vehicles = [5]\ntranslated_sysid = 1\n[links.p.signing]\nkey_file = "k"',
             "changes every frame, and a changed frame has no signature",
         ),
         (
@@ -84,7 +84,10 @@ def test_what_does_not_go_together_is_told_with_what_to_do(tmp_path: Path, text:
 
 def test_what_is_wrong_by_itself_is_not_told_again_of_the_link(tmp_path: Path) -> None:
     text = "[daemon]\nsysid = 300\n[vehicles.kite]\nsysid = 300\n" + LINK.replace("gcs", "gsc")
-    for keys, mistakes in (('vehicles = ["kite"]\npresent_as = 255', 3), ("vehicles = [1.5]\npresent_as = 1", 4)):
+    for keys, mistakes in (
+        ('vehicles = ["kite"]\ntranslated_sysid = 255', 3),
+        ("vehicles = [1.5]\ntranslated_sysid = 1", 4),
+    ):
         with pytest.raises(ConfigError) as caught:
             load(tmp_path, text + keys)
         assert len(caught.value.problems) == mistakes, caught.value.problems
@@ -94,7 +97,7 @@ def test_what_is_wrong_by_itself_is_not_told_again_of_the_link(tmp_path: Path) -
     ("keys", "warned"),
     [
         ("vehicles = [5]", "a frame that names no target from it is readdressed and loses its signature"),
-        ("vehicles = [5]\npresent_as = 1", "every frame from it is readdressed and loses its signature"),
+        ("vehicles = [5]\ntranslated_sysid = 1", "every frame from it is readdressed and loses its signature"),
         ("vehicles = [5, 6]", None),
         ("", None),
         ("vehicles = [5]\nenabled = false", None),
@@ -104,3 +107,11 @@ def test_orders_that_lose_their_signature_are_warned_of(tmp_path: Path, keys: st
     found = link_warnings(load(tmp_path, SIGNED + LINK + keys))
     assert (warned in found["p"] and "links.radio" in found["p"]) if warned is not None else not found
     assert not link_warnings(load(tmp_path, LINK + keys)), "nobody checks"
+
+
+def test_the_old_key_is_answered_with_the_new_one(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    path.write_text('[links.p]\ntype = "udp_server"\nport = 14561\nrole = "gcs"\nvehicles = [5]\npresent_as = 1\n')
+    with pytest.raises(ConfigError) as found:
+        load_fleet(path)
+    assert found.value.problems == ["links.p.present_as (line 6): is called translated_sysid now: rename the key"]

@@ -147,7 +147,7 @@ sysid = 1
         ("[vehicles.'a,b']\nsysid = 1", "vehicles.\"a,b\" (line 1): the name 'a,b' contains ',': a comma separates"),
         ("[vehicles.'a b']\nsysid = 1", "contains ' ': a target has no blanks; use _ instead"),
         ("[vehicles.'']\nsysid = 1", "the name '' is empty"),
-        ("[vehicles.v3]\nsysid = 4", "the name 'v3' is what a vehicle 3 is called that has no name of its own"),
+        ("[vehicles.v3]\nsysid = 4", "the name 'v3' is the default name of vehicle 3"),
         (
             "[vehicles.a]\nsysid = 1\ngroup = 'all'",
             "vehicles.a.group (line 3): the group name 'all' means every vehicle",
@@ -186,16 +186,16 @@ sysid = 1
         ),
         (
             "[links.a]\ntype='udp_server'\nport=5000\n[links.b]\ntype='udp_client'\nhost='localhost'\nport=5000",
-            "links.b.port (line 7): 5000 is our own link a: frames would go round",
+            "links.b.port (line 7): 5000 is our own link a: frames would loop",
         ),
         (
             "[links.a]\ntype='udp_server'\nport=5000\n[links.b]\ntype='udp_broadcast'\nport=5000",
-            "links.b.port (line 6): 5000 is our own link a: frames would go round",
+            "links.b.port (line 6): 5000 is our own link a: frames would loop",
         ),
         ("[links.b]\ntype='tcp_client'\nhost='h'\nport=0", "links.b.port (line 4): 0 is no port to send to"),
         (
             "[links.s]\ntype='simulated'\npx4=3\nfirst_sysid=253",
-            "links.s.first_sysid (line 4): 255 would be a simulated vehicle and is skygcs's own system id",
+            "links.s.first_sysid (line 4): 255 is skygcs's own system id and cannot be a simulated vehicle",
         ),
         (
             "[links.s]\ntype='simulated'\npx4=3\nardupilot=3\nfirst_sysid=251",
@@ -205,7 +205,7 @@ sysid = 1
             "[links.s]\ntype='simulated'\npx4=3\n[links.t]\ntype='simulated'\npx4=3\nfirst_sysid=3",
             "links.t.first_sysid (line 7): 3 is also a vehicle of the simulated link s",
         ),
-        ("[links.s]\ntype='simulated'", "links.s (line 1): has no vehicles: say how many with px4 and ardupilot"),
+        ("[links.s]\ntype='simulated'", "links.s (line 1): has no vehicles: give their number with px4 and ardupilot"),
         # messages
         (
             SERIAL + 'allow_msg_id_in = ["HEARTBEAT", "ATITUDE"]',
@@ -219,11 +219,11 @@ sysid = 1
         (SERIAL + "[links.radio.rate_in.messages]\nATTITUDE = -1", "must be at least 0, not -1"),
         (
             SERIAL + "allow_src_sys_in = [1, 2]\nblock_src_sys_in = [5, 2]",
-            "links.radio.block_src_sys_in[1] (line 5): 2 also stands in allow_src_sys_in; take it out of one of them",
+            "links.radio.block_src_sys_in[1] (line 5): 2 is also in allow_src_sys_in; remove it from one of them",
         ),
         (
             SERIAL + "allow_msg_id_out = ['ATTITUDE']\nblock_msg_id_out = ['attitude']",
-            "links.radio.block_msg_id_out[0] (line 5): attitude also stands in allow_msg_id_out",
+            "links.radio.block_msg_id_out[0] (line 5): attitude is also in allow_msg_id_out",
         ),
         # files
         ("dialect = 'no/such.xml'", "no/such.xml: no such dialect file"),

@@ -46,16 +46,22 @@ def test_what_goes_together_is_accepted(tmp_path: Path, text: str) -> None:
     [
         (
             SERIAL + "air_speed_kbps = 64",
-            'air_speed_kbps (line 4): counts only with role = "radio", and the role is "peer"',
+            'air_speed_kbps (line 4): has an effect only with role = "radio"; the role is "peer"',
         ),
-        (SERIAL + 'role = "gcs"\nstream_profile = "nav"', 'stream_profile (line 5): counts only with role = "radio"'),
+        (
+            SERIAL + 'role = "gcs"\nstream_profile = "nav"',
+            'stream_profile (line 5): has an effect only with role = "radio"',
+        ),
         (SERIAL + 'role = "radio"\nduty_cycle = 0', "duty_cycle"),
         (SERIAL + 'role = "radio"\nnodes = 1', "nodes"),
         (SERIAL + 'role = "radio"\nstream_profile = "fast"', "stream_profile"),
         (SIMULATED + "radio = { nodes = 3 }", "3 nodes are too few for 4 vehicles and the ground"),
         (SIMULATED + "radio = { distances_m = [1, 2, 3, 4, 5] }", "5 distances are too many for 4 vehicles"),
         (SIMULATED + "radio = { loss = 1.0 }", "loss"),
-        (SERIAL + '[links.r.third_party]\nlogs = "deny"', 'third_party (line 4): counts only with role = "radio"'),
+        (
+            SERIAL + '[links.r.third_party]\nlogs = "deny"',
+            'third_party (line 4): has an effect only with role = "radio"',
+        ),
         (SIMULATED + '[links.r.third_party]\nparam_lists = "two"', "param_lists"),
         (
             SERIAL + 'role = "radio"\n[links.r.foreign]\nlogs = "deny"',

@@ -30,7 +30,7 @@ LINKS = get_args(models.LinkConfig)
         models.FleetConfig,
         control.ControlSettings,
         control.GainSettings,
-        control.FenceSettings,
+        control.ControlFenceSettings,
         preflight.PreflightSettings,
         preflight.RuleSettings,
         signing.SigningSettings,

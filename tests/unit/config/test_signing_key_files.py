@@ -145,7 +145,8 @@ key_file = "k"
 def test_two_links_of_one_key_need_two_ids(tmp_path: Path) -> None:
     link = '[links.{0}]\ntype = "memory"\n[links.{0}.signing]\nkey_file = "k"\n'
     assert problems(tmp_path, link.format("a") + link.format("b")) == [
-        "links.b.signing.link_id (line 7): 0 is already that of links.a, which has the same key; give each link its own"
+        "links.b.signing.link_id (line 7): 0 is already the link_id of links.a, "
+        "which has the same key; give each link its own"
     ]
 
 
