@@ -241,6 +241,7 @@ def _restart(ledger: Ledger, side: Side, bauds: tuple[int, int] | None) -> Gener
     """Restart and read; None if it cannot be read. The port's radio passes data on afterwards."""
     yield side.say("Z", Until.SENT)
     ledger.restarted = Fact.UNKNOWN
+    # a remote radio: our own stays at its command line meanwhile
     if side.remote is not None:
         yield Quiet(REMOTE_RESTART_S)
         try:
@@ -251,6 +252,7 @@ def _restart(ledger: Ledger, side: Side, bauds: tuple[int, int] | None) -> Gener
         ledger.restarted = Fact.YES
         yield from _leave(ledger)
         return after
+    # our own: at the new rate of its port or, if that was not saved, at the old one
     ledger.command_line = False
     for attempt in range(TRIES_AFTER_RESTART):
         yield Quiet(RESTART_S)

@@ -241,6 +241,7 @@ class AirPlanner:
     def _status_of(self, radio: _Radio, now: float) -> dict[str, Any]:
         total, each = radio.budget
         planned = {k: plan_bytes_per_s(rates, self._bytes) for k, rates in radio.planned.items()}
+        # each vehicle of the plan
         sources = radio.channel.sources
         vehicles = []
         for key, rates in radio.planned.items():
@@ -263,6 +264,7 @@ class AirPlanner:
                     "streams": actor.streams.status(),
                 }
             )
+        # the radio as a whole
         measured = sum(s.bytes_per_s for s in sources.values())
         return {
             "link": radio.channel.link.name,

@@ -125,6 +125,7 @@ def plan(
     same = 0
     entries = file.of_component(compid)
     for entry in entries:
+        # leave out what is not to be applied, or not known to the vehicle
         sort = sort_of(entry.name)
         if sort not in include:
             skipped.append((entry.name, sort))
@@ -133,6 +134,7 @@ def plan(
         if name is None:
             unknown.append(entry.name)
             continue
+        # change what differs
         present = held[name]
         if equal(present.value, entry.value, entry.slack):
             same += 1
@@ -143,6 +145,7 @@ def plan(
             problems.append(f"line {entry.line}: {entry.name}: {error}")
             continue
         changes.append(Change(name, wanted, present.value, sort))
+    # in an order in which every change takes effect
     changes.sort(key=_turn)
     skipped += [(e.name, f"component {e.compid}") for e in file.entries if e.compid not in (None, compid)]
     warnings = _warnings(file, held, unknown, len(entries), sysid, stack)

@@ -250,6 +250,7 @@ class TxQueue(Generic[T]):
         of_class = self._classes[priority]
         if priority is Priority.HEARTBEAT and not of_class.length:
             self._heartbeat_since = now
+        # the newest takes the place of a waiting one with its key
         slot: Hashable
         if key is not None:
             slot = (key,)
@@ -260,6 +261,7 @@ class TxQueue(Generic[T]):
                 return True
         else:
             slot = self._serial = self._serial + 1
+        # a full class drops its oldest, or refuses
         if of_class.length >= BOUND[priority]:
             if priority not in DROPS_OLDEST:
                 counters.refused += 1
