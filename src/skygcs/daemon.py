@@ -1,7 +1,7 @@
 """Composition root: config -> objects -> task groups; ordered shutdown.
 
 Two nested groups: the inner one runs links and clocks, the outer one the recorder and the RPC server. A stop ends the
-inner group first, so that what links did last is still recorded and told.
+inner group first, so that what links did last is still recorded and reported.
 """
 
 from __future__ import annotations
@@ -174,13 +174,14 @@ class Daemon:
                 for clock in clocks:
                     clock.cancel()
                 self.operator_watchdog.close()
-                self.fleet.close()  # who waits for an outcome is told before the links are gone
+                self.fleet.close()  # orders in progress end, and report so, before the links are gone
                 await self.fleet.ended(NOTE_S)
             await self.links.close()
             signing.cancel()  # after the last message that was signed
 
     async def _park(self) -> None:
-        """Who is flown by setpoints is told to hold before they cease: an ArduCopter's attitude would only level."""
+        """Order vehicles that are flown by setpoints to hold before these stop: an ArduCopter in attitude control would
+        only level."""
         flown = [actor.name for actor in self.fleet.flown()]
         if flown:
             with contextlib.suppress(TimeoutError):
@@ -196,7 +197,7 @@ class Daemon:
         return self._stopping.is_set()
 
     async def stopped(self) -> None:
-        """Wait until somebody asked the daemon to stop."""
+        """Wait until `stop` is called."""
         await self._stopping.wait()
 
     async def _every(self, period_s: float, action: Callable[[], None]) -> None:

@@ -84,7 +84,7 @@ class Flown:
     async def begin(self) -> None:
         await self.link.open()
         self.link.arrived(self.voice.beat(PX4, PX4_LOITER, armed=True, status=4).raw)
-        assert self.hub.ways(1, 1), "the route to the vehicle is known"
+        assert self.hub.channels_to(1, 1), "the route to the vehicle is known"
         self.vehicle.on_frame(self.voice.beat(PX4, OFFBOARD, armed=True, status=4), self.now)
         self.vehicle.on_frame(self.voice.landed(2), self.now)
         self.vehicle.on_frame(self.positions[0], self.now)

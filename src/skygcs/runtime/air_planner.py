@@ -135,7 +135,7 @@ class AirPlanner:
             for key, actor in self._fleet.vehicles.items()
             if not actor.vehicle.replayed
             and not self._is_silent(actor, now)
-            and channel_id in self._hub.ways(actor.sysid, actor.compid)
+            and channel_id in self._hub.channels_to(actor.sysid, actor.compid)
         }
 
     def _plan(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:

@@ -31,7 +31,7 @@ MAX_OF_SYSTEM = 32
 """Components kept of one system; a vehicle with gimbal, cameras, companion, ADS-B and winch has some ten."""
 
 MAX_COMPONENTS = 1024
-"""Of all systems; 64 messages of some 600 bytes each are 40 MB at the very most."""
+"""Components kept of all systems; 64 messages of some 600 bytes each are 40 MB at the very most."""
 
 GIVES_WAY_S = 60.0
 """One that was silent for so long gives its place to a new one where all are taken."""

@@ -63,7 +63,7 @@ class ControlClock:
             self._handle = None
 
     def lateness_p99_s(self) -> float | None:
-        """Of the last ticks; None before the first."""
+        """99th percentile of the last ticks; None before the first."""
         if not self._lateness_s:
             return None
         ordered = sorted(self._lateness_s)

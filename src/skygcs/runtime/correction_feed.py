@@ -49,7 +49,7 @@ class CorrectionFeed:
         now = self._clock()
         self._follow(source, now)
         before = dict(self._sent)
-        ways = len(self._hub.ways(0, 0))
+        channels = len(self._hub.channels_to(0, 0))
         types: dict[int, int] = {}
         bad_crc, skipped = self._deframer.bad_crc, self._deframer.skipped_bytes
         for message in self._deframer.feed(data):
@@ -68,7 +68,7 @@ class CorrectionFeed:
         return {
             **{name: count - before[name] for name, count in self._sent.items()},
             "types": {str(type_): count for type_, count in sorted(types.items())},
-            "links": ways,
+            "links": channels,
         }
 
     def status(self) -> dict[str, Any]:

@@ -192,6 +192,7 @@ class VehicleFence:
 
     async def _tested(self, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
         vehicle = self._vehicle
+        # what it holds now, and what the test sets
         try:
             require_connected(vehicle, self._loop.time())
             fence_params.names_of(vehicle)
@@ -203,6 +204,7 @@ class VehicleFence:
             wanted = fence_params.changes(vehicle.family, held, radius_m=radius_m, height_m=0.0, action=action)
         except RefusedError as error:
             return FenceOutcome(_refused(error))
+        # on disk before anything changes: the record and the journal entry
         record: dict[str, Any] = {
             "vehicle": vehicle.name,
             "sysid": vehicle.sysid,
@@ -230,6 +232,7 @@ class VehicleFence:
             )
         except RefusedError as error:
             return FenceOutcome(_refused(error))
+        # the test, which is undone however it ends
         outcome = Outcome(False, "cancelled", "cancelled")
         self._walk = walk = _Walk(self._loop.time(), vehicle.mode, vehicle.armed, vehicle.armed)
         try:

@@ -542,6 +542,7 @@ class Fleet:
         self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
     def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
+        # is there room for it?
         if not self._has_place(frame.sysid, channel_label):
             self.refused_vehicles += 1
             if self.refused_vehicles == 1:
@@ -553,7 +554,8 @@ class Fleet:
                 data = {"limit": MAX_VEHICLES, "limit_of_link": MAX_VEHICLES_OF_LINK, "link": channel_label}
                 self._on_event(Event("conflict", None, frame.sysid, text, data))
             return
-        self._make_way(frame, channel_label, now)
+        self._replace_expected(frame, channel_label, now)
+        # the vehicle and its actor
         config = self._config_of(frame.sysid, frame.compid)
         vehicle = Vehicle(
             frame.sysid,
@@ -570,6 +572,7 @@ class Fleet:
         vehicle.duplicates = self._duplicates
         configured = config.named if self.config.vehicles else None
         actor = VehicleActor(vehicle, config, self._services, configured=configured)
+        # into the tables, then its first frame
         self.components.forget(key)
         self.vehicles[key] = actor
         self._of_system.setdefault(frame.sysid, set()).add(key)
@@ -577,6 +580,7 @@ class Fleet:
         self._links.forget_flows()
         self.world.join(actor)
         actor.on_frame(frame, channel_label, now)
+        # report it
         kind = vehicle.enum_name("MAV_TYPE", vehicle.type)
         data = {"compid": frame.compid, "autopilot": vehicle.family, "type": kind, "link": channel_label}
         text = f"{vehicle.family} {kind.lower()}, system {frame.sysid}, {vehicle.mode}, over {channel_label}"
@@ -634,7 +638,7 @@ class Fleet:
         self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"forgotten": True}))
         return True
 
-    def _make_way(self, heartbeat: Frame, link: str, now: float) -> None:
+    def _replace_expected(self, heartbeat: Frame, link: str, now: float) -> None:
         """If this is a vehicle that was given this system id, the entry of its old one goes and its name stays."""
         expected = self._expected.get(heartbeat.sysid)
         if expected is None or now > expected.until or link != expected.link:

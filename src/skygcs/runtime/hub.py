@@ -517,10 +517,10 @@ class Hub:
         ``everywhere`` takes every channel on which it was heard, as emergencies do. False if that id was not
         heard lately or every link refused. Raises ValueError as `pack` does.
         """
-        ids = self.ways(sysid, compid, everywhere=everywhere or priority is Priority.EMERGENCY)
+        ids = self.channels_to(sysid, compid, everywhere=everywhere or priority is Priority.EMERGENCY)
         return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, key)
 
-    def ways(self, sysid: int, compid: int, *, everywhere: bool = False) -> tuple[int, ...]:
+    def channels_to(self, sysid: int, compid: int, *, everywhere: bool = False) -> tuple[int, ...]:
         """Ids of the channels that a message of ours for this system takes now; sysid 0: for all vehicles."""
         ids = self.router.route_own(sysid, compid, self._loop.time(), everywhere=everywhere)
         if sysid == 0:

@@ -135,7 +135,7 @@ class LinkView:
     def why_silent(self, vehicle: Vehicle) -> str:
         """Why a vehicle may not answer although it is heard: the end of a sentence, or ""."""
         slot = vehicle.slots.get(HEARTBEAT)
-        links = [self._hub.channels[i].config for i in self._hub.ways(vehicle.sysid, vehicle.compid)]
+        links = [self._hub.channels[i].config for i in self._hub.channels_to(vehicle.sysid, vehicle.compid)]
         return why_silent(None if slot is None else slot.frame, links)
 
     def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
@@ -144,7 +144,7 @@ class LinkView:
         least_hz = OFFBOARD_MIN_HZ if px4 else GUIDED_MIN_HZ
         needed = least_hz * FRAME_BYTES[STREAMED]
         instead = "; send it places instead (skygcs-cli goto), fly fewer by setpoints, or raise the radio's air speed"
-        for channel_id in self._hub.ways(vehicle.sysid, vehicle.compid):
+        for channel_id in self._hub.channels_to(vehicle.sysid, vehicle.compid):
             # only radios are narrow
             air = self._hub.channels[channel_id].air
             if air is None:
@@ -169,7 +169,7 @@ class LinkView:
         """This vehicle's share of the narrowest channel that leads to it; infinite where none is serial or a radio."""
         ids = (vehicle.sysid, vehicle.compid)
         least = math.inf
-        for channel_id in self._hub.ways(*ids):
+        for channel_id in self._hub.channels_to(*ids):
             channel = self._hub.channels[channel_id]
             link = channel.link
             if channel.air is not None and channel.air.queue.budget is not None:
@@ -181,7 +181,7 @@ class LinkView:
             if channel.signing is not None:
                 setpoints *= SIGNED_SHARE
             others = sum(
-                channel_id in self._hub.ways(other.sysid, other.compid)
+                channel_id in self._hub.channels_to(other.sysid, other.compid)
                 for other in flown
                 if (other.sysid, other.compid) != ids
             )

@@ -113,7 +113,7 @@ class MessageSender:
             if system is not None:  # an autopilot may take what is for a component that it does not know
                 sysids = sorted({actor.sysid for actor in meant})
                 return [vehicle for sysid in sysids for vehicle in self._fleet.vehicles_of(sysid)]
-            channels = {route for actor in meant for route in self._hub.ways(actor.sysid, actor.compid)}
+            channels = {route for actor in meant for route in self._hub.channels_to(actor.sysid, actor.compid)}
         sysid = 0 if system is None else int(fields.get(system, 0) or 0)
         if sysid:
             return [actor.vehicle for actor in live.values() if actor.sysid == sysid]
@@ -127,7 +127,7 @@ class MessageSender:
         system, component = target_fields(info)
         sysid = int(fields.get(system, 0) or 0) if system is not None else 0
         compid = int(fields.get(component, 0) or 0) if component is not None else 0
-        sent = self._on(self._hub.ways(sysid, compid), info, fields)
+        sent = self._on(self._hub.channels_to(sysid, compid), info, fields)
         if not sent:
             raise RefusedError(f"{info.name} was not sent: {self._why_not(sysid)}")
         return self._answer(info, int(sent))
@@ -137,7 +137,7 @@ class MessageSender:
         system, component = target_fields(info)
         sent = 0
         if system is None:
-            ways = dict.fromkeys(route for sysid, compid in meant for route in self._hub.ways(sysid, compid))
+            ways = dict.fromkeys(route for sysid, compid in meant for route in self._hub.channels_to(sysid, compid))
             sent = sum(self._on((route,), info, fields) for route in ways)
             note = self._overheard(info, meant, set(ways))
         else:
@@ -149,7 +149,7 @@ class MessageSender:
                 addressed = {**fields, system: sysid}
                 if component is not None:
                     addressed.setdefault(component, compid)
-                sent += self._on(self._hub.ways(sysid, compid), info, addressed)
+                sent += self._on(self._hub.channels_to(sysid, compid), info, addressed)
         if not sent:
             raise RefusedError(f"{info.name} was not sent: {self._why_not(*(sysid for sysid, _ in meant))}")
         return self._answer(info, sent, note)

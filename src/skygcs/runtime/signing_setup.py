@@ -95,12 +95,12 @@ class SigningSetup:
                 raise RefusedError(f"{why}: {ONLY_DISARMED}")
             if key is not None and not force and self._signing.is_pinned(key):
                 raise RefusedError(f"{self._signing.pinned_text(key)}, or insist with force (--force)")
-            channel = self._way(vehicle, with_key=key is not None, force=force)
+            channel = self._channel_for(vehicle, with_key=key is not None, force=force)
         except RefusedError as error:
             outcome = Outcome(False, "refused", f"refused: {error}")
         else:
             try:
-                outcome = await self._exchange(vehicle, key, channel)
+                outcome = await self._send_until_shown(vehicle, key, channel)
             except asyncio.CancelledError:
                 text = (
                     f"{vehicle.name}: {what}: cancelled; it may or may not have been taken: skygcs-cli signing status"
@@ -111,12 +111,14 @@ class SigningSetup:
         self._on_event(Event("signing", vehicle.name, vehicle.sysid, text, {"result": outcome.result}))
         return outcome
 
-    def _way(self, vehicle: Vehicle, *, with_key: bool, force: bool) -> Channel:
+    def _channel_for(self, vehicle: Vehicle, *, with_key: bool, force: bool) -> Channel:
         """The channel on which only this vehicle hears; with ``force`` the best one. Raises RefusedError naming others.
 
         Removing a key reveals none, so any channel will do.
         """
-        channels = [self._hub.channels[i] for i in self._hub.ways(vehicle.sysid, vehicle.compid, everywhere=True)]
+        channels = [
+            self._hub.channels[i] for i in self._hub.channels_to(vehicle.sysid, vehicle.compid, everywhere=True)
+        ]
         if not channels:
             raise RefusedError("no link on which it was heard")
         heard_by = {channel: self._others_on(channel, vehicle) for channel in channels}
@@ -124,7 +126,7 @@ class SigningSetup:
         if private:
             return private[0]
         if not with_key or force:
-            (best,) = self._hub.ways(vehicle.sysid, vehicle.compid)[:1]
+            (best,) = self._hub.channels_to(vehicle.sysid, vehicle.compid)[:1]
             return self._hub.channels[best]
         where = "; ".join(f"{channel.link.name}: {others}" for channel, others in heard_by.items())
         raise RefusedError(
@@ -151,7 +153,7 @@ class SigningSetup:
         ]
         return f"{', '.join(others[:5])} on the same link" if others else None
 
-    async def _exchange(self, vehicle: Vehicle, key: bytes | None, channel: Channel) -> Outcome:
+    async def _send_until_shown(self, vehicle: Vehicle, key: bytes | None, channel: Channel) -> Outcome:
         """Send it until what the vehicle sends shows that it was taken."""
         info = self._hub.dialect.messages.get(SETUP_SIGNING)
         if info is None:
@@ -160,6 +162,7 @@ class SigningSetup:
         shown = asyncio.Event()
         texts: list[str] = []
 
+        # what shows that it was taken
         def look(frame: Frame) -> None:
             if frame.sysid != vehicle.sysid or frame.compid != vehicle.compid:
                 return
@@ -169,6 +172,7 @@ class SigningSetup:
                 shown.set()
 
         values = {"target_system": vehicle.sysid, "target_component": vehicle.compid, "secret_key": [0] * KEY_BYTES}
+        # send, and look at what the vehicle signs
         for number in range(1, TRIES + 1):
             if (why := why_not_idle(vehicle, self._loop.time())) is not None:
                 refusal = f"refused: {why}: {ONLY_DISARMED}"
@@ -191,6 +195,7 @@ class SigningSetup:
                 "it no longer signs" if key is None else f"it signs with key {key_id(key)}{self._left(vehicle, key)}"
             )
             return Outcome(True, "accepted", message, number, self._loop.time() - began, tuple(texts))
+        # no answer
         if key is None:
             why = "it still signs; it takes this from a link only that signs with its key (or, ArduPilot, over USB)"
         else:

@@ -1,6 +1,6 @@
 """Requests to one vehicle without an order: its version, its home, and the messages at the wanted rates.
 
-Nothing here is urgent: single frames behind orders, for which nobody waits, verified by what arrives, and sent again
+Nothing here is urgent: single frames behind orders, that are not awaited, verified by what arrives, and sent again
 after a reboot. On a radio the air planner sets the rates and gives the turns; elsewhere the configured rates hold.
 """
 

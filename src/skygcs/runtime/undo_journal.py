@@ -26,7 +26,7 @@ MAX_ENTRIES = 256
 """One per vehicle of a full fleet. Beyond that nothing is changed that would have to be put back."""
 
 MAX_FILE_BYTES = 64 * 1024
-"""Of an entry; its parameters are a few."""
+"""Size of an entry, which holds a few parameters."""
 
 MAX_PARAMETERS = 64
 

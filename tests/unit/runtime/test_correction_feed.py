@@ -25,7 +25,7 @@ class FakeHub:
         self.sent: list[Mapping[str, Any]] = []
         self.refuses: set[int] = set()
 
-    def ways(self, sysid: int, compid: int) -> tuple[int, ...]:
+    def channels_to(self, sysid: int, compid: int) -> tuple[int, ...]:
         assert (sysid, compid) == (0, 0)
         return (1,)
 

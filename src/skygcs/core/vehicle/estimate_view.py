@@ -169,8 +169,8 @@ class EstimateView:
     def reference_breach(self, reference: Reference) -> str | None:
         """Why the place it is sent to is outside the fence; None: it is not.
 
-        References are taken with the fence's margin (`FlightControl`); here the fence itself counts, so that a vehicle
-        taken over near a wall may stay where it is.
+        References are taken with the fence's margin (`OffboardEngagement`); here the fence itself counts, so that a
+        vehicle taken over near a wall may stay where it is.
         """
         fence = self._fence
         if fence is None or self._estimate is None:
