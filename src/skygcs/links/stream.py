@@ -205,7 +205,7 @@ class StreamChannel(QueuedChannel):
         self._due: asyncio.TimerHandle | None = None
         self._stuck: asyncio.TimerHandle | None = None
         self._closed = False
-        self._readiness = DescriptorWatcher(link.loop, fd, self._on_ready)
+        self._watcher = DescriptorWatcher(link.loop, fd, self._on_ready)
         if self.air is not None:
             self.air.on_due = lambda: link.loop.call_soon(self._on_early)  # not amid what came
 
@@ -223,7 +223,7 @@ class StreamChannel(QueuedChannel):
         if self._closed:
             return
         self._closed = True
-        self._readiness.close()
+        self._watcher.close()
         self.intake.close()
         for timer in (self._look, self._due, self._stuck):
             if timer is not None:
@@ -277,7 +277,7 @@ class StreamChannel(QueuedChannel):
             self.tx_frames += 1
         if self._blocked:
             self._blocked = False
-            self._readiness.want_write(False)
+            self._watcher.want_write(False)
 
     def _has_room(self) -> bool:
         """Whether the kernel holds little enough to write one more frame; if not, the time to look again is set."""
@@ -317,7 +317,7 @@ class StreamChannel(QueuedChannel):
         if self._blocked:
             return
         self._blocked = True
-        self._readiness.want_write(True)
+        self._watcher.want_write(True)
         if self._stuck_after_s is not None and self._stuck is None:
             self._progress_at = self._loop.time()
             self._stuck = self._loop.call_later(self._stuck_after_s, self._on_stuck, self._stuck_after_s)

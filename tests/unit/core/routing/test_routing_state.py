@@ -1,4 +1,4 @@
-"""Routing of a vehicle that several channels hear: `core.state_source` in the router."""
+"""Routing of a vehicle that several channels hear: `core.routing.state_source` in the router."""
 
 from __future__ import annotations
 

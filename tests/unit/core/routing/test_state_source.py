@@ -1,4 +1,4 @@
-"""Which channel supplies a vehicle's state: the table of `core.state_source`, row by row."""
+"""Which channel supplies a vehicle's state: the table of `core.routing.state_source`, row by row."""
 
 from __future__ import annotations
 
