@@ -157,7 +157,7 @@ def test_two_nodes_with_one_id_are_told_with_what_to_do(tmp_path: Path) -> None:
         radio.renumber(node)
     with on_a_pty(ground, radios[0]), on_a_pty(first, radios[1]), on_a_pty(second, radios[2]):
         told = cli(tmp_path, "diff", ground, first, second, code=1)
-        assert f"node id 2 is in 2 radios ({first}, {second}): they send at the same time" in told
+        assert f"node id 2 is in 2 radios ({first}, {second}): their frames collide" in told
         assert "skygcs-cli radio set PORT NODEID=N" in told
         told = cli(tmp_path, "set", second, "NODEID=3")
         assert "no other radio of this network may have node id 3" in told

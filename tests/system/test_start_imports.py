@@ -13,7 +13,7 @@ pytestmark = pytest.mark.system
 HEAVY = ("matplotlib", "numpy", "pyarrow", "pygments", "pymap3d", "pymavlink", "lxml", "rich", "typer")
 """From 30 ms (rich) to 600 ms (pymavlink's generated dialects), and together three times a daemon's memory."""
 
-SOCKET_SIDE = ("skygcs.rpc.methods", "skygcs.rpc.models", "skygcs.rpc.session")
+SOCKET_SIDE = ("skygcs.rpc.methods", "skygcs.rpc.models", "skygcs.rpc.sessions")
 """What clients of the socket need; imported beside the loop when frames are forwarded already."""
 
 RUN = """
