@@ -58,8 +58,8 @@ def test_the_limits_are_those_of_the_server() -> None:
         f"| requests in a batch | {sessions.MAX_BATCH} |",
         f"| clients | {sessions.MAX_SESSIONS} |",
         f"| connections beyond | {sessions.MAX_RESERVE} |",
-        f"| TCP clients that have not said the token | {sessions.MAX_UNAUTHENTICATED} |",
-        f"| requests of one client under way | {sessions.MAX_IN_FLIGHT} |",
+        f"| TCP clients before authentication | {sessions.MAX_UNAUTHENTICATED} |",
+        f"| pending requests of one client | {sessions.MAX_IN_FLIGHT} |",
         f"| subscriptions of one client | {sessions.MAX_SUBSCRIPTIONS} |",
         f"| unread output of one client | {sessions.MAX_OUTPUT_BYTES >> 20} MiB |",
     ):
