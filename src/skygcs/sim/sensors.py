@@ -36,10 +36,10 @@ class Drift:
         self._keep = exp(-dt_s / correlation_s)
         self._kick = sqrt(1.0 - self._keep * self._keep)
         self._rng = rng
-        self.values = [rng.normal() for _ in range(size)]
+        self.values = [rng.gauss() for _ in range(size)]
 
     def step(self) -> None:
-        keep, kick, normal = self._keep, self._kick, self._rng.normal
+        keep, kick, normal = self._keep, self._kick, self._rng.gauss
         self.values = [keep * value + kick * normal() for value in self.values]
 
 

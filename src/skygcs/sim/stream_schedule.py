@@ -48,7 +48,7 @@ class Streams:
         if interval == NEVER:
             self._next.pop(name, None)
         else:
-            self._next[name] = now + interval * self._rng.fraction()
+            self._next[name] = now + interval * self._rng.random()
         self._soonest = min(self._next.values(), default=NEVER)
         return True
 

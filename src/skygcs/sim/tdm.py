@@ -266,7 +266,7 @@ class TdmNetwork:
                 return True
             good_s = config.burst_s * (1 - config.burst_loss) / config.burst_loss
             if self._rng.happens(min(1.0, config.round_s / good_s)):
-                node.faded_until = now + config.burst_s * 2 * self._rng.fraction()
+                node.faded_until = now + config.burst_s * 2 * self._rng.random()
                 return True
         margin = self.rssi(vehicle_node) - NOISE
         weak = 0.0 if margin >= LOST_BELOW else 1 - max(0.0, margin) / LOST_BELOW

@@ -40,7 +40,7 @@ class Wind:
             self._dt_s = dt_s
             self._keep = exp(-dt_s / GUST_CORRELATION_S)
             self._kick = sqrt(1.0 - self._keep * self._keep)
-        keep, kick, normal = self._keep, self._kick * size, self._rng.normal
+        keep, kick, normal = self._keep, self._kick * size, self._rng.gauss
         east, north, up = self._gust
         east = keep * east + kick * normal()
         north = keep * north + kick * normal()

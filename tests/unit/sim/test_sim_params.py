@@ -60,19 +60,19 @@ def test_indices_follow_the_alphabet() -> None:
     assert [params.at(i).name for i in range(len(params))] == ["A_FLOAT", "B_INT", "C_BYTE"]  # type: ignore[union-attr]
 
 
-def test_the_same_seed_gives_the_same_chance_and_another_another() -> None:
+def test_the_same_seed_gives_the_same_numbers_and_another_others() -> None:
     def draw(seed: int) -> list[float]:
         rng = Rng(seed)
-        return [rng.fraction() for _ in range(5)]
+        return [rng.random() for _ in range(5)]
 
     assert draw(7) == draw(7)
     assert draw(7) != draw(8)
     assert draw(0) != draw(1)
 
 
-def test_chance_is_evenly_spread() -> None:
+def test_probabilities_are_kept() -> None:
     rng = Rng(42)
-    values = [rng.fraction() for _ in range(20_000)]
+    values = [rng.random() for _ in range(20_000)]
     assert all(0 <= v < 1 for v in values)
     for decile in range(10):
         assert sum(decile / 10 <= v < (decile + 1) / 10 for v in values) == pytest.approx(2000, abs=200)

@@ -34,7 +34,7 @@ def test_it_takes_off_arrives_and_lands(wind: Wind, off_m: float) -> None:
     quad = Quad(wind=wind)
     quad.supply_v = 16.5
     climb = run(quad, 25.0, Setpoint((0.0, 0.0, 10.0)))
-    assert quad.is_at(0.0, 0.0, 10.0)
+    assert quad.distance_m(0.0, 0.0, 10.0) < max(0.3, off_m), "gusts push it about"
     assert max(up for _, _, up in climb) < 10.3
     fastest = 0.0
     for _ in range(round(25.0 / DT)):
