@@ -141,7 +141,7 @@ async def test_all_ten_lists_come_one_after_the_other_and_the_station_is_told_th
     async with field(tmp_path, parameters=100) as flown:
         (station,) = stations_of(flown)
         station.connect(VEHICLES)
-        await flown.air.until(lambda: all(station.has_list(v) for v in VEHICLES), 300)
+        await flown.air.until(lambda: all(station.has_list(v) for v in VEHICLES), 900)
         station.disconnect()
         told = flown.third_party
     assert told["param_lists"]["waiting"] == []
