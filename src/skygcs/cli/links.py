@@ -326,8 +326,6 @@ COUNT_WORDS = {
     "refused_files": "files refused",
     "refused_turn": "file transfers out of turn",
     "refused_rate": "rate 0",
-    "dropped": "dropped",
-    "malformed": "malformed",
     "needless": "needless heartbeats",
 }
 """Words for the counters of third-party traffic."""

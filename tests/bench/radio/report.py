@@ -136,7 +136,7 @@ def collapse(rows: Sequence[Row]) -> list[Verdict]:
 
 def _arithmetic(row: Row) -> str:
     plan = plan_link(LinkDemand(row["vehicles"], 57600, row["air_kbps"], "nav", PROFILES["nav"]))
-    ways = ", ".join(f"{w.name} {w.needed:,.0f} of {w.capacity:,.0f} B/s" for w in plan.ways)
+    ways = ", ".join(f"{w.name} {w.needed:,.0f} of {w.capacity:,.0f} B/s" for w in plan.directions)
     fits = "which fits: no reason there" if plan.fits else "; ".join(plan.problems)
     return f"a round takes {row['round_s']:.2f} s; {ways}; {fits}"
 
