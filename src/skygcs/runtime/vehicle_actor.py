@@ -371,12 +371,15 @@ class VehicleActor:
         force: bool = False,
     ) -> Outcome:
         """Any command; see `orders.command_plan`. One that passes the checks of an order only with ``force``."""
-        return await self._orders.run(
-            "command",
-            lambda now: unguarded.command(
-                self.vehicle, now, self._dialect, command, params, force=force, int_frame=int_frame, x=x, y=y, z=z
-            ),
-        )
+
+        def planner(now: float) -> Plan:
+            orders.require_connected(self.vehicle, now)
+            plan = orders.command_plan(self._dialect, command, params, int_frame=int_frame, x=x, y=y, z=z)
+            if not force:
+                unguarded.require_guarded((self.vehicle,), now, self._dialect, command, params)
+            return plan
+
+        return await self._orders.run("command", planner)
 
     async def upload_plan(self, *, plan: MissionPlan, kinds: Collection[MissionType], force: bool = False) -> Outcome:
         """See `Missions.bring`."""

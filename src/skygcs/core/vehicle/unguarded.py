@@ -16,7 +16,6 @@ from typing import Any
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle import orders
-from skygcs.core.vehicle.order_plan import Plan
 from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
@@ -166,27 +165,6 @@ def command_way(number: int, param1: float, what: str) -> Unguarded | None:
     if instead is None and number in MISSION_ITEMS and number not in ENDS_FLIGHT:
         instead = "goto and mission"
     return None if instead is None else Unguarded(what, instead)
-
-
-def command(
-    vehicle: Vehicle,
-    now: float,
-    dialect: Dialect,
-    name: str | int,
-    params: Sequence[float | None],
-    *,
-    force: bool = False,
-    int_frame: int | str | None = None,
-    x: int | None = None,
-    y: int | None = None,
-    z: float | None = None,
-) -> Plan:
-    """See `orders.command_plan`, which raises RefusedError; without ``force`` none that passes an order's checks."""
-    orders.require_connected(vehicle, now)
-    plan = orders.command_plan(dialect, name, params, int_frame=int_frame, x=x, y=y, z=z)
-    if not force:
-        require_guarded((vehicle,), now, dialect, name, params)
-    return plan
 
 
 def require_guarded(

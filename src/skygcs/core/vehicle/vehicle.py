@@ -84,27 +84,20 @@ class Vehicle:
         decoder: Decoder | None = None,
         replayed: bool = False,
     ) -> None:
-        self.sysid = sysid
-        self.compid = compid
+        self.sysid, self.compid, self.groups, self.timeout_s = sysid, compid, groups, timeout_s
         self.name = name or f"v{sysid}"
-        self.groups = groups
-        self.timeout_s = timeout_s
         self.origin: Origin | None = None
         self.origin_generation = 0
         """Counts the fleet's origins: positions of the same number are in the same frame."""
         self.connected = False
         self.duplicates: Mapping[int, str] = {}
-        """The fleet's table, by sysid << 8 | compid: where another vehicle sends with these ids, and where this one
-        does. Nothing of that other vehicle is in here."""
+        """The fleet's, by sysid << 8 | compid: where another vehicle sends with these ids, and where this one does."""
         self.duplicate_beside = False
         """Two vehicles send with these ids on the one channel: what is in here is of both."""
         self.replayed = replayed
         """True if it is heard in a recording only: it takes no orders."""
-        self.type = 0
-        self.autopilot = 0
-        self.base_mode = 0
-        self.custom_mode = 0
-        self.system_status = 0
+        self.type = self.autopilot = self.base_mode = self.custom_mode = self.system_status = 0
+        """Of its last heartbeat."""
         self.firmware: str | None = None
         self.gcs_sysid: int | None = None
         """The ground station whose heartbeats its failsafe watches, once its parameter has been read by anybody."""
@@ -126,10 +119,10 @@ class Vehicle:
         self._landed = "undefined"
         self._landed_id = self._decoder.msgid_of("EXTENDED_SYS_STATE")
         self._high_latency_failures = 0
-        self._heard_at: float | None = None
         self._heartbeat_payload = b""
-        self._lost_at: float | None = None
         self._min_retry_s = timeout_s
+        self._heard_at: float | None = None
+        self._lost_at: float | None = None
         self._known_since: float | None = None
         self._rates_at: float | None = None
         self._clock_at = -math.inf
@@ -137,6 +130,10 @@ class Vehicle:
         """Heartbeats of others with these ids: how many, and when that was reported."""
         self._assembler = StatusTextAssembler()
         self._enu: tuple[TelemetryGroup | None, Origin | None, list[float] | None] = (None, None, None)
+        self._handlers = self._message_handlers()
+
+    def _message_handlers(self) -> dict[int, Callable[[bytes, float], Events]]:
+        """The messages of which every single one is read at once, by msgid."""
         handlers: dict[str, Callable[[bytes, float], Events]] = {
             "STATUSTEXT": self._on_statustext,
             "EXTENDED_SYS_STATE": self._on_extended_sys_state,
@@ -147,7 +144,7 @@ class Vehicle:
             "PARAM_VALUE": self._on_param_value,
         }
         able = self._decoder.read
-        self._handlers = {self._decoder.msgid_of(n): handler for n, handler in handlers.items() if n in able}
+        return {self._decoder.msgid_of(n): handler for n, handler in handlers.items() if n in able}
 
     def on_frame(self, frame: Frame, now: float) -> Events:
         """Note a frame of this vehicle. Hot: one dict lookup and three assignments for most of them. Never raises."""
