@@ -110,7 +110,7 @@ def test_after_sigkill_it_is_told_and_undone_when_somebody_asks(tmp_path: Path, 
         undone = daemon.cli("undo", "run", "all")
         assert undone.returncode == 0 and "as before" in undone.stdout, undone
         assert held(daemon, name) == before
-        assert "nothing waits" in daemon.cli("undo", "list").stdout
+        assert "nothing to undo" in daemon.cli("undo", "list").stdout
         assert "not undone" not in daemon.cli("status").stderr
 
 
