@@ -578,7 +578,7 @@ class Hub:
             "counters": {verdict.value: count for verdict, count in router.counters.items()},
             "refused_routes": router.refused_routes,
             "evicted_routes": router.evicted_routes,
-            "unnoted_routes": router.unnoted_routes,
+            "unreported_routes": router.unreported_routes,
             "routes": [
                 {
                     "sysid": sysid,

@@ -115,7 +115,7 @@ class Router:
         before its first frame counts."""
         self._room = RouteRoom()
         self.counters: dict[RoutingVerdict, int] = dict.fromkeys(RoutingVerdict, 0)
-        self.unnoted_routes = 0
+        self.unreported_routes = 0
         """Routes learned or expired that were not reported."""
         self.notes: deque[RouteNote] = deque(maxlen=MAX_NOTES)
 
@@ -602,7 +602,7 @@ class Router:
         if self._room.may_note(port.policy.link, now):
             self._note(kind, source, port)
         else:
-            self.unnoted_routes += 1
+            self.unreported_routes += 1
 
     def _note_some(self, kind: str, source: int, port: Port, now: float, target: int = 0) -> None:
         """The same for problems, with a rate of their own: a flood of learned routes hides none."""

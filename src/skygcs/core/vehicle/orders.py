@@ -168,10 +168,13 @@ def set_home(
     limit_m: float = math.inf,
     force: bool = False,
 ) -> Plan:
-    """Without arguments: where it is now. The altitude defaults to that of its home. In the air every height it flies
-    by is counted from its home, so that is left alone there unless ``force``; and a return would fly to a home that is
-    farther than ``limit_m``, so that takes ``force``, too."""
+    """Without arguments: where it is now. The altitude defaults to that of its home.
+
+    In the air all its heights are relative to its home, which therefore is changed there only with ``force``. So is a
+    home farther away than ``limit_m``, to which a return would fly.
+    """
     require_connected(vehicle, now)
+    # not in the air
     flies = vehicle.in_air(now) is not False if vehicle.armed else why_maybe_flying(vehicle, now)
     if flies and not force:
         flying = flies if isinstance(flies, str) else "it is in the air"
@@ -180,6 +183,7 @@ def set_home(
         return autopilot.set_home(None)
     if lat_deg is None or lon_deg is None:
         raise RefusedError("a home needs both latitude and longitude")
+    # a plausible place, not too far away
     check_coordinate(lat_deg, lon_deg)
     here = _fresh_position(vehicle, now)
     away = 0.0 if here is None else distance_m(here[0], here[1], lat_deg, lon_deg)
@@ -187,6 +191,7 @@ def set_home(
         raise RefusedError(
             f"that is {away:.0f} m away, and it would return there; the limit is {limit_m:g} m; {FORCE_HINT}"
         )
+    # its altitude
     alt = vehicle.home_alt_amsl_m() if alt_amsl_m is None else alt_amsl_m
     if alt is None:
         raise RefusedError("its home altitude is not known; give one")

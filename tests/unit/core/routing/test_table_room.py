@@ -98,7 +98,7 @@ def test_a_full_channel_is_noted_once_with_the_source_and_once_when_it_has_empti
     kinds = [note.kind for note in net.router.notes]
     assert kinds.count("crowded") == 1
     assert kinds.count("learned") == ROUTE_NOTES
-    assert net.router.unnoted_routes == MAX_CHANNEL_ROUTES - ROUTE_NOTES
+    assert net.router.unreported_routes == MAX_CHANNEL_ROUTES - ROUTE_NOTES
     note = next(note for note in net.router.notes if note.kind == "crowded")
     assert (note.sysid, note.compid) == (1 + MAX_CHANNEL_ROUTES // 255, 1 + MAX_CHANNEL_ROUTES % 255)
     net.router.notes.clear()
