@@ -22,7 +22,8 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 SYSIDS = {"px4": 1, "ardupilot": 2}
 """Of simulated vehicles: PX4s come first."""
 
-VERSION = {"px4": [1, 16, 0], "ardupilot": [4, 5, 7]}
+VERSION = {"px4": [1, 16, 1], "ardupilot": [4, 6, 3]}
+"""The firmwares that the simulator is held to."""
 
 _ports = count(20000 + os.getpid() % 600 * 20)
 """Below those that systems give out by themselves, and others in each process: flights start beside each other."""
