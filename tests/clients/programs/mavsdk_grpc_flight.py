@@ -192,6 +192,14 @@ async def land(drone):
 
 async def main(address, autopilot, port):
     drone = System(port=int(port))
+    try:
+        await fly(drone, address, autopilot)
+    finally:  # System ends its server when it is collected, and the interpreter waits for the server before that
+        drone._stop_mavsdk_server()
+    saw("done")
+
+
+async def fly(drone, address, autopilot):
     await drone.connect(system_address=address)
     await first(drone.core.connection_state(), lambda state: state.is_connected)
     saw("connected")
@@ -202,7 +210,6 @@ async def main(address, autopilot, port):
     await offboard(drone)
     await (mission if autopilot == "px4" else raw_mission)(drone)
     await land(drone)
-    saw("done")
 
 
 if __name__ == "__main__":
