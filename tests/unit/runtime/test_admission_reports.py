@@ -32,17 +32,17 @@ class Watched:
         channels = {
             1: self._channel("radio", "radio", air=self.air),
             2: self._channel("station", "gcs"),
-            3: self._channel("bound", "gcs", endpoint=object()),
+            3: self._channel("bound", "gcs", translator=object()),
         }
         router = SimpleNamespace(channels_of=lambda source: (1, 2, 3, 99) if source == QGC else ())
         hub = cast(Hub, SimpleNamespace(channels=channels, router=router))
         self.watch = AdmissionReports(hub, DaemonConfig(heartbeat=heartbeat), DIALECT, self.events.append)
         self.watch.tick(0.0)
 
-    def _channel(self, name: str, role: str, air: AirBudget | None = None, endpoint: object = None) -> Any:
+    def _channel(self, name: str, role: str, air: AirBudget | None = None, translator: object = None) -> Any:
         return SimpleNamespace(
             air=air,
-            endpoint=endpoint,
+            translator=translator,
             peer=name,
             config=SimpleNamespace(role=role, type="udp_server"),
             link=SimpleNamespace(name=name),
