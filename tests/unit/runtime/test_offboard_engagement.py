@@ -225,7 +225,7 @@ async def test_without_pongs_attitude_is_not_flown(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.commands.rtt_s = None
         outcome = await f.offboard.engage(ControlMode.ATTITUDE)
-        assert outcome.ok and "flown by velocity setpoints and not by attitude: round trip" in outcome.message
+        assert outcome.ok and "flown by velocity setpoints and not by attitude: the round trip" in outcome.message
         assert ControlMode.ATTITUDE not in f.ways()
 
 
