@@ -20,7 +20,7 @@ from support.frames import dialect
 ROOT = Path(__file__).parents[2]
 LONG_MB = int(os.environ.get("SKYGCS_BENCH_LOG_MB", "100"))
 GROWTH_LIMIT_MB = 40
-"""16 MB of mapped pages stay behind the reader, a Parquet row group and a picture's points come on top."""
+"""A Parquet row group and a figure's points; the reader keeps a window of 64 kB."""
 
 COMMANDS = {
     "info": ["info", "{log}", "--json"],
