@@ -89,21 +89,25 @@ def run_sim(
     if not vehicles:
         raise LinkError("no vehicles: --px4 and --ardupilot are both 0")
     clock = SimClock(speedup)
-    groups = [[v] for v in vehicles] if separate_ports and pty is None else [vehicles]
-    ports: list[SimPort] = []
-    for i, group in enumerate(groups):
-        if udp is not None:
-            ports.append(UdpPort(group, dialect, clock, _parse_address("--udp", udp)))
-        elif tcp is not None:
-            host, number = _parse_address("--tcp", tcp)
-            ports.append(TcpPort(group, dialect, clock, (host, number + i if number else 0)))
-        elif pty is not None:
-            behind = None if emulated_radio is None else _behind(emulated_radio, group, dialect, seed)
-            try:
-                ports.append(PtyPort(group, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind))
-            except ValueError as error:
-                raise LinkError(f"--radio: {error}") from None
-    return run_loop(_serve(ports, clock, speedup))
+    if pty is None:
+        groups = [[v] for v in vehicles] if separate_ports else [vehicles]
+        return run_loop(_serve(_network_ports(groups, dialect, clock, udp=udp, tcp=tcp), clock, speedup))
+    behind = None if emulated_radio is None else _behind(emulated_radio, vehicles, dialect, seed)
+    try:
+        port = PtyPort(vehicles, dialect, clock, pty, _radio(dialect, seed) if radio else None, behind)
+    except ValueError as error:
+        raise LinkError(f"--radio: {error}") from None
+    return run_loop(_serve([port], clock, speedup))
+
+
+def _network_ports(
+    groups: list[list[SimVehicle]], dialect: Dialect, clock: SimClock, *, udp: str | None, tcp: str | None
+) -> list[SimPort]:
+    """A UDP or TCP port for each group of vehicles; TCP ports count up from the first."""
+    if udp is not None:
+        return [UdpPort(group, dialect, clock, _parse_address("--udp", udp)) for group in groups]
+    host, number = _parse_address("--tcp", tcp or "")
+    return [TcpPort(group, dialect, clock, (host, number + i if number else 0)) for i, group in enumerate(groups)]
 
 
 def parse_radio(text: str) -> EmulatedRadio:

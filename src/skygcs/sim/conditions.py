@@ -61,7 +61,7 @@ AIRFRAMES: Mapping[str, Airframe] = {"f450": F450, "ideal": IDEAL}
 """By the names fleet files and the command line use."""
 
 
-def conditions_of(
+def conditions_of(  # noqa: PLR0913 - each is a key of the fleet file
     *,
     dynamics: str = "rigid",
     airframe: str = "f450",

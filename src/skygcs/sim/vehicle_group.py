@@ -36,7 +36,7 @@ class SimFleet:
         return [raw for vehicle in self.vehicles for raw in vehicle.step(now)]
 
 
-def make_vehicles(
+def make_vehicles(  # noqa: PLR0913 - each is a key of the fleet file or an option of `skygcs sim`
     dialect: Dialect,
     *,
     px4: int,
