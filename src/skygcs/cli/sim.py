@@ -54,7 +54,7 @@ def run_sim(
 ) -> int:
     """Run simulated vehicles until SIGINT or SIGTERM; the exit code. Says on stdout how to reach each.
 
-    ``udp`` HOST:PORT is sent to, all vehicles from one socket or, with ``separate_ports``, each from its own.
+    ``udp`` HOST:PORT is sent to, from one socket or, with ``separate_ports``, from one for each vehicle.
     ``tcp`` HOST:PORT is listened on, every connection hears all vehicles; with ``separate_ports`` each vehicle has
     its own port, counting up. ``pty`` is where a symlink to a new pseudo-terminal is made: all vehicles behind it, as
     behind a radio, which with ``radio`` reports RADIO_STATUS. ``air`` KBPS[,KEY=VALUE…] puts emulated radios between
@@ -62,12 +62,7 @@ def run_sim(
     for all of them, each with its own noise. ``params``: parameter files, each for the vehicles of its firmware.
     Raises LinkError or ConfigError, one line for a person, for what cannot be understood or opened.
     """
-    if not LEAST_SPEEDUP <= speedup <= MAX_SPEEDUP:
-        raise LinkError(f"speedup {speedup:g}: must be {LEAST_SPEEDUP:g} to {MAX_SPEEDUP:g}")
-    if sum(way is not None for way in (udp, tcp, pty)) != 1:
-        raise LinkError("one of --udp, --tcp and --pty is needed")
-    if air is not None and pty is None:
-        raise LinkError("--radio: emulated radios are behind a --pty")
+    _check_options(speedup, (udp, tcp, pty), air)
     emulated_radio = None if air is None else parse_radio(air)
     where, heading_deg = _parse_home(home)
     dialect = load_dialect(SIM_DIALECT)
@@ -98,6 +93,16 @@ def run_sim(
     except ValueError as error:
         raise LinkError(f"--radio: {error}") from None
     return run_loop(_serve([port], clock, speedup))
+
+
+def _check_options(speedup: float, ports: tuple[str | None, str | None, str | None], air: str | None) -> None:
+    """Raises LinkError for options that exclude each other; ``ports``: --udp, --tcp, --pty."""
+    if not LEAST_SPEEDUP <= speedup <= MAX_SPEEDUP:
+        raise LinkError(f"speedup {speedup:g}: must be {LEAST_SPEEDUP:g} to {MAX_SPEEDUP:g}")
+    if sum(port is not None for port in ports) != 1:
+        raise LinkError("one of --udp, --tcp and --pty is needed")
+    if air is not None and ports[2] is None:
+        raise LinkError("--radio: emulated radios are behind a --pty")
 
 
 def _network_ports(

@@ -25,7 +25,7 @@ class Flight:
         self.link.target_system, self.link.target_component = self.system, self.component
         saw("connected", system=self.system, component=self.component, autopilot=heartbeat.autopilot)
 
-    def receive(self, kinds, good=lambda message: True, min_retry_s=120.0, ask=None):
+    def receive(self, kinds, good=lambda message: True, timeout_s=120.0, ask=None):
         """The next such message of the vehicle; ``ask`` again every two seconds as over any lossy link."""
 
         def look():
@@ -40,7 +40,7 @@ class Flight:
                     return found
             return None
 
-        return until(look, f"{kinds}", min_retry_s, 0)
+        return until(look, f"{kinds}", timeout_s, 0)
 
     def command(self, number, *params):
         values = (*params, *[0.0] * (7 - len(params)))

@@ -10,9 +10,9 @@ def saw(step, **facts):
     print(json.dumps({"step": step, **facts}), flush=True)
 
 
-def until(condition, what, min_retry_s=120.0, pause_s=0.1):
+def until(condition, what, timeout_s=120.0, pause_s=0.1):
     """The condition's first true value. The patience is for a slow machine; nothing is measured by it."""
-    end = time.monotonic() + min_retry_s
+    end = time.monotonic() + timeout_s
     while time.monotonic() < end:
         value = condition()
         if value:

@@ -125,6 +125,7 @@ async def test_return_to_launch_ends_where_it_began() -> None:
 async def test_arducopter_refuses_at_first_says_why_and_wait_gets_it_armed() -> None:
     async with Field(px4=0, ardupilot=1) as field:
         actor = field.fleet.find(1)
+        assert (await actor.set_mode("GUIDED")).ok  # which needs a position to arm; STABILIZE does not
         refused = await actor.arm()
         assert refused.result == "failed"
         assert refused.status_texts

@@ -120,7 +120,7 @@ class Vehicle:
         self._landed_id = self._decoder.msgid_of("EXTENDED_SYS_STATE")
         self._high_latency_failures = 0
         self._heartbeat_payload = b""
-        self._min_retry_s = timeout_s
+        self._lost_after_s = timeout_s
         self._heard_at: float | None = None
         self._lost_at: float | None = None
         self._known_since: float | None = None
@@ -174,7 +174,7 @@ class Vehicle:
         events: list[Event] = []
         for text in self._assembler.flush(now):
             events += self._on_text(text)
-        if self.connected and self._heard_at is not None and now - self._heard_at > self._min_retry_s:
+        if self.connected and self._heard_at is not None and now - self._heard_at > self._lost_after_s:
             self.connected = False
             self._lost_at = self._heard_at
             age = now - self._heard_at
@@ -339,7 +339,7 @@ class Vehicle:
 
     def _on_own_heartbeat(self, payload: bytes, fields: tuple[int, ...], now: float) -> Events:
         self._heard_at = now
-        self._min_retry_s = self.timeout_s
+        self._lost_after_s = self.timeout_s
         if fields[2] & modes.SAFETY_ARMED:
             self.armed_at = now
         if self.is_last_heartbeat(payload):
@@ -400,7 +400,7 @@ class Vehicle:
         if origin != "own":
             return self._on_other_heartbeat(origin, (vehicle_type, autopilot, self.base_mode), now)
         self._heard_at = now
-        self._min_retry_s = self.timeout_s * HIGH_LATENCY_FACTOR
+        self._lost_after_s = self.timeout_s * HIGH_LATENCY_FACTOR
         self._heartbeat_payload = b""
         had = self.failsafe
         self._high_latency_failures = failures
