@@ -291,7 +291,7 @@ async def test_forged_positions_move_no_vehicle_and_are_a_duplicate(
         seen = gcs.now
 
         def forge() -> None:
-            position = gcs.actor().vehicle.section("position")
+            position = gcs.actor().vehicle.telemetry("position")
             assert position is not None
             boot_ms = 77_000 if boot == "another clock" else round(position["time_boot_s"] * 1000)
             other.position(30.0, boot_ms)

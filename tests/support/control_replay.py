@@ -72,7 +72,7 @@ class Replay:
 
     def _tick(self, now: float) -> None:
         pilot = self._offboard
-        position = self._vehicle.section("position")
+        position = self._vehicle.telemetry("position")
         if not self._vehicle.connected or position is None or position["lat_deg"] is None:
             return
         if pilot.state in (OffboardState.OFF, OffboardState.HELD):

@@ -129,7 +129,7 @@ class ParamStatus(Result):
     complete: bool
     hash: int | None = Field(description="PX4's hash over all values, if the vehicle has confirmed what is known.")
     loading: dict[str, Any] | None = Field(description="received, count, percent, elapsed_s, remaining_s of a list.")
-    under_way: int = Field(description="Requests that are not answered yet.")
+    in_progress: int = Field(description="Requests that are not answered yet.")
 
 
 async def params_get(context: Context, params: ParamGetParams) -> JsonObject:

@@ -103,12 +103,12 @@ def signing_reset_clock(context: Context, params: SigningResetParams) -> JsonObj
     return {"message": context.services.signing_setup.reset_clock(params.key_id, force=params.force)}
 
 
-_TOLD = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+_REPORTED = (dispatch.TARGET_ERROR, dispatch.REFUSED)
 
 
 METHODS: tuple[Method[Context], ...] = (
     Method("signing.status", NoParams, signing_status, SigningStatus),
-    Method("signing.setup", SigningSetupParams, signing_setup, Outcomes, _TOLD),
+    Method("signing.setup", SigningSetupParams, signing_setup, Outcomes, _REPORTED),
     Method("signing.reset_clock", SigningResetParams, signing_reset_clock, SigningReset, (dispatch.REFUSED,)),
-    Method("signing.off", TargetsParams, signing_off, Outcomes, _TOLD),
+    Method("signing.off", TargetsParams, signing_off, Outcomes, _REPORTED),
 )

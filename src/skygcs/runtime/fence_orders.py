@@ -123,7 +123,7 @@ class VehicleFence:
 
     def on_text(self, text: str) -> None:
         """A status text of this vehicle."""
-        if fence_params.tells_of_breach(text):
+        if fence_params.reports_breach(text):
             self._last_text = text
             if self._walk is not None:
                 self._walk.sign(f'it says "{text}"', self._loop.time())
@@ -154,7 +154,7 @@ class VehicleFence:
         if isinstance(held, Outcome):
             return FenceOutcome(held)
         asked = self._loop.time()
-        if self._tells_status:
+        if self._reports_status:
             await self._request("FENCE_STATUS")
         beyond = fence_params.breach(self._vehicle, fresh_after=asked - STATUS_S)
         settings = fence_params.settings_of(self._vehicle.family, held)
@@ -254,7 +254,7 @@ class VehicleFence:
         walk.began = self._loop.time()
         while True:
             now = self._loop.time()
-            if self._tells_status and now >= next_ask:
+            if self._reports_status and now >= next_ask:
                 next_ask = now + ASK_S
                 await self._request("FENCE_STATUS")
             self._look(walk, action, now)
@@ -394,7 +394,7 @@ class VehicleFence:
         return None
 
     @property
-    def _tells_status(self) -> bool:
+    def _reports_status(self) -> bool:
         return self._vehicle.family == "ardupilot" and "FENCE_STATUS" in self._dialect.by_name
 
     def _fence_status(self) -> Mapping[str, Any] | None:

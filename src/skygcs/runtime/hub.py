@@ -231,11 +231,11 @@ class Hub:
         """The channel may be routed to from now on; gives it its id."""
         channel.id = self._free_id()
         self.channels[channel.id] = channel
-        parted = self._closed_channels.pop((channel.link.name, channel.peer), None)
-        if parted is not None:
-            for stats in parted.values():
+        closed = self._closed_channels.pop((channel.link.name, channel.peer), None)
+        if closed is not None:
+            for stats in closed.values():
                 stats.resume()  # what was sent while the channel was closed is not a loss of the link
-            channel.sources = parted
+            channel.sources = closed
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
         if channel.config.vehicles:  # which the fleet file's checks have found: an endpoint without any raises
             channel.translator = SysidTranslator(sysids, channel.config.translated_sysid)
@@ -264,11 +264,11 @@ class Hub:
         if self.channels.pop(channel.id, None) is not None:
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
-            parted = self._closed_channels
-            parted[channel.link.name, channel.peer] = channel.sources
-            kept = sum(map(len, parted.values()))
-            while len(parted) > MAX_CLOSED_CHANNELS or (kept > MAX_CLOSED_SOURCES and len(parted) > 1):
-                kept -= len(parted.pop(next(iter(parted))))
+            closed = self._closed_channels
+            closed[channel.link.name, channel.peer] = channel.sources
+            kept = sum(map(len, closed.values()))
+            while len(closed) > MAX_CLOSED_CHANNELS or (kept > MAX_CLOSED_SOURCES and len(closed) > 1):
+                kept -= len(closed.pop(next(iter(closed))))
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
         """Every frame comes through here. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""

@@ -77,7 +77,7 @@ class LeftoverStreams:
         system, component = frame.target()
         for key, actor in self._addressed(system, component):
             if not self._noted.take(now):
-                self._requests.not_noted += 1
+                self._requests.not_counted += 1
                 return
             if not self._is_kept(actor) or (stream.group is not None and actor.vehicle.family != "ardupilot"):
                 continue  # PX4 does nothing with a request for a group

@@ -11,7 +11,7 @@ from typing import Any
 from skygcs.core.mavlink.dialect import ABSENT, MessageInfo
 from skygcs.core.mavlink.msgids import SETUP_SIGNING
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle.unguarded import message_way
+from skygcs.core.vehicle.unguarded import unguarded_message
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from skygcs.runtime.fleet import Fleet
@@ -94,7 +94,7 @@ class MessageSender:
         self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
     ) -> None:
         """Raises RefusedError for what would fly a vehicle, or stop its motors, past the checks of an order."""
-        route = message_way(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
+        route = unguarded_message(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
         if route is None:
             return
         refusal = route.refusal(self._reached(info, fields, target, link), self._now())

@@ -325,7 +325,7 @@ class OffboardEngagement:
         return self._vehicle.family == "px4" and offboard_entry.is_following(self._vehicle)
 
     def _outside_now(self) -> str | None:
-        origin, position = self._vehicle.origin, self._vehicle.section("position")
+        origin, position = self._vehicle.origin, self._vehicle.telemetry("position")
         if origin is None or position is None or position["lat_deg"] is None:
             return None
         fence = self._settings.fence_at(origin)
@@ -351,7 +351,7 @@ class OffboardEngagement:
     def _begin(self, control_mode: ControlMode) -> None:
         """Start the stream of setpoints. Raises RefusedError if the vehicle's own hover thrust cannot be right."""
         # the control law, with gains that were changed before
-        hover_thrust = offboard_entry.told_hover_thrust(self._vehicle)
+        hover_thrust = offboard_entry.reported_hover_thrust(self._vehicle)
         try:
             config = _offboard_config(self._settings, hover_thrust)
             if self._law_changed:

@@ -8,7 +8,7 @@ from skygcs.core.geo import Origin
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import orders
-from skygcs.core.vehicle.origin import ORIGIN_MESSAGE, SAME_M, kept, off_m, tell
+from skygcs.core.vehicle.origin import ORIGIN_MESSAGE, SAME_M, announce, kept, off_m
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.order_runner import Attempt, Planner
 
@@ -32,7 +32,7 @@ async def push_origin(
     texts: tuple[str, ...] = ()
     for number in range(1, TRIES + 1):
         before = vehicle.count(ORIGIN_MESSAGE)
-        outcome = await attempt(lambda now: tell(vehicle, now, dialect, origin, force=force))
+        outcome = await attempt(lambda now: announce(vehicle, now, dialect, origin, force=force))
         elapsed_s += outcome.elapsed_s
         texts += tuple(t for t in outcome.status_texts if t not in texts)
         sent = 0 if outcome.result == "refused" else number

@@ -261,7 +261,7 @@ class VehicleParams:
             if settle and self._cancelled == cancelled:
                 await self._settle(outcomes)
         finally:
-            self._tell_set(outcomes, len(values))
+            self._report_set(outcomes, len(values))
         if hashed:
             self._book.vouched(await self._ask_hash() if vouched else None)
         self._book.save()
@@ -543,7 +543,7 @@ class VehicleParams:
             line = f"{text}: {progress.received} of {progress.count}{rest}"
             self._report(action, line, _progress_data(progress) | {"state": "under_way"})
 
-    def _tell_set(self, outcomes: Mapping[str, ParamOutcome], wanted: int) -> None:
+    def _report_set(self, outcomes: Mapping[str, ParamOutcome], wanted: int) -> None:
         """What was set is worth a line, also when the client has disconnected meanwhile."""
         good = sum(o.ok for o in outcomes.values())
         if wanted == 1 and outcomes:

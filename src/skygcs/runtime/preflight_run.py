@@ -211,7 +211,7 @@ class Preflight:
         """True if this is known: a battery's charge is in SYS_STATUS, too, and the version does not change."""
         vehicle = self.vehicle
         if message == "BATTERY_STATUS":
-            battery = vehicle.section("battery")
+            battery = vehicle.telemetry("battery")
             return battery is not None and battery["percent"] is not None
         if message == "AUTOPILOT_VERSION":
             return vehicle.firmware is not None

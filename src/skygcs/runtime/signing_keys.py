@@ -321,7 +321,7 @@ class Signing:
                 streams.reset()
         self._store.save(key.id, wall, wall=wall, exact=False)
         key.saved = wall
-        self._tell_store()
+        self._report_store()
         text = f"the clock of key {key.id} was {_duration(before_s)} ahead of this computer's and is set back to it"
         self._on_event(Event("signing", None, None, f"signing: {text}", {"key_id": key.id, "ahead_s": round(before_s)}))
         return text
@@ -450,13 +450,13 @@ class Signing:
                         key.clock.see_wall(self._wall())
                         await asyncio.to_thread(self._store.save, key.id, stamp, wall=key.clock.wall, exact=False)
                         key.saved = stamp
-                    self._tell_store()
+                    self._report_store()
         finally:
             for key in self._keys.values():
                 self._store.save(key.id, key.clock.timestamp, wall=key.clock.wall, exact=True)
-            self._tell_store()
+            self._report_store()
 
-    def _tell_store(self) -> None:
+    def _report_store(self) -> None:
         """A clock that cannot be kept is reported once per reason."""
         problem = self._store.problem
         if problem and problem != self._store_failed:

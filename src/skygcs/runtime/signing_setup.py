@@ -84,10 +84,10 @@ class SigningSetup:
     async def _send_key(self, targets: str | list[str], key: bytes | None, *, force: bool) -> dict[str, Outcome]:
         vehicles = [actor.vehicle for actor in self._fleet.resolve(targets)]
         async with asyncio.TaskGroup() as group:
-            tasks = {v.name: group.create_task(self._tell_one(v, key, force=force)) for v in vehicles}
+            tasks = {v.name: group.create_task(self._report_one(v, key, force=force)) for v in vehicles}
         return {name: task.result() for name, task in tasks.items()}
 
-    async def _tell_one(self, vehicle: Vehicle, key: bytes | None, *, force: bool) -> Outcome:
+    async def _report_one(self, vehicle: Vehicle, key: bytes | None, *, force: bool) -> Outcome:
         what = "signing off" if key is None else f"signing setup (key {key_id(key)})"
         try:
             require_connected(vehicle, self._loop.time())

@@ -55,8 +55,8 @@ class Recording:
     A disk that is full or gone ends the trace, is reported once, and never affects control.
     """
 
-    def __init__(self, pilot: OffboardController, directory: Path, on_event: Callable[[Event], None]) -> None:
-        self._offboard = pilot
+    def __init__(self, offboard: OffboardController, directory: Path, on_event: Callable[[Event], None]) -> None:
+        self._offboard = offboard
         self._directory = directory
         self._on_event = on_event
         self._wanted = False
@@ -82,8 +82,10 @@ class Recording:
         """Control has begun. Without effect while no trace is wanted, or one is being written."""
         if not self._wanted or self._file is not None or self._offboard.frame is None:
             return
-        anchor = self._offboard.frame.origin
-        head = TraceHead(self._offboard.vehicle.name, anchor.lat_deg, anchor.lon_deg, anchor.alt_amsl_m)
+        local_origin = self._offboard.frame.origin
+        head = TraceHead(
+            self._offboard.vehicle.name, local_origin.lat_deg, local_origin.lon_deg, local_origin.alt_amsl_m
+        )
         try:
             self._file = TraceFile(self._directory, head)
         except OSError as error:

@@ -58,7 +58,7 @@ class UndoJournal:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._under_way: set[str] = set()
+        self._in_progress: set[str] = set()
         self._number = 0
         self.problems: list[str] = []
         """Files of the folder that cannot be read, and why; from the last `left`."""
@@ -99,17 +99,17 @@ class UndoJournal:
             raise RefusedError(
                 f"what is to be undone cannot be kept in {self._folder}: {error.strerror or error}"
             ) from None
-        self._under_way.add(change.id)
+        self._in_progress.add(change.id)
         return change
 
     def undone(self, change: Change) -> None:
         """The vehicle holds again what it held. Raises OSError if the entry cannot be removed."""
-        self._under_way.discard(change.id)
+        self._in_progress.discard(change.id)
         self._path(change.id).unlink(missing_ok=True)
 
     def left_over(self, change: Change) -> None:
         """It could not be undone now: it stays."""
-        self._under_way.discard(change.id)
+        self._in_progress.discard(change.id)
 
     def left(self) -> list[Change]:
         """What waits to be undone, oldest first; not what is under way. Foreign files are `problems`."""
@@ -122,7 +122,7 @@ class UndoJournal:
                 if len(self.problems) < MAX_ENTRIES:
                     self.problems.append(f"{path.name} cannot be read: {error}"[:200])
                 continue
-            if change.id not in self._under_way:
+            if change.id not in self._in_progress:
                 found.append(change)
         return sorted(found, key=lambda c: (c.began, c.id))
 

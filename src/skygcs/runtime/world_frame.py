@@ -48,7 +48,7 @@ class World:
         for actor in self._actors.values():
             self.join(actor)
         data = {"old": as_dict(old), "new": as_dict(origin), "generation": self.generation, "source": source or None}
-        self._on_event(Event("origin", None, None, _told(old, origin, source), data))
+        self._on_event(Event("origin", None, None, _reported(old, origin, source), data))
 
     def set_from_vehicle(self, actor: VehicleActor, now: float, *, heading: bool = False, force: bool = False) -> None:
         """The vehicle's place is the origin; with ``heading`` its nose points along x, else x stays as it is.
@@ -78,7 +78,7 @@ def as_dict(origin: Origin | None) -> dict[str, float] | None:
     }
 
 
-def _told(old: Origin | None, new: Origin | None, source: str) -> str:
+def _reported(old: Origin | None, new: Origin | None, source: str) -> str:
     return f"origin {_place(new)}" + (f", from {source}" if source else "") + f"; it was {_place(old)}"
 
 

@@ -216,9 +216,9 @@ class CopterVehicle(SimVehicle):
         self._prearm_at = now + 3.0
         for stream, (param, _) in STREAM_GROUPS.items():
             self._set_group(stream, self.params[param], now)
-        self._tell_banner(now)
+        self._report_banner(now)
 
-    def _tell_banner(self, now: float) -> None:
+    def _report_banner(self, now: float) -> None:
         for i, text in enumerate(BOOT_TEXTS):
             self.later(now + 0.3 + 0.4 * i, partial(self.tx.say, m.MAV_SEVERITY_INFO, text))
 
@@ -234,7 +234,7 @@ class CopterVehicle(SimVehicle):
         self.files.step(self, now)
         if not self.armed and now >= self._prearm_at:
             self._prearm_at = now + PREARM_EVERY_S
-            self._tell_prearm()
+            self._report_prearm()
         if self.taking_off and self.plan.arrived and self.mode != CopterMode.AUTO:
             self.taking_off = False
         if self.mode == CopterMode.AUTO and self.armed:
@@ -248,7 +248,7 @@ class CopterVehicle(SimVehicle):
             if now - since >= delay:
                 self.switch_off()
 
-    def _tell_prearm(self) -> None:
+    def _report_prearm(self) -> None:
         refusal = self.arming_refusal()
         if refusal is not None:
             self.tx.say(m.MAV_SEVERITY_CRITICAL, f"PreArm: {refusal}")
@@ -422,10 +422,10 @@ class CopterVehicle(SimVehicle):
             case m.MAV_CMD_RUN_PREARM_CHECKS:
                 if self.armed:
                     return m.MAV_RESULT_TEMPORARILY_REJECTED
-                self._tell_prearm()
+                self._report_prearm()
                 return self.firmware.answers.simulated.prearm_checks
             case m.MAV_CMD_DO_SEND_BANNER:
-                self._tell_banner(now)
+                self._report_banner(now)
                 return m.MAV_RESULT_ACCEPTED
             case m.MAV_CMD_MISSION_START:
                 return copter_mission.start(self, now)

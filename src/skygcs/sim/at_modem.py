@@ -218,7 +218,7 @@ class AtRadio:
         if command == "":
             return ["OK"]
         if command.startswith("I"):
-            return self._tell(command[1:])
+            return self._report(command[1:])
         if match := re.fullmatch(r"S(\d{1,3})(\?|=(\d{1,10}))", command):
             number = int(match[1])
             if number not in self.live:
@@ -237,7 +237,7 @@ class AtRadio:
             return ["OK"]
         return ["ERROR"]
 
-    def _tell(self, what: str) -> list[str]:
+    def _report(self, what: str) -> list[str]:
         rfd = self.kind in (Kind.RFD_SIK, Kind.RFD_MULTIPOINT)
         match what:
             case "" | "0":

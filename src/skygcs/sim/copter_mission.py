@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 class CopterRun(MissionRun):
     first_seq = 1
-    tells_deeds = True
+    reports_reached_items = True
 
     def facts(self, v: SimVehicle) -> dict[str, Any]:
         mission = v.lists.mission

@@ -144,7 +144,7 @@ def _watch_fence(v: SimVehicle, now: float) -> None:
     """ArduCopter knows of a breach on the ground, too; it acts on it only with the motors on, and there by switching
     them off."""
     breach = v.breach(*v.estimated.pos_enu_m)
-    _tell_breach(v, breach)
+    _report_breach(v, breach)
     if not v.failsafes.fence.check(breach != "" and v.armed, now):
         return
     reactions = v.firmware.fence.simulated
@@ -224,7 +224,7 @@ def px4_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> str
     return breach
 
 
-def _tell_breach(v: SimVehicle, breach: str) -> None:
+def _report_breach(v: SimVehicle, breach: str) -> None:
     """Keep in mind, for telemetry, which side of its fence it is beyond."""
     kind = m.FENCE_BREACH_NONE
     if breach:

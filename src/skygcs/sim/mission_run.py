@@ -32,7 +32,7 @@ class MissionRun(ABC):
     """
 
     first_seq = 0
-    tells_deeds = False
+    reports_reached_items = False
     """Whether items that do not move it are told as reached, too; only the last of several reached at once is told."""
 
     reports_each = False
@@ -166,7 +166,7 @@ class MissionRun(ABC):
             return seq + 1
         if item.command == m.MAV_CMD_DO_CHANGE_SPEED and p2 > 0:
             self.change_speed(v, p2)
-        if self.tells_deeds or self.reports_each:
+        if self.reports_reached_items or self.reports_each:
             self.reached = seq
         if self.reports_each:
             self._report_reached(v)

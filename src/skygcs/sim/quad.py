@@ -119,7 +119,7 @@ class Quad(Body):
             if attitude is not None:
                 self._rotate(h, attitude)
             self._move(h, self.thrust * lift, wind)
-        self._tell_angles()
+        self._report_angles()
         self.accel_enu_mps2 = (
             (self.vel_e_mps - before[0]) / dt_s,
             (self.vel_n_mps - before[1]) / dt_s,
@@ -182,7 +182,7 @@ class Quad(Body):
         length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
         self.attitude_ned_frd = (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
 
-    def _tell_angles(self) -> None:
+    def _report_angles(self) -> None:
         w, x, y, z = self.attitude_ned_frd
         self.roll_rad = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
         self.pitch_rad = asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))

@@ -44,10 +44,10 @@ class Drift:
 
 
 class Sensors:
-    """``estimated`` is what the autopilot flies by, ``told`` what it sends; both change with `step`, once per ``dt_s``.
+    """``estimated`` is the autopilot's own state, ``reported`` what it sends; `step` changes both, once per ``dt_s``.
 
-    ``error_enu_m`` is believed minus true position. Where the vehicle was powered is taken as known: the error
-    begins at its first value and is part of home.
+    ``error_enu_m`` is the estimated minus the true position. The place where the vehicle was powered counts as known:
+    the error begins with its first value, which is part of home.
     """
 
     __slots__ = (
@@ -59,7 +59,7 @@ class Sensors:
         "_truth",
         "error_enu_m",
         "estimated",
-        "told",
+        "reported",
     )
 
     def __init__(self, truth: Body, conditions: Conditions, dt_s: float, seed: int) -> None:
@@ -73,7 +73,7 @@ class Sensors:
         noisy = conditions.gps_noise_m > 0.0 or conditions.attitude_noise_rad > 0.0
         self.estimated: Body = Body() if noisy else truth
         self.error_enu_m: Vector = (0.0, 0.0, 0.0)
-        self.told: Body = self.estimated
+        self.reported: Body = self.estimated
         self.step()
 
     def step(self) -> None:
@@ -84,7 +84,7 @@ class Sensors:
             spare = self._past.popleft() if len(self._past) > self._late else Body()
             spare.copy(self.estimated)
             self._past.append(spare)
-            self.told = self._past[0]
+            self.reported = self._past[0]
 
     def _err(self) -> None:
         conditions, estimated = self._conditions, self.estimated

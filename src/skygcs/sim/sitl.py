@@ -111,7 +111,7 @@ def px4_launch(
     ]
     # Logging from boot, as is usual in SITL, writes 200 kB/s to the disk; this logs while armed.
     params = {"SDLOG_MODE": "0", **instance.params}
-    before_commander = [
+    before_command_client = [
         "#!/bin/sh",
         "# Written by skygcs sitl; found in PATH before PX4's own file of this name.",
         f"param set MAV_SYS_ID {instance.sysid}",
@@ -132,7 +132,7 @@ def px4_launch(
         environment={**environment, "PATH": f"{folder}/{scripts}"},
         files={
             f"{scripts}/px4-rc.mavlink": "\n".join(links) + "\n",
-            f"{scripts}/px4-rc.simulator": "\n".join(before_commander) + "\n",
+            f"{scripts}/px4-rc.simulator": "\n".join(before_command_client) + "\n",
         },
     )
 

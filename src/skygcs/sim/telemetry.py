@@ -94,7 +94,7 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
     if not v.gps_ok:
         unknown = {"eph": UNKNOWN_U16, "epv": UNKNOWN_U16, "vel": UNKNOWN_U16, "cog": UNKNOWN_U16}
         return {"time_usec": v.boot_ms * 1000, "fix_type": m.GPS_FIX_TYPE_NO_FIX, **unknown}
-    motion = v.told
+    motion = v.reported
     fix_type = v.rtk.fix_type(now)
     fixed = fix_type == m.GPS_FIX_TYPE_RTK_FIXED
     error_m = 0.02 if fixed else 0.4
@@ -119,7 +119,7 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
 
 
 def global_position_int(v: SimVehicle, now: float) -> Fields | None:
-    motion = v.told
+    motion = v.reported
     if v.home is None:  # never had a position: PX4 sends nothing, ArduPilot zeros
         if v.autopilot == m.MAV_AUTOPILOT_PX4:
             return None
@@ -141,7 +141,7 @@ def global_position_int(v: SimVehicle, now: float) -> Fields | None:
 def local_position_ned(v: SimVehicle, now: float) -> Fields | None:
     if v.home is None:
         return None
-    motion, zero = v.told, v.local_origin
+    motion, zero = v.reported, v.local_origin
     return {
         "time_boot_ms": v.boot_ms,
         "x": motion.north_m - zero.north_m,
@@ -154,7 +154,7 @@ def local_position_ned(v: SimVehicle, now: float) -> Fields | None:
 
 
 def attitude(v: SimVehicle, now: float) -> Fields:
-    motion = v.told
+    motion = v.reported
     if v.faults.nan_attitude:
         return {"time_boot_ms": v.boot_ms, "roll": nan, "pitch": nan, "yaw": nan}
     return {
@@ -175,7 +175,7 @@ def _rates(motion: Body) -> Fields:
 
 
 def attitude_quaternion(v: SimVehicle, now: float) -> Fields:
-    motion = v.told
+    motion = v.reported
     if v.faults.nan_attitude:
         return {"time_boot_ms": v.boot_ms, "q1": nan, "q2": nan, "q3": nan, "q4": nan}
     w, x, y, z = quaternion_of(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
@@ -189,7 +189,7 @@ def _throttle_percent(v: SimVehicle) -> int:
 
 
 def vfr_hud(v: SimVehicle, now: float) -> Fields:
-    motion = v.told
+    motion = v.reported
     return {
         "airspeed": motion.groundspeed_mps,
         "groundspeed": motion.groundspeed_mps,
@@ -270,7 +270,7 @@ def rc_channels(v: SimVehicle, now: float) -> Fields:
 
 def _body_accel(v: SimVehicle) -> Vector:
     """What the accelerometer feels (FRD, m/s²): everything but gravity, turned into the body."""
-    motion = v.told
+    motion = v.reported
     east, north, up = motion.accel_enu_mps2
     forward = north * cos(motion.yaw_rad) + east * sin(motion.yaw_rad)
     right = -north * sin(motion.yaw_rad) + east * cos(motion.yaw_rad)
@@ -287,9 +287,9 @@ def raw_imu(v: SimVehicle, now: float) -> Fields:
     return {
         "time_usec": v.boot_ms * 1000,
         **dict(zip(("xacc", "yacc", "zacc"), milli_g, strict=True)),
-        "zgyro": round(v.told.yaw_rate_radps * 1000),
-        "xmag": round(200 * cos(v.told.yaw_rad)),
-        "ymag": round(-200 * sin(v.told.yaw_rad)),
+        "zgyro": round(v.reported.yaw_rate_radps * 1000),
+        "xmag": round(200 * cos(v.reported.yaw_rad)),
+        "ymag": round(-200 * sin(v.reported.yaw_rad)),
         "zmag": 450,
         "temperature": 4000,
     }
@@ -297,16 +297,18 @@ def raw_imu(v: SimVehicle, now: float) -> Fields:
 
 def highres_imu(v: SimVehicle, now: float) -> Fields:
     accel = _body_accel(v)
-    pressure = 1013.25 * (1 - 2.25577e-5 * (v.where.alt_amsl_m + v.told.up_m)) ** 5.25588  # ICAO standard atmosphere
+    pressure = (
+        1013.25 * (1 - 2.25577e-5 * (v.where.alt_amsl_m + v.reported.up_m)) ** 5.25588
+    )  # ICAO standard atmosphere
     return {
         "time_usec": v.boot_ms * 1000,
         **dict(zip(("xacc", "yacc", "zacc"), accel, strict=True)),
-        "zgyro": v.told.yaw_rate_radps,
-        "xmag": 0.2 * cos(v.told.yaw_rad),
-        "ymag": -0.2 * sin(v.told.yaw_rad),
+        "zgyro": v.reported.yaw_rate_radps,
+        "xmag": 0.2 * cos(v.reported.yaw_rad),
+        "ymag": -0.2 * sin(v.reported.yaw_rad),
         "zmag": 0.45,
         "abs_pressure": pressure,
-        "pressure_alt": v.where.alt_amsl_m + v.told.up_m,
+        "pressure_alt": v.where.alt_amsl_m + v.reported.up_m,
         "temperature": 40.0,
         "fields_updated": 0x1FFF,
     }
@@ -317,7 +319,7 @@ def odometry(v: SimVehicle, now: float) -> Fields | None:
     local = local_position_ned(v, now)
     if local is None:
         return None
-    motion = v.told
+    motion = v.reported
     q = quaternion_of(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
     vx, vy, vz = _to_body(q, (local["vx"], local["vy"], local["vz"]))
     unknown = [nan] + [0.0] * 20
@@ -349,7 +351,7 @@ def _to_body(q: tuple[float, float, float, float], vector: Vector) -> Vector:
 
 
 def altitude(v: SimVehicle, now: float) -> Fields:
-    up = v.told.up_m
+    up = v.reported.up_m
     amsl = v.where.alt_amsl_m + up
     return {
         "time_usec": v.boot_ms * 1000,

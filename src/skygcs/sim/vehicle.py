@@ -317,10 +317,10 @@ class SimVehicle(ABC):
 
     def begin_with(self, sets: Iterable[Mapping[str, Param]]) -> None:
         """Take these parameters in and boot with them, as if it had always had them."""
-        told = list(sets)
-        for params in told:
+        reported = list(sets)
+        for params in reported:
             self.params.take_in(params)
-        if told:
+        if reported:
             self._boot(self._clock)
 
     # -- state others read
@@ -331,9 +331,9 @@ class SimVehicle(ABC):
         return self.sensors.estimated
 
     @property
-    def told(self) -> Body:
+    def reported(self) -> Body:
         """What telemetry says: what was believed a latency ago."""
-        return self.sensors.told
+        return self.sensors.reported
 
     @property
     def boot_ms(self) -> int:
@@ -387,7 +387,7 @@ class SimVehicle(ABC):
 
     def height_m(self) -> float:
         """Above home."""
-        return self.told.up_m - (self.home.up_m if self.home else 0.0)
+        return self.reported.up_m - (self.home.up_m if self.home else 0.0)
 
     # -- orders both firmwares carry out alike
 

@@ -14,7 +14,7 @@ from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.routing.source_statistics import SourceStats
 from skygcs.core.vehicle.boot import BootClock
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import TelemetryGroup, fold_battery, fold_gps, fold_local, fold_position
+from skygcs.core.vehicle.decoding import TelemetryGroup, decode_battery, decode_gps, decode_local, decode_position
 from skygcs.core.vehicle.statustext import StatusTextAssembler
 from skygcs.tlog.curves import MOST_SPANS, Curve, LossCurve, Track
 from skygcs.tlog.format import LogEntry
@@ -228,7 +228,7 @@ class RecordedFlight:
         # battery, then positions from the best message to the least
         if name in ("SYS_STATUS", "BATTERY_STATUS"):
             folding.battery[name] = values
-            battery = fold_battery(folding.battery, self._decoder)
+            battery = decode_battery(folding.battery, self._decoder)
             _add(vehicle.percent, now, battery, "percent")
             _add(vehicle.volts, now, battery, "volts")
         elif name == "GLOBAL_POSITION_INT":
@@ -240,14 +240,14 @@ class RecordedFlight:
                 lost = vehicle.stats.lost
                 vehicle.stats.restart()
                 vehicle.loss.take_back(lost - vehicle.stats.lost)
-            position = fold_position({name: values}, self._decoder)
+            position = decode_position({name: values}, self._decoder)
             self._on_place(vehicle, name, position, now)
             _add(vehicle.altitude, now, position, "alt_rel_m")
         elif name == "GPS_RAW_INT":
             if vehicle.place in ("", name) and values[0] >= FIX_3D:
-                self._on_place(vehicle, name, fold_gps({name: values}, self._decoder), now)
+                self._on_place(vehicle, name, decode_gps({name: values}, self._decoder), now)
         elif vehicle.place in ("", name):
-            local = fold_local({name: values}, self._decoder)
+            local = decode_local({name: values}, self._decoder)
             if local is not None and None not in local["pos_enu_m"]:
                 east, north, up = local["pos_enu_m"]
                 self._move(vehicle, name, now, east, north)

@@ -10,7 +10,7 @@ from skygcs.core.mavlink.heartbeat import HeartbeatChecks
 from skygcs.core.mavlink.modes import mode_name
 from skygcs.core.mavlink.msgids import HEARTBEAT
 from skygcs.core.vehicle.decoder import Decoder
-from skygcs.core.vehicle.decoding import TelemetryGroup, fold_attitude, fold_position
+from skygcs.core.vehicle.decoding import TelemetryGroup, decode_attitude, decode_position
 from skygcs.tlog.format import LogEntry
 
 LONGEST_SPLIT = 32
@@ -125,11 +125,11 @@ class FlightTables:
             return None
         now = entry.at_s
         if frame.msgid == self._position:
-            vehicle.position = fold_position({POSITION: self._decoder.values(POSITION, frame.payload)}, self._decoder)
+            vehicle.position = decode_position({POSITION: self._decoder.values(POSITION, frame.payload)}, self._decoder)
             vehicle.position_s = now
         elif frame.msgid in self._attitudes:
             name = self._attitudes[frame.msgid]
-            vehicle.attitude = fold_attitude({name: self._decoder.values(name, frame.payload)}, self._decoder)
+            vehicle.attitude = decode_attitude({name: self._decoder.values(name, frame.payload)}, self._decoder)
             vehicle.attitude_s = now
             if vehicle.position is not None and now - vehicle.position_s <= STALE_S:
                 return None

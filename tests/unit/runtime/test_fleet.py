@@ -143,7 +143,7 @@ async def test_the_capture_flew_up_and_never_down_on_the_way_up() -> None:
         listening.hear(frame, at)
         if frame.name != "GLOBAL_POSITION_INT" or frame.sysid << 8 | 1 not in listening.fleet.vehicles:
             continue
-        position = listening.fleet.vehicles[frame.sysid << 8 | 1].vehicle.section("position")
+        position = listening.fleet.vehicles[frame.sysid << 8 | 1].vehicle.telemetry("position")
         assert position is not None
         climbed = position["alt_rel_m"] - heights.get(frame.sysid, position["alt_rel_m"])
         heights[frame.sysid] = position["alt_rel_m"]

@@ -209,7 +209,7 @@ async def test_a_parameter_is_asked_for_again_until_it_is_told() -> None:
         outcome = await actor._orders.execute(offboard_entry.ask_parameters(actor.vehicle, began))
         assert outcome.ok, "what it does not tell is optional"
         assert offboard_entry.attitude_refusal(actor.vehicle) is None
-        assert actor.vehicle.parameters.told_at("GUID_OPTIONS") == pytest.approx(began + 1.1)
+        assert actor.vehicle.parameters.reported_at("GUID_OPTIONS") == pytest.approx(began + 1.1)
 
 
 async def test_a_parameter_that_is_never_told_fails_the_plan_within_its_time() -> None:

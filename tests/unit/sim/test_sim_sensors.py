@@ -26,7 +26,7 @@ def vehicle(seed: int = 1, **words: float) -> Px4Vehicle:
 
 def test_without_noise_and_latency_belief_and_telemetry_are_the_truth_itself() -> None:
     v = px4()
-    assert v.estimated is v.motion and v.told is v.motion
+    assert v.estimated is v.motion and v.reported is v.motion
 
 
 def test_position_noise_has_the_size_asked_for_and_wanders_slowly() -> None:
@@ -52,7 +52,7 @@ def test_told_is_as_old_as_the_latency() -> None:
         quad.step(DT, Setpoint((None, None, 10.0), (2.0, 0.0, None)), LIMITS)
         sensors.step()
     assert sensors.estimated is quad
-    assert quad.east_m - sensors.told.east_m == pytest.approx(2.0 * 0.2, abs=1e-6)
+    assert quad.east_m - sensors.reported.east_m == pytest.approx(2.0 * 0.2, abs=1e-6)
 
 
 def test_the_vehicle_flies_by_what_it_believes() -> None:
@@ -79,7 +79,7 @@ def test_attitude_noise_is_told_and_not_flown() -> None:
     rolls = []
     for _ in range(200):
         pilot.run(0.1)
-        rolls.append(v.told.roll_rad)
+        rolls.append(v.reported.roll_rad)
         assert abs(v.motion.roll_rad) < 1e-3
     assert 0.3 * radians(1.0) < (sum(r * r for r in rolls) / len(rolls)) ** 0.5 < 2.0 * radians(1.0)
 

@@ -261,15 +261,15 @@ def step_response(
     whole = int(delay_s / period_s)
     late = delay_s - whole * period_s  # in each period the older of two outputs still acts for so long
     early = period_s - late
-    under_way = [0.0] * (whole + 2)
+    delayed = [0.0] * (whole + 2)
     x = v = integral = 0.0
     positions = [x]
     for tick in range(math.ceil(duration_s / period_s)):
         error = kp * (1.0 - x) - v
-        under_way[tick % (whole + 2)] = kv * error + integral
+        delayed[tick % (whole + 2)] = kv * error + integral
         integral += ki * error * period_s
-        older = g * under_way[(tick + 1) % (whole + 2)]
-        newer = g * under_way[(tick + 2) % (whole + 2)]
+        older = g * delayed[(tick + 1) % (whole + 2)]
+        newer = g * delayed[(tick + 2) % (whole + 2)]
         x += v * late + 0.5 * older * late * late
         v += older * late
         x += v * early + 0.5 * newer * early * early

@@ -82,12 +82,12 @@ class ControlConfig(_Derived):
         problems = [*_gain_problems("xy", self.xy), *_gain_problems("z", self.z), *_limit_problems(self)]
         if problems:
             raise ConfigError("control", problems)
-        told = object.__setattr__  # frozen, and made of nothing but the fields
+        assign = object.__setattr__  # frozen, and made of nothing but the fields
         tilt_max_tan = math.tan(self.tilt_max_rad)
-        told(self, "dt_min_s", 0.5 * self.period_s)
-        told(self, "dt_max_s", 1.5 * self.period_s)
-        told(self, "tilt_max_tan", tilt_max_tan)
-        told(self, "integral_xy_max", self.hover_thrust * tilt_max_tan)
+        assign(self, "dt_min_s", 0.5 * self.period_s)
+        assign(self, "dt_max_s", 1.5 * self.period_s)
+        assign(self, "tilt_max_tan", tilt_max_tan)
+        assign(self, "integral_xy_max", self.hover_thrust * tilt_max_tan)
 
 
 def _gain_problems(axis: str, gains: AxisGains) -> list[str]:

@@ -186,7 +186,7 @@ class Guard:
     """
 
     __slots__ = (
-        *("_as_before", "_as_wanted", "_cause", "_checked_at", "_clear_since", "_ended", "_told", "_control_mode"),
+        *("_as_before", "_as_wanted", "_cause", "_checked_at", "_clear_since", "_ended", "_reported", "_control_mode"),
         *("config", "wanted"),
     )
 
@@ -204,7 +204,7 @@ class Guard:
         self.wanted = wanted
         self._control_mode = wanted
         self._ended: Verdict | None = None
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
         self._cause: tuple[Refusal, ...] = ()
         self._clear_since: dict[ControlMode, float] = {}
         self._checked_at = -math.inf
@@ -236,7 +236,7 @@ class Guard:
         before = self._control_mode
         self._control_mode = self._chosen(refused, now, bound=not facts.engaging)
         if self._control_mode != before:
-            self._told.clear()
+            self._reported.clear()
         return self._sending(refused, self._control_mode != before, now)
 
     def _end(self, action: Action, refusals: tuple[Refusal, ...]) -> Verdict:
@@ -283,8 +283,8 @@ class Guard:
         possible = next((control_mode for control_mode in above if not refused[control_mode]), None)
         if possible:
             reasons.append(self._return_text(possible, now - self._clear_since[possible]))
-        news = not self._told.issuperset(kinds)
-        self._told.update(kinds)
+        news = not self._reported.issuperset(kinds)
+        self._reported.update(kinds)
         return Verdict("send", self._control_mode, tuple(reasons), changed=moved or news, kinds=kinds)
 
     def _return_text(self, control_mode: ControlMode, clear_s: float) -> str:

@@ -120,8 +120,8 @@ class TraceWriter:
 
 def encode_head(head: TraceHead) -> str:
     """The remarks at the beginning and the line of columns."""
-    anchor = {"lat_deg": head.lat_deg, "lon_deg": head.lon_deg, "alt_amsl_m": head.alt_amsl_m}
-    remarks = (("format", FORMAT), ("vehicle", head.vehicle), ("anchor", anchor))
+    local_origin = {"lat_deg": head.lat_deg, "lon_deg": head.lon_deg, "alt_amsl_m": head.alt_amsl_m}
+    remarks = (("format", FORMAT), ("vehicle", head.vehicle), ("anchor", local_origin))
     return "".join(_remark(key, value) for key, value in remarks) + ",".join(COLUMNS) + "\n"
 
 
@@ -235,8 +235,8 @@ def _head(number: int, remarks: dict[str, Any]) -> TraceHead:
     if remarks.get("format") != FORMAT:
         raise TraceError(number, f"its format is {remarks.get('format')!r}; this skygcs reads {FORMAT!r}")
     try:
-        anchor = remarks["anchor"]
-        place = (float(anchor["lat_deg"]), float(anchor["lon_deg"]), float(anchor["alt_amsl_m"]))
+        local_origin = remarks["anchor"]
+        place = (float(local_origin["lat_deg"]), float(local_origin["lon_deg"]), float(local_origin["alt_amsl_m"]))
         return TraceHead(str(remarks["vehicle"]), *place)
     except (KeyError, TypeError, ValueError) as error:
         raise TraceError(number, f"remarks 'vehicle' and 'anchor' are missing or wrong: {error}") from None

@@ -113,8 +113,8 @@ class Report:
         wrong = self.complaints
         if not wrong:
             return f"ready: {sum(f.verdict is Verdict.PASS for f in self.findings)} checks passed"
-        told = "; ".join(f.text for f in wrong[:most])
-        return told + (f"; and {len(wrong) - most} more" if len(wrong) > most else "")
+        reported = "; ".join(f.text for f in wrong[:most])
+        return reported + (f"; and {len(wrong) - most} more" if len(wrong) > most else "")
 
     def as_dict(self) -> Mapping[str, Any]:
         return {

@@ -75,40 +75,40 @@ class SlidingWindow:
         self._spacing_s = spacing_s
         self._max_tries = max_tries
         self._next_send = -math.inf
-        self._under_way: dict[int, _Request] = {}
+        self._in_progress: dict[int, _Request] = {}
         self._tries: dict[int, int] = {}
         self._again: deque[int] = deque()
 
     def clear(self) -> None:
         """Begin anew with the same peer: its round trips stay known, and the pace is kept."""
         self.due = math.inf
-        self._under_way.clear()
+        self._in_progress.clear()
         self._tries.clear()
         self._again.clear()
         self.given_up.clear()
 
     def __contains__(self, number: int) -> bool:
         """Whether a request is under way."""
-        return number in self._under_way
+        return number in self._in_progress
 
     def answered(self, number: int, now: float, *, measure: bool = True) -> None:
         """An answer came; ``measure``: it is certainly the answer to a request, and so shows the round trip."""
-        request = self._under_way.pop(number, None)
+        request = self._in_progress.pop(number, None)
         if measure and request is not None and request.is_first:
             self.timeout.measured(now - request.sent_at)
 
     def advance(self, now: float) -> list[int]:
         """The numbers to request now; sets ``due``."""
-        for number in [n for n, request in self._under_way.items() if now >= request.due_at]:
+        for number in [n for n, request in self._in_progress.items() if now >= request.due_at]:
             self.timeout.overdue(now)
-            del self._under_way[number]
+            del self._in_progress[number]
             if self._tries[number] >= self._max_tries:
                 self.given_up.add(number)
             else:
                 self._again.append(number)
         self.due = math.inf
         numbers: list[int] = []
-        while len(self._under_way) < self._size:
+        while len(self._in_progress) < self._size:
             if now < self._next_send:
                 self.due = self._next_send
                 break
@@ -117,9 +117,9 @@ class SlidingWindow:
                 break
             numbers.append(following)
             tries = self._tries[following] = self._tries.get(following, 0) + 1
-            self._under_way[following] = _Request(now, now + self.timeout.seconds, tries == 1)
+            self._in_progress[following] = _Request(now, now + self.timeout.seconds, tries == 1)
             self._next_send = now + self._spacing_s
-        self.due = min([self.due, *(request.due_at for request in self._under_way.values())])
+        self.due = min([self.due, *(request.due_at for request in self._in_progress.values())])
         return numbers
 
     def _next(self) -> int | None:

@@ -58,7 +58,7 @@ class ProgramStreams:
 
     def __init__(self) -> None:
         self._vehicles: dict[int, _Requests] = {}
-        self.not_noted = 0
+        self.not_counted = 0
         """Requests beyond MOST_ITEMS and MOST_PROGRAMS."""
 
     def on_request(
@@ -73,7 +73,7 @@ class ProgramStreams:
             if programs is None and len(requests.programs) < MOST_ITEMS:
                 programs = requests.programs[one] = set()
             if programs is None or (program not in programs and len(programs) >= MOST_PROGRAMS):
-                self.not_noted += 1
+                self.not_counted += 1
             else:
                 programs.add(program)
 

@@ -120,14 +120,14 @@ def fit(
 
     Room is divided by the weights; a vehicle that needs less leaves the rest to the others. ``frame_bytes`` by message.
     """
-    beat = FRAME_BYTES["HEARTBEAT"]
+    heartbeat = FRAME_BYTES["HEARTBEAT"]
     wanted = {key: _bytes(demand.rates_hz, frame_bytes) for key, demand in demands.items()}
-    left = max(0.0, total_bytes_per_s - beat * len(demands))
+    left = max(0.0, total_bytes_per_s - heartbeat * len(demands))
     given = dict.fromkeys(demands, 0.0)
     open_keys = {key for key in demands if wanted[key] > 0}
     while open_keys and left > 1e-6:
         per_weight = left / sum(demands[key].weight for key in open_keys)
-        limits = {key: min(wanted[key], max(0.0, each_bytes_per_s - beat)) for key in open_keys}
+        limits = {key: min(wanted[key], max(0.0, each_bytes_per_s - heartbeat)) for key in open_keys}
         sated = {key for key in open_keys if limits[key] - given[key] <= per_weight * demands[key].weight}
         for key in sated or open_keys:
             share = limits[key] - given[key] if sated else per_weight * demands[key].weight

@@ -312,8 +312,8 @@ class TxQueue(Generic[T]):
         at = self.budget.ready_at(size, now, reserve=self._reserve(priority, now))
         since = self._heartbeat_since
         if since is not None and priority is not Priority.EMERGENCY and at >= since + HEARTBEAT_WAITS_S > now:
-            beat = self._classes[Priority.HEARTBEAT].head()[1]  # is overdue by then, and next
-            return max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(beat, now))
+            heartbeat = self._classes[Priority.HEARTBEAT].head()[1]  # is overdue by then, and next
+            return max(since + HEARTBEAT_WAITS_S, self.budget.ready_at(heartbeat, now))
         return at
 
     def drop(self, priority: Priority, unwanted: Callable[[T], bool]) -> int:

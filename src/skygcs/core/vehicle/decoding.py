@@ -60,7 +60,7 @@ def _lat_lon(lat: int, lon: int) -> tuple[float | None, float | None]:
     return lat / 1e7, lon / 1e7
 
 
-def fold_gps(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_gps(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     fix, lat, lon, alt, eph, epv, satellites, time_usec = v["GPS_RAW_INT"]
     lat_deg, lon_deg = _lat_lon(lat, lon)
     return {
@@ -88,7 +88,7 @@ def global_position(fields: tuple[Any, ...]) -> GlobalPosition:
     return lat_deg, lon_deg, alt / 1000, (vy / 100, vx / 100, -vz / 100)
 
 
-def fold_position(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_position(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     fields = v["GLOBAL_POSITION_INT"]
     lat_deg, lon_deg, alt_amsl_m, vel_enu_mps = global_position(fields)
     boot_ms, rel, hdg = fields[0], fields[4], fields[8]
@@ -103,7 +103,7 @@ def fold_position(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_local(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_local(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     boot_ms, x, y, z, vx, vy, vz = v["LOCAL_POSITION_NED"]
     return {
         "pos_enu_m": _numbers((y, x, -z), digits=3),
@@ -117,7 +117,7 @@ def finite_angles(fields: tuple[Any, ...]) -> bool:
     return math.isfinite(fields[1] + fields[2] + fields[3])  # of floats: no sum of three leaves a double's range
 
 
-def fold_attitude(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_attitude(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     """Angles of the body (FRD) against NED, as every autopilot shows them: yaw is the compass heading."""
     if "ATTITUDE" in v:
         boot_ms, roll, pitch, yaw, *rates = v["ATTITUDE"]
@@ -162,7 +162,7 @@ def euler_from_quaternion(w: float, x: float, y: float, z: float) -> tuple[float
     return roll, pitch, yaw
 
 
-def fold_battery(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_battery(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     """SYS_STATUS speaks of the main battery; what it does not know is taken from BATTERY_STATUS of battery 0."""
     volts = amps = percent = consumed = temperature = remaining_s = None
     if "SYS_STATUS" in v:
@@ -190,14 +190,14 @@ def fold_battery(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_home(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_home(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     lat_deg, lon_deg = _lat_lon(*v["HOME_POSITION"][:2])
     if lat_deg is None:
         return None
     return {"lat_deg": lat_deg, "lon_deg": lon_deg, "alt_amsl_m": v["HOME_POSITION"][2] / 1000}
 
 
-def fold_ekf_origin(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_ekf_origin(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     lat_deg, lon_deg = _lat_lon(*v["GPS_GLOBAL_ORIGIN"][:2])
     if lat_deg is None:
         return None
@@ -218,7 +218,7 @@ EKF_VARIANCE_LIMIT = 0.8
 """ArduPilot's default of FS_EKF_THRESH."""
 
 
-def fold_estimator(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_estimator(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     """``ok``: good enough to navigate by; ``ratios`` are innovations against their gates (1 = rejected)."""
     accuracy: list[float | None] = [None, None]
     if "EKF_STATUS_REPORT" in v:
@@ -240,7 +240,7 @@ def fold_estimator(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_sensors(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_sensors(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     present, enabled, health, load, *_ = v["SYS_STATUS"]
     enum, prefix = "MAV_SYS_STATUS_SENSOR", "MAV_SYS_STATUS_"
     return {
@@ -256,7 +256,7 @@ def _sensor(name: str) -> str:
     return name.removeprefix("sensor_")
 
 
-def fold_vfr(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_vfr(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     airspeed, groundspeed, heading, throttle, alt, climb = v["VFR_HUD"]
     return {
         "airspeed_mps": _number(airspeed, 2),
@@ -268,7 +268,7 @@ def fold_vfr(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_rc(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_rc(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     if "RC_CHANNELS" in v:
         _, count, rssi, *channels = v["RC_CHANNELS"]
         channels = channels[: min(count, len(channels))]
@@ -280,7 +280,7 @@ def fold_rc(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_imu(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_imu(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     """Body axes (FRD). RAW_IMU carries the same units as SCALED_IMU on ArduPilot, its only sender here."""
     pressure = temperature = None
     if "HIGHRES_IMU" in v:
@@ -300,11 +300,11 @@ def fold_imu(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_servos(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_servos(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     return {"pwm_us": list(v["SERVO_OUTPUT_RAW"])}
 
 
-def fold_mission(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_mission(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     """``count`` of items; ``last_ack`` is the autopilot's last word on a transfer (MAV_MISSION_RESULT)."""
     seq, total = v.get("MISSION_CURRENT", (None, 0))
     (count,) = v.get("MISSION_COUNT", (None,))
@@ -327,7 +327,7 @@ def _target_common(frame: int, mask: int, vx: float, vy: float, vz: float, yaw: 
     }
 
 
-def fold_target_global(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_target_global(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     frame, mask, lat, lon, alt, vx, vy, vz, yaw = v["POSITION_TARGET_GLOBAL_INT"]
     lat_deg, lon_deg = (None, None) if mask & 0x3 else _lat_lon(lat, lon)
     return {
@@ -338,7 +338,7 @@ def fold_target_global(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_target_local(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_target_local(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     frame, mask, x, y, z, vx, vy, vz, yaw = v["POSITION_TARGET_LOCAL_NED"]
     return {
         "pos_enu_m": None if mask & 0x7 else _numbers((y, x, -z), digits=2),
@@ -346,7 +346,7 @@ def fold_target_local(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_target_attitude(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_target_attitude(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     quaternion, mask, thrust = v["ATTITUDE_TARGET"]
     return {
         "quaternion": None if mask & 0x80 else _numbers(tuple(quaternion)),
@@ -355,12 +355,12 @@ def fold_target_attitude(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     }
 
 
-def fold_time(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_time(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     unix_us, boot_ms = v["SYSTEM_TIME"]
     return {"unix_s": unix_us / 1e6 if unix_us else None, "boot_s": boot_ms / 1000}
 
 
-def fold_high_latency(v: Values, decoder: Decoder) -> TelemetryGroup | None:
+def decode_high_latency(v: Values, decoder: Decoder) -> TelemetryGroup | None:
     _, _, _, flags, lat, lon, alt, heading, groundspeed, throttle, battery, wp_num = v["HIGH_LATENCY2"]
     lat_deg, lon_deg = _lat_lon(lat, lon)
     return {
@@ -377,23 +377,23 @@ def fold_high_latency(v: Values, decoder: Decoder) -> TelemetryGroup | None:
 
 
 GROUPS: tuple[TelemetryGroupSpec, ...] = (
-    TelemetryGroupSpec("gps", ("GPS_RAW_INT",), fold_gps),
-    TelemetryGroupSpec("position", ("GLOBAL_POSITION_INT",), fold_position),
-    TelemetryGroupSpec("local", ("LOCAL_POSITION_NED",), fold_local),
-    TelemetryGroupSpec("attitude", ("ATTITUDE", "ATTITUDE_QUATERNION"), fold_attitude),
-    TelemetryGroupSpec("battery", ("SYS_STATUS", "BATTERY_STATUS"), fold_battery, combine=True),
-    TelemetryGroupSpec("home", ("HOME_POSITION",), fold_home),
-    TelemetryGroupSpec("ekf_origin", ("GPS_GLOBAL_ORIGIN",), fold_ekf_origin),
-    TelemetryGroupSpec("estimator", ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"), fold_estimator),
-    TelemetryGroupSpec("sensors", ("SYS_STATUS",), fold_sensors),
-    TelemetryGroupSpec("vfr", ("VFR_HUD",), fold_vfr),
-    TelemetryGroupSpec("rc", ("RC_CHANNELS", "RC_CHANNELS_RAW"), fold_rc),
-    TelemetryGroupSpec("imu", ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"), fold_imu),
-    TelemetryGroupSpec("servos", ("SERVO_OUTPUT_RAW",), fold_servos),
-    TelemetryGroupSpec("mission", ("MISSION_CURRENT", "MISSION_COUNT", "MISSION_ACK"), fold_mission, combine=True),
-    TelemetryGroupSpec("target_global", ("POSITION_TARGET_GLOBAL_INT",), fold_target_global),
-    TelemetryGroupSpec("target_local", ("POSITION_TARGET_LOCAL_NED",), fold_target_local),
-    TelemetryGroupSpec("target_attitude", ("ATTITUDE_TARGET",), fold_target_attitude),
-    TelemetryGroupSpec("time", ("SYSTEM_TIME",), fold_time),
-    TelemetryGroupSpec("high_latency", ("HIGH_LATENCY2",), fold_high_latency),
+    TelemetryGroupSpec("gps", ("GPS_RAW_INT",), decode_gps),
+    TelemetryGroupSpec("position", ("GLOBAL_POSITION_INT",), decode_position),
+    TelemetryGroupSpec("local", ("LOCAL_POSITION_NED",), decode_local),
+    TelemetryGroupSpec("attitude", ("ATTITUDE", "ATTITUDE_QUATERNION"), decode_attitude),
+    TelemetryGroupSpec("battery", ("SYS_STATUS", "BATTERY_STATUS"), decode_battery, combine=True),
+    TelemetryGroupSpec("home", ("HOME_POSITION",), decode_home),
+    TelemetryGroupSpec("ekf_origin", ("GPS_GLOBAL_ORIGIN",), decode_ekf_origin),
+    TelemetryGroupSpec("estimator", ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"), decode_estimator),
+    TelemetryGroupSpec("sensors", ("SYS_STATUS",), decode_sensors),
+    TelemetryGroupSpec("vfr", ("VFR_HUD",), decode_vfr),
+    TelemetryGroupSpec("rc", ("RC_CHANNELS", "RC_CHANNELS_RAW"), decode_rc),
+    TelemetryGroupSpec("imu", ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU"), decode_imu),
+    TelemetryGroupSpec("servos", ("SERVO_OUTPUT_RAW",), decode_servos),
+    TelemetryGroupSpec("mission", ("MISSION_CURRENT", "MISSION_COUNT", "MISSION_ACK"), decode_mission, combine=True),
+    TelemetryGroupSpec("target_global", ("POSITION_TARGET_GLOBAL_INT",), decode_target_global),
+    TelemetryGroupSpec("target_local", ("POSITION_TARGET_LOCAL_NED",), decode_target_local),
+    TelemetryGroupSpec("target_attitude", ("ATTITUDE_TARGET",), decode_target_attitude),
+    TelemetryGroupSpec("time", ("SYSTEM_TIME",), decode_time),
+    TelemetryGroupSpec("high_latency", ("HIGH_LATENCY2",), decode_high_latency),
 )

@@ -22,7 +22,7 @@ from skygcs.errors import RefusedError
 GPS_FIX_3D = 3
 """GPS_FIX_TYPE_3D_FIX; without it a position is a guess of the estimator that gets worse by the second."""
 
-TOLD_FRESH_S = 10.0
+REPORT_FRESH_S = 10.0
 """GPS and battery are told every two seconds; what is older says nothing about now."""
 
 ATTITUDE_FRESH_S = 3.0
@@ -38,11 +38,11 @@ _MESSAGES = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
 
 
 class EstimateView:
-    """On one vehicle. `anchor` it before anything is asked; `measure` once a tick; the loop's times."""
+    """On one vehicle. `local_origin` it before anything is asked; `measure` once a tick; the loop's times."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.frame: EnuFrame | None = None
-        """The anchor's; None before the first `anchor`."""
+        """The anchor's; None before the first `local_origin`."""
         self.delay = _delay_meter()
         self.delay_p95_s: float | None = None
         self.fix_ok = True
@@ -54,7 +54,7 @@ class EstimateView:
         decoder = vehicle.message_cache.decoder
         self._position_id, self._attitude_id, self._quaternion_id = map(decoder.msgid_of, _MESSAGES)
         self._read_position, self._read_attitude = map(decoder.read.get, _MESSAGES[:2])
-        self._told: tuple[Frame | None, EnuFrame | None] = (None, None)
+        self._reported: tuple[Frame | None, EnuFrame | None] = (None, None)
         """What the estimate below was made of."""
         self._position: GlobalPosition | None = None
         self._estimate: Estimate | None = None
@@ -65,12 +65,12 @@ class EstimateView:
         self._breach: tuple[GlobalPosition | None, str | None] = (None, None)
         self._fenced: tuple[GeodeticPosition | None, str | None] = (None, None)
 
-    def anchor(self, fence: Fence | None) -> None:
-        """Where it is now is the anchor from now on, and what was measured before is no use. The fence stands on earth.
+    def set_local_origin(self, fence: Fence | None) -> None:
+        """The present position becomes the local origin; earlier measurements are dropped. The fence stays on earth.
 
         Raises RefusedError without a position.
         """
-        position = self._vehicle.section("position")
+        position = self._vehicle.telemetry("position")
         if position is None or position["lat_deg"] is None:
             raise RefusedError("its position is not known")
         self.frame = EnuFrame(Origin(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]))
@@ -83,7 +83,7 @@ class EstimateView:
         if not 0.0 <= now - self._judged_at < JUDGE_S:
             self._judged_at = now
             self.delay_p95_s = self.delay.delay_p95_s
-            self.fix_ok, self.battery_percent = self._told_fix_ok(now), self._told_battery_percent(now)
+            self.fix_ok, self.battery_percent = self._reported_fix_ok(now), self._reported_battery_percent(now)
 
     def estimate(self) -> Estimate | None:
         """Its position and velocity about the anchor, as last told; None without a position."""
@@ -91,11 +91,11 @@ class EstimateView:
         frame = None if slot is None else slot.frame
         if slot is not None:
             self._at = slot.at
-        if self._told[0] is not frame or self._told[1] is not self.frame:
-            self._told = (frame, self.frame)
+        if self._reported[0] is not frame or self._reported[1] is not self.frame:
+            self._reported = (frame, self.frame)
             self._position = self._estimate = None
             if frame is not None and self.frame is not None and self._read_position is not None:
-                # Not `section`, which has more than is wanted here: 2.2 us against 5.5, for each position that comes.
+                # Not `telemetry`, which has more than is wanted here: 2.2 us against 5.5, for each position that comes.
                 self._position = global_position(self._read_position(frame.payload))
                 lat_deg, lon_deg, alt_amsl_m, vel_enu_mps = self._position
                 if lat_deg is not None and lon_deg is not None:
@@ -109,10 +109,10 @@ class EstimateView:
 
     def yaw_rad(self) -> float:
         """Its present yaw (ENU); north unless it tells."""
-        position = self._vehicle.section("position")
+        position = self._vehicle.telemetry("position")
         heading = None if position is None else position["heading_deg"]
         if heading is None:
-            attitude = self._vehicle.section("attitude")
+            attitude = self._vehicle.telemetry("attitude")
             heading = 0.0 if attitude is None else attitude["yaw_deg"]
         return math.radians(yaw_enu_from_heading_deg(heading))
 
@@ -135,11 +135,11 @@ class EstimateView:
         slot = self._vehicle.slot("ATTITUDE") or self._vehicle.slot("ATTITUDE_QUATERNION")
         if slot is None or now - slot.at > ATTITUDE_FRESH_S:
             return True
-        return self._vehicle.section("attitude") is not None
+        return self._vehicle.telemetry("attitude") is not None
 
-    def in_anchor(self, place: GeodeticPosition) -> Vector:
+    def in_local_frame(self, place: GeodeticPosition) -> Vector:
         """A point on earth, in the anchor's frame."""
-        assert self.frame is not None  # there is one since `anchor`
+        assert self.frame is not None  # there is one since `local_origin`
         return self.frame.from_geodetic(place.lat_deg, place.lon_deg, place.alt_amsl_m)
 
     def place_of(self, reference: Reference) -> GeodeticPosition:
@@ -186,15 +186,15 @@ class EstimateView:
             self._fenced = (place, why)
         return self._fenced[1]
 
-    def _told_fix_ok(self, now: float) -> bool:
-        gps, at = self._vehicle.message_cache.section("gps")
-        if gps is None or now - at > TOLD_FRESH_S:
+    def _reported_fix_ok(self, now: float) -> bool:
+        gps, at = self._vehicle.message_cache.telemetry("gps")
+        if gps is None or now - at > REPORT_FRESH_S:
             return True  # its position, which is watched, comes from an estimator that knows
         return bool(gps["fix_type"] >= GPS_FIX_3D)
 
-    def _told_battery_percent(self, now: float) -> float | None:
-        battery, at = self._vehicle.message_cache.section("battery")
-        return None if battery is None or now - at > TOLD_FRESH_S else battery["percent"]
+    def _reported_battery_percent(self, now: float) -> float | None:
+        battery, at = self._vehicle.message_cache.telemetry("battery")
+        return None if battery is None or now - at > REPORT_FRESH_S else battery["percent"]
 
 
 def _delay_meter() -> DelayMeter:

@@ -125,16 +125,16 @@ def changes(
     if action is not None and action not in COPTER_ACTIONS:
         raise RefusedError(f"an ArduCopter has no fence action {action!r}; it has {', '.join(COPTER_ACTIONS)} and none")
     kinds = int(held["FENCE_TYPE"])
-    told: dict[str, float] = {}
+    reported: dict[str, float] = {}
     for name, size, bit in (("FENCE_RADIUS", radius_m, TYPE_CIRCLE), ("FENCE_ALT_MAX", height_m, TYPE_HEIGHT)):
         if size is None:
             continue
         kinds = kinds | bit if size > 0 else kinds & ~bit
         if size > 0:
-            told[name] = size
+            reported[name] = size
     if action is not None:
-        told["FENCE_ACTION"] = float(COPTER_ACTIONS[action])
-    return {**told, "FENCE_TYPE": float(kinds), "FENCE_ENABLE": 1.0}
+        reported["FENCE_ACTION"] = float(COPTER_ACTIONS[action])
+    return {**reported, "FENCE_TYPE": float(kinds), "FENCE_ENABLE": 1.0}
 
 
 def back_to(family: str, held: Mapping[str, float], changed: Mapping[str, float]) -> dict[str, float]:
@@ -146,13 +146,13 @@ def back_to(family: str, held: Mapping[str, float], changed: Mapping[str, float]
     return back
 
 
-def tells_of_breach(text: str) -> bool:
+def reports_breach(text: str) -> bool:
     """Whether a status text tells that the vehicle is beyond its fence, in the words of either autopilot."""
     low = text.lower()
     if "cleared" in low or "outside geofence" in low:  # an end, or a target that was refused
         return "approaching or outside" in low
-    told = ("fence breach", "geofence violation", "breaching", "failsafe activated: fence", "fence breached")
-    return any(words in low for words in told)
+    reported = ("fence breach", "geofence violation", "breaching", "failsafe activated: fence", "fence breached")
+    return any(words in low for words in reported)
 
 
 def breach(vehicle: Vehicle, *, fresh_after: float) -> bool | None:
@@ -171,7 +171,7 @@ def breach(vehicle: Vehicle, *, fresh_after: float) -> bool | None:
 
 def from_home_m(vehicle: Vehicle) -> float | None:
     """How far it is from its home, horizontally; None if it does not tell both."""
-    home, here = vehicle.section("home"), vehicle.section("position")
+    home, here = vehicle.telemetry("home"), vehicle.telemetry("position")
     if home is None or here is None or here["lat_deg"] is None:
         return None
     return distance_m(home["lat_deg"], home["lon_deg"], here["lat_deg"], here["lon_deg"])

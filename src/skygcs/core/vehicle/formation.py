@@ -18,8 +18,8 @@ def offsets_en_m(places: Mapping[K, tuple[float, float]]) -> dict[K, tuple[float
     """East and north of each (lat_deg, lon_deg) from the middle of all, in metres; the offsets sum to zero."""
     if not places:
         return {}
-    anchor = next(iter(places.values()))
-    origin = Origin(anchor[0], anchor[1], 0.0)
+    local_origin = next(iter(places.values()))
+    origin = Origin(local_origin[0], local_origin[1], 0.0)
     flat = {key: enu_from_geodetic(lat, lon, 0.0, origin)[:2] for key, (lat, lon) in places.items()}
     east = sum(e for e, _ in flat.values()) / len(flat)
     north = sum(n for _, n in flat.values()) / len(flat)

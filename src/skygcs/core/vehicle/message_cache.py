@@ -76,11 +76,11 @@ class MessageCache:
             slot.unpacked = (frame, self.decoder.values(frame.name, frame.payload))
         return slot.unpacked[1]
 
-    def section(self, name: str) -> tuple[TelemetryGroup | None, float]:
+    def telemetry(self, name: str) -> tuple[TelemetryGroup | None, float]:
         """One section without its age, and when its newest message came. It is kept: do not change it."""
         return self._group_values(_BY_NAME[name])
 
-    def sections(self, now: float) -> dict[str, dict[str, Any] | None]:
+    def telemetry_groups(self, now: float) -> dict[str, dict[str, Any] | None]:
         """All sections, each with its age; the caller's own."""
         result: dict[str, dict[str, Any] | None] = {}
         for section in GROUPS:

@@ -41,11 +41,11 @@ class CurrentItemIs:
     seq: int
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
-        mission = vehicle.section("mission")
+        mission = vehicle.telemetry("mission")
         return mission is not None and mission["seq"] == self.seq
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
-        mission = vehicle.section("mission")
+        mission = vehicle.telemetry("mission")
         if mission is None or mission["seq"] is None:
             return "it does not tell its current item"
         return f"the current item is still {number_of(vehicle, mission['seq'])}"
@@ -102,7 +102,7 @@ def with_downloaded(
 
 def findings(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect, limit_m: float) -> tuple[Finding, ...]:
     """What is wrong with a plan for this vehicle where it is now."""
-    position = vehicle.section("position")
+    position = vehicle.telemetry("position")
     place = None
     if position is not None and position["lat_deg"] is not None:
         place = (position["lat_deg"], position["lon_deg"])

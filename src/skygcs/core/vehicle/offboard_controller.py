@@ -181,7 +181,7 @@ class OffboardController:
 
         The fence stands on earth until control ends. Raises RefusedError without a position.
         """
-        self._estimate_view.anchor(fence)
+        self._estimate_view.set_local_origin(fence)
         self.state, self.wanted, self.control_mode, self.reasons = ENGAGING, control_mode, None, ()
         self.was_entered, self.refusing = False, None
         self._guard.reset(control_mode)
@@ -231,14 +231,14 @@ class OffboardController:
     def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> None:
         """Go to a point on earth and stay there; None keeps the yaw."""
         yaw = self._reference.yaw_rad if yaw_enu_rad is None else yaw_enu_rad
-        self._reference = Reference(self._estimate_view.in_anchor(place), yaw)
+        self._reference = Reference(self._estimate_view.in_local_frame(place), yaw)
         self._until = None
 
     def follow(self, wanted: Setpoint, until: float) -> None:
         """One setpoint of a stream, good ``until`` then."""
         yaw = self._reference.yaw_rad if wanted.yaw_enu_rad is None else wanted.yaw_enu_rad
         self._reference = Reference(
-            ZERO if wanted.place is None else self._estimate_view.in_anchor(wanted.place),
+            ZERO if wanted.place is None else self._estimate_view.in_local_frame(wanted.place),
             yaw,
             wanted.vel_enu_mps or ZERO,
             wanted.acc_enu_mps2 or ZERO,

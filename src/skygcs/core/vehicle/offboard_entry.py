@@ -177,7 +177,7 @@ def boosts_thrust(vehicle: Vehicle) -> bool:
     return vehicle.family == "ardupilot" and vehicle.param("ATC_ANGLE_BOOST") != 0
 
 
-def told_hover_thrust(vehicle: Vehicle) -> float | None:
+def reported_hover_thrust(vehicle: Vehicle) -> float | None:
     """What the vehicle itself takes for its hover thrust, 0 to 1; None if it was not asked or does not tell."""
     return vehicle.param("MPC_THR_HOVER" if vehicle.family == "px4" else "MOT_THST_HOVER")
 

@@ -71,7 +71,7 @@ class LiftedOff:
     def met(self, vehicle: Vehicle, now: float) -> bool:
         if not vehicle.armed:
             return False
-        position = vehicle.section("position")
+        position = vehicle.telemetry("position")
         alt_amsl_m = None if position is None else position["alt_amsl_m"]
         if alt_amsl_m is not None and self.from_amsl_m is not None and alt_amsl_m > self.from_amsl_m + CLIMBED_M:
             return True
@@ -95,7 +95,7 @@ class HasPosition:
     GUIDED is taken (system.cpp)."""
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
-        estimate, at = vehicle.section("estimator"), vehicle.section_at("estimator")
+        estimate, at = vehicle.telemetry("estimator"), vehicle.telemetry_at("estimator")
         if estimate is None or at is None or now - at > ESTIMATE_FRESH_S:
             return False
         return bool(int(estimate["flags"]) & POSITION)
@@ -129,8 +129,8 @@ class ParamKnown:
     after: float
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
-        told_at = vehicle.parameters.told_at(self.name)
-        return told_at is not None and told_at >= self.after
+        reported_at = vehicle.parameters.reported_at(self.name)
+        return reported_at is not None and reported_at >= self.after
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
         return f"it does not report its parameter {self.name}"
@@ -148,7 +148,7 @@ class TargetNear:
     lon_deg: float
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
-        target = vehicle.section("target_global")
+        target = vehicle.telemetry("target_global")
         if target is None or target["lat_deg"] is None:
             return False
         off = distance_m(self.lat_deg, self.lon_deg, target["lat_deg"], target["lon_deg"])

@@ -383,13 +383,13 @@ def _on_ground(vehicle: Vehicle, now: float) -> bool:
     """By its landed state, unless it has climbed since that came: it comes every two seconds."""
     if vehicle.in_air(now) is not False:
         return False
-    position, at = vehicle.section("position"), vehicle.section_at("position")
+    position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
     height_m = None if position is None or at is None or now - at > POSITION_FRESH_S else position["alt_rel_m"]
     return height_m is None or height_m < CLIMBED_M
 
 
 def _fresh_position(vehicle: Vehicle, now: float) -> tuple[float, float, float] | None:
-    position, at = vehicle.section("position"), vehicle.section_at("position")
+    position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
     if position is None or at is None or position["lat_deg"] is None or now - at > POSITION_FRESH_S:
         return None
     return position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]

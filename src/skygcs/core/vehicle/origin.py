@@ -60,7 +60,7 @@ def checked(origin: Origin) -> Origin:
 def require_near(origin: Origin, vehicles: Iterable[Vehicle]) -> None:
     """Raises RefusedError if a connected vehicle is farther than REACH_M: most likely it is a typing error."""
     for vehicle in vehicles:
-        position = vehicle.section("position")
+        position = vehicle.telemetry("position")
         if not vehicle.connected or vehicle.replayed or position is None or position["lat_deg"] is None:
             continue
         away_m = distance_m(origin.lat_deg, origin.lon_deg, position["lat_deg"], position["lon_deg"])
@@ -75,7 +75,7 @@ def from_vehicle(vehicle: Vehicle, now: float, *, heading: bool, force: bool = F
     """Where it is now, and with ``heading`` its nose along x. Raises RefusedError if that is not known well enough;
     ``force`` takes a position without a 3D fix, never an old one."""
     orders.require_connected(vehicle, now)
-    position, at = vehicle.section("position"), vehicle.section_at("position")
+    position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
     if position is None or at is None or position["lat_deg"] is None:
         raise RefusedError(f"{vehicle.name} has not told its position yet (GLOBAL_POSITION_INT)")
     if now - at > HERE_FRESH_S:
@@ -89,7 +89,7 @@ def from_vehicle(vehicle: Vehicle, now: float, *, heading: bool, force: bool = F
 
 
 def _require_fix(vehicle: Vehicle, now: float) -> None:
-    gps, at = vehicle.section("gps"), vehicle.section_at("gps")
+    gps, at = vehicle.telemetry("gps"), vehicle.telemetry_at("gps")
     if gps is None or at is None or now - at > GPS_FRESH_S:
         raise RefusedError(f"whether {vehicle.name} has a GPS fix is not known (GPS_RAW_INT); {orders.FORCE_HINT}")
     if gps["fix_type"] < FIX_3D:
@@ -111,7 +111,7 @@ class OriginIs:
         return kept(vehicle, self.origin) if vehicle.count(ORIGIN_MESSAGE) > self.count else f"no {ORIGIN_MESSAGE} came"
 
 
-def tell(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, force: bool = False) -> Plan:
+def announce(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, force: bool = False) -> Plan:
     """Send the origin, then ask which one it has. Raises RefusedError."""
     orders.require_connected(vehicle, now)
     for name in (SETTING_MESSAGE, ORIGIN_MESSAGE):
@@ -145,7 +145,7 @@ def tell(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, forc
 
 def off_m(vehicle: Vehicle, origin: Origin) -> float | None:
     """How far the origin that the vehicle told last is from ``origin``, height included; None if it has told none."""
-    own = vehicle.section("ekf_origin")
+    own = vehicle.telemetry("ekf_origin")
     if own is None:
         return None
     across_m = distance_m(own["lat_deg"], own["lon_deg"], origin.lat_deg, origin.lon_deg)
@@ -154,7 +154,7 @@ def off_m(vehicle: Vehicle, origin: Origin) -> float | None:
 
 def kept(vehicle: Vehicle, origin: Origin) -> str:
     """What a vehicle that has another origin than ``origin`` has, and why, for a person."""
-    own, away_m = vehicle.section("ekf_origin"), off_m(vehicle, origin)
+    own, away_m = vehicle.telemetry("ekf_origin"), off_m(vehicle, origin)
     if own is None or away_m is None:
         return "it tells no origin"
     has = f"it still has {own['lat_deg']:.7f}, {own['lon_deg']:.7f}, {own['alt_amsl_m']:.1f} m, {away_m:.1f} m away"

@@ -15,7 +15,7 @@ from skygcs.core.vehicle.vehicle import Vehicle
 
 def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -> VehicleState:
     """The whole state at ``now``. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
-    sections = vehicle.message_cache.sections(now)
+    sections = vehicle.message_cache.telemetry_groups(now)
     position = sections["position"]
     if position is not None:
         position |= _in_the_world(vehicle, position)

@@ -99,7 +99,7 @@ TURNS_MOTORS: Mapping[int, str] = {
     42002: "takeoff",  # SOLO_BTN_FLY_HOLD
     42003: "hold",  # SOLO_BTN_PAUSE_CLICK
 }
-"""Of these a disarmed vehicle is no safer: they are refused for every vehicle. Arming is one, see `command_way`."""
+"""Refused for every vehicle, also for a disarmed one. Arming is one of them, see `unguarded_command`."""
 
 MISSION_ITEMS = range(16, 96)
 ENDS_FLIGHT = frozenset({20, 21, 23, 85})
@@ -144,19 +144,19 @@ def not_disarmed(vehicle: Vehicle, now: float) -> str | None:
     return None if vehicle.connected else "is lost"
 
 
-def message_way(name: str, fields: Mapping[str, Any], command_names: Mapping[int, str]) -> Unguarded | None:
+def unguarded_message(name: str, fields: Mapping[str, Any], command_names: Mapping[int, str]) -> Unguarded | None:
     """What stands for a message; None if it may be sent to anybody. ``command_names``: MAV_CMD of the dialect."""
     if name in COMMAND_MESSAGES:
         command = _number(fields.get("command", 0))
         number = int(command) if math.isfinite(command) else -1
         what = command_names.get(number, f"MAV_CMD {number}").removeprefix("MAV_CMD_")
-        return command_way(number, _number(fields.get("param1", 0.0)), f"{name} {what}")
+        return unguarded_command(number, _number(fields.get("param1", 0.0)), f"{name} {what}")
     instead = GUARDED_MESSAGES.get(name)
     return None if instead is None else Unguarded(name, instead)
 
 
-def command_way(number: int, param1: float, what: str) -> Unguarded | None:
-    """As `message_way`, of a command."""
+def unguarded_command(number: int, param1: float, what: str) -> Unguarded | None:
+    """As `unguarded_message`, of a command."""
     if number == ARM_DISARM and param1 != 0.0:  # also NaN: what an autopilot makes of it is not known
         return Unguarded(what, "arm", always=True)
     if number in TURNS_MOTORS:
@@ -174,7 +174,7 @@ def require_guarded(
     an order. Whichever component it is for: an autopilot may take what is addressed to one that it does not know."""
     number, what = orders.find_command(dialect, name)
     first = params[0] if params else 0.0
-    way = command_way(number, math.nan if first is None else float(first), what)
+    way = unguarded_command(number, math.nan if first is None else float(first), what)
     if way is not None and (refusal := way.refusal(vehicles, now)) is not None:
         raise RefusedError(refusal)
 

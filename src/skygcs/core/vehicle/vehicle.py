@@ -194,8 +194,8 @@ class Vehicle:
         return tuple(events)
 
     def _update_takeoff_altitude(self, now: float) -> None:
-        at = self.section_at("position")
-        altitude = None if at is None else standing_amsl_m(self.section("position"), now - at)
+        at = self.telemetry_at("position")
+        altitude = None if at is None else standing_amsl_m(self.telemetry("position"), now - at)
         self.takeoff.update(self.silence_s(now), armed=self.armed, in_air=self.in_air(now), standing_amsl_m=altitude)
 
     @property
@@ -277,21 +277,21 @@ class Vehicle:
         slot = self.slots.get(self._decoder.msgid_of(message))
         return 0 if slot is None else slot.count
 
-    def section(self, name: str) -> TelemetryGroup | None:
+    def telemetry(self, name: str) -> TelemetryGroup | None:
         """One section of the state, without its age. It is kept: do not change it."""
-        return self.message_cache.section(name)[0]
+        return self.message_cache.telemetry(name)[0]
 
-    def section_at(self, name: str) -> float | None:
+    def telemetry_at(self, name: str) -> float | None:
         """When the newest message of a section came."""
-        group_values, at = self.message_cache.section(name)
+        group_values, at = self.message_cache.telemetry(name)
         return None if group_values is None else at
 
     def home_alt_amsl_m(self) -> float | None:
         """What GLOBAL_POSITION_INT.relative_alt is relative to; HOME_POSITION only if there is no position."""
-        position = self.section("position")
+        position = self.telemetry("position")
         if position is not None and position["lat_deg"] is not None:
             return float(position["alt_amsl_m"] - position["alt_rel_m"])
-        home = self.section("home")
+        home = self.telemetry("home")
         return None if home is None else float(home["alt_amsl_m"])
 
     def param(self, name: str) -> float | None:
@@ -300,7 +300,7 @@ class Vehicle:
 
     def clock_offset_s(self, now: float, unix_now: float) -> float | None:
         """The vehicle's clock minus ours, as of the last SYSTEM_TIME; the link's delay makes it look late."""
-        time, at = self.message_cache.section("time")
+        time, at = self.message_cache.telemetry("time")
         if time is None or time["unix_s"] is None:
             return None
         return round(float(time["unix_s"]) - (unix_now - (now - at)), 3)
@@ -312,7 +312,7 @@ class Vehicle:
 
     def enu_m(self) -> list[float] | None:
         """Position along the axes of the fleet's world frame; None without position or origin."""
-        position = self.section("position")
+        position = self.telemetry("position")
         if position is None or self.origin is None or position["lat_deg"] is None:
             return None
         if self._enu[0] is not position or self._enu[1] is not self.origin:

@@ -53,7 +53,7 @@ class Parameters:
         known = self._values.get(name)
         return None if known is None else known[0]
 
-    def told_at(self, name: str) -> float | None:
+    def reported_at(self, name: str) -> float | None:
         known = self._values.get(name)
         return None if known is None else known[1]
 

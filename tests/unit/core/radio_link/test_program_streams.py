@@ -62,7 +62,7 @@ def test_a_flood_of_requests_is_bounded_and_counted() -> None:
         requests.on_request(2, (n, n), POSITION, lambda: {})
     found = left(requests)
     assert len(found[1]) == MOST_ITEMS and found[2] == {POSITION}
-    assert requests.not_noted == 100 - MOST_ITEMS + 100 - MOST_PROGRAMS
+    assert requests.not_counted == 100 - MOST_ITEMS + 100 - MOST_PROGRAMS
 
 
 def test_a_group_that_did_not_stream_is_stopped_and_our_own_messages_are_asked_for_again() -> None:

@@ -29,7 +29,7 @@ def seen() -> tuple[EstimateView, Vehicle, Voice]:
     vehicle, voice = Vehicle(1, 1, flight_dialect()), Voice(1)
     vehicle.on_frame(voice.position(), 100.0)
     estimate_view = EstimateView(vehicle)
-    estimate_view.anchor(Fence(Origin(*HOME)))
+    estimate_view.set_local_origin(Fence(Origin(*HOME)))
     return estimate_view, vehicle, voice
 
 
@@ -39,7 +39,7 @@ def test_the_estimate_is_the_position_section_about_the_anchor(
 ) -> None:
     estimate_view, vehicle, voice = seen()
     vehicle.on_frame(told_position(voice, lat, lon, alt, velocity), 101.0)
-    section = vehicle.section("position")
+    section = vehicle.telemetry("position")
     assert section is not None and estimate_view.frame is not None
     expected = None
     if section["lat_deg"] is not None:
@@ -64,7 +64,7 @@ def test_a_latitude_beyond_the_pole_is_outside_any_fence() -> None:
     vehicle, voice = Vehicle(1, 1, flight_dialect()), Voice(1)
     vehicle.on_frame(told_position(voice, 899_999_000, 10_000_000, 100_000), 100.0)
     estimate_view = EstimateView(vehicle)
-    estimate_view.anchor(Fence(Origin(89.9999, 1.0, 100.0)))
+    estimate_view.set_local_origin(Fence(Origin(89.9999, 1.0, 100.0)))
     vehicle.on_frame(told_position(voice, 900_001_000, -1_790_000_000, 100_000), 101.0)
     estimate_view.estimate()
     assert "no place on earth" in str(estimate_view.breach())
@@ -91,7 +91,7 @@ def test_an_attitude_is_finite_where_its_section_is_known_or_it_is_old(
         slot = vehicle.slot("ATTITUDE") or vehicle.slot("ATTITUDE_QUATERNION")
         assert slot is not None
         old = now - slot.at > ATTITUDE_FRESH_S
-        assert estimate_view.attitude_is_finite(now) is (old or vehicle.section("attitude") is not None)
+        assert estimate_view.attitude_is_finite(now) is (old or vehicle.telemetry("attitude") is not None)
 
 
 def test_after_a_reboot_nothing_is_known() -> None:

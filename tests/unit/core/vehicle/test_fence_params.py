@@ -75,4 +75,4 @@ def test_a_fence_is_switched_on_last_and_off_first() -> None:
     ],
 )
 def test_a_breach_is_known_by_the_words_of_either_autopilot(text: str, told: bool) -> None:
-    assert fence_params.tells_of_breach(text) is told
+    assert fence_params.reports_breach(text) is told

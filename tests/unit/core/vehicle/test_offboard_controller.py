@@ -197,7 +197,7 @@ RELEASES: dict[str, tuple[Callable[[Flight], object], str]] = {
     "disarmed": (lambda f: (f.landed(0), f.at(0.0, 0.0, 0.0), f.beat(f.obeying, armed=False)), "not armed"),
     "mode": (lambda f: f.beat(PX4_RTL), "took over"),
     "landed": (lambda f: f.landed(1), "on the ground"),
-    "lost": (lambda f: f.vehicle.tick(f.now + 60), "not heard"),
+    "lost": (lambda f: f.vehicle.tick(f.now + 60), "no heartbeat"),
 }
 
 

@@ -163,7 +163,7 @@ def test_parameters_are_read_by_each_autopilots_own_encoding_and_forgotten_by_a_
     px4.on_frame(param(voice, "SYS_AUTOSTART", 1.0), NOW)
     names = ("COM_RC_IN_MODE", "COM_OBL_RC_ACT", "MPC_THR_HOVER", "COM_OF_LOSS_T", "SYS_AUTOSTART")
     assert [px4.param(name) for name in names] == [4, -1, 0.5, None, None]
-    assert offboard_entry.told_hover_thrust(px4) == 0.5
+    assert offboard_entry.reported_hover_thrust(px4) == 0.5
     px4.on_frame(voice.system_time(500_000), NOW)
     px4.on_frame(voice.system_time(1_000), NOW + 5)
     assert px4.param("MPC_THR_HOVER") is None

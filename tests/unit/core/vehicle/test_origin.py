@@ -110,7 +110,7 @@ def test_a_place_without_a_fix_takes_force_and_a_lost_vehicle_gives_none() -> No
 def test_telling_is_one_message_and_the_question_what_it_has() -> None:
     vehicle, voice = heard()
     its_origin(vehicle, voice)
-    plan = origins.tell(vehicle, 101.0, flight_dialect(), HERE)
+    plan = origins.announce(vehicle, 101.0, flight_dialect(), HERE)
     message, question = plan.steps
     assert message.message == (
         "SET_GPS_GLOBAL_ORIGIN",
@@ -131,7 +131,7 @@ def test_telling_is_one_message_and_the_question_what_it_has() -> None:
 
 def test_ardupilots_first_answer_is_its_last_word() -> None:
     vehicle, voice = heard(ARDUPILOT)
-    expect = origins.tell(vehicle, 101.0, flight_dialect(), HERE).steps[1].expect
+    expect = origins.announce(vehicle, 101.0, flight_dialect(), HERE).steps[1].expect
     its_origin(vehicle, voice, lat=HOME[0] + 1e-3)
     assert expect is not None and expect.met(vehicle, 101.0)
     assert "ArduPilot has an origin already" in origins.kept(vehicle, HERE)
@@ -140,5 +140,5 @@ def test_ardupilots_first_answer_is_its_last_word() -> None:
 def test_an_armed_vehicle_is_told_only_with_force() -> None:
     vehicle, _ = heard(armed=True)
     with pytest.raises(RefusedError, match=r"armed.*force"):
-        origins.tell(vehicle, 101.0, flight_dialect(), HERE)
-    assert origins.tell(vehicle, 101.0, flight_dialect(), HERE, force=True).steps
+        origins.announce(vehicle, 101.0, flight_dialect(), HERE)
+    assert origins.announce(vehicle, 101.0, flight_dialect(), HERE, force=True).steps

@@ -13,8 +13,8 @@ from skygcs.core.vehicle.unguarded import (
     GUARDED_COMMANDS,
     GUARDED_MESSAGES,
     TURNS_MOTORS,
-    command_way,
-    message_way,
+    unguarded_command,
+    unguarded_message,
 )
 
 COMMANDS = load_dialect("ardupilotmega").enums["MAV_CMD"]
@@ -42,7 +42,7 @@ def test_the_table_names_messages_and_commands_that_there_are() -> None:
     ],
 )
 def test_the_guarded_way_is_named(name: str, fields: dict[str, Any], instead: str) -> None:
-    way = message_way(name, fields, COMMANDS)
+    way = unguarded_message(name, fields, COMMANDS)
     assert way is not None and way.instead.startswith(instead)
     refusal = way.refusal((), 0.0)
     assert refusal is not None and name in refusal and "--force" in refusal
@@ -63,10 +63,10 @@ def test_the_guarded_way_is_named(name: str, fields: dict[str, Any], instead: st
     ],
 )
 def test_all_else_may_be_sent(name: str, fields: dict[str, Any]) -> None:
-    assert message_way(name, fields, COMMANDS) is None
+    assert unguarded_message(name, fields, COMMANDS) is None
 
 
 @pytest.mark.parametrize("param1", [1.0, 0.4, -1.0, 1e-40, math.nan, math.inf])
 def test_whatever_is_not_plainly_a_disarming_counts_as_arming(param1: float) -> None:
-    way = command_way(400, param1, "COMPONENT_ARM_DISARM")
+    way = unguarded_command(400, param1, "COMPONENT_ARM_DISARM")
     assert way is not None and way.always and way.instead == "arm"

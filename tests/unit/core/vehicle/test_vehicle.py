@@ -564,11 +564,11 @@ def test_rates_and_counts_per_message() -> None:
 def test_a_section_is_unpacked_once_per_frame() -> None:
     vehicle, voice = new()
     told(vehicle, voice.position())
-    first = vehicle.section("position")
+    first = vehicle.telemetry("position")
     told(vehicle, now=12.0)
-    assert vehicle.section("position") is first
+    assert vehicle.telemetry("position") is first
     told(vehicle, voice.position(rel_m=1.0))
-    assert vehicle.section("position") is not first
+    assert vehicle.telemetry("position") is not first
 
 
 def test_a_frame_is_unpacked_once_for_all_that_is_made_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
