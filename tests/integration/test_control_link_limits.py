@@ -21,9 +21,9 @@ async def test_three_tenths_of_a_second_of_delay(tmp_path: Path, kind: dict[str,
         began = gcs.now
         outcome = await gcs.outcome("control.set", mode="attitude")
         assert outcome["ok"], outcome
-        assert outcome["message"].startswith("flown by velocity setpoints and not by attitude: state age plus the way")
+        assert outcome["message"].startswith("flown by velocity setpoints and not by attitude: state age plus setpoint")
         assert "(limit for attitude 0.1 s)" in outcome["message"]
-        figure = float(outcome["message"].split("the way up is ")[1].split(" s")[0])
+        figure = float(outcome["message"].split("setpoint transport is ")[1].split(" s")[0])
         assert 0.3 <= figure < 0.5
         start = gcs.place()
         await gcs.step(3.0, 0.0, 0.0)
@@ -56,7 +56,7 @@ async def test_a_radio_that_leaves_too_few_setpoints_a_second(tmp_path: Path, mo
         began = gcs.now
         outcome = await gcs.outcome("control.set", mode="attitude")
         assert "not by attitude: the link leaves 9.41 setpoints per second (attitude needs 20)" in outcome["message"]
-        assert "on average 0.053 s of delay on top" in outcome["message"]
+        assert "on average 0.053 s of additional delay" in outcome["message"]
         start = gcs.place()
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(20)

@@ -156,7 +156,8 @@ def test_eight_unmodified_programs_each_have_their_own_vehicle(tmp_path: Path, s
         assert all_do("meet") == {sysid: SHOWN.get(sysid, sysid) for sysid in scripts}
         assert all_do("own_id") == {sysid: sysid for sysid in scripts}, "each asked its own vehicle"
 
-        assert scripts[3].command(400, 1, FORCE) == (400, 0, 3)
+        # PX4 checks its position also before it arms by force
+        wait_until(lambda: scripts[3].command(400, 1, FORCE) == (400, 0, 3), "vehicle 3 arms")
         assert scripts[6].command(400, 1, FORCE) == (400, 0, 1), "vehicle 6, as its program knows it"
         wait_until(lambda: {"v3", "v6"} <= armed(daemon), "vehicles 3 and 6 are armed")
         assert armed(daemon) == {"v3", "v6"}

@@ -132,6 +132,6 @@ def test_servers_that_anybody_may_speak_to_are_noted(tmp_path: Path, capsys: pyt
     path.write_text(SERVERS)
     assert check(path) == 0
     out = capsys.readouterr().out
-    noted = [line.split(":")[1].strip() for line in out.splitlines() if "keep strangers out" in line]
+    noted = [line.split(":")[1].strip() for line in out.splitlines() if "can act as a vehicle" in line]
     assert noted == ["links.wifi", "links.tcp", "links.asked"]
-    assert "whoever reaches 0.0.0.0:14550" in out
+    assert "any host that reaches 0.0.0.0:14550" in out

@@ -7,6 +7,7 @@ import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -59,6 +60,8 @@ class SigningDaemon(FakeDaemon):
         self.signing_setup = FakeSetup()
         self.links_with_key = True
         self.pinned = False
+        self.hub.channels = {}
+        self.signing = SimpleNamespace(status=lambda channels: self.signing_status())
 
     def signing_status(self) -> dict[str, Any]:
         if not self.links_with_key:

@@ -296,7 +296,7 @@ async def test_a_refused_connection_says_that_nobody_listens_and_leaves_nothing_
         port = placeholder.getsockname()[1]
     link = client(RecordingHost(), port)
     before = open_descriptors()
-    with pytest.raises(LinkError, match=rf"tcp_client 127.0.0.1:{port}: connection refused: nobody listens"):
+    with pytest.raises(LinkError, match=rf"tcp_client 127.0.0.1:{port}: connection refused: no program listens there"):
         await link.open()
     assert open_descriptors() == before
 
