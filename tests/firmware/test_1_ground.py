@@ -42,10 +42,10 @@ def lost(field: Field) -> dict[str, Any]:
 
 
 def test_discovery_and_streams(ground: Field, figures: dict[str, Any]) -> None:
+    ground.wait(lambda: all(ground.state(name)["firmware"] for name in ground.names), 20, "versions are known")
     states = {name: ground.state(name) for name in ground.names}
     assert all(s["connected"] and not s["armed"] for s in states.values())
     assert {s["autopilot"] for s in states.values()} == {"px4" if ground.px4 else "ardupilot"}
-    assert all(s["firmware"] for s in states.values())
     time.sleep(SETTLE_S)
     for name, measured in rates(ground, 5).items():
         figures[f"{name} Hz"] = measured
