@@ -157,7 +157,9 @@ class Daemon:
                 group.create_task(self._every(1.0, lambda: self.air.tick(self.now())), name="air plan"),
                 group.create_task(self._every(0.1, lambda: self.air.step(self.now())), name="air requests"),
                 group.create_task(self._every(1.0, self._tick_third_party), name="third-party traffic"),
-                group.create_task(self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="watchman"),
+                group.create_task(
+                    self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="operator watchdog"
+                ),
             ]
             signing = group.create_task(self.signing.run(), name="signing")
             if self.config.daemon.heartbeat:
@@ -214,6 +216,9 @@ class Daemon:
         self.hub.send_heartbeat(self.dialect.find("HEARTBEAT"), values)
 
     # -- what a person asks
+
+    def _tick_operator(self) -> None:
+        self.operator_watchdog.tick(self.now())
 
     def _tick_third_party(self) -> None:
         self.third_party.tick(self.now())

@@ -27,8 +27,8 @@ from support.routed import heartbeat, message
 
 ROUNDS = int(os.environ.get("SKYGCS_BENCH_STARTS", "15"))
 PERIOD_S = 0.005
-PATIENCE_S = 20.0
-ATTITUDES = [message("ATTITUDE", 1, seq=n & 0xFF, time_boot_ms=5 * n) for n in range(int(PATIENCE_S / PERIOD_S))]
+TIMEOUT_S = 20.0
+ATTITUDES = [message("ATTITUDE", 1, seq=n & 0xFF, time_boot_ms=5 * n) for n in range(int(TIMEOUT_S / PERIOD_S))]
 """Each another one: a frame that came before the ground station's link was up is a duplicate when it comes again."""
 
 Environment = Mapping[str, str]
@@ -123,7 +123,7 @@ def test_a_status(name: str, arguments: list[str], tmp_path: Path) -> None:
     command = [str(Path(sys.executable).with_name("skygcs-cli")), "--socket", str(start.socket), *arguments]
     took, cpu = [], []
     with start.daemon(), socket.socket(type=socket.SOCK_DGRAM) as fleet:
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + TIMEOUT_S
         while not start.socket.exists() and time.monotonic() < deadline:
             time.sleep(0.02)
         for sysid in range(1, 11):

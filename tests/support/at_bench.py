@@ -10,7 +10,7 @@ from skygcs.sim.at_modem import AtRadio
 T = TypeVar("T")
 
 TICK_S = 0.01
-PATIENCE_S = 600.0
+TIMEOUT_S = 600.0
 
 
 class Cable:
@@ -26,7 +26,7 @@ class Cable:
     def run(self, procedure: Procedure[T], chunk: int = 7) -> T:
         """Carry it out; what it raises comes out. Bytes arrive ``chunk`` at a time, as they do on a serial port."""
         dialogue = Dialogue(procedure, self.now)
-        end = self.now + PATIENCE_S
+        end = self.now + TIMEOUT_S
         ticks = 0
         while not dialogue.done:
             assert self.now < end, "the procedure does not end"

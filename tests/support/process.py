@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 120.0
+TIMEOUT_S = 120.0
 """How long a slow machine may take for something that takes milliseconds; not what is tested."""
 
 
@@ -30,7 +30,7 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
 
 def wait_until(condition: Callable[[], Any], what: str) -> Any:
     """The condition's first true value; fails the test with ``what`` if there is none."""
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while time.monotonic() < deadline:
         value = condition()
         if value:
@@ -123,9 +123,9 @@ class DaemonProcess:
         """One JSON-RPC call over a plain socket, independent of the client library."""
         with socket.socket(socket.AF_UNIX) as link:
             # Not settimeout: connect would then fail with EAGAIN at once while the listen queue is full
-            link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(PATIENCE_S), 0))
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(TIMEOUT_S), 0))
             link.connect(str(self.socket))
-            link.settimeout(PATIENCE_S)
+            link.settimeout(TIMEOUT_S)
             link.sendall(json.dumps({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}).encode() + b"\n")
             with link.makefile("rb") as lines:
                 answer = json.loads(lines.readline())
@@ -142,7 +142,7 @@ class DaemonProcess:
     def cli(self, *words: str) -> subprocess.CompletedProcess[str]:
         """`skygcs-cli` against this daemon."""
         command = [str(Path(sys.executable).with_name("skygcs-cli")), "--socket", str(self.socket), *words]
-        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+        return subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
 
     def kill(self) -> None:
         """kill -9."""
@@ -154,7 +154,7 @@ class DaemonProcess:
         if self.process is not None and self.process.poll() is None:
             self.process.send_signal(signal.SIGTERM)
             try:
-                self.process.wait(PATIENCE_S)
+                self.process.wait(TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()

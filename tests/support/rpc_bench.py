@@ -13,7 +13,7 @@ from typing import Any
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 """Of every read: far more than any answer takes."""
 
 
@@ -30,7 +30,7 @@ class Peer:
 
     async def answer(self) -> Any:
         """The next line; None at the end."""
-        line = await asyncio.wait_for(self.reader.readline(), PATIENCE_S)
+        line = await asyncio.wait_for(self.reader.readline(), TIMEOUT_S)
         return json.loads(line) if line else None
 
     async def call(self, method: str, **params: Any) -> Any:
@@ -66,7 +66,7 @@ class Bench:
         return peer
 
     async def until(self, condition: Any) -> None:
-        async with asyncio.timeout(PATIENCE_S):
+        async with asyncio.timeout(TIMEOUT_S):
             while not condition():  # noqa: ASYNC110 - nothing announces what happens inside the server
                 await asyncio.sleep(0.005)
 

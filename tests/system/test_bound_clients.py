@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from pymavlink import mavutil
 
-from support.process import PATIENCE_S, DaemonProcess, free_port, wait_until
+from support.process import TIMEOUT_S, DaemonProcess, free_port, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -73,7 +73,7 @@ class Script:
 
     def until_answered(self, ask: Any, kind: str) -> Any:
         """Ask as often as it takes, as scripts over radios do."""
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         while time.monotonic() < end:
             ask()
             for _ in range(3):
@@ -85,7 +85,7 @@ class Script:
     def meet(self) -> int:
         """The system that the connection found by itself."""
         if self.kind == "udp_client":  # it is written to: a script may just listen, as many do
-            assert self.connection.wait_heartbeat(timeout=PATIENCE_S) is not None
+            assert self.connection.wait_heartbeat(timeout=TIMEOUT_S) is not None
         else:
             self.until_answered(self.heartbeat, "HEARTBEAT")
         self.heartbeat()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from support.process import PATIENCE_S, DaemonProcess, wait_until
+from support.process import TIMEOUT_S, DaemonProcess, wait_until
 
 pytestmark = pytest.mark.system
 
@@ -56,7 +56,7 @@ def interrupted(daemon: DaemonProcess, name: str, *words: str, percent: int = 10
 
     wait_until(far_enough, "the transfer is under way")
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=PATIENCE_S)
+    out, _ = process.communicate(timeout=TIMEOUT_S)
     return process.returncode, out
 
 

@@ -426,7 +426,7 @@ def _mission_line(status: dict[str, Any]) -> str:
 
 
 def _transfer(status: dict[str, Any]) -> str:
-    """The transfer that is running and its progress; empty if there is none."""
+    """The transfer in progress and how far it is; empty if no transfer runs."""
     if status["transfer"] is None:
         return ""
     percent = status["transfer"]["percent"]

@@ -72,7 +72,7 @@ def complete_modes(_: typer.Context, incomplete: str) -> list[str]:
 
 
 def _ask(ctx: typer.Context, method: str) -> Any:
-    """The daemon's answer; None if there is none in time: the shell then proposes nothing."""
+    """The daemon's answer; None if it does not come in time: the shell then proposes nothing."""
 
     async def ask() -> Any:
         async with asyncio.timeout(wait_s()), client(ctx.find_root().params.get("socket")) as gcs:

@@ -115,7 +115,7 @@ def complaints(report: Report) -> list[Mapping[str, Any]]:
 
 
 def plan_lines(vehicles: Mapping[str, Report]) -> Iterator[str]:
-    """The parameters that --fix would set; no line if there is none."""
+    """The parameters that --fix would set; empty if it would set nothing."""
     width = max(map(len, vehicles), default=0)
     for name, report in vehicles.items():
         for fix in report["fixes"]:

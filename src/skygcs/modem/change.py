@@ -286,7 +286,7 @@ def _differences(ledger: Ledger, after: RadioState) -> dict[str, int]:
 
 @dataclass(slots=True)
 class Visit:
-    """How far a visit has come; for whoever has to end it in the middle."""
+    """The progress of a visit, for the code that has to end it early."""
 
     baud: int | None = None
     """The rate at which the radio answered."""

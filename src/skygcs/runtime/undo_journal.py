@@ -112,7 +112,7 @@ class UndoJournal:
         self._in_progress.discard(change.id)
 
     def left(self) -> list[Change]:
-        """What waits to be undone, oldest first; not what is under way. Foreign files are `problems`."""
+        """What waits to be undone, oldest first; not what is under way. Other files in the folder are `problems`."""
         self.problems = []
         found = []
         for path in self._files():

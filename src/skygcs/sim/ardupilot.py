@@ -14,24 +14,21 @@ from functools import partial
 from math import hypot, isfinite, radians
 from typing import Any
 
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
 from skygcs.core.mission.item import MissionItem
 from skygcs.sim import copter_guided, copter_mission, failsafe
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import COPTER, CopterMode, Reaction
 from skygcs.sim.command_message import Command
-from skygcs.sim.conditions import CALM, Conditions
 from skygcs.sim.copter_files import FileServer
 from skygcs.sim.copter_lists import CopterLists
 from skygcs.sim.copter_mission import CopterRun
 from skygcs.sim.firmware_params import STREAM_GROUPS, copter_params
-from skygcs.sim.kinematics import Limits, LocalFrame, Setpoint
+from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_targets import is_altitude, is_position, up_of
 from skygcs.sim.requests import common_command
-from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import Home, SimVehicle
 
 FORCE = 21196
@@ -75,29 +72,9 @@ class CopterVehicle(SimVehicle):
     attitude_timeout_s: float | None = COPTER.attitude_timeout_s.simulated
     """None: GUID_TIMEOUT (3 s), as from 4.1 on; before, GUIDED_ATTITUDE_TIMEOUT_MS: 1 s."""
 
-    def __init__(
-        self,
-        dialect: Dialect,
-        sysid: int,
-        where: LocalFrame,
-        *,
-        rng: Rng,
-        now: float = 0.0,
-        unix_us: int = 0,
-        heading_deg: float = 0.0,
-        conditions: Conditions = CALM,
-    ) -> None:
-        params = Params(copter_params(sysid), bytewise=False)
-        super().__init__(
-            dialect,
-            where,
-            params=params,
-            rng=rng,
-            now=now,
-            unix_us=unix_us,
-            heading_deg=heading_deg,
-            conditions=conditions,
-        )
+    @staticmethod
+    def factory_params(sysid: int) -> Params:
+        return Params(copter_params(sysid), bytewise=False)
 
     # -- what it says of itself
 

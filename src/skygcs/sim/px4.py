@@ -12,23 +12,20 @@ from collections.abc import Mapping
 from math import hypot, inf, isfinite, radians, tan
 from typing import Any
 
-from skygcs.core.mavlink.dialect import Dialect
 from skygcs.sim import failsafe, px4_mission
 from skygcs.sim import protocol as m
 from skygcs.sim.attitude_targets import Refusal, px4_attitude
 from skygcs.sim.behaviours import PX4, Px4Mode, Reaction, px4_mode
 from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.command_message import Command
-from skygcs.sim.conditions import CALM, Conditions
 from skygcs.sim.firmware_params import PX4_RATES_HZ, px4_params
-from skygcs.sim.kinematics import Limits, LocalFrame, Setpoint
+from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.legs import Descend, Follow, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_targets import is_altitude, is_position, setpoint_of
 from skygcs.sim.px4_lists import Px4Lists
 from skygcs.sim.px4_mission import Px4Run
 from skygcs.sim.requests import common_command
-from skygcs.sim.rng import Rng
 from skygcs.sim.vehicle import Home, SimVehicle
 
 FORCE = 21196
@@ -81,29 +78,9 @@ class Px4Vehicle(SimVehicle):
     named_param_index = None
     hears_broadcast_commands = False
 
-    def __init__(
-        self,
-        dialect: Dialect,
-        sysid: int,
-        where: LocalFrame,
-        *,
-        rng: Rng,
-        now: float = 0.0,
-        unix_us: int = 0,
-        heading_deg: float = 0.0,
-        conditions: Conditions = CALM,
-    ) -> None:
-        params = Params(px4_params(sysid), bytewise=True)
-        super().__init__(
-            dialect,
-            where,
-            params=params,
-            rng=rng,
-            now=now,
-            unix_us=unix_us,
-            heading_deg=heading_deg,
-            conditions=conditions,
-        )
+    @staticmethod
+    def factory_params(sysid: int) -> Params:
+        return Params(px4_params(sysid), bytewise=True)
 
     # -- what it says of itself
 

@@ -98,9 +98,9 @@ class SimVehicle(ABC):
     def __init__(
         self,
         dialect: Dialect,
+        sysid: int,
         where: LocalFrame,
         *,
-        params: Params,
         rng: Rng,
         now: float = 0.0,
         unix_us: int = 0,
@@ -110,7 +110,7 @@ class SimVehicle(ABC):
         self.dialect = dialect
         self.compid: Final = m.MAV_COMP_ID_AUTOPILOT1
         self.where = where
-        self.params = params
+        self.params = self.factory_params(sysid)
         self.rng = rng
         self.faults = Faults()
         self.signing = BoardSigning()
@@ -127,6 +127,11 @@ class SimVehicle(ABC):
         self._boot(now)
 
     # -- what differs between the firmwares
+
+    @staticmethod
+    @abstractmethod
+    def factory_params(sysid: int) -> Params:
+        """The parameters of a new vehicle."""
 
     @property
     @abstractmethod

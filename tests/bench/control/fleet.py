@@ -22,7 +22,7 @@ from bench.control.measures import Usage, percentile, usage_of
 from skygcs.rpc.client import Client, connect
 
 ROOT = Path(__file__).parents[3]
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 ATTEMPTS = 3
 WARM_UP_S = 3.0
 """After control has begun: the position rates have changed, the delay's window is full."""
@@ -251,14 +251,14 @@ def _hovers(state: dict[str, Any]) -> bool:
 
 
 async def _until(gcs: Client, good: Callable[[list[dict[str, Any]]], bool], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while not good(await gcs.vehicles()):
         assert time.monotonic() < deadline, what
         await asyncio.sleep(0.5)
 
 
 def _wait(condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < deadline, what
         time.sleep(0.05)

@@ -37,7 +37,7 @@ PHASE_S = 0.015
 state of time 0 comes at d/2, is seen by the next of our ticks and works from d on: `steps` with the same delay."""
 GLOBAL_POSITION_INT, TIMESYNC = 33, 111
 SET_MESSAGE_INTERVAL, ARM, TAKEOFF, SET_MODE = 511, 400, 22, 176
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 BEAR_ALL = GuardConfig(attitude_delay_s=1.0, velocity_delay_s=1.0, stale_s=2.0)
 """A guard that lets attitude fly with any delay of the bench, so that what it protects from can be seen."""
@@ -123,9 +123,9 @@ class WiredPilot:
         self._send("COMMAND_LONG", {"target_system": 1, "target_component": 1, "command": command, **values})
 
     def _until(self, condition: Callable[[], bool]) -> None:
-        end = self.now + PATIENCE_S
+        end = self.now + TIMEOUT_S
         while not condition():
-            assert self.now < end, f"stuck after {PATIENCE_S} s: {self.events}"
+            assert self.now < end, f"stuck after {TIMEOUT_S} s: {self.events}"
             self.run(0.1)
 
     def _hear(self, frame: Frame) -> None:

@@ -22,7 +22,7 @@ from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import FlightMode, LandedState, Telemetry
 from report import distance_m, moved, saw, until
 
-PATIENCE_S = 180.0
+TIMEOUT_S = 180.0
 
 
 def patiently(call):
@@ -130,12 +130,12 @@ def mission(system, action, telemetry):
     plugin.subscribe_mission_progress(lambda now, user_data=None: progress.append((now.current, now.total)))
     arm(action, telemetry)
     patiently(plugin.start_mission)
-    until(lambda: progress and progress[-1][0] >= 1, "the first item", PATIENCE_S)
+    until(lambda: progress and progress[-1][0] >= 1, "the first item", TIMEOUT_S)
     patiently(plugin.pause_mission)
     until(lambda: telemetry.flight_mode() == FlightMode.HOLD, "HOLD")
     saw("paused", item=progress[-1][0])
     patiently(plugin.start_mission)
-    until(plugin.is_mission_finished, "the end of the mission", PATIENCE_S, 0.5)
+    until(plugin.is_mission_finished, "the end of the mission", TIMEOUT_S, 0.5)
     saw("flown", items=sorted({current for current, _ in progress}), finished=True)
 
 
@@ -170,7 +170,7 @@ def raw_mission(system, _, telemetry):
             seen.append(now.current)
         return now.total > 0 and now.current == now.total
 
-    until(last, "the end of the mission", PATIENCE_S)
+    until(last, "the end of the mission", TIMEOUT_S)
     saw("flown", items=seen, finished=True)
 
 
@@ -183,12 +183,12 @@ async def first(stream, good=lambda value: True):
                 return found_one
         raise SystemExit("the stream ended")
 
-    return await asyncio.wait_for(value(), PATIENCE_S)
+    return await asyncio.wait_for(value(), TIMEOUT_S)
 
 
 async def in_time(call):
     """As `patiently`, with the other interface."""
-    end = asyncio.get_running_loop().time() + PATIENCE_S
+    end = asyncio.get_running_loop().time() + TIMEOUT_S
     while True:
         try:
             return await call()

@@ -13,7 +13,7 @@ from mavsdk.mission_raw import MissionItem as RawItem
 from mavsdk.offboard import PositionNedYaw, VelocityNedYaw
 from report import distance_m, moved, saw
 
-PATIENCE_S = 180.0
+TIMEOUT_S = 180.0
 NAN = float("nan")
 
 
@@ -26,7 +26,7 @@ async def first(stream, good=lambda value: True):
                 return value
         raise SystemExit("the stream ended")
 
-    return await asyncio.wait_for(look(), PATIENCE_S)
+    return await asyncio.wait_for(look(), TIMEOUT_S)
 
 
 async def patiently(call):
@@ -42,7 +42,7 @@ async def patiently(call):
                 if "TIMEOUT" not in str(error):
                     raise
 
-    return await asyncio.wait_for(done(), PATIENCE_S)
+    return await asyncio.wait_for(done(), TIMEOUT_S)
 
 
 async def until_at(drone, place, height_m):

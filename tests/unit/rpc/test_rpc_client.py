@@ -19,7 +19,7 @@ from skygcs.rpc.client import Client, connect
 from skygcs.rpc.server import RpcServer
 from support.fake_daemon import FakeDaemon, FakeOutcome
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 class Served:
@@ -38,7 +38,7 @@ async def served(tmp_path: Path) -> AsyncIterator[Served]:
 
 @pytest.fixture
 async def gcs(served: Served) -> AsyncIterator[Client]:
-    async with asyncio.timeout(PATIENCE_S), connect(served.server.socket_path) as gcs:
+    async with asyncio.timeout(TIMEOUT_S), connect(served.server.socket_path) as gcs:
         yield gcs
 
 

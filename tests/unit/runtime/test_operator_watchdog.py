@@ -23,7 +23,7 @@ class Actor:
 
 
 class FakeFleet:
-    """What a watchman asks of a fleet: who is flown, and an order for them."""
+    """What the operator watchdog asks of a fleet: who is flown, and an order for them."""
 
     def __init__(self) -> None:
         self.names: list[str] = []

@@ -106,7 +106,7 @@ def is_name(text: str) -> bool:
 
 
 def float32(value: float) -> float:
-    """The nearest 32-bit float. Raises OverflowError if there is none."""
+    """The nearest 32-bit float. Raises OverflowError for a larger number."""
     nearest: float = struct.unpack("<f", struct.pack("<f", value))[0]
     return nearest
 

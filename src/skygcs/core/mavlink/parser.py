@@ -205,7 +205,7 @@ class FrameParser:
         return Frame(raw, seq, sysid, compid, msgid, None), size
 
     def _good_from(self, buffer: bytes, at: int) -> int:
-        """Place of the first complete frame with a correct CRC, from ``at`` on; -1 if there is none."""
+        """Place of the first complete frame with a correct CRC, from ``at`` on; -1 without one."""
         for found in _MAGIC.finditer(buffer, at):
             start = found.start()
             size = frame_size(buffer, start)

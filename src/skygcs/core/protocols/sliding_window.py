@@ -51,7 +51,7 @@ class _Request:
 class SlidingWindow:
     """`advance` gives the numbers to request now, `answered` takes the answers, ``due`` is when to call again.
 
-    ``next_new()``: the next number that was never requested, None if there is none (yet). ``is_missing(number)``:
+    ``next_new()``: the next number that was never requested, None if all were requested so far. ``is_missing(number)``:
     whether an answer is still wanted.
     """
 

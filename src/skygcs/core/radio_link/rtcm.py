@@ -1,7 +1,7 @@
 """RTCM 3 frames in a stream of bytes, and on their way as GPS_RTCM_DATA.
 
 RTCM 10403, transport layer: 0xD3, six reserved bits (zero), ten bits of length, so many bytes, CRC-24Q of all that.
-Of the content only the type is read, and the epoch of observations.
+Only the message type and the epoch of observations are read from the content.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ MAX_CHUNKS = 16
 MAX_OPEN = 4
 """Texts in the making per vehicle; beyond it the oldest is given out as it is."""
 
-PATIENCE_S = 2.0
+CHUNK_TIMEOUT_S = 2.0
 """A chunk follows the one before at once; two rounds of a multipoint radio are 1.5 s."""
 
 MISSING = "…"
@@ -72,10 +72,10 @@ class StatusTextAssembler:
         return done
 
     def flush(self, now: float) -> list[StatusText]:
-        """Give up waiting for the rest of texts begun more than `PATIENCE_S` ago."""
+        """Give up waiting for the rest of texts begun more than `CHUNK_TIMEOUT_S` ago."""
         if not self._open:
             return []
-        stale = [text_id for text_id, text in self._open.items() if now - text.since >= PATIENCE_S]
+        stale = [text_id for text_id, text in self._open.items() if now - text.since >= CHUNK_TIMEOUT_S]
         return [self._close(text_id, now) for text_id in stale]
 
     def _close(self, text_id: int, now: float) -> StatusText:

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from skygcs.core.vehicle.statustext import (
     CHUNK_BYTES,
+    CHUNK_TIMEOUT_S,
     MAX_CHUNKS,
     MAX_OPEN,
-    PATIENCE_S,
     StatusText,
     StatusTextAssembler,
 )
@@ -68,8 +68,8 @@ def test_a_lost_chunk_leaves_a_mark_and_the_rest(text: str, data: st.DataObject)
     for seq, raw in enumerate(parts):
         if seq != lost:
             assert assembler.on_text(4, raw, 9, seq, 1.0) == []
-    assert assembler.flush(1.0 + PATIENCE_S - 0.01) == []
-    (whole,) = assembler.flush(1.0 + PATIENCE_S)
+    assert assembler.flush(1.0 + CHUNK_TIMEOUT_S - 0.01) == []
+    (whole,) = assembler.flush(1.0 + CHUNK_TIMEOUT_S)
     assert whole.text == text[: lost * CHUNK_BYTES] + "…" + text[(lost + 1) * CHUNK_BYTES :]
 
 

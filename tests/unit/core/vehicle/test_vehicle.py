@@ -390,7 +390,7 @@ def test_the_clocks_of_two_vehicles_on_one_link_are_seen_in_whatever_message_tel
     assert kinds(tuple(events)) == ["duplicate"]
 
 
-FOREIGN = [
+OTHER_HEARTBEATS = [
     pytest.param({"kind": 2, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict", id="autopilot INVALID"),
     pytest.param({"kind": 0, "autopilot": mav.MAV_AUTOPILOT_INVALID}, "conflict", id="GENERIC and INVALID"),
     pytest.param({"kind": 0, "autopilot": 0}, "conflict", id="GENERIC"),
@@ -402,17 +402,15 @@ FOREIGN = [
 ]
 
 
-@pytest.mark.parametrize(("third_party", "kind"), FOREIGN)
-def test_a_heartbeat_that_is_not_its_own_changes_nothing_and_is_told_once(
-    third_party: dict[str, int], kind: str
-) -> None:
+@pytest.mark.parametrize(("other", "kind"), OTHER_HEARTBEATS)
+def test_a_heartbeat_that_is_not_its_own_changes_nothing_and_is_told_once(other: dict[str, int], kind: str) -> None:
     vehicle, voice = new()
     own = voice.beat(ARDUPILOT, 4, armed=True, status=4)
     vehicle.on_frame(own, 0.0)
     events: list[Event] = []
     for n in range(1, 1500):  # 50 a second beside its own one
         now = n * 0.02
-        events += vehicle.on_frame(voice.beat(mode=0, armed=False, **third_party), now)
+        events += vehicle.on_frame(voice.beat(mode=0, armed=False, **other), now)
         if n % 50 == 0:
             events += vehicle.on_frame(own, now)
         assert (vehicle.family, vehicle.type, vehicle.mode, vehicle.armed) == ("ardupilot", 2, "GUIDED", True)
