@@ -50,7 +50,7 @@ SIM_PARTS = (
     *("failsafe", "flight", "mission_lists", "mission_run", "position_targets", "requests", "telemetry"),
     *("px4_mission", "copter_guided", "copter_mission"),
 )
-"""Parts of the simulator's vehicles, typed by the vehicle that holds them (`if TYPE_CHECKING`): the one circle left.
+"""Parts of the simulator's vehicles, typed by the vehicle that holds them (`if TYPE_CHECKING`): the only circles left.
 They import no vehicle when they run."""
 
 
