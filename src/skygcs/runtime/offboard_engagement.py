@@ -30,7 +30,8 @@ from skygcs.core.radio_link.stream_rates import POSITION, intended_rate
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import offboard_entry, orders
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
-from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState, Tick
+from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
+from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
 from skygcs.events import Event

@@ -11,7 +11,8 @@ from typing import TextIO
 from skygcs.core.control.cascade import Memory
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.trace import TraceHead, TraceRow, TraceWriter
-from skygcs.core.vehicle.offboard_controller import OffboardController, Tick
+from skygcs.core.vehicle.offboard_controller import OffboardController
+from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.events import Event
 
 FLUSH_S = 1.0

@@ -21,30 +21,24 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-from skygcs.core.control.cascade import ZERO, Estimate, Memory, Output, Reference, step, velocity_setpoint
+from skygcs.core.control.cascade import Estimate, Memory, Reference
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode, Facts, Guard, GuardConfig, Verdict
-from skygcs.core.control.pi import clip
-from skygcs.core.control.record import record
-from skygcs.core.control.trace import TraceRow
 from skygcs.core.geo import EnuFrame
-from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
-from skygcs.core.vehicle.offboard_entry import attitude_refusal, boosts_thrust, guided_mode
+from skygcs.core.vehicle.offboard_entry import attitude_refusal, guided_mode
+from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
+from skygcs.core.vehicle.reference_source import ReferenceSource
+from skygcs.core.vehicle.setpoint_generator import SetpointGenerator
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 
 LARGEST_DT_S = 1.0
 """Told to the law as the longest pause between two steps; it clamps to 1.5 periods itself."""
-
-LEAST_DEG = 1e-7
-"""Resolution of coordinates on the wire, 1 cm."""
-
-Message = tuple[str, dict[str, Any]]
 
 
 class OffboardState(StrEnum):
@@ -71,26 +65,6 @@ class OffboardConfig:
     rate_min_hz: float = 20.0
 
 
-@record
-class Tick:
-    """What one tick asks for. ``hold``: have the autopilot hold position, once.
-
-    ``left``: it ended because the autopilot shows another mode; see whether that stays so.
-    ``row`` is for the trace, with the law's memory before and after the step.
-    """
-
-    message: Message | None = None
-    events: tuple[Event, ...] = ()
-    hold: bool = False
-    left: bool = False
-    row: TraceRow | None = None
-    before: Memory | None = None
-    after: Memory | None = None
-
-
-IDLE = Tick()
-
-
 @dataclass(slots=True)
 class _Last:
     """What the last tick saw and did, for whoever looks."""
@@ -98,7 +72,6 @@ class _Last:
     at: float = -math.inf
     estimate: Estimate | None = None
     state_age_s: float | None = None
-    output: Output | None = None
 
 
 class OffboardController:
@@ -115,23 +88,34 @@ class OffboardController:
         self.control_mode: ControlMode | None = None
         self.reasons: tuple[str, ...] = ()
         self.attitude_hz_allowed = math.inf
-        self.memory = Memory()
         self.was_entered = False
         """Whether the autopilot obeyed since the last `engage`."""
-        self.tracing = False
-        """Whether ticks carry a row for the trace."""
         self.refusing: str | None = None
         """What the autopilot said of our setpoints when it threw one away since the last `engage`."""
         self._estimate_view = EstimateView(vehicle)
+        self._source = ReferenceSource(self._estimate_view)
+        self._setpoints = SetpointGenerator(vehicle, self._estimate_view)
         self._guard = Guard(config.guard, POSITION)
-        self._reference = Reference()
-        self._until: float | None = None
         self._obeys = -1
         self._last = _Last()
         self._velocity_ended = False
         """Reported; a program that goes on sending velocities is not answered with an event for each."""
 
     # -- what a person asks
+
+    @property
+    def memory(self) -> Memory:
+        """The control law's, after the last tick."""
+        return self._setpoints.memory
+
+    @property
+    def tracing(self) -> bool:
+        """Whether ticks carry a row for the trace."""
+        return self._setpoints.tracing
+
+    @tracing.setter
+    def tracing(self, on: bool) -> None:
+        self._setpoints.tracing = on
 
     @property
     def active(self) -> bool:
@@ -154,7 +138,7 @@ class OffboardController:
     @property
     def streaming(self) -> bool:
         """Whether a stream of setpoints leads it now."""
-        return self._until is not None
+        return self._source.streaming
 
     @property
     def frame(self) -> EnuFrame | None:
@@ -174,7 +158,7 @@ class OffboardController:
     @property
     def reference(self) -> Reference | None:
         """Where it shall be, in the anchor's frame; None while it is not told."""
-        return self._reference if self.state is FLYING else None
+        return self._source.reference if self.state is FLYING else None
 
     def engage(self, control_mode: ControlMode, fence: Fence | None) -> None:
         """Begin to stream "stay where you are" so that the autopilot can be switched over.
@@ -187,8 +171,8 @@ class OffboardController:
         self._guard.reset(control_mode)
         self._last = _Last()
         self._obeys = guided_mode(self.vehicle)
-        self._forget()
-        self._stay(yaw_rad=self._estimate_view.yaw_rad())
+        self._setpoints.forget()
+        self._source.stay(self._estimate_view.yaw_rad())
 
     def entered(self) -> None:
         """The autopilot obeys our setpoints: from now on the reference stays where it is."""
@@ -196,8 +180,8 @@ class OffboardController:
             self.state, self.control_mode = FLYING, None
             self.was_entered = True
             self._guard.reset(self.wanted)
-            self._forget()
-            self._stay(yaw_rad=self._reference.yaw_rad)
+            self._setpoints.forget()
+            self._source.stay()
 
     def want(self, control_mode: ControlMode) -> None:
         """Fly it another way from the next tick on, as far as the guard lets it; the reference stays."""
@@ -209,7 +193,7 @@ class OffboardController:
         if self.state is OFF:
             return IDLE
         self.state, self.control_mode, self.reasons = OFF, None, (reason,)
-        self._until = None
+        self._source.end_stream()
         return Tick(events=(self._event(f"control ended: {reason}", "off"),))
 
     def why_not(self, control_mode: ControlMode, now: float) -> tuple[str, ...]:
@@ -224,32 +208,20 @@ class OffboardController:
         """
         learnt = law.hover_thrust - self.config.law.hover_thrust
         if learnt:
-            east, north, up = self.memory.integral_enu
-            self.memory = replace(self.memory, integral_enu=(east, north, clip(up - learnt, law.thrust_max)))
+            self._setpoints.move_integral_up(-learnt, law.thrust_max)
         self.config = replace(self.config, law=law)
 
     def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> None:
         """Go to a point on earth and stay there; None keeps the yaw."""
-        yaw = self._reference.yaw_rad if yaw_enu_rad is None else yaw_enu_rad
-        self._reference = Reference(self._estimate_view.in_local_frame(place), yaw)
-        self._until = None
+        self._source.hold_at(place, yaw_enu_rad)
 
     def follow(self, wanted: Setpoint, until: float) -> None:
         """One setpoint of a stream, good ``until`` then."""
-        yaw = self._reference.yaw_rad if wanted.yaw_enu_rad is None else wanted.yaw_enu_rad
-        self._reference = Reference(
-            ZERO if wanted.place is None else self._estimate_view.in_local_frame(wanted.place),
-            yaw,
-            wanted.vel_enu_mps or ZERO,
-            wanted.acc_enu_mps2 or ZERO,
-            velocity_only_xy=wanted.free_xy,
-            velocity_only_z=wanted.free_z,
-        )
-        self._until = until
+        self._source.follow(wanted, until)
 
     def stay(self) -> None:
         """End a stream now: stay where it is."""
-        self._stay(yaw_rad=self._reference.yaw_rad)
+        self._source.stay()
 
     # -- tick by tick
 
@@ -267,36 +239,36 @@ class OffboardController:
         self._estimate_view.measure(age_s, now)
         events: list[Event] = []
         if self.state is ENGAGING:
-            self._stay(yaw_rad=self._reference.yaw_rad)
-        elif self._until is not None and now > self._until:
-            self._stay(yaw_rad=self._reference.yaw_rad)
+            self._source.stay()
+        elif self._source.expire(now):
             events.append(self._event("the setpoints ended: it stays where it is", "flying"))
         verdict = self._guard.check(self._facts(estimate, age_s, now), now)
         if verdict.action == "release":
             ended = self.release("; ".join(verdict.reasons))
             return Tick(events=(*events, *ended.events), left="mode" in verdict.kinds)
         if self.state is ENGAGING:
-            return self._send(verdict.control_mode or POSITION, estimate, dt_s, following=False)
+            return self._send(verdict.control_mode or POSITION, dt_s, following=False)
         self.reasons = verdict.reasons
         if verdict.changed:
             events += self._on_change(verdict)
-        if verdict.control_mode is POSITION and self.wanted is not POSITION and self._free():
-            # a velocity is flown on by no way the guard has refused it to
-            self._stay(yaw_rad=self._reference.yaw_rad)
+        if verdict.control_mode is POSITION and self.wanted is not POSITION and self._source.velocity_only:
+            # a velocity is not flown on in a control mode that the guard has refused for it
+            self._source.stay()
             if not self._velocity_ended:
                 events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
             self._velocity_ended = True
         elif verdict.control_mode is not POSITION:
             self._velocity_ended = False
         if verdict.action == "hold" or verdict.control_mode is None:
-            self.state, self.control_mode, self._until = HELD, None, None
+            self.state, self.control_mode = HELD, None
+            self._source.end_stream()
             return Tick(events=tuple(events), hold=True)
-        sent = self._send(verdict.control_mode, estimate, dt_s, following=True)
+        sent = self._send(verdict.control_mode, dt_s, following=True)
         return replace(sent, events=tuple(events)) if events else sent
 
     def status(self, now: float) -> dict[str, Any]:
-        """Everything in the anchor's frame; `worldview.shown` makes it fit for a person."""
-        last, output, reference = self._last, self._last.output, self.reference
+        """Everything in the anchor's frame."""
+        last, output, reference = self._last, self._setpoints.output, self.reference
         error = None
         if reference is not None and last.estimate is not None and not reference.velocity_only_xy:
             error = [r - x for r, x in zip(reference.pos_enu_m, last.estimate.pos_enu_m, strict=True)]
@@ -316,7 +288,7 @@ class OffboardController:
             "rtt_s": self.delay.rtt_p95_s,
             "rate_hz": 1.0 / self.period_s if self.active else None,
             "saturation": [] if attitude is None else list(attitude.saturation.names()),
-            "integral_enu": list(self.memory.integral_enu),
+            "integral_enu": list(self._setpoints.memory.integral_enu),
             "thrust": None if attitude is None else attitude.collective_thrust,
             "roll_deg": None if attitude is None else math.degrees(attitude.roll_frd_rad),
             "pitch_deg": None if attitude is None else math.degrees(attitude.pitch_frd_rad),
@@ -324,58 +296,19 @@ class OffboardController:
 
     # -- the inside
 
-    def _send(self, control_mode: ControlMode, estimate: Estimate | None, dt_s: float, *, following: bool) -> Tick:
+    def _send(self, control_mode: ControlMode, dt_s: float, *, following: bool) -> Tick:
         if control_mode is not self.control_mode:
             self.control_mode = control_mode
-            self.memory = Memory()  # an integral of another time is no use, and the first error has no slope
-            self._last.output = None
-        law, reference = self.config.law, self._reference
-        row = self._row(control_mode, estimate, dt_s, following=following)
-        output: Output | None = None
-        before = self.memory
-        if control_mode is ATTITUDE:
-            if estimate is not None:
-                output, self.memory = step(law, self.memory, estimate, reference, dt_s, following=following)
-            if output is None:
-                return IDLE
-            row = None if row is None else row.with_output(output, self.memory)
-            self._last.output = output
-            attitude, thrust = output.attitude_ned_frd, output.collective_thrust
-            boost = boosts_thrust(self.vehicle)
-            message = setpoint.attitude_target(attitude, thrust, self._boot_ms(), angle_boost=boost)
-            return Tick(message, row=row, before=before, after=self.memory)
-        if control_mode is VELOCITY or reference.velocity_only_xy or reference.velocity_only_z:
-            velocity = None if estimate is None else velocity_setpoint(law, estimate, reference)
-            if velocity is None:
-                return IDLE
-            message = setpoint.velocity_target(velocity, reference.yaw_rad, self._boot_ms())
-            row = None if row is None else row.with_velocity(velocity)
-            return Tick(message, row=row, before=before, after=before)
-        place = self._estimate_view.place_of(reference)
-        message = setpoint.position_target(
-            _beside_zero(place.lat_deg),
-            _beside_zero(place.lon_deg),
-            place.alt_amsl_m,
-            reference.yaw_rad,
-            self._boot_ms(),
-            self.vehicle.family,
-        )
-        return Tick(message, row=row, before=before, after=before)
-
-    def _row(
-        self, control_mode: ControlMode, estimate: Estimate | None, dt_s: float, *, following: bool
-    ) -> TraceRow | None:
-        """What this tick was given, for the trace; None if nobody records."""
-        if not self.tracing or estimate is None:
-            return None
-        age_s = self._last.state_age_s
-        return TraceRow(self._last.at, dt_s, control_mode.value, following, self._reference, estimate, age_s)
+            self._setpoints.forget()
+        last = self._last
+        given = TickInput(last.at, dt_s, last.estimate, last.state_age_s, self._source.reference, following)
+        return self._setpoints.generate(control_mode, self.config.law, given)
 
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
         vehicle, config, estimate_view = self.vehicle, self.config, self._estimate_view
         engaging = self.state is ENGAGING
         breach = estimate_view.breach()
-        reference_breach = None if engaging else estimate_view.reference_breach(self._reference)
+        reference_breach = None if engaging else estimate_view.reference_breach(self._source.reference)
         flies_disarmed = None if vehicle.armed else contradiction(vehicle, now)
         return Facts(
             connected=vehicle.connected,
@@ -419,27 +352,3 @@ class OffboardController:
             "reasons": list(self.reasons),
         }
         return Event("control", self.vehicle.name, self.vehicle.sysid, text, data)
-
-    def _forget(self) -> None:
-        self.memory = Memory()
-        self._until = None
-        self._last.output = None
-
-    def _free(self) -> bool:
-        return self._reference.velocity_only_xy or self._reference.velocity_only_z
-
-    def _stay(self, yaw_rad: float) -> None:
-        estimate = self._estimate_view.estimate()
-        position = self._reference.pos_enu_m if estimate is None else estimate.pos_enu_m
-        self._reference = Reference(position, yaw_rad)
-        self._until = None
-
-    def _boot_ms(self) -> int:
-        """Neither autopilot looks at it for attitude or velocity; it orders the setpoints in a log."""
-        return int(self._last.at * 1000) & 0xFFFFFFFF
-
-
-def _beside_zero(coordinate_deg: float) -> float:
-    """What would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is sent
-    as the next: the equator and the first meridian are places like any other."""
-    return coordinate_deg if abs(coordinate_deg) >= LEAST_DEG else LEAST_DEG

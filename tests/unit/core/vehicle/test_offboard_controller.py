@@ -20,7 +20,8 @@ from skygcs.core.geo import Origin
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.estimate_view import JUDGE_S
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
-from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState, Tick
+from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
+from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 from support.vehicles import ARDUPILOT, HOME, PX4, PX4_LOITER, PX4_RTL, Voice, flight_dialect

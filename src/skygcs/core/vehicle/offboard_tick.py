@@ -1,0 +1,47 @@
+"""What goes into one tick of flight control, and what comes out of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from skygcs.core.control.cascade import Estimate, Memory, Reference
+from skygcs.core.control.record import record
+from skygcs.core.control.trace import TraceRow
+from skygcs.events import Event
+
+Message = tuple[str, dict[str, Any]]
+"""Name of a message and its fields, but for target_system and target_component."""
+
+
+@record
+class TickInput:
+    """What the setpoint of one tick is made from. Times are the loop's."""
+
+    at: float
+    dt_s: float
+    """Measured since the last tick, not clamped."""
+    estimate: Estimate | None
+    state_age_s: float | None
+    reference: Reference
+    following: bool
+    """Whether the autopilot obeys: the integrators run only then."""
+
+
+@record
+class Tick:
+    """What one tick asks for. ``hold``: have the autopilot hold position, once.
+
+    ``left``: it ended because the autopilot shows another mode; see whether that stays so.
+    ``row`` is for the trace, with the law's memory before and after the step.
+    """
+
+    message: Message | None = None
+    events: tuple[Event, ...] = ()
+    hold: bool = False
+    left: bool = False
+    row: TraceRow | None = None
+    before: Memory | None = None
+    after: Memory | None = None
+
+
+IDLE = Tick()

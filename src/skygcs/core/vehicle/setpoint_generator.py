@@ -1,0 +1,115 @@
+"""Makes the setpoint of one tick in a control mode: the control law's step and the message. Pure.
+
+control mode    loops closed here            message
+attitude        position and velocity        SET_ATTITUDE_TARGET
+velocity        position                     SET_POSITION_TARGET_LOCAL_NED with a velocity
+position        none                         SET_POSITION_TARGET_GLOBAL_INT; as velocity where an axis of the
+                                             reference follows a velocity
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from skygcs.core.control.cascade import Memory, Output, step, velocity_setpoint
+from skygcs.core.control.gains import ControlConfig
+from skygcs.core.control.guard import CONTROL_MODES, ControlMode
+from skygcs.core.control.pi import clip
+from skygcs.core.control.trace import TraceRow
+from skygcs.core.vehicle import setpoint
+from skygcs.core.vehicle.estimate_view import EstimateView
+from skygcs.core.vehicle.offboard_entry import boosts_thrust
+from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
+from skygcs.core.vehicle.vehicle import Vehicle
+
+LEAST_DEG = 1e-7
+"""Resolution of coordinates on the wire, 1 cm."""
+
+ATTITUDE, VELOCITY, POSITION = CONTROL_MODES
+"""To name a member of an enumeration takes 75 ns each time (CPython 3.11)."""
+
+
+class SetpointGenerator:
+    """The setpoints of one vehicle. Keeps the control law's memory from tick to tick."""
+
+    def __init__(self, vehicle: Vehicle, estimate_view: EstimateView) -> None:
+        self.memory = Memory()
+        self.output: Output | None = None
+        """Of the last step in the present control mode; only attitude has one."""
+        self.tracing = False
+        """Whether ticks carry a row for the trace."""
+        self._vehicle = vehicle
+        self._estimate_view = estimate_view
+
+    def forget(self) -> None:
+        """Begin anew: an integral of another time is no use, and the first error has no slope yet."""
+        self.memory = Memory()
+        self.output = None
+
+    def move_integral_up(self, thrust: float, bound: float) -> None:
+        """Add to the integral of the vertical thrust; it stays within ± ``bound``."""
+        east, north, up = self.memory.integral_enu
+        self.memory = replace(self.memory, integral_enu=(east, north, clip(up + thrust, bound)))
+
+    def generate(self, control_mode: ControlMode, law: ControlConfig, given: TickInput) -> Tick:
+        """The message of this tick and its row for the trace; `IDLE` if there is nothing to fly by."""
+        row = self._row(control_mode, given)
+        if control_mode is ATTITUDE:
+            return self._attitude(law, given, row)
+        if control_mode is VELOCITY or given.reference.velocity_only_xy or given.reference.velocity_only_z:
+            return self._velocity(law, given, row)
+        return self._position(given, row)
+
+    def _attitude(self, law: ControlConfig, given: TickInput, row: TraceRow | None) -> Tick:
+        before = self.memory
+        if given.estimate is None:
+            return IDLE
+        output, self.memory = step(law, before, given.estimate, given.reference, given.dt_s, following=given.following)
+        if output is None:
+            return IDLE
+        row = None if row is None else row.with_output(output, self.memory)
+        self.output = output
+        attitude, thrust = output.attitude_ned_frd, output.collective_thrust
+        boost = boosts_thrust(self._vehicle)
+        message = setpoint.attitude_target(attitude, thrust, _boot_ms(given.at), angle_boost=boost)
+        return Tick(message, row=row, before=before, after=self.memory)
+
+    def _velocity(self, law: ControlConfig, given: TickInput, row: TraceRow | None) -> Tick:
+        velocity = None if given.estimate is None else velocity_setpoint(law, given.estimate, given.reference)
+        if velocity is None:
+            return IDLE
+        message = setpoint.velocity_target(velocity, given.reference.yaw_rad, _boot_ms(given.at))
+        row = None if row is None else row.with_velocity(velocity)
+        return Tick(message, row=row, before=self.memory, after=self.memory)
+
+    def _position(self, given: TickInput, row: TraceRow | None) -> Tick:
+        place = self._estimate_view.place_of(given.reference)
+        message = setpoint.position_target(
+            _beside_zero(place.lat_deg),
+            _beside_zero(place.lon_deg),
+            place.alt_amsl_m,
+            given.reference.yaw_rad,
+            _boot_ms(given.at),
+            self._vehicle.family,
+        )
+        return Tick(message, row=row, before=self.memory, after=self.memory)
+
+    def _row(self, control_mode: ControlMode, given: TickInput) -> TraceRow | None:
+        """What this tick was given, for the trace; None if nobody records."""
+        if not self.tracing or given.estimate is None:
+            return None
+        return TraceRow(
+            *(given.at, given.dt_s, control_mode.value, given.following),
+            *(given.reference, given.estimate, given.state_age_s),
+        )
+
+
+def _boot_ms(at: float) -> int:
+    """Neither autopilot looks at it for attitude or velocity; it orders the setpoints in a log."""
+    return int(at * 1000) & 0xFFFFFFFF
+
+
+def _beside_zero(coordinate_deg: float) -> float:
+    """What would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is sent
+    as the next: the equator and the first meridian are places like any other."""
+    return coordinate_deg if abs(coordinate_deg) >= LEAST_DEG else LEAST_DEG
