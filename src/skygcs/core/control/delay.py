@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
+from statistics import median
 
 WINDOW_S = 3.0
 """Of the ages. 5 % of it is 0.15 s: one lost state at 10 Hz passes, a gap of 0.3 s does not."""
@@ -121,6 +122,12 @@ class DelayMeter:
         self._trips.append(now - sent)
         self._last_pong = now
         self.rtt_p95_s = p95(self._trips)
+
+    @property
+    def uplink_s(self) -> float | None:
+        """How long a message takes to the vehicle: half of the median round trip, since the two ways cannot be told
+        apart. For leading a moving reference; the guard judges by `rtt_p95_s`. None without a round trip."""
+        return 0.5 * median(self._trips) if self._trips else None
 
     @property
     def delay_p95_s(self) -> float | None:

@@ -81,6 +81,14 @@ def test_of_21_round_trips_one_late_pong_moves_nothing_and_the_second_does() -> 
     assert meter.rtt_p95_s == pytest.approx(0.5)
 
 
+def test_the_way_up_is_half_of_the_median_round_trip() -> None:
+    meter = DelayMeter()
+    assert meter.uplink_s is None
+    for n, rtt_s in enumerate((0.2, 0.2, 3.0, 0.2, 0.1)):
+        answered(meter, rtt_s, float(n))
+    assert meter.uplink_s == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize("unknown", [None, math.nan, math.inf])
 def test_a_state_of_unknown_age_is_infinitely_old(unknown: float | None) -> None:
     meter = DelayMeter()
