@@ -4,6 +4,7 @@ SkygcsError                  base; str() is one line for a person, never a trace
 ├── ConfigError              the user's file: fleet TOML (file, key, what to do); carries every problem at once
 ├── DialectError             the user's message XML (file, line)
 ├── PlanFileError            a plan, mission or fence file that cannot be used (file, line or item)
+├── TrajectoryError          a trajectory that cannot be flown (piece, axis)
 ├── TraceError               a control trace that cannot be read (line, reason)
 ├── LinkError                a device or an address: could not be opened, or broke
 ├── TargetError              a target that names no vehicle ("7", "alpha")
@@ -62,6 +63,17 @@ class PlanFileError(SkygcsError):
         self.where = where
         self.reason = reason
         super().__init__(": ".join(part for part in (source, where, reason) if part))
+
+
+class TrajectoryError(SkygcsError):
+    """A trajectory that cannot be flown. ``piece`` counts from 1, ``axis`` is east, north, up or yaw; None: unknown."""
+
+    def __init__(self, reason: str, *, piece: int | None = None, axis: str | None = None) -> None:
+        self.reason = reason
+        self.piece = piece
+        self.axis = axis
+        where = ", ".join(part for part in ("" if piece is None else f"piece {piece}", axis or "") if part)
+        super().__init__(f"{where}: {reason}" if where else reason)
 
 
 class LinkError(SkygcsError):

@@ -1,0 +1,42 @@
+"""Timed references: piecewise polynomial trajectories, their limits, their timing, and the clock that drives them."""
+
+from skygcs.core.trajectory.motion_limits import MotionLimits, MotionPeaks, Peak, motion_peaks, require_within
+from skygcs.core.trajectory.piecewise import (
+    Joint,
+    Piece,
+    Trajectory,
+    TrajectoryPoint,
+    joints,
+    require_continuous,
+)
+from skygcs.core.trajectory.timing import (
+    TimedPoint,
+    hover,
+    path_within,
+    rest_to_rest,
+    straight_lines,
+)
+from skygcs.core.trajectory.trajectory_clock import ClockState, ClockTime, TrajectoryClock, rate_limit
+
+__all__ = [
+    "ClockState",
+    "ClockTime",
+    "Joint",
+    "MotionLimits",
+    "MotionPeaks",
+    "Peak",
+    "Piece",
+    "TimedPoint",
+    "Trajectory",
+    "TrajectoryClock",
+    "TrajectoryPoint",
+    "hover",
+    "joints",
+    "motion_peaks",
+    "path_within",
+    "rate_limit",
+    "require_continuous",
+    "require_within",
+    "rest_to_rest",
+    "straight_lines",
+]
