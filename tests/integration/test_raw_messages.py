@@ -104,7 +104,7 @@ async def test_commands_that_pass_the_guards_are_refused_and_those_that_end_a_fl
         outcome = await gcs.outcome("vehicles.command", command="DO_MOTOR_TEST", params=[1.0])
         assert outcome["result"] == "refused" and "motors" in outcome["message"]
         arm = {"command": 400, "param1": 1.0}
-        assert "the checked way is arm" in await refused(gcs, name="COMMAND_LONG", fields=arm, target="v1")
+        assert "the checked order is arm" in await refused(gcs, name="COMMAND_LONG", fields=arm, target="v1")
 
 
 async def test_a_vehicle_that_is_lost_is_not_known_to_be_disarmed(tmp_path: Path) -> None:

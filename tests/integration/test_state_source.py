@@ -204,7 +204,7 @@ async def test_a_disarmed_heartbeat_on_the_vehicles_own_channel_ends_in_a_hold(
         other.heartbeat(mode=gcs.sim().mode, armed=False)
         await gcs.ends_safe(within_m=5.0, since=seen)
         assert holds(gcs) and state(gcs)["armed"]
-        assert gcs.texts(seen)[0].startswith("holding, nothing more is sent: its heartbeat says disarmed, but")
+        assert gcs.texts(seen)[0].startswith("holding, nothing more is sent: its heartbeat shows it disarmed, but")
 
 
 @KINDS

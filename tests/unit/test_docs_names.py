@@ -1,13 +1,18 @@
-"""Every path and every dotted name of the project that the documents mention exists."""
+"""Every path and every dotted name of the project that the pages, the docstrings and the comments mention exists."""
 
 from __future__ import annotations
 
 import ast
+import io
 import re
+import tokenize
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import pytest
+
+from skygcs.rpc.methods import METHODS
 
 ROOT = Path(__file__).resolve().parents[2]
 SRC = ROOT / "src" / "skygcs"
@@ -105,3 +110,86 @@ def test_the_pages_about_the_code_name_only_what_it_has(page: str) -> None:
     text = (ROOT / page).read_text()
     missing = [f"{c}.{m}" for c, m in MEMBER.findall(text) if c not in classes() or m not in classes()[c]]
     assert missing == []
+
+
+DOTTED = re.compile(r"(?<![\w./*-])[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)+")
+WORD = re.compile(r"([A-Za-z_]\w{3,})(?:\(\))?")
+OTHER_FILES = (".sock", ".toml", ".json", ".cpp", ".h", ".py")
+"""Files, not modules: paths are checked where pages name them."""
+
+
+def files() -> list[Path]:
+    return sorted(SRC.glob("**/*.py"))
+
+
+def texts(path: Path) -> Iterator[tuple[int, str]]:
+    """(line, text) of each comment and docstring, those behind attributes included."""
+    source = path.read_text()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            yield node.lineno, node.value.value
+
+
+@cache
+def modules() -> dict[str, list[str]]:
+    """Last part of a module's or package's name -> its dotted names."""
+    names: dict[str, list[str]] = {}
+    for path in files():
+        parts = path.relative_to(SRC).with_suffix("").parts
+        parts = parts[:-1] if parts[-1] == "__init__" else parts
+        if parts:
+            names.setdefault(parts[-1], []).append(".".join(parts))
+    return names
+
+
+@cache
+def rooms() -> set[str]:
+    """Names that begin the dotted name of a module: `core.routing.router` or, within core, `routing.router`."""
+    packages = [path.parent for path in SRC.glob("**/__init__.py")]
+    return {package.name for package in packages if package.parent in (SRC, SRC / "core")}
+
+
+@cache
+def words() -> set[str]:
+    """Every word of `src/` that is not in a code span."""
+    found: set[str] = set()
+    for path in [*files(), *SRC.glob("**/*.pyi"), *SRC.glob("**/*.c")]:
+        found.update(re.findall(r"\w+", CODE_SPAN.sub("", path.read_text())))
+    return found
+
+
+def exists(dotted: str) -> bool:
+    first, second = dotted.split(".")[:2]
+    if dotted in METHODS or dotted.endswith(OTHER_FILES):
+        return True
+    if first == "skygcs":
+        return module_exists(dotted)
+    if first in classes():
+        return second in classes()[first]
+    candidates = [f"skygcs.{dotted}", f"skygcs.core.{dotted}"] if first in rooms() else []
+    rest = dotted.partition(".")[2]
+    candidates += [f"skygcs.{name}.{rest}" for name in modules().get(first, ())]
+    return not candidates or any(map(module_exists, candidates))
+
+
+@pytest.mark.parametrize("path", files(), ids=lambda p: str(p.relative_to(SRC)))
+def test_what_a_docstring_names_exists(path: Path) -> None:
+    missing = []
+    for line, text in texts(path):
+        for span in CODE_SPAN.findall(text):
+            missing += [f"{line}: {name}" for name in DOTTED.findall(span) if not exists(name)]
+            if (match := WORD.fullmatch(span)) is not None and match[1] not in words():
+                missing.append(f"{line}: {span}")
+    assert missing == []
+
+
+def test_a_name_that_does_not_exist_is_found() -> None:
+    assert not exists("core.vehicle.pilot.OffboardConfig")
+    assert not exists("core.pacing")
+    assert not exists("Vehicle.worldview")
+    assert exists("core.radio_link.pacing")
+    assert exists("Vehicle.on_frame")
+    assert exists("rpc.discover")

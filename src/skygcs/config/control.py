@@ -24,11 +24,11 @@ Span = Annotated[tuple[float, float], Field(description="[least, most] in metres
 
 ATTITUDE_HZ, ATTITUDE_MIN_HZ = 50.0, 20.0
 VELOCITY_HZ, POSITION_HZ = 10.0, 5.0
-"""Of `core.vehicle.pilot.OffboardConfig`; a test compares them."""
+"""The defaults of `core.vehicle.offboard_controller.OffboardConfig`; a test compares them."""
 
 
 class GainSettings(Model):
-    """Gains of one axis; see `core.control.config.AxisGains`."""
+    """Gains of one axis; see `core.control.gains.AxisGains`."""
 
     pos_p_per_s: Gain | None = None
     vel_p: Annotated[float, Field(ge=1e-3, le=LARGEST_GAIN)] | None = None

@@ -1,6 +1,6 @@
 """The ``preflight`` table of a vehicle, a type or the defaults: what is expected of it before it flies.
 
-Every key is optional at every level; a key that no level sets has the default of `core.preflight.Expectations`.
+Every key is optional at every level; defaults are those of `core.preflight.expectations.Expectations`.
 """
 
 from __future__ import annotations

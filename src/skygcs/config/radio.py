@@ -23,11 +23,11 @@ def _rate(rate_hz: float) -> float:
 
 
 RateHz = Annotated[float, Field(ge=0), AfterValidator(_rate)]
-"""Of a message; 0: none at all."""
+"""Rate of a message; 0 turns it off."""
 
 
 class ThirdPartyKeys(Model):
-    """What ground stations and programs behind other links may send into a radio (`core.third_party`)."""
+    """What ground stations and programs behind other links may send into a radio (`core.radio_link.admission`)."""
 
     param_lists: Literal["one", "deny", "allow"] = "one"
     """PARAM_REQUEST_LIST: one vehicle's at a time, none, or all at once."""
@@ -60,11 +60,11 @@ class RadioKeys(BaseModel):
     stream_profile: Profile = "custom"
     """Streams of every vehicle behind it if they fit; custom: its own ``streams``."""
     third_party: ThirdPartyKeys = ThirdPartyKeys()
-    """What others may send into it."""
+    """What third-party programs may send into it."""
 
 
 class EmulatedRadio(Model):
-    """The radios between the daemon and simulated vehicles (`core.sim.tdm`)."""
+    """The radios between the daemon and simulated vehicles (`sim.tdm`)."""
 
     air_kbps: Kbps = 64.0
     baud: Annotated[int, Field(ge=1200, le=1_000_000)] = 57600

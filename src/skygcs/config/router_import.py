@@ -1,8 +1,8 @@
-"""A mavlink-router configuration as a fleet file, with a comment at everything that has no place there.
+"""Converts a mavlink-router configuration to a fleet file, with a comment for each key that skygcs does not have.
 
-What is left out there is written as mavlink-router has it by default, where skygcs has it otherwise. Links keep the
-role `peer`, which is mavlink-router's own rule of forwarding.
-Format: mavlink-router's examples/config.sample; sections, keys and words in any case.
+A key that the configuration leaves out is written with mavlink-router's default where that of skygcs differs. Links
+keep the role `peer`, which forwards as mavlink-router does.
+Format: mavlink-router's examples/config.sample; sections, keys and values in any case.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from skygcs.errors import ConfigError
 
 DEFAULT_TCP_PORT = 5760
-"""mavlink-router's TCP server, there unless TcpServerPort = 0."""
+"""Port of mavlink-router's TCP server, which it opens unless TcpServerPort = 0."""
 
 FIRST_UDP_PORT = 14550
-"""What a UDP endpoint in normal mode without a port begins to look for a free one at."""
+"""First port tried for a UDP endpoint in normal mode that names none."""
 
 DEFAULT_BAUD = 115200
 DEFAULT_RETRY_S = 5
@@ -50,14 +50,14 @@ GENERAL_NOTES = {
     "maxlogfiles": "delete old tlogs yourself, or with logrotate",
     "sniffersysid": "the socket's message.subscribe shows all traffic; so does a tlog",
 }
-"""Keys of [General] without a counterpart, and what there is instead."""
+"""Keys of [General] without a counterpart, and what skygcs offers instead."""
 
 TRUE, FALSE = frozenset({"true", "1", "yes", "on"}), frozenset({"false", "0", "no", "off"})
 
 
 @dataclass(frozen=True, slots=True)
 class RouterImport:
-    """The fleet file's text, and what of the configuration could not be brought over, line by line."""
+    """The fleet file's text, and a note for each line of the configuration that was not converted."""
 
     text: str
     notes: tuple[str, ...]
@@ -65,7 +65,7 @@ class RouterImport:
 
 @dataclass(slots=True)
 class _Section:
-    """One section: ``keys`` by name in lower case, each with its value as written and its line."""
+    """One section. ``keys``: name in lower case to the value as written and its line number."""
 
     kind: str
     name: str
@@ -74,7 +74,7 @@ class _Section:
 
 
 def import_router(text: str, source: str) -> RouterImport:
-    """Raises ConfigError with every line that mavlink-router would not take either."""
+    """Raises ConfigError that lists every line which mavlink-router would reject, too."""
     reader = _Reader(source)
     sections = reader.sections(text)
     general = [s for s in sections if s.kind == "general"]
@@ -92,7 +92,7 @@ def import_router(text: str, source: str) -> RouterImport:
 
 
 class _Reader:
-    """Turns sections into TOML lines; collects problems, which refuse the file, and notes, which do not."""
+    """Converts sections to TOML lines. Collects problems, for which the file is rejected, and notes."""
 
     def __init__(self, source: str) -> None:
         self.source = source
@@ -114,7 +114,7 @@ class _Reader:
             if not equals or not key.strip():
                 self.problems.append(f"line {number}: neither a section nor key = value: {_short(line)}")
             elif not found:
-                self.problems.append(f"line {number}: {_short(key.strip())} stands before the first section")
+                self.problems.append(f"line {number}: {_short(key.strip())} is before the first section")
             else:
                 found[-1].keys[key.strip().lower()] = (value.strip(), number)
         return found
@@ -130,14 +130,14 @@ class _Reader:
         elif kind not in KINDS and kind != "general":
             self.notes.append(f"line {number}: section [{_one_line(' '.join(parts))}] is unknown and was left out")
         elif kind in KINDS and any((s.kind, s.name) == (kind, section.name) for s in found):
-            self.problems.append(f"line {number}: [{parts[0]} {section.name}] is there twice")
+            self.problems.append(f"line {number}: [{parts[0]} {section.name}] is defined twice")
         return section
 
     def daemon(self, sections: list[_Section]) -> list[str]:
         keys = {key: entry for section in sections for key, entry in section.keys.items()}
         out = [
-            "# skygcs sends a ground station's heartbeat of its own, as mavlink-router does not. An autopilot whose",
-            "# failsafe should look at another station alone needs heartbeat = false; a SiK radio needs it true.",
+            "# skygcs sends a ground station's heartbeat of its own; mavlink-router does not. If an autopilot's",
+            "# failsafe is to watch another station only, set heartbeat = false; a SiK radio needs it true.",
             "[daemon]",
             "heartbeat = true",
         ]
@@ -211,7 +211,9 @@ class _Reader:
         if listens:
             return ['type = "udp_server"', f"host = {_quoted(host)}", f"port = {port}"]
         if host.endswith(".255"):
-            seen = "# a broadcast address: sent there until a peer answers, then to that peer, as mavlink-router does"
+            seen = (
+                "# a broadcast address: frames go there until a peer answers, then to that peer, as in mavlink-router"
+            )
             return [seen, 'type = "udp_broadcast"', f"host = {_quoted(host)}", f"port = {port}"]
         return ['type = "udp_client"', f"host = {_quoted(host)}", f"port = {port}"]
 
@@ -221,16 +223,16 @@ class _Reader:
         out = ['type = "tcp_client"', f"host = {_quoted(host)}", f"port = {port}"]
         if "retrytimeout" in keys:
             _, line = keys["retrytimeout"]
-            reason = "skygcs tries again by itself, at growing intervals, and never stops"
+            reason = "skygcs reconnects by itself, at growing intervals, without a limit"
             if self.whole(keys["retrytimeout"], "RetryTimeout", 0, 2**31) != DEFAULT_RETRY_S:
                 out.append(self.noted(line, reason))
         return out
 
     def noted(self, line: int, reason: str) -> str:
-        """A comment for the file, which is also a note for the user."""
+        """A comment for the file; the user is shown it, too."""
         text = f"{_one_line(self._lines[line - 1].strip())}: {reason}"
         self.notes.append(f"line {line}: {text}")
-        return f"# not brought over (line {line}): {text}"
+        return f"# not converted (line {line}): {text}"
 
     def needed(self, section: _Section, keys: dict[str, tuple[str, int]], key: str) -> str:
         value, _ = keys.get(key.lower(), ("", 0))
@@ -262,13 +264,13 @@ class _Reader:
 
 
 def _free_ports(endpoints: list[_Section]) -> Iterator[int]:
-    """Ports for UDP endpoints that name none: from FIRST_UDP_PORT on, without those that are named."""
+    """Free ports for UDP endpoints that name none, from FIRST_UDP_PORT on."""
     named = {s.keys["port"][0] for s in endpoints if s.kind == "udpendpoint" and "port" in s.keys}
     return (port for port in range(FIRST_UDP_PORT, 65536) if str(port) not in named)
 
 
 def _unused(name: str, taken: set[str]) -> str:
-    """The name, or one like it: endpoints of different kinds may share a name there, links may not."""
+    """The name, made unique: endpoints of different kinds may share a name, links may not."""
     free, number = name, 2
     while free in taken:
         free, number = f"{name}{number}", number + 1
@@ -281,7 +283,7 @@ def _table(name: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A TOML basic string; JSON's escapes are a part of TOML's, but DEL must be escaped there."""
+    """A TOML basic string. TOML has all escapes of JSON; it also requires one for DEL."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -291,5 +293,5 @@ def _short(text: str) -> str:
 
 
 def _one_line(text: str) -> str:
-    """Fit for a comment, which ends at the line's end and holds no control characters in TOML."""
+    """One line without control characters, as a TOML comment must be."""
     return "".join(c if c.isprintable() else "?" for c in text)

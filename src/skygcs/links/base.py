@@ -92,7 +92,7 @@ class LinkHost(Protocol):
         ...
 
     def attach(self, channel: Channel) -> None:
-        """A channel is open: it may be routed to from now on. Sets ``channel.id``."""
+        """Note an open channel, to which frames may be routed from now on. Sets its id."""
         ...
 
     def detach(self, channel: Channel, reason: str) -> None:

@@ -1,7 +1,7 @@
-"""RTCM that clients of the socket hand in: whole frames of it go to all vehicles, as our own GPS_RTCM_DATA.
+"""Sends RTCM from RPC clients to all vehicles, in whole frames, as GPS_RTCM_DATA of our own.
 
-What a ground station sends by itself passes the router and not here. What of both a narrow radio carries is decided
-where it is written (`core.corrections`).
+GPS_RTCM_DATA that a ground station sends is routed like any other message. `core.radio_link.corrections` decides how
+much of both a slow radio carries.
 """
 
 from __future__ import annotations

@@ -159,8 +159,8 @@ class Fleet:
             self.components.on_frame(key, frame, now)
 
     def state_update_only(self, key: int, frame: Frame, channel_label: str) -> StateUpdate | None:
-        """The state update for frames like this one (heartbeats: with the same payload), until `on_roster` is called.
-        None: each must be given to `on_frame`."""
+        """The state update for frames like this one (heartbeats: with the same payload), until `forget_flows` of the
+        links is called. None: each frame must be given to `on_frame`."""
         actor = self.vehicles.get(key)
         if actor is not None:
             return actor.state_update_only(frame, channel_label)

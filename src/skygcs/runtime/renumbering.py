@@ -1,7 +1,7 @@
 """Gives a vehicle another system id: sets the parameter, restarts the autopilot, and finds it again under the new one.
 
 When the new id takes effect differs (from the firmwares' sources): ArduPilot from 4.7 on copies MAV_SYSID at once
-(`GCS::update_send`), Plane, Rover and Tracker before it once a second (`one_second_loop`), a Copter up to 4.6 reads
+(`GCS::update_send`), Plane, Rover and Tracker before it once a second, a Copter up to 4.6 reads
 SYSID_THISMAV when it starts (`GCS::init`), PX4 reads MAV_SYS_ID when its MAVLink module is made. So the parameter's own
 answer may come under either id, or be lost; what counts is the id that is heard.
 

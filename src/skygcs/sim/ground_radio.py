@@ -1,6 +1,6 @@
 """The radio at the ground's port of an emulated network, as a whole: what it passes on, and its command line.
 
-The network (`core.sim.tdm`) is what happens on air, `AtRadio` what the radio says of itself. Here they are one: on its
+The network (`sim.tdm`) models the air, `AtRadio` the radio's settings. This module combines them: on its
 command line it passes nothing on, and with other settings than a vehicle's radio it does not reach that vehicle.
 """
 

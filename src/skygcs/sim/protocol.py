@@ -1,7 +1,7 @@
 """MAVLink enum values the simulated vehicles use, under their names in the dialect.
 
-A test compares every one with the dialect pymavlink ships. PX4's and ArduCopter's mode numbers, which no dialect
-holds, are in `px4_modes` and `copter_modes`.
+A test compares every one with the dialect that pymavlink ships. PX4's and ArduCopter's mode numbers, which no dialect
+holds, are in `behaviours`.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def test_a_companions_configuration_is_brought_over_link_by_link(name: str, devi
 def test_a_key_without_counterpart_is_noted_with_its_line_and_stands_in_the_file(name: str, line: int) -> None:
     text = public_file(f"router/{name}").read_text()
     assert f"line {line}: PortLock = 0: no such key" in notes(text)
-    assert f"# not brought over (line {line}): PortLock = 0" in import_router(text, "x").text
+    assert f"# not converted (line {line}): PortLock = 0" in import_router(text, "x").text
 
 
 def test_the_tcp_server_is_there_unless_it_is_turned_off() -> None:
@@ -104,7 +104,7 @@ def test_filters_and_groups_keep_their_meaning() -> None:
         "block_src_sys_in": [7],
         "group": "pair",
     }
-    assert "RetryTimeout=0: skygcs tries again by itself" in notes(text)
+    assert "RetryTimeout=0: skygcs reconnects by itself" in notes(text)
 
 
 def test_a_broadcast_address_becomes_a_broadcasting_link() -> None:
@@ -127,7 +127,7 @@ def test_recording_is_what_it_was() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a = 1", 'line 1: "a" stands before the first section'),
+        ("a = 1", 'line 1: "a" is before the first section'),
         ("[General]\nnonsense", 'line 2: neither a section nor key = value: "nonsense"'),
         ("[General", 'line 1: not a section: "[General"'),
         ("[UartEndpoint]", "line 1: [UartEndpoint] needs a name"),
@@ -137,7 +137,7 @@ def test_recording_is_what_it_was() -> None:
         ("[UdpEndpoint a]\nMode=odd\nAddress=h", 'line 2: Mode must be Normal or Server, not "odd"'),
         ("[UdpEndpoint a]\nMode=Server\nAddress=h", "line 1: [UdpEndpoint a] has no Port"),
         ("[TcpEndpoint a]\nAddress=h\nPort=70000", 'Port must be a number from 1 to 65535, not "70000"'),
-        ("[TcpEndpoint a]\nAddress=h\nPort=1\n[TcpEndpoint a]", "line 4: [TcpEndpoint a] is there twice"),
+        ("[TcpEndpoint a]\nAddress=h\nPort=1\n[TcpEndpoint a]", "line 4: [TcpEndpoint a] is defined twice"),
     ],
 )
 def test_what_mavlink_router_would_not_take_is_refused_with_its_line(text: str, said: str) -> None:

@@ -378,4 +378,4 @@ async def test_a_fence_whose_items_make_none_is_no_plan() -> None:
 
 async def test_an_empty_plan_is_nothing_to_upload() -> None:
     async with Site() as (_, _, actor):
-        assert "clear its lists" in (await actor.upload_plan(plan=MissionPlan(), kinds=())).message
+        assert "clear the vehicle's lists" in (await actor.upload_plan(plan=MissionPlan(), kinds=())).message

@@ -517,7 +517,7 @@ async def test_hold_is_brake_and_then_guided_on_arducopter_and_loiter_on_px4() -
         assert px4.commands() == [(192, (-1.0, 1.0))]  # DO_REPOSITION to nowhere
 
 
-@pytest.mark.parametrize(("refused", "said"), [(17.0, "nothing is done instead"), (4.0, "it holds in BRAKE")])
+@pytest.mark.parametrize(("refused", "said"), [(17.0, "does nothing else instead"), (4.0, "it holds in BRAKE")])
 async def test_a_hold_that_is_refused_says_what_it_does_instead(refused: float, said: str) -> None:
     async with Ground() as ground:
         copter, actor = await flying(ground, ARDUPILOT)
@@ -616,9 +616,9 @@ async def test_old_arducopter_without_reposition_is_sent_one_guided_target_and_a
         ({"lat_deg": HOME[0], "lon_deg": 0.0}, "zero coordinate"),
         ({"lat_deg": 0.0, "lon_deg": HOME[1]}, "zero coordinate"),
         ({"lat_deg": 1.8e-6, "lon_deg": 2.2e-5, "height_m": 1}, "limit is 1000 m"),
-        ({"lat_deg": 91.0, "lon_deg": 8.0}, "no place on earth"),
-        ({"lat_deg": HOME[0], "lon_deg": 181.0}, "no place on earth"),
-        ({"lat_deg": math.nan, "lon_deg": HOME[1]}, "no place on earth"),
+        ({"lat_deg": 91.0, "lon_deg": 8.0}, "not a position on earth"),
+        ({"lat_deg": HOME[0], "lon_deg": 181.0}, "not a position on earth"),
+        ({"lat_deg": math.nan, "lon_deg": HOME[1]}, "not a position on earth"),
         ({**NEAR, "height_m": math.nan}, "not between"),
         ({**NEAR, "yaw_deg": math.inf}, "not between"),
         ({**NEAR, "height_m": 1100.0}, "limit is 1000 m"),

@@ -69,7 +69,7 @@ class Estimate(_Judged):
 
 @dataclass(frozen=True, slots=True)
 class Reference(_Judged):
-    """Where it shall be. An axis under ``velocity_only`` follows ``vel_enu_mps`` and leaves its position alone."""
+    """What the vehicle is to follow. An axis marked as velocity only follows ``vel_enu_mps``, not a position."""
 
     pos_enu_m: Vector = ZERO
     yaw_rad: float = 0.0

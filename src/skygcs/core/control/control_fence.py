@@ -87,7 +87,7 @@ class Fence:
         """
         what = what or ("the place to go to" if reference else "the vehicle")
         if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and math.isfinite(alt_amsl_m)):
-            return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is no place on earth"
+            return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is not a position on earth"
         x_m, y_m, up_m = self._frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m)
         if free_xy:
             x_m, y_m = sum(self.x_m) / 2, sum(self.y_m) / 2

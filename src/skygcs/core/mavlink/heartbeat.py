@@ -1,15 +1,15 @@
-"""Which HEARTBEATs are an autopilot's: the one rule of the daemon, its router, replays and the log tools.
+"""Identifies an autopilot's HEARTBEATs: one rule for the daemon, its router, replays and the log tools.
 
-    heartbeat                                                what it is
+    heartbeat                                                belongs to
     -----------------------------------------------------    ---------------------------------------------------------
-    autopilot INVALID; type GCS, companion, gimbal, ...      of another component ("other"): never a vehicle
+    autopilot INVALID; type GCS, companion, gimbal, ...      another component ("other"): never a vehicle
     autopilot GENERIC and type GENERIC, or type GENERIC      the same; a PX4Flow (81/50) says autopilot PX4, type
-    and not of component 1                                   GENERIC; a PX4 without an airframe says so as component 1
-    any other of ids that are not known                      makes a vehicle
-    known ids, same autopilot and type                       the vehicle's own
-    known ids, another autopilot or type                     of another vehicle ("contradicts"), until the known one has
+    and not of component 1                                   GENERIC; a PX4 without an airframe does so as component 1
+    any other heartbeat of unknown ids                       a new vehicle
+    known ids, same autopilot and type                       that vehicle ("own")
+    known ids, another autopilot or type                     another vehicle ("contradicts"), until the known one has
                                                              been silent for so long that it counts as lost
-    known ids, mode or arming state that alternates          two senders: the one that was there before stays, the
+    known ids, mode or arming state that alternates          two senders: the first one stays the vehicle, the
                                                              other one contradicts
 
 Seen in the wild: 2/2 flooding heartbeats with autopilot INVALID, 1/0 as ADS-B and as a second quadrotor with autopilot
@@ -34,27 +34,27 @@ COMPID_AUTOPILOT = 1
 
 NOT_VEHICLES = frozenset({6, 18, 26, 27, 30, 31, 32, 33, 34, 36, 38, 39, 40, 41, 42, 44, 48})
 """MAV_TYPE: GCS, onboard controller, gimbal, ADS-B, camera, charging station, FLARM, servo, Open Drone ID, battery,
-log, OSD, IMU, GPS, winch, illuminator, gripper. Parachute (37) is an airframe; what is yet to be defined is one too."""
+log, OSD, IMU, GPS, winch, illuminator, gripper. Parachute (37) and undefined values count as airframes."""
 
 DEFAULT_LOST_S = 5.0
-"""Without an own heartbeat for this time the vehicle is lost, and the next one identifies it again."""
+"""Without a heartbeat of its own for this time the vehicle is lost, and the next one identifies it again."""
 
 TYPE_CHANGE_S = 4.0
-"""So long the known type has to be silent before the same autopilot is believed another type (PX4 changes MAV_TYPE
+"""How long the known type must be silent before another type of the same autopilot is accepted (PX4 changes MAV_TYPE
 without a restart)."""
 
 ALTERNATION_S = 6.0
 RETURNS = 3
 RETURNS_SPREAD_S = 1.9
-"""A mode or arming state that was left and comes back within 6 s has returned. Once or twice happens, and a quick
-series does: a switch that was moved too far, heartbeats that come late. Three returns with 1.9 s between the first
-and the last are two senders: at 1 Hz each that shows after 3 s."""
+"""A mode or arming state that was left and comes back within 6 s has returned. One or two returns are normal, and so is
+a quick series: a switch moved too far, late heartbeats. Three returns with 1.9 s between the first and the last mean
+two senders: at 1 Hz each they are found after 3 s."""
 
 EXPECTED_S = 3.0
 EXPECTED_BEFORE_S = 1.0
-"""A vehicle that has acknowledged an order for a mode or arming shows it in a heartbeat up to 3 s later, or did so up
-to 1 s before (both firmwares send a heartbeat with the change, ArduCopter 4.6 before the acknowledgement). Such returns
-are its own: ArduCopter went GUIDED, RTL, GUIDED, BRAKE, GUIDED within 2 s by five orders."""
+"""A vehicle that has acknowledged a change of mode or arming shows it in a heartbeat up to 3 s later, or up to 1 s
+before (both firmwares send a heartbeat with the change, ArduCopter 4.6 before the acknowledgement). Such returns are
+not evidence of two senders: ArduCopter went GUIDED, RTL, GUIDED, BRAKE, GUIDED within 2 s by five orders."""
 
 STATE_COMMANDS = frozenset({11, 20, 21, 22, 24, 176, 192, 252, 300, 400})
 """Commands whose acceptance changes mode or arming: SET_MODE (ArduPilot acknowledges the message by its id),
@@ -64,18 +64,18 @@ MISSION_START, COMPONENT_ARM_DISARM."""
 MAV_RESULT_ACCEPTED = 0
 
 ALTERNATION_OVER_S = 4.0
-"""Two senders are one again when only one of the states was shown for so long: four heartbeats."""
+"""When only one of the two states was shown for this time, four heartbeats, there is one sender again."""
 
 SETTLED_S = 2.5
-"""A state that was shown for so long without a break was the vehicle's: of two that alternate, the one with the same
-arming state is believed."""
+"""A state shown for this time without a break was the vehicle's: of two that alternate, the one with the same arming
+state is taken for the vehicle's."""
 
 CHANGED_S = 1.5
-"""While two senders alternate, the kept one has changed its state if it was not shown for so long (one heartbeat may be
-lost) and a state comes that neither of them had."""
+"""While two senders alternate: if the vehicle's state was not shown for this time (one heartbeat may be lost) and a
+state comes that neither sender had, the vehicle has changed its state."""
 
 MAX_STATES = 8
-"""States remembered as left; a sender that shows more of them within ALTERNATION_S is recognised by those."""
+"""States remembered as left. A sender that shows more states within ALTERNATION_S is recognised by these alone."""
 
 MAX_SOURCES = 1024
 """Sources whose heartbeats are distinguished in one log; four times as many as there can be vehicles."""
@@ -84,14 +84,14 @@ HeartbeatOrigin = Literal["own", "other", "contradicts"]
 
 
 def is_vehicle(vehicle_type: int, autopilot: int, compid: int = COMPID_AUTOPILOT) -> bool:
-    """Whether a HEARTBEAT with these fields makes its sender a vehicle."""
+    """True if the sender of a HEARTBEAT with these fields is a vehicle."""
     if autopilot == AUTOPILOT_INVALID or vehicle_type in NOT_VEHICLES:
         return False
     return vehicle_type != TYPE_GENERIC or (autopilot != AUTOPILOT_GENERIC and compid == COMPID_AUTOPILOT)
 
 
 def discovers(frame: Frame) -> bool:
-    """Whether this frame makes its sender a vehicle: a verified HEARTBEAT of an autopilot. Never raises."""
+    """True for a verified HEARTBEAT of an autopilot: its sender is a vehicle. Never raises."""
     if frame.msgid != HEARTBEAT or frame.info is None or frame.sysid == 0:
         return False
     _, vehicle_type, autopilot, _ = heartbeat_fields(frame)
@@ -99,7 +99,7 @@ def discovers(frame: Frame) -> bool:
 
 
 def heartbeat_fields(frame: Frame) -> tuple[int, int, int, int]:
-    """(custom_mode, type, autopilot, base_mode); what was trimmed away is 0."""
+    """(custom_mode, type, autopilot, base_mode); trimmed bytes are 0."""
     shown = shown_by(frame)
     return int.from_bytes(shown[:4], "little"), shown[4], shown[5], shown[6]
 
@@ -113,9 +113,9 @@ def shown_by(heartbeat: Frame) -> bytes:
 
 
 class HeartbeatCheck:
-    """Separates a vehicle's own heartbeats from those that others send with its ids. Feed it all of them, in order.
+    """Separates a vehicle's own heartbeats from those that others send with its ids. It needs all of them, in order.
 
-    ``contradicted_at``: when a heartbeat of another vehicle came last. ``other_at``: the same of another component.
+    ``contradicted_at``: time of the last heartbeat of another vehicle; ``other_at``: of another component.
     """
 
     __slots__ = (
@@ -136,16 +136,16 @@ class HeartbeatCheck:
 
     def __init__(self, compid: int = COMPID_AUTOPILOT, lost_s: float = DEFAULT_LOST_S) -> None:
         self.identity: tuple[int, int] | None = None
-        """(type, autopilot) as known; None: the next autopilot's heartbeat says."""
+        """(type, autopilot) as known; None until the next heartbeat of an autopilot."""
         self.contradicted_at = self.other_at = float("-inf")
         self._compid = compid
         self._lost_s = lost_s
         self._own_at = float("-inf")
         self._kept = (False, 0)
         self._since = float("-inf")
-        """When the kept state came."""
+        """When the vehicle's present state was first shown."""
         self._settled_armed = False
-        """Whether it was armed while it showed one state for SETTLED_S."""
+        """True if it was armed when it had shown one state for SETTLED_S."""
         self._kept_at = float("-inf")
         self._left: dict[tuple[bool, int], tuple[float, list[float]]] = {}
         """By state: when it was left, and when it came back."""
@@ -154,7 +154,7 @@ class HeartbeatCheck:
 
     @property
     def alternating(self) -> bool:
-        """Whether two senders show different states."""
+        """True while two senders show different states."""
         return self._alternating
 
     def forget(self) -> None:
@@ -164,11 +164,11 @@ class HeartbeatCheck:
         self._alternating = False
 
     def heard(self, now: float) -> None:
-        """It was heard by another message that identifies it (HIGH_LATENCY2)."""
+        """Another message that identifies the vehicle came (HIGH_LATENCY2)."""
         self._own_at = now
 
     def expect_change(self, command: int, result: int, now: float) -> None:
-        """The vehicle answered a command (COMMAND_ACK): a change of state that it accepted is its own."""
+        """Note a COMMAND_ACK of the vehicle: a change of state that it accepted is its own."""
         if result != MAV_RESULT_ACCEPTED or command not in STATE_COMMANDS:
             return
         self._expected_until = now + EXPECTED_S
@@ -177,7 +177,7 @@ class HeartbeatCheck:
                 returns.pop()
 
     def judge(self, vehicle_type: int, autopilot: int, base_mode: int, custom_mode: int, now: float) -> HeartbeatOrigin:
-        """Whose this heartbeat is."""
+        """Classify a heartbeat with the vehicle's ids."""
         if not is_vehicle(vehicle_type, autopilot, self._compid):
             self.other_at = now
             return "other"
@@ -198,7 +198,7 @@ class HeartbeatCheck:
         return "own"
 
     def _becomes(self, vehicle_type: int, autopilot: int, now: float) -> bool:
-        """Whether the known autopilot is believed another type."""
+        """True if the known autopilot may have changed its type."""
         assert self.identity is not None
         known_type, known_autopilot = self.identity
         if autopilot != known_autopilot or vehicle_type == TYPE_GENERIC:
@@ -209,7 +209,7 @@ class HeartbeatCheck:
         return True
 
     def _shows(self, state: tuple[bool, int], now: float) -> bool:
-        """Whether this mode and arming state is the vehicle's own."""
+        """True if this mode and arming state is the vehicle's own."""
         if self._alternating:
             return self._alternates(state, now)
         if state == self._kept:
@@ -231,14 +231,14 @@ class HeartbeatCheck:
             return True
         self._alternating = True
         self.contradicted_at = now
-        # The first one is the first to have come back so often; but its mode may have changed meanwhile.
+        # The first sender's state is the first to return so often, but its mode may have changed meanwhile.
         if state[0] != self._settled_armed == before[0]:
             self._kept = before
         del self._left[self._kept]
         return self._kept == state
 
     def _alternates(self, state: tuple[bool, int], now: float) -> bool:
-        """As `_shows`, while two senders are there."""
+        """`_shows` while there are two senders."""
         if state == self._kept:
             self._kept_at = now
             if now - self.contradicted_at > ALTERNATION_OVER_S:
@@ -248,7 +248,7 @@ class HeartbeatCheck:
         if silent_s <= CHANGED_S or (state in self._left and silent_s <= ALTERNATION_OVER_S):
             return False
         if state in self._left:
-            self._end()  # only the other one is left
+            self._end()  # only the other sender is left
         self._kept, self._kept_at = state, now
         return True
 
@@ -264,9 +264,9 @@ class HeartbeatChecks:
         self._checks: dict[tuple[int, int], HeartbeatCheck] = {}
 
     def judge(self, frame: Frame, now: float) -> HeartbeatOrigin | None:
-        """Whose heartbeat this is; None: no heartbeat, or of a source that is not known as a vehicle.
+        """Classify a frame's heartbeat; None for other frames and for sources that are not known as vehicles.
 
-        It wants every frame of the log: an acknowledged order explains a change of state.
+        Every frame of the log must be given: an acknowledged command explains a change of state.
         """
         if frame.info is None or frame.msgid not in (HEARTBEAT, COMMAND_ACK):
             return None
@@ -285,5 +285,5 @@ class HeartbeatChecks:
         return check.judge(vehicle_type, autopilot, base_mode, custom_mode, now)
 
     def own(self, frame: Frame, now: float) -> bool:
-        """Whether this is a vehicle's own heartbeat."""
+        """True if this is a vehicle's own heartbeat."""
         return self.judge(frame, now) == "own"

@@ -1,7 +1,7 @@
 """Flight modes by name: what HEARTBEAT.custom_mode means for PX4 and for each ArduPilot vehicle.
 
 PX4 packs a main and a sub mode (px4_custom_mode.h: main << 16 | sub << 24); ArduPilot numbers its modes per vehicle
-type. Names are those operators know: PX4's as MAVROS writes them (AUTO.LOITER), ArduPilot's as in its
+type. Names are the common ones: PX4's as MAVROS writes them (AUTO.LOITER), ArduPilot's as in its
 parameters. Names are looked up in any case and with any of ``. _ -`` or nothing between the words.
 """
 
@@ -60,7 +60,7 @@ _PX4_ALIASES = {
     "POSITION": "POSCTL",
     "STABILIZE": "STABILIZED",
 }
-"""What QGroundControl and MAVSDK call some of them."""
+"""Other names of modes, used by QGroundControl and MAVSDK."""
 
 _COPTER = {
     0: "STABILIZE",
@@ -93,7 +93,7 @@ _COPTER = {
     28: "TURTLE",
     29: "RATE_ACRO",
 }
-"""8 and 10 are of ArduCopter 3.x; they are shown, and refused by newer firmware itself."""
+"""8 and 10 exist in ArduCopter 3.x only; newer firmware refuses them itself."""
 
 COPTER_NOT_ARMABLE = frozenset(
     {"RTL", "CIRCLE", "LAND", "FLIP", "AUTOTUNE", "BRAKE", "AVOID_ADSB", "SMART_RTL", "FOLLOW", "SYSTEMID"}
@@ -175,7 +175,7 @@ _PLANE_TYPES = frozenset({1, 16, 17, 19, 20, 21, 22, 23, 24, 25, 28, 47})
 
 
 def family(autopilot: int) -> Family:
-    """Which firmware family a HEARTBEAT.autopilot belongs to."""
+    """The firmware family of a HEARTBEAT.autopilot."""
     if autopilot == AUTOPILOT_PX4:
         return "px4"
     if autopilot == AUTOPILOT_ARDUPILOT:
@@ -184,12 +184,12 @@ def family(autopilot: int) -> Family:
 
 
 def is_copter(vehicle_type: int) -> bool:
-    """Whether ArduPilot's copter firmware flies this MAV_TYPE."""
+    """True if ArduPilot's copter firmware flies this MAV_TYPE."""
     return vehicle_type in _COPTER_TYPES
 
 
 def mode_name(autopilot: int, vehicle_type: int, base_mode: int, custom_mode: int) -> str:
-    """The mode a HEARTBEAT says, by name; never raises, an unknown one shows its number."""
+    """Name of a HEARTBEAT's mode; for an unknown mode its number. Never raises."""
     kind = family(autopilot)
     if kind == "generic":
         return _generic_name(base_mode)
@@ -207,17 +207,17 @@ def mode_names(autopilot: int, vehicle_type: int) -> tuple[str, ...]:
 
 
 def mode_number(autopilot: int, vehicle_type: int, name: str) -> int:
-    """custom_mode of a mode. Raises KeyError with a text for a person, listing near matches."""
+    """custom_mode of a mode. Raises KeyError with a message for the user that lists near matches."""
     kind = family(autopilot)
     if kind == "px4":
         return px4_custom_mode(name)
     if kind == "ardupilot":
         return _number_in(_ardupilot_table(vehicle_type), name)
-    raise KeyError("modes of this autopilot have no names skygcs knows")
+    raise KeyError("skygcs knows no mode names of this autopilot")
 
 
 def px4_mode_name(custom_mode: int) -> str:
-    """MANUAL, POSCTL, AUTO.LOITER ...; UNKNOWN(main.sub) for what no PX4 version known here has."""
+    """MANUAL, POSCTL, AUTO.LOITER ...; UNKNOWN(main.sub) for a mode that is not in the table."""
     main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
     if sub:
         return _PX4_SUB.get((main, sub)) or f"UNKNOWN({main}.{sub})"
@@ -225,7 +225,7 @@ def px4_mode_name(custom_mode: int) -> str:
 
 
 def px4_custom_mode(name: str) -> int:
-    """The custom_mode of a PX4 mode. Raises KeyError with a text for a person."""
+    """The custom_mode of a PX4 mode. Raises KeyError with a message for the user."""
     key = _group_values(name)
     key = _group_values(_PX4_ALIASES.get(key, key))
     for (main, sub), known in _PX4_SUB.items():
@@ -248,7 +248,7 @@ def copter_mode_name(custom_mode: int) -> str:
 
 
 def copter_mode_number(name: str) -> int:
-    """Number of an ArduCopter mode. Raises KeyError with a text for a person."""
+    """Number of an ArduCopter mode. Raises KeyError with a message for the user."""
     return _number_in(_COPTER, name)
 
 

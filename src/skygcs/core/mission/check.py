@@ -105,7 +105,9 @@ def errors(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 def _home_findings(home: PlannedHome | None) -> Iterator[Finding]:
     if home is not None and not (abs(home.lat_deg) <= 90 and abs(home.lon_deg) <= 180):
-        yield Finding(True, MissionType.MISSION, None, f"home at {home.lat_deg}, {home.lon_deg} is no place on earth")
+        yield Finding(
+            True, MissionType.MISSION, None, f"home at {home.lat_deg}, {home.lon_deg} is not a position on earth"
+        )
 
 
 def _counts(plan: MissionPlan, limits: CheckLimits, family: Family | None) -> Iterator[Finding]:
@@ -182,7 +184,7 @@ def _place(item: MissionItem, family: Family | None) -> Iterator[tuple[bool, str
         if item.position is not None:
             lat, lon = item.position
             if not (abs(lat) <= 90 and abs(lon) <= 180):
-                yield True, f"{lat}, {lon} is no place on earth"
+                yield True, f"{lat}, {lon} is not a position on earth"
         elif item.command in NEEDS_PLACE:
             zero = (item.x, item.y) == (0, 0)
             if family == "px4" or not zero:

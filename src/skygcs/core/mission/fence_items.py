@@ -62,7 +62,7 @@ class FencePlan:
 
 
 def on_grid(lat_deg: float, lon_deg: float) -> Corner:
-    """The nearest place that can travel. Raises ValueError for NaN and what is no place on earth."""
+    """The nearest position that the wire can carry. Raises ValueError for NaN and for positions not on earth."""
     for name, value, most in (("latitude", lat_deg, 90.0), ("longitude", lon_deg, 180.0)):
         if not -most <= value <= most:
             raise ValueError(f"{name} {value} is not between -{most:g} and {most:g}")

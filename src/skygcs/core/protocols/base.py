@@ -1,7 +1,7 @@
 """Base of the request/reply state machines: time goes in, effects come out, one deadline says when to call again.
 
-The shell owns the machine: it calls `start` once, `on_timer` when ``deadline`` has come, the machine's own ``on_x``
-methods when something arrived, and carries out the effects returned, in order. A machine with an outcome returns no
+The shell owns the machine: it calls `start` once, `on_timer` when ``deadline`` has come, the machine's other methods
+when a message arrived, and carries out the effects returned, in order. A machine with an outcome returns no
 further effects and has no deadline.
 """
 

@@ -2,7 +2,7 @@
 every class with a bound and a policy, all of it within a budget of bytes.
 
 Pure: the sender (shell) offers, asks when the next may go and what it is, and writes. How large the budget is decides
-`core.pacing`.
+`core.radio_link.pacing`.
 """
 
 from __future__ import annotations

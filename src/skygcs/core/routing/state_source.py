@@ -42,7 +42,7 @@ SILENT_S = 2.5
 """Two heartbeats may be lost; a channel that is silent for longer does not receive the vehicle."""
 
 DEFAULT_LOST_S = 5.0
-"""`daemon.vehicle_timeout_s`."""
+"""Default of ``vehicle_timeout_s`` in the fleet file."""
 
 HIGH_LATENCY_FACTOR = 4
 """A satellite channel sends HIGH_LATENCY2 every 5 s instead of heartbeats (as `core.vehicle`)."""

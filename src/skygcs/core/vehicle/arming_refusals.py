@@ -1,8 +1,8 @@
-"""Reasons for a refused arming that waiting cannot cure, and what a person does about each.
+"""Reasons for a refused arming that do not pass with time, and what the operator does about each.
 
 `arm --wait` repeats the command while the estimator converges. It must not repeat it for a minute while the mode or a
 switch forbids arming. The texts are those of the firmwares: ArduPilot `AP_Arming.cpp` and `ArduCopter/AP_Arming.cpp`
-(4.7-dev), PX4 `CommandClient.cpp` and `HealthAndArmingChecks` (1.16). A text that is not listed may be cured by time.
+(4.7-dev), PX4 `CommandClient.cpp` and `HealthAndArmingChecks` (1.16). A reason that is not listed may pass with time.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ LASTING_REASONS: tuple[tuple[str, str], ...] = (
     (r"requires reboot", "reboot it: skygcs-cli reboot {name}"),
     (
         r"radio failsafe on|RC calibrating|not neutral|throttle above center|denied: high throttle",
-        "see to its transmitter",
+        "check its transmitter",
     ),
     (r"below minimum arming voltage|low battery", "charge or change its battery"),
     (r"no SD card|missing FMU SD card", "put an SD card into its autopilot"),
-    (r"sensor \d+ missing|compass sensor \d+ missing", "see to its sensors; preflight lists them"),
+    (r"sensor \d+ missing|compass sensor \d+ missing", "check its sensors; preflight lists them"),
     (r"duplicate aux switch|RC\d*_OPTION conflict", "correct its parameters; preflight lists them"),
     (r"check frame_class", "set its frame: skygcs-cli param set {name} FRAME_CLASS 1 (1: quadrotor), then reboot it"),
 )
@@ -35,7 +35,7 @@ _PATTERNS = tuple((re.compile(pattern, re.IGNORECASE), todo) for pattern, todo i
 
 
 def todo_for(texts: Iterable[str], name: str) -> str | None:
-    """What a person has to do before the vehicle ``name`` arms; None where time may cure what ``texts`` complain of."""
+    """What the operator has to do before ``name`` arms; None if the reasons in ``texts`` may pass with time."""
     for text in texts:
         for pattern, todo in _PATTERNS:
             if pattern.search(text):

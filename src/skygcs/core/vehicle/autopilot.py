@@ -1,6 +1,6 @@
-"""Everything in which PX4 and ArduPilot differ when they are told to do something. Pure: state in, plan out.
+"""Orders as PX4 and ArduPilot take them: all differences between the two are here. Pure: state in, plan out.
 
-What each order is made of, and why:
+The messages of each order, and why:
 
     order     PX4                                          ArduCopter
     -------   ------------------------------------------   -------------------------------------------------------------
@@ -9,27 +9,27 @@ What each order is made of, and why:
               NaN yaw and place
     land      NAV_LAND                                     NAV_LAND
     rtl       NAV_RETURN_TO_LAUNCH                         NAV_RETURN_TO_LAUNCH
-    hold      DO_REPOSITION to nowhere (NaN): pause        mode BRAKE, then GUIDED
+    hold      DO_REPOSITION without a position: pause      mode BRAKE, then GUIDED
     stop      the same                                     mode BRAKE
     goto      DO_REPOSITION as COMMAND_INT, AMSL,          the same, height above home; older than 4.1: GUIDED and
               changing the mode itself                     SET_POSITION_TARGET_GLOBAL_INT; a yaw is CONDITION_YAW
 
-- PX4 refuses to arm in a manual mode without RC, and one armed in AUTO.MISSION or AUTO.TAKEOFF flies off by itself: a
-  takeoff first goes to AUTO.LOITER, from whatever other mode it is in. Arming comes before NAV_TAKEOFF (PX4 takes them
-  in any order): a refused arm must not leave it in AUTO.TAKEOFF, where the next arming, by whomever, would lift it off.
-- ArduCopter's LOITER takes the throttle stick for climb rate: without RC it sinks. BRAKE stops as fast as it can where
-  it is and holds, in any flight mode, with or without RC, and takes no setpoints. But it counts as a mode of a pilot
+- PX4 refuses to arm in a manual mode without RC, and if it is armed in AUTO.MISSION or AUTO.TAKEOFF it flies off: a
+  takeoff first sets AUTO.LOITER, from any other mode. Arming comes before NAV_TAKEOFF (PX4 accepts them in any order):
+  a refused arming must not leave it in AUTO.TAKEOFF, where the next arming, from any station, would lift it off.
+- ArduCopter's LOITER reads the throttle stick as climb rate: without RC it sinks. BRAKE stops as fast as possible and
+  holds, in any flight mode, with or without RC, and ignores setpoints. But it counts as a piloted mode
   (ModeBrake::is_autopilot is false), in which the failsafe for a lost ground station does nothing while FS_OPTIONS has
   bit 4, as it has by default (events.cpp, failsafe_gcs_on_event; seen in flight). So `hold` goes on to GUIDED, which
   from another mode begins with velocity 0 and holds where it stops (ModeGuided::init). BRAKE comes first: a vehicle
-  that is in GUIDED already takes no notice of GUIDED (Copter::set_mode) and would fly on to its target. A position
-  target is not used: what is known here of its position may be a second old, or of another vehicle with the same id.
-  Where telemetry is lost and orders still arrive, nothing answers BRAKE and it would stay there (seen in flight): each
-  repeat of it is followed by SET_MODE GUIDED.
-  `stop` stays in BRAKE: nobody's setpoints move it then.
+  that is in GUIDED already ignores the mode change (Copter::set_mode) and would fly on to its target. A position target
+  is not used: the position known here may be a second old, or be that of another vehicle with the same id.
+  If telemetry is lost while orders still arrive, no answer to BRAKE comes and the vehicle would stay in it (seen in
+  flight): SET_MODE GUIDED follows each repeat of BRAKE.
+  `stop` stays in BRAKE, where no setpoints move the vehicle.
 - PX4 holds in AUTO.LOITER; NAV_DLL_ACT acts there after COM_DL_LOSS_T unless COM_DLL_EXCEPT names that mode.
-- PX4 flies a goto in AUTO.LOITER, and that mode ordered once more changes nothing: it would fly on (1.16.1, seen in
-  flight: 25 m). DO_REPOSITION without a place, height and yaw is its "pause vehicle" (navigator_main.cpp): it enters
+- PX4 flies a goto in AUTO.LOITER, and setting that mode again changes nothing: it would fly on (1.16.1, seen in
+  flight: 25 m). DO_REPOSITION without position, height and yaw is its "pause vehicle" (navigator_main.cpp): it enters
   AUTO.LOITER from any mode, brakes, and stays where it stops. QGroundControl pauses with the same command.
 - DO_REPOSITION is acknowledged by both; ArduCopter ignores its yaw (GCS_MAVLink_Copter.cpp, 4.1 to 4.7).
 - land and rtl are the same command for both, so that one broadcast frame serves a mixed fleet.
@@ -62,17 +62,17 @@ REQUEST_MESSAGE = 512
 """MAV_CMD: wire constants, the same in every dialect."""
 
 FORCE_ARM_MAGIC = 21196.0
-"""param2 of COMPONENT_ARM_DISARM: skips the checks; disarms in the air."""
+"""param2 of COMPONENT_ARM_DISARM: arms without checks, disarms in the air."""
 
 FORCE_REBOOT_MAGIC = 20190226.0
-"""param6 of PREFLIGHT_REBOOT_SHUTDOWN: ArduPilot reboots even when armed. PX4 has no such thing and refuses."""
+"""param6 of PREFLIGHT_REBOOT_SHUTDOWN: ArduPilot reboots even when armed. PX4 refuses it."""
 
 FRAME_GLOBAL = 0
 FRAME_GLOBAL_RELATIVE_ALT = 3
 FRAME_GLOBAL_RELATIVE_ALT_INT = 6
 
 ESTIMATE_S = 1.0
-"""For the answer to one question for its estimate; it is asked again with the next try."""
+"""Time for the answer to one request for its estimator status; the next attempt requests it again."""
 
 CHANGE_MODE = 1.0
 """MAV_DO_REPOSITION_FLAGS_CHANGE_MODE."""
@@ -82,7 +82,7 @@ NAN = math.nan
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """Where to go: the height both ways, so that each autopilot gets the one it takes."""
+    """A position to fly to, with the height in both references: PX4 takes AMSL, ArduCopter the height above home."""
 
     lat_deg: float
     lon_deg: float
@@ -106,8 +106,8 @@ def arm(*, force: bool = False) -> Plan:
 
 
 def arm_to_fly(vehicle: Vehicle, now: float, estimate_msgid: int) -> Plan:
-    """As `arm`, and not before it knows where it is: an ArduCopter arms in STABILIZE without a position, and refuses
-    the takeoff then. PX4's own checks cover its mode. ``estimate_msgid``: of EKF_STATUS_REPORT."""
+    """`arm`, once the estimator has a position: an ArduCopter arms in STABILIZE without one, and then refuses the
+    takeoff. PX4's own checks cover this. ``estimate_msgid``: msgid of EKF_STATUS_REPORT."""
     copter = vehicle.family == "ardupilot" and modes.is_copter(vehicle.type)
     if not copter or vehicle.armed or HasPosition().met(vehicle, now):
         return arm()
@@ -117,14 +117,14 @@ def arm_to_fly(vehicle: Vehicle, now: float, estimate_msgid: int) -> Plan:
 
 
 def disarm(*, force: bool = False) -> Plan:
-    """Of a duplicate system id only once it is confirmed (`stop.require_confirmed`)."""
+    """Disarm; with a duplicate system id only once that is confirmed (`stop.require_confirmed`)."""
     spec = CommandSpec(COMPONENT_ARM_DISARM, (0.0, FORCE_ARM_MAGIC if force else 0.0))
     step = Step("disarm", spec, expect=ArmedIs(False))
     return Plan("disarm", (step,), "disarmed", emergency=force, final=force, despite_duplicate=True)
 
 
 def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan:
-    """``alt_amsl_m``: where the vehicle stands; PX4 needs it, ArduCopter counts from home itself."""
+    """``alt_amsl_m``: altitude of the ground the vehicle stands on; PX4 needs it, ArduCopter counts from home."""
     if vehicle.family == "px4":
         if alt_amsl_m is None:
             raise NotReadyError("its altitude is not known yet, and PX4 takes off to an altitude above sea level")
@@ -150,8 +150,8 @@ def rtl(vehicle: Vehicle) -> Plan:
 
 
 def hold(vehicle: Vehicle) -> Plan:
-    """Stop here and stay, where its failsafe for a lost ground station still acts. Raises RefusedError where the
-    firmware has no mode that does."""
+    """Stop and hold, in a mode in which the failsafe for a lost ground station still acts. Raises RefusedError if the
+    firmware has no such mode."""
     braked = brake(vehicle)
     if not (modes.is_copter(vehicle.type) and vehicle.family == "ardupilot"):
         return braked
@@ -166,13 +166,13 @@ def hold(vehicle: Vehicle) -> Plan:
     return Plan("hold", steps, "holding in GUIDED", despite_duplicate=True)
 
 
-NO_HOLD = "it needs a position to hold, and nothing is done instead: land it, or take the sticks"
-BRAKE_NOTE = "its failsafe for a lost ground station does nothing there while FS_OPTIONS has bit 4 (16)"
+NO_HOLD = "it needs a position to hold, and it does nothing else instead: land it, or fly it by transmitter"
+BRAKE_NOTE = "its failsafe for a lost ground station does nothing in BRAKE while FS_OPTIONS has bit 4 (16)"
 IN_BRAKE = "it holds in BRAKE"
 
 
 def brake(vehicle: Vehicle) -> Plan:
-    """Stop here and stay, and take no setpoints. Raises RefusedError where the firmware has no mode that does."""
+    """Stop, hold and ignore setpoints. Raises RefusedError if the firmware has no such mode."""
     names = modes.mode_names(vehicle.autopilot, vehicle.type)
     if modes.is_copter(vehicle.type) and "BRAKE" in names:
         wanted = "BRAKE"
@@ -184,7 +184,7 @@ def brake(vehicle: Vehicle) -> Plan:
     step = mode_step(vehicle, number, or_disarmed=True)
     if vehicle.family == "px4":
         pause = CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN, NAN, NAN, NAN))
-        # AUTO.LOITER is also the mode of the goto that is to end, in which only the acknowledgement shows it.
+        # AUTO.LOITER is also the mode of a goto: then only the acknowledgement shows that the goto has ended.
         expect = None if vehicle.custom_mode == number else step.expect
         step = Step("pause", pause, expect=expect, instead=(step,))
     return Plan("hold", (step,), f"holding in {wanted}", despite_duplicate=True)
@@ -220,7 +220,7 @@ def reboot(vehicle: Vehicle, *, force: bool = False) -> Plan:
 
 
 def set_home(place: Destination | None) -> Plan:
-    """None: where it is now."""
+    """None: the present position."""
     if place is None:
         spec = CommandSpec(DO_SET_HOME, (1.0,))
     else:
@@ -229,7 +229,7 @@ def set_home(place: Destination | None) -> Plan:
 
 
 def message_interval(msgid: int, rate_hz: float | None, *, refused: str = "") -> Plan:
-    """``rate_hz`` 0 turns it off, None is the vehicle's own default."""
+    """``rate_hz``: 0 turns the message off, None restores the vehicle's default."""
     interval_us = 0.0 if rate_hz is None else -1.0 if rate_hz == 0 else round(1e6 / rate_hz)
     done = "default rate" if rate_hz is None else f"{rate_hz:g} Hz" if rate_hz else "off"
     step = Step("interval", CommandSpec(SET_MESSAGE_INTERVAL, (float(msgid), interval_us)), refused=refused)
@@ -237,7 +237,7 @@ def message_interval(msgid: int, rate_hz: float | None, *, refused: str = "") ->
 
 
 def firmware_name(vehicle: Vehicle) -> str:
-    """For a person."""
+    """The firmware's name in messages to the user."""
     return {"px4": "PX4", "ardupilot": "ArduPilot"}.get(vehicle.family, "its autopilot")
 
 
@@ -248,7 +248,7 @@ def _arm_step(*, force: bool = False, skip_if_met: bool = False) -> Step:
 
 
 def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_if_met: bool = False) -> Step:
-    """DO_SET_MODE to a custom_mode, shown by the heartbeat."""
+    """DO_SET_MODE to a custom_mode; the heartbeat confirms it."""
     if vehicle.family == "px4":
         params = (float(modes.CUSTOM_MODE_ENABLED), float(number >> 16 & 0xFF), float(number >> 24 & 0xFF))
     else:
@@ -260,7 +260,7 @@ def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_
 
 
 def mode_name(vehicle: Vehicle, number: int) -> str:
-    """What this vehicle's firmware calls a custom_mode."""
+    """Name of a custom_mode in this vehicle's firmware."""
     return modes.mode_name(vehicle.autopilot, vehicle.type, modes.CUSTOM_MODE_ENABLED, number)
 
 
@@ -293,7 +293,7 @@ def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float | None
 
 
 def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step, ...]:
-    """For firmware without DO_REPOSITION. The message is not acknowledged: the vehicle is asked for its target."""
+    """For firmware without DO_REPOSITION. The message has no acknowledgement: the vehicle's target is requested."""
     yaw = to.yaw_deg
     values = {
         "coordinate_frame": FRAME_GLOBAL_RELATIVE_ALT_INT,

@@ -1,13 +1,13 @@
-"""The vehicle's own clock: how long it has been up, and when it starts again.
+"""Finds reboots by the vehicle's time_boot_ms.
 
-time_boot_ms goes back ...                                  means
+time_boot_ms goes back ...                                  interpretation
 --------------------------------------------------------    ------------------------------------------------
 by less than JITTER_MS                                      frames out of order
 at the 32-bit wrap                                          nothing
-after a silence of SILENCE_S or more                        a reboot: it takes seconds
-while the clock before was heard just now, and that one     a reboot, found CONFIRM_S later
+after a silence of SILENCE_S or more                        a reboot: a start takes seconds
+just after the old clock was heard, and the old clock       a reboot, reported CONFIRM_S later
 is not heard again
-... and that one is heard again                             two vehicles with one system id: no reboot
+... and the old clock is heard again                        two vehicles with one system id: no reboot
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ JITTER_MS = 3000
 
 WRAP_MS = 1 << 32
 WRAP_MARGIN_MS = 600_000
-"""time_boot_ms is 32 bits: it starts at 0 again after 49.7 days, which is no reboot."""
+"""time_boot_ms has 32 bits: it wraps to 0 after 49.7 days."""
 
 SILENCE_S = 2.5
-"""No autopilot restarts faster (ArduPilot and PX4 take 3 s and more until they send again); what two vehicles send
-comes more often."""
+"""No autopilot restarts faster (ArduPilot and PX4 take 3 s and more until they send again); with two vehicles frames
+come more often."""
 
 CONFIRM_S = 2.5
-"""A clock that went back without a silence has to be the only one for so long."""
+"""How long a clock that went back without a silence must be the only one heard to count as a reboot."""
 
 TWO_CLOCKS_S = 10.0
-"""Two clocks are one again when only one was heard for so long."""
+"""When only one of two clocks was heard for this time, there is one vehicle again."""
 
 
 class BootClock:
-    """Fed with every time_boot_ms looked at; `on_boot_ms` says whether the vehicle has started anew since the last."""
+    """`on_boot_ms` takes each time_boot_ms that is read and returns whether the vehicle has restarted since the
+    last."""
 
     __slots__ = ("_at", "_before", "_boot_ms", "_two_at", "went_back_at")
 
@@ -39,10 +40,10 @@ class BootClock:
         self._boot_ms: int | None = None
         self._at = 0.0
         self._before: tuple[int, float] | None = None
-        """The clock before it went back, and when that was heard last."""
+        """The clock as it was before it went back, and when that was heard last."""
         self._two_at = float("-inf")
         self.went_back_at: float | None = None
-        """Since when there may be another clock; None: there is one. Look closely meanwhile."""
+        """Since when there may be a second clock; None: there is one clock. While set, every clock must be read."""
 
     def on_boot_ms(self, boot_ms: int, now: float) -> bool:
         if self._before is not None and self._is_the_one_before(boot_ms, now):
@@ -68,7 +69,7 @@ class BootClock:
         return False
 
     def _is_the_one_before(self, boot_ms: int, now: float) -> bool:
-        """Whether this continues the clock that was there before, rather than the new one."""
+        """True if this value continues the old clock rather than the new one."""
         assert self._before is not None and self._boot_ms is not None
         before_ms, at = self._before
         off_before = abs(boot_ms - before_ms - 1000 * (now - at))
@@ -80,17 +81,17 @@ class BootClock:
         return self._found_alone(now)
 
     def _found_alone(self, now: float) -> bool:
-        """The clock that went back is the only one; whether that is a reboot, not the one of two that is left."""
+        """The clock that went back is the only one. True if that is a reboot, not the remaining one of two vehicles."""
         went_back = self.went_back_at is not None and not self.two_clocks(now)
         self._before = self.went_back_at = None
         return went_back
 
     def two_clocks(self, now: float) -> bool:
-        """Whether two vehicles speak under this id, by their clocks."""
+        """True if the clocks show two vehicles with this id."""
         return now - self._two_at < TWO_CLOCKS_S
 
     def forget(self) -> None:
-        """A boot text reported the reboot: the next time_boot_ms is a new beginning, not a second reboot."""
+        """A boot text reported the reboot: the next time_boot_ms starts a new clock and is not a second reboot."""
         self._boot_ms = None
         self._before = self.went_back_at = None
 

@@ -1,6 +1,6 @@
-"""One component that is no autopilot: a companion computer, a camera, a gimbal, a ground station's program.
+"""One component that is not an autopilot: a companion computer, a camera, a gimbal, a ground station's program.
 
-What it says is kept beside its system's vehicle. It never changes the vehicle's state, which is the autopilot's alone.
+Its messages are kept beside its system's vehicle and never change the vehicle's state, which is the autopilot's.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from skygcs.core.vehicle.message_cache import Slot
 from skygcs.core.vehicle.statustext import StatusText, StatusTextAssembler
 
 MAX_MESSAGES = 64
-"""Different messages kept of one component; a companion that flies a vehicle sends some 15. More are counted."""
+"""Message types kept of one component; a companion that flies a vehicle sends some 15. Others are only counted."""
 
 MAX_TEXTS = 8
-"""Newest texts of one component."""
+"""Texts kept of one component, the newest."""
 
 AUTOPILOT_INVALID = 8
 
@@ -34,7 +34,7 @@ class Component:
         self.others = Slot("others")
         """All messages beyond `MAX_MESSAGES`, counted together."""
         self.type: int | None = None
-        """MAV_TYPE; None: it has sent no heartbeat."""
+        """MAV_TYPE; None without a heartbeat."""
         self.autopilot = AUTOPILOT_INVALID
         self.texts: deque[StatusText] = deque(maxlen=MAX_TEXTS)
         self._decoder = decoder
@@ -49,7 +49,7 @@ class Component:
         return self.sysid << 8 | self.compid
 
     def on_frame(self, frame: Frame, now: float) -> Texts:
-        """Note a frame that a CRC vouches for. Never raises."""
+        """Note a frame with a verified CRC. Never raises."""
         slot = self._slot(frame)
         slot.frame = frame
         slot.at = now
@@ -62,14 +62,15 @@ class Component:
         return []
 
     def state_update(self, msgid: int) -> Slot | None:
-        """The slot of a message of which `on_frame` does no more than to put it there (a heartbeat: of one with the
-        payload of the last); None: of another one."""
+        """The cache slot of a message for which `on_frame` only updates that slot (a heartbeat: only while its payload
+        is that of the last one); None for other messages."""
         if msgid in (self._status_text, self._ack):
             return None
         return self.slots.get(msgid, self.others)
 
     def tick(self, now: float, period_s: float | None) -> Texts:
-        """Texts that will not be completed; with ``period_s``, the time since the last such call, also the rates."""
+        """Return texts that stay incomplete. With ``period_s``, the time since the last such call, also update the
+        rates."""
         if period_s:
             for slot in self.slots.values():
                 slot.sample(period_s)
@@ -85,7 +86,7 @@ class Component:
         return 0 if slot is None else slot.count
 
     def describe(self, now: float) -> dict[str, Any]:
-        """JSON-able: what it is, when it was heard, and how much it has sent."""
+        """JSON-able: its type, when it was heard, and how much it has sent."""
         dialect = self._decoder.dialect
         return describe(
             self.compid,

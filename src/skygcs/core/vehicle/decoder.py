@@ -1,4 +1,4 @@
-"""What is read of which message, and the readers for it: one `Decoder` per dialect, shared by all vehicles."""
+"""The fields that are read of each message, and readers for them: one `Decoder` per dialect, shared by all vehicles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 
 Reader = Callable[[bytes], tuple[Any, ...]]
-"""A payload, trimmed or not, to fields in a fixed order, by one struct call."""
+"""Reads fields of a payload, trimmed or not, in a fixed order with one struct call."""
 
 Values = Mapping[str, tuple[Any, ...]]
 """Per message its scalar fields in the order of `FIELDS`, then its arrays in the order of `ARRAYS`."""
@@ -104,18 +104,18 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "EXTENDED_SYS_STATE": ("landed_state",),
     "AUTOPILOT_VERSION": ("flight_sw_version", "capabilities"),
 }
-"""What is read of each message. A message that a dialect lacks, or has with other fields, is not folded."""
+"""The fields read of each message. A message that a dialect lacks, or has with other fields, is not decoded."""
 
 ARRAYS: dict[str, tuple[str, ...]] = {"BATTERY_STATUS": ("voltages",), "ATTITUDE_TARGET": ("q", "type_mask", "thrust")}
 
 
 class Decoder:
-    """Readers of one dialect's messages; made once and shared by all vehicles."""
+    """Readers of one dialect's messages; built once and shared by all vehicles."""
 
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
         self.read: dict[str, Reader] = {}
-        """Readers of the scalar fields; a message that this dialect cannot give is not among them."""
+        """Readers of the scalar fields, without messages that this dialect does not have."""
         self._read_all: dict[str, Reader] = {}
         for name in FIELDS.keys() | ARRAYS.keys():
             info = dialect.by_name.get(name)
@@ -126,17 +126,17 @@ class Decoder:
                 self._read_all[name] = _reader(info, (*fields, *arrays)) if arrays else self.read[name]
 
     def msgid_of(self, message: str) -> int:
-        """Id of a message of the dialect; -1 if it has none of that name."""
+        """msgid of a message of the dialect; -1 if there is no message of that name."""
         info = self.dialect.by_name.get(message)
         return -1 if info is None else info.msgid
 
     def values(self, name: str, payload: bytes) -> tuple[Any, ...]:
-        """The fields of `FIELDS`, then the arrays of the message, in order; () if this dialect cannot give them."""
+        """The fields of `FIELDS`, then the message's arrays, in order; () if the dialect does not have them."""
         read = self._read_all.get(name)
         return () if read is None else read(payload)
 
     def bit_names(self, enum: str, bits: int, prefix: str) -> list[str]:
-        """Names of the set bits, lower case, without the prefix; unnamed bits as ``bit_N``."""
+        """Names of the set bits, lower case, without the prefix; unnamed bits as "bit_5"."""
         entries = self.dialect.enums.get(enum, {})
         names = []
         for n in range(bits.bit_length()):

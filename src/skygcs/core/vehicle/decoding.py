@@ -1,7 +1,7 @@
-"""From messages to sections of the state: the only place where scaled integers, NED and FRD are read.
+"""Decodes messages to telemetry groups: the only place where scaled integers, NED and FRD are read.
 
-A section is folded when somebody looks, from the last frame of each message it is made of. "Not known" markers of the
-protocol (65535, -1, INT_MAX, NaN ...) become None. Everything comes out JSON-able, in SI units, degrees and ENU.
+A group is decoded when it is read, from the last frame of each of its messages. "Not known" values of the protocol
+(65535, -1, INT_MAX, NaN ...) become None. Results are JSON-able, in SI units, degrees and ENU.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ FIX_NAMES = ("no_gps", "no_fix", "2d", "3d", "dgps", "rtk_float", "rtk_fixed", "
 
 @dataclass(frozen=True, slots=True)
 class TelemetryGroupSpec:
-    """A part of the state: its name, the messages it is made of, and how. None: nothing to say.
+    """A telemetry group: its name, its messages, and the function that decodes them (None: no data).
 
-    ``combine``: the messages complete each other and all are handed in; otherwise they say the same, and only one is:
-    the first of them that is not much older than the others.
+    ``combine``: the messages complete each other and all are passed. Otherwise they carry the same data and one is
+    passed: the first in the list that is not much older than the others.
     """
 
     name: str
@@ -45,7 +45,7 @@ def _scaled(value: int, unknown: int, scale: float, digits: int) -> float | None
 
 
 def _amps(centiamps: int) -> float | None:
-    """-1 is "not measured"; PX4 multiplies its own -1 A for that by 100."""
+    """-1 is "not measured"; PX4 multiplies its -1 A for this by 100."""
     return None if centiamps in (-1, -100) else centiamps / 100
 
 
@@ -54,7 +54,7 @@ def _numbers(values: Sequence[float], scale: float = 1.0, digits: int = 4) -> li
 
 
 def _lat_lon(lat: int, lon: int) -> tuple[float | None, float | None]:
-    """Degrees; 0, 0 and INT_MAX are what autopilots send before they know."""
+    """Degrees; autopilots send 0, 0 or INT_MAX before they have a position."""
     if (lat == 0 and lon == 0) or lat == 0x7FFFFFFF or lon == 0x7FFFFFFF:
         return None, None
     return lat / 1e7, lon / 1e7
@@ -81,8 +81,8 @@ GlobalPosition = tuple[float | None, float | None, float, tuple[float, float, fl
 
 
 def global_position(fields: tuple[Any, ...]) -> GlobalPosition:
-    """Of GLOBAL_POSITION_INT what control looks at for every setpoint. Its velocity is north, east, **down** (cm/s):
-    turned to ENU here and nowhere else."""
+    """The part of GLOBAL_POSITION_INT that control reads for every setpoint. Its velocity is north, east, **down**
+    (cm/s): it is rotated to ENU here and nowhere else."""
     _, lat, lon, alt, _, vx, vy, vz, _ = fields
     lat_deg, lon_deg = _lat_lon(lat, lon)
     return lat_deg, lon_deg, alt / 1000, (vy / 100, vx / 100, -vz / 100)
@@ -113,8 +113,8 @@ def decode_local(v: Values, decoder: Decoder) -> TelemetryGroup | None:
 
 
 def finite_angles(fields: tuple[Any, ...]) -> bool:
-    """Whether roll, pitch and yaw of an ATTITUDE are numbers."""
-    return math.isfinite(fields[1] + fields[2] + fields[3])  # of floats: no sum of three leaves a double's range
+    """True if roll, pitch and yaw of an ATTITUDE are finite."""
+    return math.isfinite(fields[1] + fields[2] + fields[3])  # 32-bit floats: a sum of three stays in a double's range
 
 
 def decode_attitude(v: Values, decoder: Decoder) -> TelemetryGroup | None:
@@ -163,7 +163,7 @@ def euler_from_quaternion(w: float, x: float, y: float, z: float) -> tuple[float
 
 
 def decode_battery(v: Values, decoder: Decoder) -> TelemetryGroup | None:
-    """SYS_STATUS speaks of the main battery; what it does not know is taken from BATTERY_STATUS of battery 0."""
+    """SYS_STATUS describes the main battery; values it lacks are taken from BATTERY_STATUS of battery 0."""
     volts = amps = percent = consumed = temperature = remaining_s = None
     if "SYS_STATUS" in v:
         millivolts, centiamps, left = v["SYS_STATUS"][4:7]
@@ -219,7 +219,7 @@ EKF_VARIANCE_LIMIT = 0.8
 
 
 def decode_estimator(v: Values, decoder: Decoder) -> TelemetryGroup | None:
-    """``ok``: good enough to navigate by; ``ratios`` are innovations against their gates (1 = rejected)."""
+    """``ok``: good enough to navigate by; ``ratios``: innovations relative to their gates (1 = rejected)."""
     accuracy: list[float | None] = [None, None]
     if "EKF_STATUS_REPORT" in v:
         flags, *ratios = v["EKF_STATUS_REPORT"]
@@ -281,7 +281,7 @@ def decode_rc(v: Values, decoder: Decoder) -> TelemetryGroup | None:
 
 
 def decode_imu(v: Values, decoder: Decoder) -> TelemetryGroup | None:
-    """Body axes (FRD). RAW_IMU carries the same units as SCALED_IMU on ArduPilot, its only sender here."""
+    """Body axes (FRD). ArduPilot, the only sender of RAW_IMU here, uses the units of SCALED_IMU in it."""
     pressure = temperature = None
     if "HIGHRES_IMU" in v:
         *axes, pressure_hpa, temperature_degc = v["HIGHRES_IMU"]
@@ -305,10 +305,10 @@ def decode_servos(v: Values, decoder: Decoder) -> TelemetryGroup | None:
 
 
 def decode_mission(v: Values, decoder: Decoder) -> TelemetryGroup | None:
-    """``count`` of items; ``last_ack`` is the autopilot's last word on a transfer (MAV_MISSION_RESULT)."""
+    """``count``: number of items; ``last_ack``: the last MAV_MISSION_RESULT of a transfer."""
     seq, total = v.get("MISSION_CURRENT", (None, 0))
     (count,) = v.get("MISSION_COUNT", (None,))
-    if total:  # 0: it does not say; 65535: there is no mission
+    if total:  # 0: not reported; 65535: no mission
         count = 0 if total == 65535 else total
     last_ack = None
     if "MISSION_ACK" in v:

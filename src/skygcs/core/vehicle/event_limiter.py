@@ -1,8 +1,8 @@
-"""Bounds the events of one vehicle and kind: a vehicle that flaps fills neither the log nor the list of events.
+"""Limits the events of each vehicle and kind: a vehicle whose state alternates must not fill log and event list.
 
-Per source and kind a token bucket. Once it is empty, further events are withheld: counted, and the newest one kept.
-At the end of the period that one passes, with how many were withheld. So nothing that lasts is lost: what is
-reported last is what is true, though not each change on the way there.
+Each source and kind has a token bucket. While it is empty, further events are withheld: counted, and the newest kept.
+At the end of the period the newest passes, with the number withheld. So the last event always shows the present
+state, although not every change before it is reported.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from skygcs.events import Event
 
 
 class Limit(NamedTuple):
-    """``burst`` events at once, and one more each ``period_s``; as often at most the newest of those withheld."""
+    """``burst`` events at once, then one per ``period_s``: the newest of those withheld."""
 
     burst: int
     period_s: float
 
 
 STATE = Limit(30, 1.0)
-"""A mission that is landed, disarmed and armed again makes some ten changes in a minute. The newest state shows after
-a second at the latest."""
+"""A vehicle that lands, is disarmed and armed again makes some ten changes in a minute. The newest state is shown after
+at most a second."""
 
 TEXT = Limit(60, 5.0)
 """ArduPilot sends some 30 texts when it starts, and up to 20 pre-arm reasons at once every 30 s."""
 
 ORDER = Limit(100, 0.1)
-"""A program that gives an order ten times a second sees each outcome among the events."""
+"""A program that gives ten orders a second finds each outcome among the events."""
 
 WARNING = 4
 """MAV_SEVERITY_WARNING; lower is worse."""
 
 URGENT_TEXT = "urgent text"
-"""Errors and worse have a bucket of their own: chatter must not hide a crash."""
+"""Errors and worse have a bucket of their own, so that frequent other texts cannot hide a crash."""
 
 LIMITS = {"statustext": TEXT, URGENT_TEXT: TEXT, "command": ORDER, "params": ORDER, "mission": ORDER}
 
@@ -45,11 +45,10 @@ GROUPS = {
     "link_down": "link_up",
     "link_recovered": "link_degraded",
 }
-"""Kinds that undo each other share a bucket: what is withheld of both is the newer one."""
+"""Kinds that undo each other share a bucket: the newer of the two is kept."""
 
 MAX_SOURCES = 1024
-"""Vehicles and kinds kept apart: 250 vehicles have four kinds of changes each in bad weather. Further ones share one
-bucket per kind."""
+"""Buckets: 250 vehicles with four kinds of changes each on a bad link. Further vehicles share one bucket per kind."""
 
 
 @dataclass(slots=True)
@@ -58,7 +57,7 @@ class _Bucket:
     tokens: float
     filled_at: float
     newest: Event | None = None
-    """Of the withheld ones."""
+    """The newest of the withheld events."""
     withheld: int = 0
     withheld_since: float = 0.0
 
@@ -73,15 +72,16 @@ class _Bucket:
 
 
 class EventLimiter:
-    """`offer` every event, `tick` once to ten times a second; both return what passes, in order."""
+    """Call `offer` for every event and `tick` once to ten times a second; both return the events that pass, in
+    order."""
 
     def __init__(self) -> None:
         self.withheld = 0
-        """Events in all that were counted only."""
+        """Total number of events that were only counted."""
         self._buckets: dict[Hashable, _Bucket] = {}
 
     def offer(self, event: Event, now: float) -> tuple[Event, ...]:
-        """The event if it passes, behind what was withheld before it and is due by now."""
+        """The event if it passes, after withheld events that are due."""
         bucket = self._bucket(event, now)
         due = self._due(bucket, now)
         if bucket.newest is None and bucket.take(now):
@@ -93,14 +93,14 @@ class EventLimiter:
         return () if due is None else (due,)
 
     def tick(self, now: float) -> tuple[Event, ...]:
-        """What was withheld long enough."""
+        """Withheld events whose period is over."""
         passed = [due for bucket in self._buckets.values() if (due := self._due(bucket, now)) is not None]
         for key in [key for key, bucket in self._buckets.items() if _is_idle(bucket, now)]:
             del self._buckets[key]
         return tuple(passed)
 
     def flush(self, now: float) -> tuple[Event, ...]:
-        """All that is withheld, at once: nothing comes after."""
+        """All withheld events at once; no more events follow."""
         return tuple(e for bucket in self._buckets.values() if (e := self._newest(bucket, now)) is not None)
 
     def _due(self, bucket: _Bucket, now: float) -> Event | None:
@@ -136,6 +136,6 @@ class EventLimiter:
 
 
 def _is_idle(bucket: _Bucket, now: float) -> bool:
-    """Whether it is full again, so that a new one would do the same."""
+    """True if the bucket is full again: a new one would behave alike."""
     burst, period_s = bucket.limit
     return bucket.newest is None and bucket.tokens + (now - bucket.filled_at) / period_s >= burst

@@ -1,4 +1,4 @@
-"""The fence that an autopilot's parameters make: a cylinder about home, and what is done beyond it.
+"""The fence of an autopilot's parameters: a cylinder around home, and the action on leaving it.
 
     word       PX4, GF_ACTION   ArduCopter, FENCE_ACTION
     none       0                FENCE_ENABLE 0
@@ -33,7 +33,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "px4": ("GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", "GF_ACTION"),
     "ardupilot": ("FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_ACTION", "FENCE_TYPE", "FENCE_ENABLE"),
 }
-"""In the order in which they are set: what is switched on is complete then."""
+"""In the order in which they are set: the fence is complete before it is switched on."""
 
 TYPE_HEIGHT, TYPE_CIRCLE, TYPE_LIST = 1, 2, 4
 """Bits of FENCE_TYPE; the last is for the polygons and circles of the fence list."""
@@ -46,12 +46,12 @@ REACTIONS: Mapping[str, frozenset[str]] = {
     "return": frozenset({"AUTO.RTL", "RTL", "SMART_RTL", "LAND"}),
     "land": frozenset({"AUTO.LAND", "LAND"}),
 }
-"""Modes that an action leads to."""
+"""Modes that the autopilot enters by an action."""
 
 
 @dataclass(frozen=True, slots=True)
 class FenceSettings:
-    """``radius_m``, ``height_m``: None is no limit. ``follows_list``: whether polygons and circles are watched, too."""
+    """``radius_m``, ``height_m``: None is no limit. ``follows_list``: polygons and circles are in force, too."""
 
     enabled: bool
     action: str
@@ -76,7 +76,7 @@ class FenceSettings:
 
 
 def names_of(vehicle: Vehicle) -> tuple[str, ...]:
-    """Its fence's parameters. Raises RefusedError for an autopilot or a kind of vehicle that has others."""
+    """Names of the fence parameters. Raises RefusedError for an autopilot or a kind of vehicle with other ones."""
     if vehicle.family == "ardupilot" and not modes.is_copter(vehicle.type):
         raise RefusedError("skygcs knows the fence parameters of an ArduPilot for copters only; set them yourself")
     if vehicle.family not in NAMES:
@@ -85,7 +85,7 @@ def names_of(vehicle: Vehicle) -> tuple[str, ...]:
 
 
 def settings_of(family: str, held: Mapping[str, float]) -> FenceSettings:
-    """What these parameters, all of NAMES, make."""
+    """The fence of these parameters, all of NAMES."""
     if family == "px4":
         number = int(held["GF_ACTION"])
         return FenceSettings(
@@ -112,7 +112,7 @@ def _word(actions: Mapping[str, int], number: int) -> str:
 def changes(
     family: str, held: Mapping[str, float], *, radius_m: float | None, height_m: float | None, action: str | None
 ) -> dict[str, float]:
-    """Parameters to set, in this order, for what is not None; a size of 0 takes that limit away.
+    """Parameters to set, in this order, for the arguments that are not None; a size of 0 removes that limit.
 
     Raises RefusedError for an action that the autopilot does not have.
     """
@@ -138,8 +138,8 @@ def changes(
 
 
 def back_to(family: str, held: Mapping[str, float], changed: Mapping[str, float]) -> dict[str, float]:
-    """What was held of the parameters that were changed, in the order in which they are put back: a fence that was off
-    is switched off first."""
+    """Values of the changed parameters as they were, in the order in which they are restored: a fence that was off is
+    switched off first."""
     back = {name: value for name, value in held.items() if name in changed and changed[name] != value}
     if family == "ardupilot" and not held["FENCE_ENABLE"]:
         return {"FENCE_ENABLE": 0.0, **back}
@@ -147,16 +147,16 @@ def back_to(family: str, held: Mapping[str, float], changed: Mapping[str, float]
 
 
 def reports_breach(text: str) -> bool:
-    """Whether a status text tells that the vehicle is beyond its fence, in the words of either autopilot."""
+    """True if a status text of either autopilot reports that the vehicle is outside its fence."""
     low = text.lower()
-    if "cleared" in low or "outside geofence" in low:  # an end, or a target that was refused
+    if "cleared" in low or "outside geofence" in low:  # the end of a breach, or a refused target
         return "approaching or outside" in low
     reported = ("fence breach", "geofence violation", "breaching", "failsafe activated: fence", "fence breached")
     return any(words in low for words in reported)
 
 
 def breach(vehicle: Vehicle, *, fresh_after: float) -> bool | None:
-    """What its telemetry, told after that time, says: FENCE_STATUS, else its part of SYS_STATUS; None: nothing."""
+    """Breach by telemetry newer than that time: FENCE_STATUS, else the bit of SYS_STATUS; None if there is none."""
     slot = vehicle.slot("FENCE_STATUS")
     if slot is not None and slot.frame is not None and slot.at >= fresh_after:
         return bool(slot.frame.fields()["breach_status"])
@@ -170,7 +170,7 @@ def breach(vehicle: Vehicle, *, fresh_after: float) -> bool | None:
 
 
 def from_home_m(vehicle: Vehicle) -> float | None:
-    """How far it is from its home, horizontally; None if it does not tell both."""
+    """Horizontal distance from its home; None unless both positions are known."""
     home, here = vehicle.telemetry("home"), vehicle.telemetry("position")
     if home is None or here is None or here["lat_deg"] is None:
         return None
@@ -178,12 +178,12 @@ def from_home_m(vehicle: Vehicle) -> float | None:
 
 
 def require_testable(vehicle: Vehicle, now: float, radius_m: float) -> None:
-    """Raises RefusedError for a vehicle in the air, and for one that stands beyond the fence of the test already."""
+    """Raises RefusedError for a vehicle in the air, and for one that stands outside the test's fence already."""
     if vehicle.in_air(now):
-        raise RefusedError("it is in the air: the fence is tested on foot, with the propellers off")
+        raise RefusedError("it is in the air: carry the vehicle over the fence by hand, with the propellers off")
     away_m = from_home_m(vehicle)
     if away_m is not None and away_m >= radius_m:
         raise RefusedError(
-            f"it stands {away_m:.1f} m from its home, beyond a fence of {radius_m:g} m already: set home where it "
+            f"it stands {away_m:.1f} m from its home, outside a fence of {radius_m:g} m already: set home where it "
             f"stands (skygcs-cli home {vehicle.name}), and begin again"
         )

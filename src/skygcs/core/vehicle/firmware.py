@@ -13,7 +13,7 @@ _BANNER = re.compile(
 
 
 def firmware_from_version(flight_sw_version: int) -> str | None:
-    """``4.5.1``, ``1.16.0-rc2``; None for 0, which is "not told"."""
+    """``4.5.1``, ``1.16.0-rc2``; None for 0, which is "unknown"."""
     if not flight_sw_version:
         return None
     major, minor, patch = flight_sw_version >> 24 & 0xFF, flight_sw_version >> 16 & 0xFF, flight_sw_version >> 8 & 0xFF
@@ -24,6 +24,6 @@ def firmware_from_version(flight_sw_version: int) -> str | None:
 
 
 def firmware_from_banner(text: str) -> str | None:
-    """The version in ``ArduCopter V4.5.1 (f4a2dcba)``; None if the text is no banner."""
+    """The version in ``ArduCopter V4.5.1 (f4a2dcba)``; None if the text is not a banner."""
     match = _BANNER.match(text)
     return match[1] if match else None

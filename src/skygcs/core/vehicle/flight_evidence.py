@@ -1,9 +1,9 @@
-"""Whether a vehicle may be flying although its heartbeat says that it is disarmed.
+"""Evidence that a vehicle flies although its heartbeat shows it disarmed.
 
-The armed bit of one heartbeat may be forged, or come from another vehicle. An autopilot that is disarmed reports itself
-on the ground within two seconds (EXTENDED_SYS_STATE of ArduCopter and PX4), stands still and does not turn its motors.
-Whatever contradicts that counts: control by setpoints then holds instead of just ending, and orders that would be
-dangerous in the air need `force`.
+The armed bit of one heartbeat may be forged, or come from another vehicle. A disarmed autopilot reports itself on the
+ground within two seconds (EXTENDED_SYS_STATE of ArduCopter and PX4), stands still and does not turn its motors. If
+telemetry contradicts that, control by setpoints orders a hold before it ends, and orders that would be dangerous in the
+air need `force`.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from skygcs.core.vehicle.state import AIRBORNE
 from skygcs.core.vehicle.vehicle import Vehicle
 
 FRESH_S = 3.0
-"""What is older says nothing about now: the slowest stream profile sends 0.5 Hz, and one may be lost."""
+"""Older telemetry is not used: the slowest stream profile sends 0.5 Hz, and one message may be lost."""
 
 HEIGHT_M = 5.0
-"""Height over home that no vehicle on the ground shows by mistake: barometers drift by 1 or 2 m."""
+"""Height over home that a vehicle on the ground never shows: barometers drift by 1 or 2 m."""
 
 CLIMB_MPS = 1.0
 SPEED_MPS = 3.0
-"""Faster than a vehicle is carried, and than what GPS shows of one that stands."""
+"""Faster than a vehicle is carried by hand, and than GPS noise of a standing one."""
 
 THROTTLE_PERCENT = 10
 
@@ -31,7 +31,7 @@ RECENTLY_ARMED_S = 3.0
 
 
 def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
-    """What says that it flies, whatever the armed bit says; None: nothing."""
+    """Telemetry that shows the vehicle flying, whatever its armed bit; None if there is none."""
     state, at = vehicle.landed_state()
     if state in AIRBORNE and now - at <= FRESH_S:
         return f"it reports itself {'in the air' if state == 'in_air' else 'in ' + state}"
@@ -42,9 +42,9 @@ def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
         if position["alt_rel_m"] > HEIGHT_M and position["lat_deg"] is not None:
             return f"it is {position['alt_rel_m']:.0f} m above its home"
         if abs(up) > CLIMB_MPS:
-            return f"it {'climbs' if up > 0 else 'sinks'} with {abs(up):.1f} m/s"
+            return f"it {'climbs' if up > 0 else 'sinks'} at {abs(up):.1f} m/s"
         if speed > SPEED_MPS:
-            return f"it moves with {speed:.1f} m/s"
+            return f"it moves at {speed:.1f} m/s"
     vfr, vfr_at = vehicle.telemetry("vfr"), vehicle.telemetry_at("vfr")
     turning = vfr is not None and modes.is_copter(vehicle.type) and vfr["throttle_percent"] >= THROTTLE_PERCENT
     if vfr is not None and turning and vfr_at is not None and now - vfr_at <= FRESH_S:
@@ -53,7 +53,7 @@ def flight_evidence(vehicle: Vehicle, now: float) -> str | None:
 
 
 def contradiction(vehicle: Vehicle, now: float) -> str | None:
-    """Why it may be flying although its heartbeat says disarmed; None if it is armed, or surely disarmed."""
+    """Why it may be flying although its heartbeat shows it disarmed; None if it is armed, or certainly disarmed."""
     if vehicle.armed:
         return None
     if vehicle.duplicate_beside:
@@ -62,16 +62,16 @@ def contradiction(vehicle: Vehicle, now: float) -> str | None:
 
 
 def why_maybe_flying(vehicle: Vehicle, now: float) -> str | None:
-    """Of a vehicle whose heartbeat says disarmed: why that is not believed; None: it is."""
+    """Why a heartbeat that shows the vehicle disarmed is doubted; None if it is not."""
     if (evidence := contradiction(vehicle, now)) is not None:
-        return f"its heartbeat says disarmed, but {evidence}"
+        return f"its heartbeat shows it disarmed, but {evidence}"
     if vehicle.duplicate_elsewhere is not None:
         return f"two vehicles have its system id ({vehicle.duplicate_elsewhere})"
     return None
 
 
 def why_not_idle(vehicle: Vehicle, now: float) -> str | None:
-    """Why it must be taken for armed, so that nothing is done to it that is dangerous in the air; None: it is idle."""
+    """Why the vehicle must be treated as armed, and orders dangerous in the air be refused; None: it is idle."""
     if vehicle.armed:
         return "it is armed"
     if (why := why_maybe_flying(vehicle, now)) is not None:

@@ -1,4 +1,4 @@
-"""Several vehicles sent to one place must not meet there: they keep their places relative to each other."""
+"""Offsets for several vehicles that are sent to one place: they keep their positions relative to each other."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from skygcs.core.geo import Origin, distance_m, enu_from_geodetic, geodetic_from
 K = TypeVar("K")
 
 APART_M = 3.0
-"""Two vehicles nearer than this both across and in height are one GPS error from each other."""
+"""Two vehicles closer than this, horizontally and in height, may collide by a GPS error."""
 
 
 def offsets_en_m(places: Mapping[K, tuple[float, float]]) -> dict[K, tuple[float, float]]:
-    """East and north of each (lat_deg, lon_deg) from the middle of all, in metres; the offsets sum to zero."""
+    """East and north offset of each (lat_deg, lon_deg) from their mean, in metres; the offsets sum to zero."""
     if not places:
         return {}
     local_origin = next(iter(places.values()))

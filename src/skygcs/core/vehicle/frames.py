@@ -1,7 +1,7 @@
-"""Between the fleet's world frame, in which people and programs speak, and what flies a vehicle. Pure.
+"""Converts between the fleet's world frame, which people and programs use, and a vehicle's control frame. Pure.
 
-Places go through latitude and longitude, velocities and angles are turned: so the two frames may differ in origin and
-heading, and a change of the world moves nobody.
+Positions are converted by latitude and longitude, velocities and angles are rotated. So the frames may differ in origin
+and heading, and a change of the world frame moves no vehicle.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from skygcs.errors import RefusedError
 MAX_OFFSET_M = 100_000.0
 MAX_SPEED_MPS = 100.0
 MAX_ACCELERATION_MPS2 = 30.0
-"""What is larger is a mistake of units."""
+"""A larger value is a mistake in the unit."""
 
 Axes = Sequence[float | None]
 
@@ -41,8 +41,8 @@ def setpoint_from_world(
     acc_mps2: Sequence[float] | None,
     yaw_deg: float | None,
 ) -> Setpoint:
-    """A setpoint given along the world's axes; None among the numbers is "not given". An axis without a position
-    follows its velocity. Raises RefusedError for what cannot be meant."""
+    """Make a setpoint from values along the world frame's axes; None is "not given". An axis without a position follows
+    its velocity. Raises RefusedError for impossible values."""
     x, y, up = _axes("pos_enu_m", pos_m, MAX_OFFSET_M)
     vel = _axes("vel_enu_mps", vel_mps, MAX_SPEED_MPS)
     acc = None if acc_mps2 is None else _axes("acc_enu_mps2", acc_mps2, MAX_ACCELERATION_MPS2)
@@ -62,14 +62,14 @@ def setpoint_from_world(
 
 
 def yaw_enu_rad(world_yaw_deg: float, origin: Origin) -> float:
-    """Yaw in the world (from its x axis) -> true ENU yaw."""
+    """Yaw in the world frame (from its x axis) -> true ENU yaw."""
     if not abs(world_yaw_deg) <= 360.0:  # also false for NaN
         raise RefusedError(f"a yaw of {world_yaw_deg:g} is not between -360 and 360")
     return math.radians(yaw_enu_from_heading_deg(heading_from_world_yaw_deg(math.radians(world_yaw_deg), origin)))
 
 
 def shown(status: dict[str, Any], frame: EnuFrame | None, origin: Origin | None) -> dict[str, Any]:
-    """An `OffboardController.status` for programs and people: JSON, along the world frame's axes. Without an origin
+    """Convert an `OffboardController.status` for display: JSON-able, along the world frame's axes. Without an origin
     it has no position, and directions are true ENU."""
     reference, error = status["reference"], status["error_enu_m"]
     where = None

@@ -1,4 +1,4 @@
-"""Where a vehicle that is flown by setpoints shall be: said on earth, so that a change of any frame moves nobody."""
+"""Targets of control as geodetic positions, so that a change of any frame moves no vehicle."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class GeodeticPosition:
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """One setpoint of a stream. The velocity is true ENU; an axis that is ``free`` follows the velocity alone, and
-    what ``place`` says of it does not matter. None: zero, and for the yaw: as it was."""
+    """One setpoint of a stream. The velocity is true ENU; an axis that is ``free`` follows the velocity alone and
+    ignores ``place``. None: zero; a yaw of None keeps the present reference."""
 
     place: GeodeticPosition | None = None
     vel_enu_mps: Vector | None = None

@@ -1,6 +1,6 @@
-"""The last frame of every message of one vehicle, how often each comes, and the sections of the state they fold to.
+"""The message cache of one vehicle: the last frame of each message, message rates, and the decoded telemetry groups.
 
-Nothing is unpacked before somebody looks, and nothing twice: a folded section is kept as long as its frames are.
+A frame is unpacked when a group is first read, and only once: a decoded group is kept as long as its frames are.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.decoding import GROUPS, TelemetryGroup, TelemetryGroupSpec
 
 SMOOTHING = 0.4
-"""Weight of the newest second in a rate: a 1 Hz message sampled once a second is counted 0, 1 or 2 times."""
+"""Weight of the newest second in a rate: sampled once a second, a 1 Hz message is counted 0, 1 or 2 times."""
 
 ALTERNATIVE_LAG_S = 2.0
-"""Of messages that say the same, the preferred one is taken unless it is this much older than the newest."""
+"""Of messages with the same data the preferred one is used, unless it is this much older than the newest."""
 
 
 _NOTHING: tuple[None, tuple[Any, ...]] = (None, ())
@@ -25,7 +25,7 @@ _NOTHING: tuple[None, tuple[Any, ...]] = (None, ())
 class Slot:
     """One message. ``frame`` is None only after a reboot; ``rate_hz`` is smoothed over some seconds.
 
-    ``unpacked`` is the frame that was unpacked last and what was read of it (see `MessageCache.values`).
+    ``unpacked``: the frame that was unpacked last and the values read from it (see `MessageCache.values`).
     """
 
     __slots__ = ("_mark", "_sampled", "at", "count", "frame", "name", "rate_hz", "unpacked")
@@ -41,7 +41,7 @@ class Slot:
         self._sampled = False
 
     def sample(self, period_s: float) -> None:
-        """To be called about once a second with the time since the last call."""
+        """Call about once a second with the time since the last call."""
         measured = (self.count - self._mark) / period_s
         self._mark = self.count
         if self._sampled:
@@ -54,7 +54,7 @@ class Slot:
 
 
 class MessageCache:
-    """Slots by message id: never more than the dialect has messages."""
+    """Slots by msgid; bounded by the number of messages in the dialect."""
 
     def __init__(self, decoder: Decoder) -> None:
         self.decoder = decoder
@@ -63,12 +63,12 @@ class MessageCache:
         self._ids = {s.name: tuple(map(decoder.msgid_of, s.messages)) for s in GROUPS}
 
     def slot(self, message: str) -> Slot | None:
-        """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
+        """The last frame of a message, its time and count; None if none came since the last reboot."""
         slot = self.slots.get(self.decoder.msgid_of(message))
         return slot if slot is not None and slot.frame is not None else None
 
     def values(self, slot: Slot) -> tuple[Any, ...]:
-        """What is read of the slot's frame (`decoder.Values`), unpacked once, however many sections are made of it."""
+        """Values of the slot's frame (`decoder.Values`), unpacked once for all groups that read it."""
         frame = slot.frame
         if frame is None:
             return ()
@@ -77,11 +77,12 @@ class MessageCache:
         return slot.unpacked[1]
 
     def telemetry(self, name: str) -> tuple[TelemetryGroup | None, float]:
-        """One section without its age, and when its newest message came. It is kept: do not change it."""
+        """One telemetry group without its age, and when its newest message came. The group is shared: do not modify
+        it."""
         return self._group_values(_BY_NAME[name])
 
     def telemetry_groups(self, now: float) -> dict[str, dict[str, Any] | None]:
-        """All sections, each with its age; the caller's own."""
+        """All telemetry groups, each with its age; the result belongs to the caller."""
         result: dict[str, dict[str, Any] | None] = {}
         for section in GROUPS:
             group_values, at = self._group_values(section)
@@ -95,19 +96,19 @@ class MessageCache:
         }
 
     def sample(self, period_s: float) -> None:
-        """Work out the rates; about once a second."""
+        """Update the rates; about once a second."""
         for slot in self.slots.values():
             slot.sample(period_s)
 
     def forget_before(self, now: float, keep: str) -> None:
-        """Forget what was said before ``now`` (the vehicle began anew), but for one message."""
+        """Drop all frames received before ``now`` (the vehicle restarted), but for one message."""
         kept = self.decoder.msgid_of(keep)
         for msgid, slot in self.slots.items():
             if msgid != kept and slot.at < now:
                 slot.frame = None
 
     def newest(self, messages: tuple[str, ...]) -> Slot | None:
-        """Which of these messages came last."""
+        """The message that came last of these."""
         slots = [s for s in map(self.slot, messages) if s is not None]
         return max(slots, key=lambda s: s.at) if slots else None
 

@@ -1,6 +1,6 @@
-"""Orders about a mission that is on board: start, resume, set the current item; and what an autopilot does its own way.
+"""Orders about a mission on board: start, resume, set the current item; and how the autopilots' missions differ.
 
-Items have the numbers of their plan, from 1. Pausing is holding (`orders.hold`): either autopilot goes on with the
+Items have the numbers of their plan, from 1. To pause is to hold (`orders.hold`): both autopilots go on with the
 current item when its mission mode is set again.
 """
 
@@ -26,17 +26,17 @@ DO_SET_MISSION_CURRENT = 224
 MISSION_START = 300
 
 CURRENT_S = 6.0
-"""MISSION_CURRENT comes at 0.2 to 1 Hz where nobody asks for more."""
+"""MISSION_CURRENT comes at 0.2 to 1 Hz by default."""
 
 MAX_FINDINGS = 5
-"""Findings named in a refusal; `mission check` tells all."""
+"""Findings named in a refusal; `mission check` lists all."""
 
 MISSION_MODES = frozenset({"AUTO.MISSION", "AUTO"})
 
 
 @dataclass(frozen=True, slots=True)
 class CurrentItemIs:
-    """MISSION_CURRENT tells this sequence number."""
+    """MISSION_CURRENT has this sequence number."""
 
     seq: int
 
@@ -47,27 +47,27 @@ class CurrentItemIs:
     def unmet(self, vehicle: Vehicle, now: float) -> str:
         mission = vehicle.telemetry("mission")
         if mission is None or mission["seq"] is None:
-            return "it does not tell its current item"
+            return "it does not report its current item"
         return f"the current item is still {number_of(vehicle, mission['seq'])}"
 
 
 def number_of(vehicle: Vehicle, seq: int) -> int:
-    """An item's number in the plan; 0 is an ArduPilot's home."""
+    """An item's number in the plan; an ArduPilot's home is 0."""
     return seq if keeps_home(vehicle) else seq + 1
 
 
 def keeps_home(vehicle: Vehicle) -> bool:
-    """Whether item 0 of its mission is its home."""
+    """True if item 0 of its mission is its home."""
     return vehicle.family == "ardupilot"
 
 
 def keeps_old(vehicle: Vehicle, kind: MissionType) -> bool:
-    """Whether it holds its old list until a new one is whole, instead of writing item over item."""
+    """True if it keeps its old list until the new one is complete, instead of overwriting item by item."""
     return vehicle.family == "px4" or (vehicle.family == "ardupilot" and kind is MissionType.FENCE)
 
 
 def on_wire(vehicle: Vehicle, plan: MissionPlan, kind: MissionType, dialect: Dialect) -> tuple[MissionItem, ...]:
-    """One of a plan's lists as this vehicle takes it; () for an empty one, which is to be cleared instead."""
+    """One list of a plan in the form this vehicle takes; () for an empty list, which is to be cleared instead."""
     if kind is not MissionType.MISSION:
         return plan.items(kind)
     items = converted(vehicle, plan, dialect).items
@@ -79,7 +79,7 @@ def on_wire(vehicle: Vehicle, plan: MissionPlan, kind: MissionType, dialect: Dia
 
 
 def converted(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect) -> Converted:
-    """The plan's mission as this vehicle's firmware takes it, and what was changed for that."""
+    """The plan's mission in the form this vehicle's firmware takes, and the changes made for that."""
     return for_firmware(plan.mission, _family(vehicle), dialect.enums.get("MAV_CMD", {}))
 
 
@@ -90,7 +90,7 @@ def _family(vehicle: Vehicle) -> Family | None:
 def with_downloaded(
     vehicle: Vehicle, plan: MissionPlan, kind: MissionType, items: tuple[MissionItem, ...]
 ) -> MissionPlan:
-    """The plan with what was downloaded; the inverse of `on_wire`. Raises ValueError for a fence that is none."""
+    """The plan with a downloaded list; the inverse of `on_wire`. Raises ValueError for an impossible fence."""
     if kind is not MissionType.MISSION:
         return plan.with_items(kind, items)
     first_is_home = keeps_home(vehicle) and bool(items)
@@ -101,7 +101,7 @@ def with_downloaded(
 
 
 def findings(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect, limit_m: float) -> tuple[Finding, ...]:
-    """What is wrong with a plan for this vehicle where it is now."""
+    """Problems of a plan for this vehicle at its present position."""
     position = vehicle.telemetry("position")
     place = None
     if position is not None and position["lat_deg"] is not None:
@@ -122,7 +122,9 @@ def require_uploadable(
     """Raises RefusedError for a plan with errors, and while the vehicle flies its mission; ``force`` insists."""
     require_connected(vehicle, now)
     if not kinds:
-        raise RefusedError("the plan is empty: there is nothing to upload; to empty the vehicle, clear its lists")
+        raise RefusedError(
+            "the plan is empty: there is nothing to upload; to clear the vehicle's lists use mission clear"
+        )
     if force:
         return
     armed = vehicle.armed or contradiction(vehicle, now) is not None
@@ -153,16 +155,16 @@ def set_current(vehicle: Vehicle, now: float, item: int) -> Plan:
 
 
 def start(vehicle: Vehicle, now: float, *, first: int = 1, arm: bool = True) -> Plan:
-    """From item ``first`` on; arms on the ground unless told not to."""
+    """Start with item ``first``; on the ground it arms first if ``arm``."""
     require_connected(vehicle, now)
     if not vehicle.armed and not arm:
-        raise RefusedError("it is not armed, and starting was to leave that alone")
+        raise RefusedError("it is not armed, and the start was ordered without arming")
     current = _current_step(vehicle, first)
     return Plan("mission", (current, *_go(vehicle)), f"flying its mission from item {first}")
 
 
 def resume(vehicle: Vehicle, now: float) -> Plan:
-    """With the current item."""
+    """Go on with the current item."""
     require_connected(vehicle, now)
     if not vehicle.armed:
         raise RefusedError("it is not armed; start the mission")
@@ -181,7 +183,7 @@ def _current_step(vehicle: Vehicle, item: int) -> Step:
 
 
 def _go(vehicle: Vehicle) -> tuple[Step, ...]:
-    """Into the mission, from the ground or in the air.
+    """Enter the mission mode, from the ground or in the air.
 
     A PX4 that is armed in AUTO.MISSION flies off: the mode comes first and is taken back if the arming fails. An
     ArduCopter arms in GUIDED and waits for MISSION_START.

@@ -1,12 +1,12 @@
-"""Taking a vehicle over and giving it back: who may be taken over, in which mode it obeys setpoints, and on what terms.
+"""Entering and leaving control by setpoints: which vehicles allow it, in which mode, and with which parameters.
 
-    PX4         OFFBOARD. It enters only while setpoints come: more than 2 a second, for more than a second before
-                (offboardCheck.cpp: one within COM_OF_LOSS_T), and leaves when they stop, to what COM_OBL_RC_ACT says.
-    ArduCopter  GUIDED. It enters with a position; without setpoints of velocity or attitude for GUID_TIMEOUT (3 s) it
-                levels and stops. Thrust of SET_ATTITUDE_TARGET is a climb rate unless GUID_OPTIONS has bit 3.
+    PX4         OFFBOARD. It enters only if setpoints have come for more than a second, more than 2 a second
+                (offboardCheck.cpp: one within COM_OF_LOSS_T). When they stop it leaves, to the mode of COM_OBL_RC_ACT.
+    ArduCopter  GUIDED. It needs a position to enter; without setpoints of velocity or attitude for GUID_TIMEOUT (3 s)
+                it levels and stops. Thrust of SET_ATTITUDE_TARGET is a climb rate unless GUID_OPTIONS has bit 3.
 
-The order of things: `entry_refusal`; for attitude `ask_parameters` and `attitude_refusal`; start streaming;
-`enter`; and if that fails, or when it is over, `leave`.
+Sequence: `entry_refusal`; for attitude `ask_parameters` and `attitude_refusal`; start streaming; `enter`; and if that
+fails, or when control ends, `leave`.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ THRUST_AS_THRUST = 1 << 3
 
 PX4_THRUST_TYPES = frozenset({2, 3, 4, 13, 14, 15})
 """Quadrotor, coaxial, helicopter, hexa-, octo- and tricopter: PX4 1.14's fill_thrust knows these MAV_TYPEs; any other
-rotorcraft, a generic one too, it would fly with no thrust at all. (VTOLs are no multirotors for skygcs' law.)"""
+rotorcraft, a generic one too, it would fly with no thrust at all. (skygcs' control law is not for VTOLs.)"""
 
 PILOT_GOES_ON = 1 << 4
 """Bit of ArduCopter's FS_OPTIONS (Copter.h, GCS_CONTINUE_IF_PILOT_CONTROL), set by default: the failsafe for a lost
-ground station does nothing in modes that are flown by a pilot, of which BRAKE is one."""
+ground station does nothing in piloted modes, and BRAKE counts as one."""
 
 PARAM_WAIT_S = 3.0
 """Six requests: ArduPilot answers from a background task, within 0.1 s; the rest is the radio."""
@@ -42,14 +42,14 @@ COPTER_PARAMETERS = (
     ("FS_OPTIONS", True),
 )
 PX4_PARAMETERS = (("MPC_THR_HOVER", True), ("COM_OF_LOSS_T", True), ("COM_OBL_RC_ACT", True))
-"""What flying by attitude has to know, and whether it can do without."""
+"""Parameters read before control by attitude, and whether each is required."""
 
 LONGEST_LEAN_S = 1.0
-"""So long at most may a vehicle go on with the last attitude after the setpoints have ceased. With ArduCopter's default
-GUID_TIMEOUT of 3 s one that had just begun an 8 m step drifted 45 m (ArduCopter 4.6.2 in simulation, daemon killed)."""
+"""Longest time for which a vehicle may keep the last attitude after the setpoints stop. With ArduCopter's default
+GUID_TIMEOUT of 3 s a vehicle that had just begun an 8 m step drifted 45 m (ArduCopter 4.6.2 SITL, daemon killed)."""
 
 BY_STICKS = {0: "Position", 1: "Altitude", 2: "Manual"}
-"""Values of PX4's COM_OBL_RC_ACT after which somebody must have a hand on the sticks."""
+"""Values of PX4's COM_OBL_RC_ACT that lead to a mode flown by transmitter."""
 
 FLIES_ITSELF = frozenset(
     {
@@ -57,11 +57,11 @@ FLIES_ITSELF = frozenset(
         *("AUTO", "RTL", "SMART_RTL", "AUTO_RTL", "LAND", "BRAKE", "CIRCLE", "FOLLOW"),
     }
 )
-"""Modes a vehicle may be given back to: nobody's sticks are needed in them. AUTO.TAKEOFF is none, it would climb."""
+"""Modes that may be restored when control ends: they need no transmitter. Not AUTO.TAKEOFF, which would climb."""
 
 
 def guided_mode(vehicle: Vehicle) -> int:
-    """custom_mode in which it obeys setpoints. Raises RefusedError for an autopilot without one that skygcs knows."""
+    """custom_mode in which it follows setpoints. Raises RefusedError for an autopilot without a known one."""
     if vehicle.family == "px4":
         return modes.px4_custom_mode("OFFBOARD")
     if vehicle.family == "ardupilot" and "GUIDED" in modes.mode_names(vehicle.autopilot, vehicle.type):
@@ -70,7 +70,7 @@ def guided_mode(vehicle: Vehicle) -> int:
 
 
 def is_following(vehicle: Vehicle) -> bool:
-    """Whether it is in the mode that obeys setpoints, by its last heartbeat."""
+    """True if its last heartbeat shows the mode that follows setpoints."""
     try:
         return vehicle.custom_mode == guided_mode(vehicle)
     except RefusedError:
@@ -78,10 +78,10 @@ def is_following(vehicle: Vehicle) -> bool:
 
 
 def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
-    """Why it cannot be taken over now; None if it can.
+    """Why control by setpoints cannot begin now; None if it can.
 
-    A mode flown by a pilot's sticks is no reason: taking over from it is how many a flight begins, and the pilot takes
-    it back with the mode switch. A failsafe is one: whatever it does then, it does for a reason.
+    A mode flown by transmitter is allowed: many flights begin that way, and the remote pilot takes the vehicle back
+    with the mode switch. An active failsafe is not: it must not be interrupted without an order of its own.
     """
     if vehicle.duplicate:
         return f"two vehicles with system id {vehicle.sysid} are on the air; give one of them another"
@@ -96,29 +96,27 @@ def entry_refusal(vehicle: Vehicle, now: float) -> str | None:
     except RefusedError as error:
         return str(error)
     if vehicle.failsafe:
-        return "its own failsafe is active: see its status texts, then let it land, or take it over with hold first"
+        return "its own failsafe is active: see its status texts, then let it land, or order hold first"
     return None
 
 
 def attitude_refusal(vehicle: Vehicle) -> str | None:
-    """Why it must not be sent attitude and thrust; None if it may be.
+    """Why attitude and thrust must not be sent to it; None if they may.
 
-    Of an ArduCopter it has to be known (`ask_parameters`) that thrust is thrust: a controller that means thrust and is
-    taken for a climb rate climbs or sinks without end.
+    For an ArduCopter it must be known (`ask_parameters`) that it reads the field as thrust: if it read the controller's
+    thrust as a climb rate, it would climb or sink without end.
     """
     if vehicle.family == "px4":
         if vehicle.type in PX4_THRUST_TYPES:
             return None
         kind = vehicle.enum_name("MAV_TYPE", vehicle.type).lower().replace("_", " ")
-        return (
-            f"PX4 takes the thrust of attitude setpoints for multirotors only, and it says it is a {kind}; set MAV_TYPE"
-        )
+        return f"PX4 takes the thrust of attitude setpoints for multirotors only, and its type is {kind}; set MAV_TYPE"
     if vehicle.family != "ardupilot" or not modes.is_copter(vehicle.type):
         return "skygcs knows the attitude setpoints of PX4 and ArduCopter only"
     options = vehicle.param("GUID_OPTIONS")
     if options is None:
         return (
-            "its GUID_OPTIONS is not known, and without bit 3 thrust would mean climb rate; it did not tell when asked "
+            "its GUID_OPTIONS is not known, and without bit 3 thrust would mean climb rate; the vehicle did not answer "
             "(ArduCopter has had the option since 4.1)"
         )
     if not int(options) & THRUST_AS_THRUST:
@@ -128,23 +126,23 @@ def attitude_refusal(vehicle: Vehicle) -> str | None:
 
 
 def loss_refusal(vehicle: Vehicle) -> str | None:
-    """Why it should not be flown by attitude as its parameters are: what it would do if the setpoints ceased. To insist
-    is the operator's right."""
+    """Why its parameters advise against control by attitude: its behaviour if the setpoints stopped. The operator may
+    insist."""
     name = "GUID_TIMEOUT" if vehicle.family == "ardupilot" else "COM_OF_LOSS_T"
     timeout_s = vehicle.param(name)
     if timeout_s is None or timeout_s <= LONGEST_LEAN_S:
         return None
     return (
-        f"its {name} is {timeout_s:g} s: should the setpoints cease, it would lean on as it was last told for so long; "
+        f"its {name} is {timeout_s:g} s: if the setpoints stop, it would keep its last tilt for that time; "
         f"set {name} to {LONGEST_LEAN_S:g} or less, or {orders.FORCE_HINT}"
     )
 
 
 def loss_note(vehicle: Vehicle) -> str | None:
-    """What an operator should know of the vehicle's own reaction to setpoints that cease."""
+    """A warning about the vehicle's own reaction when setpoints stop."""
     if vehicle.family == "ardupilot" and vehicle.param("FS_GCS_ENABLE") == 0:
         return (
-            "its FS_GCS_ENABLE is 0: should the setpoints cease, it levels and drifts with the wind, and nothing "
+            "its FS_GCS_ENABLE is 0: if the setpoints stop, it levels and drifts with the wind, and nothing "
             "brings it back; set FS_GCS_ENABLE to 1 (return) or 5 (land)"
         )
     if vehicle.family == "ardupilot" and int(vehicle.param("FS_OPTIONS") or 0) & PILOT_GOES_ON:
@@ -164,13 +162,13 @@ def loss_note(vehicle: Vehicle) -> str | None:
 
 
 def refuses_setpoint(text: str) -> bool:
-    """Whether a status text says that a setpoint was thrown away: PX4 names the message, as in
-    "SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame 99". ArduCopter throws it away without a word."""
+    """True if a status text reports that a setpoint was rejected: PX4 names the message, as in
+    "SET_POSITION_TARGET_GLOBAL_INT invalid coordinate frame 99". ArduCopter rejects silently."""
     return text.startswith(("SET_POSITION_TARGET_", "SET_ATTITUDE_TARGET"))
 
 
 def boosts_thrust(vehicle: Vehicle) -> bool:
-    """Whether it divides the thrust it is given by the cosine of the tilt (`setpoint.attitude_target`, angle_boost).
+    """True if it divides the commanded thrust by the cosine of the tilt (`setpoint.attitude_target`, angle_boost).
 
     ArduCopter does unless ATC_ANGLE_BOOST, 1 by default, is known to be 0; PX4 does not.
     """
@@ -178,20 +176,20 @@ def boosts_thrust(vehicle: Vehicle) -> bool:
 
 
 def reported_hover_thrust(vehicle: Vehicle) -> float | None:
-    """What the vehicle itself takes for its hover thrust, 0 to 1; None if it was not asked or does not tell."""
+    """The vehicle's own value of its hover thrust, 0 to 1; None if it is not known."""
     return vehicle.param("MPC_THR_HOVER" if vehicle.family == "px4" else "MOT_THST_HOVER")
 
 
 def ask_parameters(vehicle: Vehicle, now: float) -> Plan:
-    """Read what flying by attitude has to know: all anew, because anybody may have changed it since it was told."""
+    """Read the parameters needed for control by attitude; always anew, because any station may have changed them."""
     wanted = PX4_PARAMETERS if vehicle.family == "px4" else COPTER_PARAMETERS
     steps = tuple(ask_parameter(name, after=now, optional=optional) for name, optional in wanted)
     return Plan("parameters", steps, "parameters read")
 
 
 def ask_parameter(name: str, *, after: float, optional: bool = False) -> Step:
-    """PARAM_REQUEST_READ by name, one of `parameters.WATCHED`, until PARAM_VALUE comes; nothing else answers it, and a
-    name the firmware does not know nothing at all."""
+    """PARAM_REQUEST_READ by name, one of `watched_params.WATCHED`, until PARAM_VALUE comes. A name that the firmware
+    does not know gets no answer."""
     return Step(
         f"read {name}",
         message=("PARAM_REQUEST_READ", {"param_id": name, "param_index": -1}),
@@ -202,18 +200,18 @@ def ask_parameter(name: str, *, after: float, optional: bool = False) -> Step:
 
 
 def enter(vehicle: Vehicle) -> Plan:
-    """Into the mode that obeys setpoints, which have to be on their way already. Raises RefusedError."""
+    """Enter the mode that follows setpoints; they must be streaming already. Raises RefusedError."""
     number = guided_mode(vehicle)
     step = autopilot.mode_step(vehicle, number, skip_if_met=True)
     return Plan("control", (step,), f"following setpoints in {autopilot.mode_name(vehicle, number)}")
 
 
 def leave(vehicle: Vehicle, back_to: int | None) -> Plan:
-    """Back to the custom_mode it was in before. If that was flown by sticks, or is the mode of setpoints itself, or is
-    not known (None), it holds where it is: whether anybody has a hand on the sticks is not known here.
+    """Restore the custom_mode from before. If that needs a transmitter, is the mode of setpoints itself, or is not
+    known (None), hold instead: it is not known here whether a remote pilot is ready.
 
-    A vehicle that does not obey setpoints has a mode somebody chose, and is left alone: the plan has no steps then.
-    Raises RefusedError where it has no mode that holds.
+    If the vehicle has left the mode that follows setpoints, the plan has no steps: its mode was chosen by somebody
+    else. Raises RefusedError if it has no mode that holds.
     """
     if not is_following(vehicle):
         return Plan("release", (), f"in {vehicle.mode}")

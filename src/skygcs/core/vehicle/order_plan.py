@@ -1,4 +1,4 @@
-"""An order as data: the steps that carry it out, and by what state of the vehicle each is known to have worked.
+"""An order as data: its steps, and the state of the vehicle that confirms each step.
 
 `autopilot` makes plans, the vehicle's actor runs them. A step is one command (or a message without acknowledgement);
 the next one begins when the step was accepted and, if ``expect_s`` is not 0, its expectation is met.
@@ -16,7 +16,7 @@ from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.vehicle import Vehicle
 
 VERIFY_S = 3.0
-"""The heartbeat that shows a change comes within a second; two more may be lost."""
+"""A change shows in the next heartbeat, within a second; two heartbeats may be lost."""
 
 
 class Expectation(Protocol):
@@ -25,7 +25,7 @@ class Expectation(Protocol):
     def met(self, vehicle: Vehicle, now: float) -> bool: ...
 
     def unmet(self, vehicle: Vehicle, now: float) -> str:
-        """What it is instead, for a person: "still in POSCTL"."""
+        """The actual state, for the user: "still in POSCTL"."""
         ...
 
 
@@ -42,7 +42,8 @@ class ArmedIs:
 
 @dataclass(frozen=True, slots=True)
 class ModeIn:
-    """In one of these modes. ``or_disarmed``: a vehicle that stands on the ground may leave the mode at once."""
+    """In one of these modes. ``or_disarmed``: also met when disarmed; on the ground a vehicle may leave the mode at
+    once."""
 
     custom_modes: frozenset[int]
     or_disarmed: bool = False
@@ -57,7 +58,7 @@ class ModeIn:
 
 
 LIFT_OFF_S = 8.0
-"""A PX4 spools up for one to three seconds, an ArduCopter ramps for two; the landed state comes every two seconds."""
+"""PX4 spools up for one to three seconds, ArduCopter for two; the landed state comes every two seconds."""
 
 CLIMBED_M = 0.5
 
@@ -83,16 +84,16 @@ class LiftedOff:
 
 POSITION = 1 << 3 | 1 << 4 | 1 << 8 | 1 << 9
 """Bits of EKF_STATUS_REPORT (EKF_STATUS_FLAGS): horizontal position, relative or absolute, now or predicted for when it
-is armed. Before that the estimator may still assume to stand still (1 << 7), which position_ok() forgives."""
+is armed. While disarmed the estimator may still assume a standing vehicle (1 << 7); position_ok() allows that."""
 
 ESTIMATE_FRESH_S = 6.0
-"""It comes every five seconds on a radio."""
+"""On a radio the message comes every five seconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class HasPosition:
-    """Its estimator knows where it is, or will as soon as it is armed: what ArduCopter's position_ok() asks for before
-    GUIDED is taken (system.cpp)."""
+    """Its estimator has a position, or will have one when armed: ArduCopter's position_ok(), which GUIDED requires
+    (system.cpp)."""
 
     def met(self, vehicle: Vehicle, now: float) -> bool:
         estimate, at = vehicle.telemetry("estimator"), vehicle.telemetry_at("estimator")
@@ -109,7 +110,7 @@ class HasPosition:
 
 @dataclass(frozen=True, slots=True)
 class MessageAfter:
-    """The message came after the order; ``count`` is how often it had come before."""
+    """The message came after the order; ``count``: how often it had come before."""
 
     message: str
     count: int
@@ -137,7 +138,7 @@ class ParamKnown:
 
 
 TARGET_TOLERANCE_M = 2.0
-"""POSITION_TARGET_GLOBAL_INT repeats the target within its own rounding; metres are another target."""
+"""POSITION_TARGET_GLOBAL_INT repeats the target but for rounding; a difference of metres is another target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,15 +161,15 @@ class TargetNear:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """``command`` is acknowledged and repeated; ``message`` is sent once, or with an expectation to wait for again and
-    again until that is met. Exactly one of them is given.
+    """One command, acknowledged and repeated, or one ``message``: sent once, or repeated until an expectation is met.
+    Exactly one of the two is given.
 
-    ``expect_s``: how long to wait for the expectation; 0 does not wait for it (it then only explains a lost ACK).
-    ``skip_if_met``: nothing is sent if the state is as wanted already. ``undo`` is carried out if a later step fails.
-    ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` is what its
-    refusal means, for a vehicle that gives no reason itself. An ``optional`` step may fail: the plan goes on.
-    ``with_repeats`` is a message sent right after each repeat of the command: what the vehicle is to do should it hear
-    us while its answers are lost, so that the next step never begins.
+    ``expect_s``: how long to wait for the expectation; with 0 it is only used to explain a lost ACK.
+    ``skip_if_met``: send nothing if the expectation is met already. ``undo`` is carried out if a later step fails.
+    ``instead`` replaces the step if the vehicle answers that it does not support the command. ``refused`` explains a
+    refusal of a vehicle that gives no reason itself. An ``optional`` step may fail: the plan goes on.
+    ``with_repeats`` is a message sent right after each repeat of the command, for a vehicle that receives us while its
+    answers are lost, so that the next step never begins.
     """
 
     name: str
@@ -188,9 +189,9 @@ class Step:
 class Plan:
     """``done`` is the outcome's message when all steps have worked.
 
-    ``emergency``: sent over every link, before anything else, and to vehicles that take no plain orders. For
-    ``persist_s`` its steps are given again until the vehicle shows them or refuses. ``final``: no newer order takes its
-    place. ``despite_duplicate``: safe for, or confirmed for, two vehicles of one system id.
+    ``emergency``: sent over every link, before anything else, also to vehicles that take no plain orders. For
+    ``persist_s`` its steps are repeated until the vehicle shows their effect or refuses. ``final``: no newer order
+    replaces it. ``despite_duplicate``: safe, or confirmed, for two vehicles with one system id.
     """
 
     order: str

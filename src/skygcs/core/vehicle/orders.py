@@ -1,4 +1,4 @@
-"""Orders with their checks: what skygcs itself refuses is here, what differs by autopilot is in `autopilot`.
+"""Orders and the checks of skygcs before each; the differences between autopilots are in `autopilot`.
 
 Every function returns the plan or raises RefusedError, whose text gives the reason and, if possible, how to insist.
 """
@@ -25,21 +25,21 @@ from skygcs.errors import RefusedError
 MAX_TAKEOFF_M = 500.0
 
 POSITION_FRESH_S = 10.0
-"""An older position is no base for a distance check or an altitude; the slowest stream profile sends 0.5 Hz."""
+"""Distance checks and altitudes need a newer position; the slowest stream profile sends 0.5 Hz."""
 
 LOWEST_M = 1.0
-"""A goto lower than this above home flies into the ground; a height of 0 is most likely one never filled in."""
+"""A goto below this height above home flies into the ground; a height of 0 most likely was never filled in."""
 
 MAX_ENU_M = 100_000.0
-"""Farther out the flat frame is 800 m above the ground; such an order is a mistake."""
+"""At this distance the flat frame is 800 m above the ground; such an order is a mistake."""
 
 MAX_HEIGHT_M = 20_000.0
 
 GROUND_TYPES = frozenset({10, 11, 12, 46})
-"""Rovers, boats, submarines, legged: they go somewhere without being in the air."""
+"""Rovers, boats, submarines, legged vehicles: a goto does not need them in the air."""
 
 COMMON_WORDS = frozenset({"NAV", "SET", "GET", "MAV", "CMD"})
-"""Too many commands have them in their names to suggest one by them."""
+"""Parts of so many command names that they are no basis for a suggestion."""
 
 INT32 = 1 << 31
 
@@ -47,14 +47,14 @@ FORCE_HINT = "insist with force (--force)"
 
 
 FLIES_OFF = frozenset({"AUTO.MISSION", "AUTO.TAKEOFF"})
-"""Modes of a PX4 in which arming is taking off."""
+"""Modes of PX4 in which it takes off when armed."""
 
 
 def arm(vehicle: Vehicle, now: float, *, force: bool = False, estimate_msgid: int | None = None) -> Plan:
     """``estimate_msgid``, of EKF_STATUS_REPORT: an ArduCopter is not armed before its estimator has a position.
 
-    Raises RefusedError where the motors would not just turn: a PX4 goes back to AUTO.MISSION when it disarms after a
-    mission, and flies it again as soon as it is armed."""
+    Raises RefusedError in a mode in which arming starts a flight: a PX4 stays in AUTO.MISSION when it disarms after a
+    mission, and flies the mission again as soon as it is armed."""
     require_connected(vehicle, now)
     if not force and vehicle.family == "px4" and vehicle.mode in FLIES_OFF and not vehicle.armed:
         raise RefusedError(
@@ -67,7 +67,7 @@ def arm(vehicle: Vehicle, now: float, *, force: bool = False, estimate_msgid: in
 
 
 def disarm(vehicle: Vehicle, now: float, *, force: bool = False) -> Plan:
-    """A forced one is an emergency: it is sent even to a vehicle that is lost, and even if it flies."""
+    """A forced disarming is an emergency order: it is sent also to a lost or flying vehicle."""
     require_live(vehicle)
     if not force:
         require_connected(vehicle, now)
@@ -111,7 +111,7 @@ def hold(vehicle: Vehicle, now: float) -> Plan:
 
 
 class Where(TypedDict, total=False):
-    """A place to go to; see `destination`."""
+    """Arguments of a goto; see `destination`."""
 
     lat_deg: float | None
     lon_deg: float | None
@@ -122,7 +122,8 @@ class Where(TypedDict, total=False):
 
 
 def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Plan:
-    """To a `destination`. The outcome names the place as it was given: metres of the fleet's frame, or degrees."""
+    """Go to a `destination`. The outcome states the position as it was given: metres of the fleet's frame, or
+    degrees."""
     plan = autopilot.goto(vehicle, destination(vehicle, now, limit_m=limit_m, **where))
     enu_m = where.get("enu_m")
     if enu_m is None:
@@ -131,7 +132,7 @@ def goto(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]
 
 
 def destination(vehicle: Vehicle, now: float, *, limit_m: float, **where: Unpack[Where]) -> Destination:
-    """A place (lat, lon; ``height_m`` above this vehicle's home, None: as high as it is) or a point of the fleet's
+    """A geodetic position (``height_m`` above this vehicle's home, None: its present height) or a point of the fleet's
     frame (``enu_m``). ``force`` overrides the distance limit and the ground check, never an impossible coordinate."""
     here, home_amsl_m = require_going(vehicle, now)
     lat_deg, lon_deg, height_m = where.get("lat_deg"), where.get("lon_deg"), where.get("height_m")
@@ -168,10 +169,10 @@ def set_home(
     limit_m: float = math.inf,
     force: bool = False,
 ) -> Plan:
-    """Without arguments: where it is now. The altitude defaults to that of its home.
+    """Set its home; without arguments at its present position. The altitude defaults to that of the old home.
 
-    In the air all its heights are relative to its home, which therefore is changed there only with ``force``. So is a
-    home farther away than ``limit_m``, to which a return would fly.
+    In the air all its heights are relative to its home, so a change in the air needs ``force``; so does a home farther
+    away than ``limit_m``, to which a return would fly.
     """
     require_connected(vehicle, now)
     # not in the air
@@ -205,7 +206,7 @@ def message_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: st
 
 
 def interval_plan(dialect: Dialect, message: str | int, rate_hz: float | None, whose: str = "it") -> Plan:
-    """SET_MESSAGE_INTERVAL to any component; ``whose`` names it in a refusal."""
+    """SET_MESSAGE_INTERVAL to any component, which ``whose`` names in a refusal."""
     problem = None if rate_hz is None else rate_problem(rate_hz)
     if problem is not None:
         raise RefusedError(f"its rate {problem}")
@@ -238,7 +239,7 @@ def request_stream(vehicle: Vehicle, now: float, dialect: Dialect, stream: int |
 
 
 def stream_plan(dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
-    """REQUEST_DATA_STREAM to any component. It knows whole rates only; 0 stops it."""
+    """REQUEST_DATA_STREAM to any component. Rates are whole numbers; 0 stops the stream."""
     if rate_hz != 0 and not 1 <= rate_hz <= MAX_RATE_HZ:
         raise RefusedError(f"a stream's rate must be 0 (off) or 1 to {MAX_RATE_HZ:g} Hz, not {rate_hz:g}")
     values = {
@@ -247,7 +248,7 @@ def stream_plan(dialect: Dialect, stream: int | str, rate_hz: float) -> Plan:
         "start_stop": int(rate_hz > 0),
     }
     step = Step("stream", message=("REQUEST_DATA_STREAM", values), expect_s=0)
-    return Plan("stream", (step,), "sent; a stream request has no acknowledgement, watch the rates")
+    return Plan("stream", (step,), "sent; a stream request has no acknowledgement: check the message rates")
 
 
 def stream_number(dialect: Dialect, stream: int | str) -> int:
@@ -273,8 +274,8 @@ def command_plan(
     y: int | None = None,
     z: float | None = None,
 ) -> Plan:
-    """Any MAV_CMD to any component. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it
-    goes as COMMAND_INT, x and y as on the wire: degrees * 1e7 in a global frame, metres * 1e4 in a local one."""
+    """Any MAV_CMD to any component. None among the params is NaN ("not given"). With ``int_frame`` (MAV_FRAME) it is
+    sent as COMMAND_INT, x and y as on the wire: degrees * 1e7 in a global frame, metres * 1e4 in a local one."""
     number, name = find_command(dialect, command)
     values = tuple(math.nan if p is None else float(p) for p in params)
     most = 7 if int_frame is None else 4
@@ -291,7 +292,7 @@ def command_plan(
 
 
 def find_message(dialect: Dialect, message: str | int) -> tuple[int, str]:
-    """(id, name) of a message of the dialect; a bare id may also be one it does not have."""
+    """(msgid, name) of a message of the dialect; a number may also be a msgid it does not have."""
     try:
         info = dialect.find(message)
     except KeyError as error:
@@ -320,7 +321,7 @@ def find_command(dialect: Dialect, command: str | int) -> tuple[int, str]:
 
 
 def _near_commands(wanted: str, names: Sequence[str]) -> list[str]:
-    """At most five: misspellings first, then those that share a word with it."""
+    """At most five similar names: close spellings first, then names that share a word."""
     near = difflib.get_close_matches(wanted, names, n=3)
     words = {word for word in wanted.split("_") if len(word) > 2 and word not in COMMON_WORDS}
     sharing = [n for n in names if words.intersection(n.split("_")) and n not in near]
@@ -341,9 +342,9 @@ def require_connected(vehicle: Vehicle, now: float) -> None:
 
 
 def require_going(vehicle: Vehicle, now: float) -> tuple[tuple[float, float, float], float]:
-    """(lat_deg, lon_deg, alt_amsl_m) and the altitude of its home, of a vehicle that can be sent somewhere now.
+    """(lat_deg, lon_deg, alt_amsl_m) and the altitude of its home, for a vehicle that can fly a goto now.
 
-    Raises RefusedError for any other: lost, disarmed, on the ground, or where it is is not known.
+    Raises RefusedError if it is lost, disarmed, on the ground, or its position is not known.
     """
     require_connected(vehicle, now)
     if not vehicle.armed:
@@ -380,7 +381,7 @@ def _int32(name: str, value: int | None) -> int:
 
 
 def _on_ground(vehicle: Vehicle, now: float) -> bool:
-    """By its landed state, unless it has climbed since that came: it comes every two seconds."""
+    """True by its landed state, unless it has climbed since that came: it comes every two seconds."""
     if vehicle.in_air(now) is not False:
         return False
     position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
@@ -428,14 +429,16 @@ def _from_geodetic(
 
 
 def is_place(lat_deg: float, lon_deg: float) -> bool:
-    """Whether it is a plausible place: a coordinate of exactly 0 was most likely never filled in."""
+    """True for a plausible position: a coordinate of exactly 0 was most likely never filled in."""
     return 0 < abs(lat_deg) <= 90 and 0 < abs(lon_deg) <= 180
 
 
 def check_coordinate(lat_deg: float, lon_deg: float) -> None:
-    """Raises RefusedError. A coordinate of exactly 0 is a forgotten one: an unset variable sends a vehicle to 0, 0."""
+    """Raises RefusedError. A coordinate of exactly 0 is refused: an unset variable would send a vehicle to 0, 0."""
     if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180):  # also false for NaN
-        raise RefusedError(f"{lat_deg:g}, {lon_deg:g} is no place on earth (latitude -90..90, longitude -180..180)")
+        raise RefusedError(
+            f"{lat_deg:g}, {lon_deg:g} is not a position on earth (latitude -90..90, longitude -180..180)"
+        )
     if lat_deg == 0 or lon_deg == 0:
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
 

@@ -1,12 +1,13 @@
-"""The fleet's origin: which are refused, how one is taken from a vehicle, and how a vehicle is told of it.
+"""The fleet's origin: its checks, taking it from a vehicle's position, and sending it to a vehicle.
 
-The fleet's world frame lives in the daemon and asks nothing of a vehicle. Telling a vehicle (SET_GPS_GLOBAL_ORIGIN)
-moves its *own* local frame, which only helps programs on board that share a frame with ours. The firmwares differ:
+The fleet's world frame exists in the daemon and needs nothing from a vehicle. Sending the origin to a vehicle
+(SET_GPS_GLOBAL_ORIGIN) moves the vehicle's *own* local frame; programs on board may then share our frame. The firmwares
+differ:
 
-PX4 takes it at any time, for its own system id only (MavlinkReceiver, 1.16), and moves its estimator's frame with it.
-It answers at once with a GPS_GLOBAL_ORIGIN that may still be the old one. ArduPilot takes it while it has none, which
-with GPS is before the first fix, and drops it without a word afterwards (GCS_Common, `set_ekf_origin`). So what it has
-in the end is asked for, and compared.
+PX4 accepts it at any time, for its own system id only (MavlinkReceiver, 1.16), and moves its estimator's frame with it.
+It answers at once with a GPS_GLOBAL_ORIGIN that may still be the old one. ArduPilot accepts it while it has none, which
+with GPS is before the first fix, and ignores it silently afterwards (GCS_Common, GCS_MAVLINK::set_ekf_origin). So the
+vehicle's origin is requested afterwards, and compared.
 """
 
 from __future__ import annotations
@@ -26,26 +27,26 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
 REACH_M = 20_000.0
-"""Farther from the origin the flat frame is 31 m above the ground; an origin that far off is one of another site."""
+"""At this distance the flat frame is 31 m above the ground; such an origin belongs to another site."""
 
 ALT_AMSL_M = (-500.0, 9_000.0)
 """From the shore of the Dead Sea to the highest mountain."""
 
 HERE_FRESH_S = 3.0
-"""An older position is not where the vehicle is now; the slowest stream profile sends 0.5 Hz."""
+"""Older positions are refused; the slowest stream profile sends 0.5 Hz."""
 
 GPS_FRESH_S = 10.0
 FIX_3D = 3
 
 SAME_M = 0.5
-"""PX4 keeps the altitude as a 32-bit float and tells all three rounded; metres are another origin."""
+"""PX4 keeps the altitude as a 32-bit float and reports rounded values; a difference of metres is another origin."""
 
 ORIGIN_MESSAGE = "GPS_GLOBAL_ORIGIN"
 SETTING_MESSAGE = "SET_GPS_GLOBAL_ORIGIN"
 
 
 def checked(origin: Origin) -> Origin:
-    """The same with a heading in [0, 360). Raises RefusedError for what can be no origin."""
+    """The origin with its heading in [0, 360). Raises RefusedError for impossible values."""
     orders.check_coordinate(origin.lat_deg, origin.lon_deg)
     low, high = ALT_AMSL_M
     if not low <= origin.alt_amsl_m <= high:  # also true for NaN
@@ -53,12 +54,12 @@ def checked(origin: Origin) -> Origin:
             f"an altitude of {origin.alt_amsl_m:g} m above mean sea level is not between {low:g} and {high:g}"
         )
     if not math.isfinite(origin.x_heading_deg):
-        raise RefusedError(f"a heading of {origin.x_heading_deg:g} degrees is none")
+        raise RefusedError(f"a heading of {origin.x_heading_deg:g} degrees is not finite")
     return replace(origin, x_heading_deg=wrap_deg_360(origin.x_heading_deg))
 
 
 def require_near(origin: Origin, vehicles: Iterable[Vehicle]) -> None:
-    """Raises RefusedError if a connected vehicle is farther than REACH_M: most likely it is a typing error."""
+    """Raises RefusedError if a connected vehicle is farther away than REACH_M, most likely by a typing error."""
     for vehicle in vehicles:
         position = vehicle.telemetry("position")
         if not vehicle.connected or vehicle.replayed or position is None or position["lat_deg"] is None:
@@ -72,18 +73,18 @@ def require_near(origin: Origin, vehicles: Iterable[Vehicle]) -> None:
 
 
 def from_vehicle(vehicle: Vehicle, now: float, *, heading: bool, force: bool = False) -> Origin:
-    """Where it is now, and with ``heading`` its nose along x. Raises RefusedError if that is not known well enough;
-    ``force`` takes a position without a 3D fix, never an old one."""
+    """An origin at its present position, with ``heading`` its nose along x. Raises RefusedError if they are not known
+    well enough; ``force`` accepts a position without a 3D fix, never an old one."""
     orders.require_connected(vehicle, now)
     position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
     if position is None or at is None or position["lat_deg"] is None:
-        raise RefusedError(f"{vehicle.name} has not told its position yet (GLOBAL_POSITION_INT)")
+        raise RefusedError(f"{vehicle.name} has not reported its position yet (GLOBAL_POSITION_INT)")
     if now - at > HERE_FRESH_S:
         raise RefusedError(f"the position of {vehicle.name} is {now - at:.1f} s old; {HERE_FRESH_S:g} s is the limit")
     if not force:
         _require_fix(vehicle, now)
     if heading and position["heading_deg"] is None:
-        raise RefusedError(f"{vehicle.name} does not tell its heading; give one, or leave it out")
+        raise RefusedError(f"{vehicle.name} does not report its heading; give one, or leave it out")
     origin = Origin(position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
     return replace(origin, x_heading_deg=position["heading_deg"]) if heading else origin
 
@@ -98,7 +99,7 @@ def _require_fix(vehicle: Vehicle, now: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class OriginIs:
-    """GPS_GLOBAL_ORIGIN, come after ``count`` others, tells this origin."""
+    """A GPS_GLOBAL_ORIGIN after the first ``count`` of them has this origin."""
 
     origin: Origin
     count: int
@@ -112,14 +113,14 @@ class OriginIs:
 
 
 def announce(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, force: bool = False) -> Plan:
-    """Send the origin, then ask which one it has. Raises RefusedError."""
+    """Send the origin, then request the one the vehicle has. Raises RefusedError."""
     orders.require_connected(vehicle, now)
     for name in (SETTING_MESSAGE, ORIGIN_MESSAGE):
         if name not in dialect.by_name:
             raise RefusedError(f"dialect {dialect.name} has no {name}")
     if not force and (why := why_not_idle(vehicle, now)) is not None:
         raise RefusedError(
-            f"{why}, and its local frame would move under whoever flies it by that; disarm it, or {orders.FORCE_HINT}"
+            f"{why}, and its local frame would move under a program that uses it; disarm it, or {orders.FORCE_HINT}"
         )
     values = {
         "latitude": round(origin.lat_deg * 1e7),
@@ -128,13 +129,13 @@ def announce(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, 
     }
     count = vehicle.count(ORIGIN_MESSAGE)
     expect: Expectation = OriginIs(origin, count)
-    if vehicle.family == "ardupilot":  # its first answer is its last word: no use in waiting for another
+    if vehicle.family == "ardupilot":  # it answers once only
         expect = MessageAfter(ORIGIN_MESSAGE, count)
     request = CommandSpec(REQUEST_MESSAGE, (float(dialect.by_name[ORIGIN_MESSAGE].msgid),))
     steps = (
-        Step("tell the origin", message=(SETTING_MESSAGE, values)),
+        Step("send the origin", message=(SETTING_MESSAGE, values)),
         Step(
-            "ask for its origin",
+            "request its origin",
             request,
             expect=expect,
             refused=f"{firmware_name(vehicle)} has no {ORIGIN_MESSAGE} to send: its estimator has no origin",
@@ -144,7 +145,7 @@ def announce(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, 
 
 
 def off_m(vehicle: Vehicle, origin: Origin) -> float | None:
-    """How far the origin that the vehicle told last is from ``origin``, height included; None if it has told none."""
+    """Distance from ``origin`` to the origin the vehicle reported last, height included; None if it reported none."""
     own = vehicle.telemetry("ekf_origin")
     if own is None:
         return None
@@ -153,10 +154,10 @@ def off_m(vehicle: Vehicle, origin: Origin) -> float | None:
 
 
 def kept(vehicle: Vehicle, origin: Origin) -> str:
-    """What a vehicle that has another origin than ``origin`` has, and why, for a person."""
+    """The vehicle's origin if that differs from ``origin``, and the reason, for the user."""
     own, away_m = vehicle.telemetry("ekf_origin"), off_m(vehicle, origin)
     if own is None or away_m is None:
-        return "it tells no origin"
+        return "it reports no origin"
     has = f"it still has {own['lat_deg']:.7f}, {own['lon_deg']:.7f}, {own['alt_amsl_m']:.1f} m, {away_m:.1f} m away"
     if vehicle.family == "ardupilot":
         return f"{has}: ArduPilot has an origin already and does not change it before it reboots"

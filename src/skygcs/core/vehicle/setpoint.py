@@ -1,23 +1,23 @@
-"""Setpoints as messages: (name, field values), ready to pack; whoever sends them fills in whom they are for.
+"""Setpoints as messages: (name, field values), ready to pack; the sender fills in the target.
 
-Rule: the masks and the frames of setpoints are chosen here and nowhere else. In goes ENU (x east, y north, z up; yaw 0
-is east, counter-clockwise), out goes what an autopilot flies by. What the firmwares make of it, read in their sources
+Rule: type masks and frames of setpoints are chosen here and nowhere else. Input is ENU (x east, y north, z up; yaw 0 is
+east, counter-clockwise), output is in the autopilot's frames. How the firmwares read the messages, from their sources
 (PX4 1.11 and 1.14 mavlink_receiver.cpp, ArduCopter 4.5 and 4.7 GCS_MAVLink_Copter.cpp):
 
     SET_ATTITUDE_TARGET
-        PX4         thrust is thrust, for the rotorcraft types it lists; of others it is dropped
-        ArduCopter  thrust is a climb rate unless GUID_OPTIONS has bit 3; without a thrust, with a quaternion that is
-                    not 1 +- 1e-3 long or with some of the rates only it does not follow (4.7: it stops and holds)
+        PX4         thrust is thrust, for the rotorcraft types it lists; other types ignore it
+        ArduCopter  thrust is a climb rate unless GUID_OPTIONS has bit 3; without thrust, with a quaternion whose norm
+                    is not 1 +- 1e-3 or with some of the rates only it does not follow (4.7: it stops and holds)
     SET_POSITION_TARGET_LOCAL_NED
-        PX4         every axis by a position, a velocity or an acceleration; x and y in pairs, z by itself
-        ArduCopter  each of the three whole or not at all: one ignored axis ignores the whole of it
+        PX4         each axis by a position, a velocity or an acceleration; x and y in pairs, z by itself
+        ArduCopter  position, velocity and acceleration each with all axes: one ignored axis ignores the whole vector
     SET_POSITION_TARGET_GLOBAL_INT
-        PX4         position whole or not at all; 1.14 refuses frame 0 (GLOBAL) and has the sign of frame 6
+        PX4         position with all axes or not at all; 1.14 refuses frame 0 (GLOBAL) and has the sign of frame 6
                     (GLOBAL_RELATIVE_ALT_INT) wrong
-        ArduCopter  frames 0 and 5 both are AMSL; a velocity rides along, an acceleration does not
+        ArduCopter  frames 0 and 5 both are AMSL; a velocity is used with the position, an acceleration is not
 
-So an AMSL position goes in frame 5, which both take. time_boot_ms is ours and only for logs: neither checks it.
-Everything that is not a number, or that nobody can mean, is a RefusedError: a setpoint is flown as it is.
+So an AMSL position is sent in frame 5, which both accept. time_boot_ms is ours and only for logs: neither checks it.
+Values that are not finite, or are impossible, raise RefusedError, because a setpoint is flown as it is.
 """
 
 from __future__ import annotations
@@ -31,30 +31,30 @@ from skygcs.core.mavlink.type_masks import ALL, ATTITUDE_AND_THRUST, NONE, Axes,
 from skygcs.errors import RefusedError
 
 Message = tuple[str, dict[str, Any]]
-"""Name of the message and its fields, but for target_system and target_component."""
+"""Name of the message and its fields, without target_system and target_component."""
 
 Vector = tuple[float, float, float]
 Partial = tuple[float | None, float | None, float | None]
-"""East, north, up; None leaves the axis to another kind of value."""
+"""East, north, up; None: another kind of value controls this axis."""
 
 FRAME_LOCAL_NED = 1
 FRAME_GLOBAL_INT = 5
-"""MAV_FRAME: NED about the vehicle's own estimator origin, and WGS84 with AMSL altitude."""
+"""MAV_FRAME: NED around the vehicle's own estimator origin, and WGS84 with AMSL altitude."""
 
 UNIT_TOLERANCE = 1e-3
-"""ArduCopter's: for a quaternion that is not of length 1 within it, it stops and holds."""
+"""ArduCopter's tolerance of a quaternion's norm; beyond it ArduCopter stops and holds."""
 
 MAX_SPEED_MPS = 100.0
 MAX_ACCELERATION_MPS2 = 100.0
-"""No multirotor does either; a larger one is a wrong unit or a wrong sign somewhere before."""
+"""Beyond any multirotor; a larger value comes from a wrong unit or sign."""
 
 MAX_LOCAL_M = 100_000.0
-"""Farther from its estimator's origin than that no vehicle is sent in a flat frame."""
+"""Largest distance from the estimator's origin of a target in a flat frame."""
 
 MAX_ALTITUDE_M = 20_000.0
 
 LEAST_BOOST_COSINE = 0.1
-"""ArduCopter's angle boost divides by no less (AC_AttitudeControl_Multi::get_throttle_boosted)."""
+"""Lower limit of the divisor in ArduCopter's angle boost (AC_AttitudeControl_Multi::get_throttle_boosted)."""
 
 UINT32 = 0xFFFF_FFFF
 
@@ -66,9 +66,9 @@ def attitude_target(
 ) -> Message:
     """SET_ATTITUDE_TARGET: attitude (w, x, y, z), FRD body in NED world, and collective thrust of 0 to 1.
 
-    ``angle_boost``: the autopilot divides the thrust by the cosine of the tilt itself (ArduCopter with ATC_ANGLE_BOOST,
-    its default), which a thrust along the body's axis must not be: it is multiplied beforehand.
-    Body rates are left to the autopilot. Raises RefusedError.
+    ``angle_boost``: the autopilot divides the thrust by the cosine of the tilt (ArduCopter with ATC_ANGLE_BOOST, its
+    default). ``thrust`` is along the body's axis, so it is multiplied by the same cosine here to cancel that.
+    The autopilot controls the body rates. Raises RefusedError.
     """
     if len(attitude_ned_frd) != 4:
         raise RefusedError(f"an attitude is a quaternion of 4 numbers (w, x, y, z), not {len(attitude_ned_frd)}")
@@ -77,7 +77,7 @@ def attitude_target(
     if not abs(length - 1.0) <= UNIT_TOLERANCE:  # also false for NaN
         for value in (w, x, y, z):
             _finite("an attitude", value)
-        raise RefusedError(f"an attitude quaternion of length {length:g} is none; it has to be 1 within 0.001")
+        raise RefusedError(f"attitude quaternion has norm {length:g}; it must be 1 within 0.001")
     if not 0.0 <= thrust <= 1.0:  # also false for NaN
         raise RefusedError(f"a thrust of {thrust:g} is not between 0 and 1")
     if angle_boost:
@@ -98,9 +98,9 @@ def velocity_target(
     *,
     acc_enu_mps2: Sequence[float] | None = None,
 ) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED with a velocity, over ground, and an acceleration fed forward if there is one.
+    """SET_POSITION_TARGET_LOCAL_NED with a velocity over ground and, if given, an acceleration as feed-forward.
 
-    Both autopilots take it. Without a yaw PX4 keeps the heading and ArduCopter turns as WP_YAW_BEHAVIOR says (by
+    Both autopilots accept it. Without a yaw PX4 keeps the heading and ArduCopter turns as WP_YAW_BEHAVIOR says (by
     default into the direction of flight). Raises RefusedError.
     """
     vel = _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
@@ -118,13 +118,15 @@ def position_target(
     *,
     vel_enu_mps: Sequence[float] | None = None,
 ) -> Message:
-    """SET_POSITION_TARGET_GLOBAL_INT: a place on earth, and the velocity to pass it with if there is one.
+    """SET_POSITION_TARGET_GLOBAL_INT: a geodetic position and, if given, the velocity to pass it with.
 
-    Raises RefusedError, for a coordinate of exactly 0 as well: that is one nobody filled in.
+    Raises RefusedError, also for a coordinate of exactly 0, which most likely was never filled in.
     """
     _require_known(family)
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):  # also false for NaN
-        raise RefusedError(f"{lat_deg:g}, {lon_deg:g} is no place on earth (latitude -90..90, longitude -180..180)")
+        raise RefusedError(
+            f"{lat_deg:g}, {lon_deg:g} is not a position on earth (latitude -90..90, longitude -180..180)"
+        )
     lat_int, lon_int = round(lat_deg * 1e7), round(lon_deg * 1e7)
     if lat_int == 0 or lon_int == 0:
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
@@ -152,8 +154,8 @@ def position_target_local(
     vel_enu_mps: Sequence[float] | None = None,
     acc_enu_mps2: Sequence[float] | None = None,
 ) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED: a point about the vehicle's *own* estimator origin, which is not the fleet's, and
-    the velocity and acceleration to pass it with. Raises RefusedError."""
+    """SET_POSITION_TARGET_LOCAL_NED: a point relative to the vehicle's *own* estimator origin, not the fleet's, and the
+    velocity and acceleration to pass it with. Raises RefusedError."""
     pos = _vector("a local position", pos_local_enu_m, MAX_LOCAL_M)
     vel = NOTHING if vel_enu_mps is None else _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
     acc = NOTHING if acc_enu_mps2 is None else _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)
@@ -166,10 +168,10 @@ def position_target_local(
 def mixed_target(
     pos_local_enu_m: Partial, vel_enu_mps: Partial, yaw_enu_rad: float | None, boot_ms: int, family: Family
 ) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED with a position in one direction and a velocity in the other: across and up.
+    """SET_POSITION_TARGET_LOCAL_NED with a position on some axes and a velocity on others, as across and up.
 
-    An axis may have both. Raises RefusedError where the autopilot would not do it: ArduPilot ignores a whole position
-    for one ignored axis of it.
+    An axis may have both. Raises RefusedError if the autopilot would not follow it: ArduPilot ignores a position if one
+    of its axes is ignored.
     """
     _require_known(family)
     groups = (("position", pos_local_enu_m, MAX_LOCAL_M), ("velocity", vel_enu_mps, MAX_SPEED_MPS))
@@ -178,7 +180,7 @@ def mixed_target(
             if value is not None:
                 _within(f"a {what}", value, most)
         if (values[0] is None) != (values[1] is None):
-            raise RefusedError(f"east and north {what} have to be given together")
+            raise RefusedError(f"east and north {what} must be given together")
         if family == "ardupilot" and 0 < sum(v is None for v in values) < 3:
             raise RefusedError(f"ArduPilot takes a {what} in all three directions or not at all")
     for axis, pos, vel in zip(("east", "north", "up"), pos_local_enu_m, vel_enu_mps, strict=True):
@@ -213,7 +215,7 @@ def _local(pos: Partial, vel: Partial, acc: Partial, yaw_enu_rad: float | None, 
 
 
 def _given(enu: Partial) -> Axes:
-    """Which of north, east, down there are."""
+    """The axes given, of north, east, down."""
     return enu[1] is not None, enu[0] is not None, enu[2] is not None
 
 
@@ -242,7 +244,7 @@ def _within(what: str, value: float, most: float) -> float:
 
 def _finite(what: str, value: float) -> float:
     if not math.isfinite(value):
-        raise RefusedError(f"{what} of {value:g} is no number to fly by")
+        raise RefusedError(f"{what} of {value:g} is not a finite number")
     return float(value)
 
 

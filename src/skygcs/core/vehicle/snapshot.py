@@ -39,8 +39,8 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -
         "system_status": name_of(SYSTEM_STATUS, vehicle.system_status),
         "landed": vehicle.landed(now),
         "failsafe": vehicle.failsafe,
-        "control": None,  # filled in by whoever flies it
-        "uplink": None,  # by whoever asks it
+        "control": None,  # filled in by flight control
+        "uplink": None,  # filled in by the uplink watch
         **sections,
         "last_ack": _last_ack(vehicle, now),
         "status_texts": _texts(vehicle, now),
@@ -52,13 +52,13 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -
 
 
 def latest_message(vehicle: Vehicle, msgid: int, now: float) -> dict[str, Any] | None:
-    """The last one of a message, whole: its fields, age, rate and count; None if none has come."""
+    """The last frame of a message with all fields, age, rate and count; None if none has come."""
     slot = vehicle.slots.get(msgid)
     return None if slot is None else reading_of(slot, now, vehicle.sysid, vehicle.compid)
 
 
 def reading_of(slot: Slot, now: float, sysid: int, compid: int) -> dict[str, Any] | None:
-    """The last one of a message, and whose it is; None after a reboot."""
+    """The last frame of a message and its component; None after a reboot."""
     if slot.frame is None:
         return None
     return {
@@ -73,7 +73,7 @@ def reading_of(slot: Slot, now: float, sysid: int, compid: int) -> dict[str, Any
 
 
 def _texts(vehicle: Vehicle, now: float) -> list[dict[str, Any]]:
-    """The newest of the autopilot and of its system's other components, oldest first."""
+    """The newest texts of the autopilot and its system's other components, oldest first."""
     texts = [(text, vehicle.compid) for text in vehicle.texts]
     others = vehicle.other_texts()
     if others:
@@ -91,7 +91,7 @@ def _texts(vehicle: Vehicle, now: float) -> list[dict[str, Any]]:
 
 
 def _in_the_world(vehicle: Vehicle, position: Part) -> Part:
-    """What is known of a position only with the fleet's origin, and with the ground the vehicle took off from."""
+    """Fields of a position that need the fleet's origin or the takeoff altitude."""
     origin, takeoff_amsl_m = vehicle.origin, vehicle.takeoff.alt_amsl_m
     velocity = yaw_deg = height_m = None
     if takeoff_amsl_m is not None and position["lat_deg"] is not None:
@@ -126,7 +126,7 @@ def _rounded(value: float | None, digits: int) -> float | None:
 
 
 def _json_able(value: Any) -> Any:
-    """NaN and infinity have no JSON; they mean "not known"."""
+    """JSON has no NaN and infinity, which mean "not known" here."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, list):

@@ -1,8 +1,8 @@
-"""The state of a vehicle as programs and people see it: JSON-able, SI units, degrees, ENU, None for what is not known.
+"""The state of a vehicle as RPC returns it: JSON-able, SI units, degrees, ENU, None for unknown values.
 
-`Vehicle.snapshot` makes it. A telemetry group is None until a message of it has come, and carries ``age_s``, the time
-since then; check the age before acting on a group. `core.vehicle.decoding` makes the groups' contents. The docstrings
-of the keys are their descriptions in `rpc.discover`.
+`core.vehicle.snapshot` builds it. A telemetry group is None until a message of it has come, and has ``age_s``, the time
+since then; check the age before using a group. `core.vehicle.decoding` decodes the groups. The docstrings of the keys
+are their descriptions in `rpc.discover`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SYSTEM_STATUS = (
 
 STANDBY, ACTIVE = 3, 4
 FAILSAFE_STATUS = frozenset({5, 6, 8})
-"""ArduPilot and PX4 say critical in a failsafe, emergency after a crash, termination after a flight termination."""
+"""ArduPilot and PX4 report critical in a failsafe, emergency after a crash, termination after a flight termination."""
 
 LANDED = ("undefined", "on_ground", "in_air", "takeoff", "landing")
 """MAV_LANDED_STATE."""
@@ -38,7 +38,7 @@ SEVERITY = ("emergency", "alert", "critical", "error", "warning", "notice", "inf
 
 
 def name_of(names: tuple[str, ...], value: int) -> str:
-    """Name of an enum value; one that the table does not have shows its number."""
+    """Name of an enum value; its number if the table does not have it."""
     return names[value] if 0 <= value < len(names) else str(value)
 
 
@@ -62,19 +62,19 @@ class ComponentEntry(TypedDict):
 
     compid: int
     name: str | None
-    """What its id is meant for (MAV_COMPONENT), as ONBOARD_COMPUTER."""
+    """The purpose of its component id (MAV_COMPONENT), such as ONBOARD_COMPUTER."""
     type: str | None
-    """Its MAV_TYPE, from its heartbeat; null: it has sent none."""
+    """Its MAV_TYPE, from its heartbeat; null without a heartbeat."""
     autopilot: bool
-    """It is a vehicle's autopilot, with a state of its own."""
+    """True for a vehicle's autopilot, which has a state of its own."""
     age_s: float
-    """Since its newest message."""
+    """Age of its newest message."""
     messages: int
-    """How many messages were received from it."""
+    """Number of messages received from it."""
 
 
 class MessageRate(TypedDict):
-    """How often a message comes."""
+    """Rate and count of a message."""
 
     rate_hz: float
     age_s: float
@@ -82,7 +82,7 @@ class MessageRate(TypedDict):
 
 
 class VehicleState(TypedDict):
-    """Everything known of one vehicle at one moment: null where unknown; SI units, degrees, ENU. Groups have age_s."""
+    """The state of one vehicle at one moment; null: not known. SI units, degrees, ENU. Groups have age_s."""
 
     name: str
     sysid: int
@@ -92,12 +92,12 @@ class VehicleState(TypedDict):
     firmware: str | None
     groups: list[str]
     gcs_sysid: int | None
-    """Whose heartbeats its GCS failsafe watches, once that parameter was read."""
+    """System id whose heartbeats its GCS failsafe watches, once that parameter was read."""
     connected: bool
     duplicate_sysid: bool
-    """Two vehicles send with this system id: the state may be a mixture of both."""
+    """True if two vehicles send with this system id: the state may be a mixture of both."""
     replayed: bool
-    """It is heard in a recording only: orders to it are refused."""
+    """True if it exists only in a recording: orders to it are refused."""
     last_heartbeat_age_s: float | None
     uptime_s: float | None
     clock_offset_s: float | None
@@ -107,10 +107,10 @@ class VehicleState(TypedDict):
     landed: str
     failsafe: bool
     control: Part | None
-    """How skygcs flies it by setpoints, as in control.status; null: it does not."""
+    """Control by setpoints, as in control.status; null: skygcs does not control it."""
     uplink: Part | None
-    """heard (whether it answers our requests), unanswered (requests since), rtt_s; age_s is the time since it last did;
-    null: not known"""
+    """heard (true if it answers our requests), unanswered (number of requests since its last answer), rtt_s, age_s
+    (time since its last answer); null: not known"""
     gps: Part | None
     """fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec"""
     position: Part | None
@@ -157,6 +157,6 @@ class VehicleState(TypedDict):
     components: list[ComponentEntry]
     """All components heard of its system, its autopilot among them."""
     messages: dict[str, MessageRate]
-    """By message name."""
+    """Rate and count by message name."""
     links: dict[str, Any]
     """By link: frames, bytes, lost, loss_ratio, frames_per_s, bytes_per_s, age_s."""

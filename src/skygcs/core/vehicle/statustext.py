@@ -1,6 +1,6 @@
-"""STATUSTEXT, put together again: MAVLink 2 senders cut long texts into chunks of 50 bytes with one id.
+"""Reassembles STATUSTEXT: MAVLink 2 senders split long texts into chunks of 50 bytes with one id.
 
-A text whose end never comes is given out after a while with ``…`` where a part is missing; nothing is kept longer.
+A text whose end does not come is returned after a time-out, with ``…`` in place of a missing part.
 https://mavlink.io/en/messages/common.html#STATUSTEXT
 """
 
@@ -14,21 +14,21 @@ MAX_CHUNKS = 16
 """800 characters; the longest text of PX4 has 200 or so, ArduPilot's 250."""
 
 MAX_OPEN = 4
-"""Texts in the making per vehicle; beyond it the oldest is given out as it is."""
+"""Incomplete texts per vehicle; beyond this number the oldest is returned as it is."""
 
 CHUNK_TIMEOUT_S = 2.0
-"""A chunk follows the one before at once; two rounds of a multipoint radio are 1.5 s."""
+"""Chunks follow each other at once; two rounds of a multipoint radio are 1.5 s."""
 
 MISSING = "…"
 
 
 MAX_STATUS_TEXTS = 32
-"""Newest texts kept of one autopilot, and shown of one vehicle."""
+"""Texts kept of one autopilot, and shown of one vehicle: the newest."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatusText:
-    """A whole text; ``at`` is when its last part came, ``severity`` a MAV_SEVERITY (0 emergency .. 7 debug)."""
+    """A whole text; ``at``: when its last part came; ``severity``: MAV_SEVERITY (0 emergency .. 7 debug)."""
 
     severity: int
     text: str
@@ -58,7 +58,7 @@ class StatusTextAssembler:
             return done
         known = self._open.get(text_id)
         if known is not None and known.chunks.get(chunk_seq, raw) != raw:
-            done.append(self._close(text_id, now))  # the id is used again: ids are 16 bits and some senders count less
+            done.append(self._close(text_id, now))  # the id was used again: it has 16 bits, and some senders use fewer
             known = None
         if known is None:
             if len(self._open) >= MAX_OPEN:
@@ -91,6 +91,6 @@ class StatusTextAssembler:
 
 
 def _clean(raw: bytes) -> str:
-    """Printable text: it will stand in terminals and logs. PX4 ends texts that are also events with a tab."""
+    """Printable text for terminals and logs. PX4 ends texts that are also events with a tab."""
     text = raw.split(b"\0", 1)[0].decode("utf-8", "replace")
     return "".join(c if c.isprintable() else " " for c in text).strip()

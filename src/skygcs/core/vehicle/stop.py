@@ -1,12 +1,12 @@
-"""The emergency stop: hold, land or kill, repeated until the vehicle shows it.
+"""The emergency stop: hold, land or kill, repeated until the vehicle's state shows its effect.
 
-    hold    into the mode that stops and holds where it is (AUTO.LOITER, BRAKE); nobody's setpoints move it there
-    land    NAV_LAND, where it is
-    kill    forced disarming: the motors stop, and a vehicle that flies falls; wants a confirmation
+    hold    the mode that stops and holds (AUTO.LOITER, BRAKE), in which no setpoints move the vehicle
+    land    NAV_LAND at the present position
+    kill    forced disarming: the motors stop, and a flying vehicle falls; needs a confirmation
 
-It differs from the plain orders: it is sent to a vehicle that is lost or shares its id with another as well, with the
-highest priority and over every link, and given again until the heartbeat shows it, the vehicle refuses it, or
-`PERSIST_S` is over. A newer order takes the place of hold and land, but not of a kill.
+Unlike plain orders it is also sent to a vehicle that is lost or shares its id with another, with the highest priority
+and over every link. It is repeated until the heartbeat shows its effect, the vehicle refuses it, or `PERSIST_S` is
+over. A newer order replaces hold and land, but not kill.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from skygcs.errors import RefusedError
 Action = Literal["hold", "land", "kill"]
 
 PERSIST_S = 30.0
-"""Some fifty transmissions. A vehicle that nothing reached for so long has its own failsafe for a lost station."""
+"""Some fifty transmissions. If none of them arrives, the vehicle's own failsafe for a lost station acts."""
 
 MAX_NAMES = 10
-"""So many are listed in a refusal; of more the number says enough."""
+"""Vehicles listed in a refusal; of further ones the number is stated."""
 
 
 def stop(vehicle: Vehicle, now: float, action: Action) -> Plan:
-    """Raises RefusedError for a vehicle of a recording, and for a hold where no mode holds."""
+    """Raises RefusedError for a vehicle of a recording, and for a hold if it has no mode that holds."""
     require_live(vehicle)
     if action == "hold":
         plan = autopilot.brake(vehicle)
@@ -45,12 +45,12 @@ def stop(vehicle: Vehicle, now: float, action: Action) -> Plan:
 
 
 def require_confirmed(action: str, vehicles: Mapping[str, str | None], confirm: str | None) -> None:
-    """Raises RefusedError for a kill, or for the action "disarm" with a duplicate system id, that is not confirmed with
-    its word, naming the vehicles and the word.
+    """Raises RefusedError for a kill, or for the action "disarm" with a duplicate system id, without the right word of
+    confirmation. The error names the vehicles and the word.
 
-    ``vehicles``: by name, where a second vehicle sends with its ids (`Vehicle.duplicate_where`). The word has the
-    number of vehicles that would get the order, duplicates included: a script that says it for one does not kill them
-    all, and somebody in a hurry can type it.
+    ``vehicles``: vehicle name -> where a second vehicle sends with its ids (`Vehicle.duplicate_where`). The word
+    contains the number of vehicles that would get the order, duplicates included: a script written for one vehicle
+    does not kill them all, and the word can be typed quickly.
     """
     twice = sum(where is not None for where in vehicles.values())
     if action not in ("kill", "disarm") or (action == "disarm" and not twice):
@@ -58,7 +58,7 @@ def require_confirmed(action: str, vehicles: Mapping[str, str | None], confirm: 
     word = f"{action}-{len(vehicles) + twice}"
     if confirm == word:
         return
-    # first those of which there are two: that is what the word is for
+    # duplicates first: they are the reason for the word
     names = sorted(vehicles, key=lambda name: vehicles[name] is None)
     named = [name if (where := vehicles[name]) is None else f"{name} (two vehicles: {where})" for name in names]
     who = ", ".join(named[:MAX_NAMES]) + (f" and {len(named) - MAX_NAMES} more" if len(named) > MAX_NAMES else "")

@@ -8,14 +8,14 @@ HEARD_S = 1.5
 """An older heartbeat does not show whether the vehicle is still disarmed; heartbeats come at 1 Hz."""
 
 POSITION_FRESH_S = 5.0
-"""Oldest position that counts for a standing vehicle: the slowest stream profile sends 0.5 Hz, and one may be lost."""
+"""Oldest position used for a standing vehicle: the slowest stream profile sends 0.5 Hz, and one may be lost."""
 
 STANDS_MPS = 0.5
-"""Climbing or sinking faster is flying, whatever the landed state, which comes every two seconds, still says."""
+"""A vehicle that climbs or sinks faster is flying, even if the landed state, sent every two seconds, is still old."""
 
 
 class TakeoffAltitude:
-    """``alt_amsl_m``: where the vehicle stood when it last armed or lifted off again; None if that was not observed.
+    """``alt_amsl_m``: altitude at which the vehicle last armed or lifted off again; None if that was not observed.
 
     A vehicle that is first heard in the air (the daemon was started in mid-flight) has no take-off altitude until it
     has landed; callers then use its home's altitude. The altitude is kept over a landing, until the next take-off, and
@@ -57,7 +57,7 @@ class TakeoffAltitude:
 
 
 def standing_amsl_m(position: TelemetryGroup | None, age_s: float) -> float | None:
-    """The altitude in a position of this age, if it is that of a vehicle which may stand; else None."""
+    """The altitude of a position of this age if the vehicle may be standing; else None."""
     if position is None or position["lat_deg"] is None or age_s > POSITION_FRESH_S:
         return None
     return float(position["alt_amsl_m"]) if abs(position["vel_enu_mps"][2]) < STANDS_MPS else None

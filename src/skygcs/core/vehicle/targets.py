@@ -1,4 +1,4 @@
-"""Which vehicles an order is for: ``1``, ``1,3``, ``2-5``, ``alpha``, a group, ``all``, and mixtures of them.
+"""Target expressions of orders: ``1``, ``1,3``, ``2-5``, ``alpha``, a group, ``all``, and lists of them.
 
 A word is taken as a number or range of system ids first, then as ``all``, then as a vehicle's name, then as a group.
 With a component id behind a slash (``7/191``, ``alpha/191``, ``all/100``) it means that component of each system.
@@ -20,7 +20,7 @@ _RANGE = re.compile(r"(\d{1,3})\s*-\s*(\d{1,3})")
 
 
 class Targetable(Protocol):
-    """What a target can name."""
+    """A vehicle or component that a target can name."""
 
     @property
     def name(self) -> str: ...
@@ -38,13 +38,13 @@ class Targetable(Protocol):
 T = TypeVar("T", bound=Targetable)
 
 FOR_COMPONENTS = "message watch, last, request and send, interval, stream and command"
-"""What takes a component that is no vehicle, for a person."""
+"""The commands that accept a component as target, for the user."""
 
 
 def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -> list[T]:
-    """The vehicles meant, each once, by system id. Raises TargetError naming the part that names none and what exists.
+    """The vehicles of an expression, each once, by system id. Raises TargetError with the unknown part and what exists.
 
-    A range takes those of it that exist and fails only if there is none.
+    A range selects the vehicles in it that exist and fails only if none does.
     """
     known = sorted(vehicles, key=lambda v: (v.sysid, v.compid))
     parts = parts_of(expression)
@@ -55,7 +55,7 @@ def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -
         whose, compid = _split(part, known)
         found = [v for v in _named(whose, known) if compid in (None, v.compid)]
         if not found and compid is not None:
-            raise TargetError(f"{part!r} is no vehicle; a component is a target of {FOR_COMPONENTS}")
+            raise TargetError(f"{part!r} is not a vehicle; components are targets of {FOR_COMPONENTS} only")
         if not found:
             raise TargetError(f"no vehicle {part!r}; there are: {_listing(known)}")
         chosen.update((v.sysid << 8 | v.compid, v) for v in found)
@@ -63,7 +63,7 @@ def select(expression: str | int | Sequence[str | int], vehicles: Iterable[T]) -
 
 
 def select_any(expression: str | int | Sequence[str | int], vehicles: Iterable[T], components: Iterable[T]) -> list[T]:
-    """As `select`; a part with a component id may also mean one of ``components``, whose system needs no vehicle.
+    """`select` with components: a part with a component id may name one of ``components``, even without a vehicle.
 
     Raises TargetError.
     """
@@ -87,12 +87,12 @@ def select_any(expression: str | int | Sequence[str | int], vehicles: Iterable[T
 
 
 def names_component(part: str, known: Iterable[Targetable]) -> bool:
-    """Whether a part of a target expression names a component ("7/191") and not whole vehicles."""
+    """True if a part of a target expression names a component ("7/191") and not whole vehicles."""
     return _split(part, list(known))[1] is not None
 
 
 def _split(part: str, known: Sequence[Targetable]) -> tuple[str, int | None]:
-    """Whose component, and which; None: the vehicles themselves. A vehicle's or group's own name may have a slash."""
+    """(systems, component id) of a part; None if it names vehicles. A vehicle's or group's name may contain a slash."""
     match = _COMPONENT.fullmatch(part)
     if match is None or any(part == v.name or part in v.groups for v in known):
         return part, None
@@ -100,12 +100,12 @@ def _split(part: str, known: Sequence[Targetable]) -> tuple[str, int | None]:
 
 
 def parts_of(expression: str | int | Sequence[str | int]) -> list[str]:
-    """The words of a target expression. Raises TargetError for none, or too many."""
+    """The parts of a target expression. Raises TargetError for none, or too many."""
     items: Sequence[str | int] = [expression] if isinstance(expression, str | int) else expression
     parts = [part.strip() for item in items for part in str(item).split(",")]
     parts = [part for part in parts if part]
     if not parts:
-        raise TargetError("no target given; say a system id, a name, a group, a range such as 2-5, a list, or all")
+        raise TargetError("no target given; give a system id, a name, a group, a range such as 2-5, a list, or all")
     if len(parts) > MAX_PARTS:
         raise TargetError(f"{len(parts)} targets in one order; at most {MAX_PARTS}")
     return parts

@@ -1,10 +1,9 @@
-"""Raw messages and commands that do what a guarded order does, without its checks: which they are, and when they are
-refused.
+"""Raw messages and commands that have the effect of an order without its checks, and when they are refused.
 
-`messages.send` and `vehicles.command` can send anything of the dialect. What moves a vehicle, stops its motors or takes
-away what protects it is refused for a vehicle that is armed or not known to be disarmed, unless somebody insists; what
-turns motors of a disarmed vehicle (arming, a motor test) is refused for every vehicle. Frames of third-party programs
-pass the router and are none of this: their links have roles and filters.
+`messages.send` and `vehicles.command` can send everything in the dialect. A message or command that moves a vehicle,
+stops its motors or removes a protection is refused for a vehicle that is armed or not known to be disarmed, unless the
+user insists. One that turns the motors of a disarmed vehicle (arming, a motor test) is refused for every vehicle.
+Frames of third-party programs are not checked here: their links have roles and filters.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ GUARDED_MESSAGES: Mapping[str, str] = {
     "FENCE_POINT": "fence set",
     "SERIAL_CONTROL": "the orders (it is the autopilot's shell)",
 }
-"""By message: the guarded way. A MISSION_ITEM with ``current`` 2 is a guided waypoint, which flies at once."""
+"""Message -> the checked order. A MISSION_ITEM with ``current`` 2 is a guided waypoint, which is flown at once."""
 
 ARM_DISARM = 400
 GUARDED_COMMANDS: Mapping[int, str] = {
@@ -85,7 +84,7 @@ GUARDED_COMMANDS: Mapping[int, str] = {
     43002: "goto",  # GUIDED_CHANGE_HEADING
     43003: "nothing",  # EXTERNAL_POSITION_ESTIMATE
 }
-"""MAV_CMD by number: the guarded way. The items of missions (16 to 95) that are sent as commands come to it."""
+"""MAV_CMD -> the checked order. Mission items (16 to 95) sent as commands are added."""
 
 TURNS_MOTORS: Mapping[int, str] = {
     22: "takeoff",  # NAV_TAKEOFF: a disarmed PX4 keeps it and lifts off with the next arming
@@ -99,25 +98,25 @@ TURNS_MOTORS: Mapping[int, str] = {
     42002: "takeoff",  # SOLO_BTN_FLY_HOLD
     42003: "hold",  # SOLO_BTN_PAUSE_CLICK
 }
-"""Refused for every vehicle, also for a disarmed one. Arming is one of them, see `unguarded_command`."""
+"""Refused also for disarmed vehicles. Arming belongs to them, see `unguarded_command`."""
 
 MISSION_ITEMS = range(16, 96)
 ENDS_FLIGHT = frozenset({20, 21, 23, 85})
-"""NAV_RETURN_TO_LAUNCH, NAV_LAND, NAV_LAND_LOCAL, NAV_VTOL_LAND: what brings a vehicle down safely is not held up."""
+"""NAV_RETURN_TO_LAUNCH, NAV_LAND, NAV_LAND_LOCAL, NAV_VTOL_LAND: they bring a vehicle down safely and always pass."""
 
 COMMAND_MESSAGES = frozenset({"COMMAND_LONG", "COMMAND_INT"})
 
 
 @dataclass(frozen=True, slots=True)
 class Unguarded:
-    """``what`` is sent, the guarded way to the same (``instead``), and whether it is refused for any vehicle."""
+    """``what``: the message or command; ``instead``: the checked order; the flag: refused for every vehicle."""
 
     what: str
     instead: str
     always: bool = False
 
     def refusal(self, vehicles: Iterable[Vehicle], now: float) -> str | None:
-        """Why it is not sent to these, of which none may be known; None if it may be."""
+        """Why it is not sent to these vehicles (possibly none is known); None if it may be sent."""
         found = list(vehicles)
         if self.always:
             return self._text("can turn motors")
@@ -129,12 +128,12 @@ class Unguarded:
         return None
 
     def _text(self, why: str) -> str:
-        way = f"the checked way is {self.instead}" if not self.instead.startswith("nothing") else "no order does this"
+        way = f"the checked order is {self.instead}" if not self.instead.startswith("nothing") else "no order does this"
         return f"{self.what} {why} without the checks of an order: {way}; {FORCE_HINT}"
 
 
 def not_disarmed(vehicle: Vehicle, now: float) -> str | None:
-    """Why it is not known to be disarmed; None if it is."""
+    """Why the vehicle is not known to be disarmed; None if it is."""
     if vehicle.duplicate:
         return f"shares system id {vehicle.sysid} with another"
     if vehicle.armed:
@@ -145,7 +144,7 @@ def not_disarmed(vehicle: Vehicle, now: float) -> str | None:
 
 
 def unguarded_message(name: str, fields: Mapping[str, Any], command_names: Mapping[int, str]) -> Unguarded | None:
-    """What stands for a message; None if it may be sent to anybody. ``command_names``: MAV_CMD of the dialect."""
+    """The rule for a message; None if it may be sent to any vehicle. ``command_names``: MAV_CMD of the dialect."""
     if name in COMMAND_MESSAGES:
         command = _number(fields.get("command", 0))
         number = int(command) if math.isfinite(command) else -1
@@ -156,8 +155,8 @@ def unguarded_message(name: str, fields: Mapping[str, Any], command_names: Mappi
 
 
 def unguarded_command(number: int, param1: float, what: str) -> Unguarded | None:
-    """As `unguarded_message`, of a command."""
-    if number == ARM_DISARM and param1 != 0.0:  # also NaN: what an autopilot makes of it is not known
+    """The rule for a command; see `unguarded_message`."""
+    if number == ARM_DISARM and param1 != 0.0:  # also NaN: an autopilot's reaction to it is not known
         return Unguarded(what, "arm", always=True)
     if number in TURNS_MOTORS:
         return Unguarded(what, TURNS_MOTORS[number], always=True)
@@ -170,8 +169,8 @@ def unguarded_command(number: int, param1: float, what: str) -> Unguarded | None
 def require_guarded(
     vehicles: Iterable[Vehicle], now: float, dialect: Dialect, name: str | int, params: Sequence[float | None]
 ) -> None:
-    """Raises RefusedError for a command to the system of these vehicles (none may be known) that passes the checks of
-    an order. Whichever component it is for: an autopilot may take what is addressed to one that it does not know."""
+    """Raises RefusedError for a command to the system of these vehicles (possibly none is known) that would bypass the
+    checks of an order, for any component: an autopilot may act on commands to a component id it does not know."""
     number, what = orders.find_command(dialect, name)
     first = params[0] if params else 0.0
     way = unguarded_command(number, math.nan if first is None else float(first), what)

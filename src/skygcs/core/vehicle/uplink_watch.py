@@ -1,14 +1,14 @@
-"""Whether a vehicle hears us, from answers to small probes: an uplink can be dead while all of its telemetry comes.
+"""Finds a dead uplink by probes that the vehicle answers: an uplink can be dead while all of its telemetry arrives.
 
-A probe is a TIMESYNC request, which both autopilots answer; COMMAND_ACKs for us count as answers, too. One probe at the
-base period while they are answered. When one is overdue (1.5 round trips), the vehicle is in doubt: probes follow each
-other quickly until one is answered or so many in a row were not that loss does not explain it.
+A probe is a TIMESYNC request, which both autopilots answer; COMMAND_ACKs to us count as answers, too. While probes are
+answered, one is sent per base period. When an answer is overdue (1.5 round trips), the vehicle is in doubt: probes are
+sent quickly until one is answered, or until so many in a row were not answered that loss does not explain it.
 
     base period    armed 0.5 s, on a radio 2 s; disarmed 5 s, on a radio 10 s (30 bytes each way)
-    in doubt       armed every 0.2 s, on a radio every 0.35 s or half of what an answer takes; disarmed every 1 and 2 s
-    dead           after N without an answer, N such that p^N is below FALSE_RUN, 5 to 18 of them
+    in doubt       armed every 0.2 s, on a radio every 0.35 s or half a round trip; disarmed every 1 s, on a radio 2 s
+    dead           after N probes without an answer, with p^N below FALSE_RUN: 5 to 18 probes
 
-p, the share of probes that are not answered, is measured over the last 50 of them, beginning with 0.2. A run of N
+p, the share of unanswered probes, is measured over the last 50 of them, beginning with 0.2. A run of N
 begins with a base probe, at most 7,200 an hour: with p known exactly 7,200 * 2e-7 is one false alarm in 700 hours of
 flight. 20 % loss one way (p = 0.2) needs N = 10, 20 % each way (p = 0.36) needs 16, a good link (p below 0.04) 5.
 Simulated: none in 200 hours at 20 % each way, none at 20 % one way; a dead uplink is reported after 1.5 s on average
@@ -24,48 +24,48 @@ from typing import Literal
 
 ARMED_S, DISARMED_S = 0.5, 5.0
 THIN_ARMED_S, THIN_DISARMED_S = 2.0, 10.0
-"""From one probe to the next while they are answered; thin: a radio, whose airtime is scarce."""
+"""Period while probes are answered; thin: on a radio, whose airtime is scarce."""
 
 DOUBT_S, THIN_DOUBT_S = 0.2, 0.35
-"""From one to the next while they are not."""
+"""Period while they are not answered."""
 
 EARLY_S = 0.02
-"""Whoever asks every 0.2 s is not to be put off to the next time by a rounding."""
+"""Tolerance, so that a caller with a period of 0.2 s does not miss a probe by rounding."""
 
 LOST_S = 1.0
-"""And once it is known that it does not hear us."""
+"""Period while the uplink is known to be dead."""
 
 FALSE_RUN = 2e-7
 FEWEST, MOST = 5, 18
 
 KEPT = 50
-"""Outcomes of probes over which p is measured."""
+"""Number of probes over which p is measured."""
 
 FIRST_TRIP_S, LONGEST_TRIP_S = 0.4, 1.5
 TRIPS = 1.5
-"""A probe is overdue after so many round trips."""
+"""A probe is overdue after this many round trips."""
 
 MAX_WAITING = 32
-"""Probes whose answers are waited for."""
+"""Probes remembered until their answers."""
 
 TOKEN_BASE = 0x7570_6C69 << 16
-"""TIMESYNC's ts1 of a probe: another than any clock's, and than those of flight control's pings."""
+"""TIMESYNC.ts1 of a probe: different from any clock, and from the pings of flight control."""
 
 Change = Literal["lost", "back"]
 
 
 class UplinkWatch:
-    """One vehicle's. `due` whenever time has passed, `sent` when a probe has left, `answered` for each TIMESYNC answer,
-    `heard` for other proof that it hears us, `verdict` for what is to be reported."""
+    """The uplink of one vehicle. Call `due` as time passes, `sent` when a probe was sent, `answered` for each TIMESYNC
+    answer, `heard` for other proof that it hears us, and `verdict` for the change to report."""
 
     def __init__(self, first: int = 0) -> None:
-        """``first``: number of its probes; another for each program, lest one takes another's answers for its own."""
+        """``first``: number of the first probe, different for each program, so that answers are not confused."""
         self.lost = False
         self.trip_s: float | None = None
         self.unanswered = 0
         """Probes since the last answer."""
         self.answered_at: float | None = None
-        """When it last showed that it hears us; None: never since it was met or rebooted."""
+        """When it last showed that it hears us; None: never since its first frame or its reboot."""
         self._sent_at = -math.inf
         self._in_doubt_since: float | None = None
         self._needed = FEWEST
@@ -74,16 +74,16 @@ class UplinkWatch:
         self._outcomes: deque[bool] = deque(maxlen=KEPT)
 
     def due(self, now: float, *, armed: bool, thin: bool) -> bool:
-        """Whether a probe is to be sent now."""
+        """True if a probe is to be sent now."""
         return now - self._sent_at >= self._period_s(armed=armed, thin=thin) - EARLY_S
 
     def token(self) -> int:
-        """Of the next probe."""
+        """ts1 of the next probe."""
         self._number = self._number + 1 & 0xFFFF
         return TOKEN_BASE | self._number
 
     def sent(self, token: int, now: float) -> None:
-        """A link took the probe."""
+        """The probe was handed to a link."""
         if not self.unanswered:
             self._in_doubt_since = now
             self._needed = self._run_length()
@@ -94,7 +94,7 @@ class UplinkWatch:
             del self._waiting[next(iter(self._waiting))]
 
     def answered(self, token: int, now: float) -> tuple[bool, Change | None]:
-        """A TIMESYNC answer: whether it is one to a probe of ours, and what changes by it."""
+        """A TIMESYNC answer: True if it answers a probe of ours; and the change to report."""
         sent_at = self._waiting.pop(token, None)
         if sent_at is None:
             return token >> 16 == TOKEN_BASE >> 16, None
@@ -104,18 +104,18 @@ class UplinkWatch:
         return True, self.heard(now)
 
     def heard(self, now: float) -> Change | None:
-        """It showed that it hears us: what changes by that."""
+        """It showed that it hears us; returns the change to report."""
         before = len(self._waiting)
         self._waiting = {token: at for token, at in self._waiting.items() if now - at < self.answer_timeout_s}
-        if not self.lost:  # a dead uplink says nothing of how many a live one loses
+        if not self.lost:  # losses of a dead uplink do not count for the loss rate of a live one
             self._outcomes.extend([False] * (before - len(self._waiting)))
         self.answered_at, self.unanswered, self._in_doubt_since = now, 0, None
         was, self.lost = self.lost, False
         return "back" if was else None
 
     def verdict(self, now: float, last_frame_at: float) -> Change | None:
-        """ "lost" once: it answered before, and enough probes have not been. Only while its own frames still come: else
-        the vehicle is lost, not the uplink."""
+        """ "lost" once, if it answered before and enough probes in a row were not answered. Only while its own frames
+        still come: otherwise the vehicle is lost, not the uplink."""
         since = self._in_doubt_since
         if self.lost or self.answered_at is None or since is None or self.unanswered < self._needed:
             return None
@@ -127,21 +127,21 @@ class UplinkWatch:
         return "lost"
 
     def forget(self) -> None:
-        """It rebooted, or is lost: what it heard before says nothing."""
+        """It rebooted or is lost: earlier answers do not count."""
         self.lost, self.unanswered, self.answered_at = False, 0, None
         self._in_doubt_since = None
         self._waiting.clear()
 
     @property
     def answer_timeout_s(self) -> float:
-        """For an answer."""
+        """Time to wait for an answer."""
         trip_s = FIRST_TRIP_S if self.trip_s is None else self.trip_s
         return max(DOUBT_S, TRIPS * min(trip_s, LONGEST_TRIP_S))
 
     def _period_s(self, *, armed: bool, thin: bool) -> float:
         base_s = (THIN_ARMED_S if armed else THIN_DISARMED_S) if thin else (ARMED_S if armed else DISARMED_S)
         if self.answered_at is None:
-            return THIN_DISARMED_S if thin else DISARMED_S  # perhaps it never answers: no use in hurry
+            return THIN_DISARMED_S if thin else DISARMED_S  # perhaps it never answers: no hurry
         if self.lost:
             return 2 * LOST_S if thin else LOST_S
         if not self.unanswered:

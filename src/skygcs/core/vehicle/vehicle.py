@@ -1,4 +1,4 @@
-"""One vehicle: what its frames have told, folded when somebody looks. Pure; the asyncio side is `VehicleActor`."""
+"""State of one vehicle from its frames, decoded when it is read. Pure; the asyncio side is `VehicleActor`."""
 
 from __future__ import annotations
 
@@ -35,30 +35,30 @@ from skygcs.core.vehicle.watched_params import Parameters
 from skygcs.events import Event
 
 DEFAULT_TIMEOUT_S = 5.0
-"""Heartbeats come at 1 Hz; over a multipoint radio several in a row are lost now and then (Skybrush uses 5 s too)."""
+"""Heartbeats come at 1 Hz; on a multipoint radio several in a row may be lost (Skybrush uses 5 s, too)."""
 
 HIGH_LATENCY_FACTOR = 4
-"""HIGH_LATENCY2 replaces the heartbeat and comes every 5 s: such a vehicle is given 20 s."""
+"""HIGH_LATENCY2 replaces the heartbeat and comes every 5 s: such a vehicle is lost after 20 s."""
 
 RATE_PERIOD_S = 1.0
 LANDED_FRESH_S = 10.0
-"""An EXTENDED_SYS_STATE older than this says nothing about now; autopilots stream it at 0.5 to 1 Hz."""
+"""Oldest EXTENDED_SYS_STATE that is used; autopilots stream it at 0.5 to 1 Hz."""
 
 BOOT_TEXTS = ("ardupilot ready", "initialising ardupilot")
-"""What ArduPilot says once, at the end of its start. Its version banner is no sign: it answers every GCS with it."""
+"""Text that ArduPilot sends once, at the end of its start. (Its version banner also answers each GCS.)"""
 
 BOOT_TEXT_MIN_UP_S = 30.0
-"""A boot text of a vehicle met, or rebooted, less than this ago belongs to the start already known."""
+"""A boot text within this time after the first frame or a reboot belongs to the start already known."""
 
 GCS_SYSID_PARAMETERS = (b"SYSID_MYGCS", b"MAV_GCS_SYSID")
-"""ArduPilot's, up to 4.6 and from 4.7 on."""
+"""ArduPilot's parameter up to 4.6, and from 4.7 on."""
 
 REPORT_AGAIN_S = 60.0
-"""How often it is reported that others send heartbeats with its ids, while they do."""
+"""Period of the reports while others send heartbeats with its ids."""
 
 BESIDE_OVER_S = 5.0
-"""Heartbeats come at 1 Hz: after so long without one that contradicts, or without a second clock, one sender is left on
-the vehicle's channel."""
+"""Heartbeats come at 1 Hz: after this time without a contradicting heartbeat or a second clock, only one sender is left
+on the vehicle's channel."""
 
 BOOT_TIME_MESSAGES = ("ATTITUDE", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 
@@ -68,8 +68,8 @@ Events = tuple[Event, ...]
 class Vehicle:
     """State of one autopilot. `on_frame` for each of its frames, `tick` at 1 to 10 Hz; both return what happened.
 
-    ``origin`` may be set at any time: ENU positions are about it. ``last_ack`` is the newest COMMAND_ACK, whomever it
-    answers; the actor reads it when `on_frame` was given one.
+    ``origin`` may be set at any time: ENU positions are relative to it. ``last_ack`` is the newest COMMAND_ACK, to any
+    station; the actor reads it after `on_frame`.
     """
 
     def __init__(
@@ -88,21 +88,22 @@ class Vehicle:
         self.name = name or f"v{sysid}"
         self.origin: Origin | None = None
         self.origin_generation = 0
-        """Counts the fleet's origins: positions of the same number are in the same frame."""
+        """Number of the fleet's origin: positions with the same number are in the same frame."""
         self.connected = False
         self.duplicates: Mapping[int, str] = {}
-        """The fleet's, by sysid << 8 | compid: where another vehicle sends with these ids, and where this one does."""
+        """The fleet's table by sysid << 8 | compid: where another vehicle sends with these ids, and where this one
+        does."""
         self.duplicate_beside = False
-        """Two vehicles send with these ids on the one channel: what is in here is of both."""
+        """Two vehicles send with these ids on one channel: this state mixes both."""
         self.replayed = replayed
-        """True if it is heard in a recording only: it takes no orders."""
+        """True if it exists only in a recording: it takes no orders."""
         self.type = self.autopilot = self.base_mode = self.custom_mode = self.system_status = 0
-        """Of its last heartbeat."""
+        """From its last heartbeat."""
         self.firmware: str | None = None
         self.gcs_sysid: int | None = None
-        """The ground station whose heartbeats its failsafe watches, once its parameter has been read by anybody."""
+        """The ground station whose heartbeats its failsafe watches, once any station has read the parameter."""
         self.system: Callable[[float], list[dict[str, Any]]] = lambda now: []
-        """Every component of its system at a time, as `component.describe` has them."""
+        """Returns the components of its system at a time, as `component.describe` does."""
         self.other_texts: Callable[[], Sequence[tuple[StatusText, int]]] = tuple
         """Texts of its system's other components, with their component ids."""
         self.last_ack: Ack | None = None
@@ -115,7 +116,7 @@ class Vehicle:
         self.message_cache = MessageCache(self._decoder)
         self.slots = self.message_cache.slots
         self.armed_at = -math.inf
-        """When its heartbeat said last that it is armed."""
+        """When its heartbeat last showed it armed."""
         self._landed = "undefined"
         self._landed_id = self._decoder.msgid_of("EXTENDED_SYS_STATE")
         self._high_latency_failures = 0
@@ -127,13 +128,13 @@ class Vehicle:
         self._rates_at: float | None = None
         self._clock_at = -math.inf
         self._other_heartbeats: dict[str, tuple[int, float]] = {}
-        """Heartbeats of others with these ids: how many, and when that was reported."""
+        """Number of others' heartbeats with these ids, and when that was reported."""
         self._assembler = StatusTextAssembler()
         self._enu: tuple[TelemetryGroup | None, Origin | None, list[float] | None] = (None, None, None)
         self._handlers = self._message_handlers()
 
     def _message_handlers(self) -> dict[int, Callable[[bytes, float], Events]]:
-        """The messages of which every single one is read at once, by msgid."""
+        """Messages of which each frame is read at once, by msgid."""
         handlers: dict[str, Callable[[bytes, float], Events]] = {
             "STATUSTEXT": self._on_statustext,
             "EXTENDED_SYS_STATE": self._on_extended_sys_state,
@@ -153,7 +154,7 @@ class Vehicle:
         slot = self.slots.get(frame.msgid)
         if slot is None:
             if frame.info is None:
-                return ()  # no CRC vouches for it: not even its id can be trusted
+                return ()  # without a CRC not even its id can be trusted
             slot = self.slots[frame.msgid] = Slot(frame.info.name)
         slot.frame = frame
         slot.at = now
@@ -162,15 +163,15 @@ class Vehicle:
         return () if handler is None else handler(frame.payload, now)
 
     def state_update_only(self, msgid: int) -> Slot | None:
-        """The slot of a message of which `on_frame` does no more than to put it there; None: of another one."""
+        """The cache slot of a message for which `on_frame` only updates that slot; None for other messages."""
         return None if msgid in self._handlers or msgid == HEARTBEAT else self.slots.get(msgid)
 
     def is_last_heartbeat(self, payload: bytes) -> bool:
-        """Whether this is the payload of its last heartbeat."""
+        """True if this is the payload of its last heartbeat."""
         return payload == self._heartbeat_payload and self.connected
 
     def tick(self, now: float) -> Events:
-        """What time alone brings: a lost vehicle, rates, texts that will not be completed, a reboot told by clocks."""
+        """Events of time alone: a lost vehicle, rates, texts that stay incomplete, a reboot seen by its clock."""
         events: list[Event] = []
         for text in self._assembler.flush(now):
             events += self._on_text(text)
@@ -216,17 +217,17 @@ class Vehicle:
 
     @property
     def duplicate_elsewhere(self) -> str | None:
-        """Where another vehicle sends with these ids over another channel; None: nowhere."""
+        """Where another vehicle sends with these ids on another channel; None: nowhere."""
         return self.duplicates.get(self.key)
 
     @property
     def duplicate(self) -> bool:
-        """Whether another vehicle sends with its ids, here or elsewhere."""
+        """True if another vehicle sends with its ids, on any channel."""
         return self.duplicate_beside or self.duplicate_elsewhere is not None
 
     @property
     def duplicate_where(self) -> str | None:
-        """Where the two vehicles of one system id send; None: there is only one."""
+        """Where the two vehicles with one system id send; None: there is only one."""
         return self.duplicate_elsewhere or ("on one link" if self.duplicate_beside else None)
 
     @property
@@ -238,12 +239,12 @@ class Vehicle:
         return None if self._heard_at is None else now - self._heard_at
 
     def landed_state(self) -> tuple[str, float]:
-        """Its last EXTENDED_SYS_STATE and when that came; "undefined" if there was none, or it does not say."""
+        """Its last EXTENDED_SYS_STATE and when that came; "undefined" if there was none, or in it."""
         slot = self.slots.get(self._landed_id)
         return ("undefined", -math.inf) if slot is None or slot.frame is None else (self._landed, slot.at)
 
     def landed(self, now: float) -> str:
-        """on_ground, in_air, takeoff, landing; what cannot be known is "undefined"."""
+        """on_ground, in_air, takeoff, landing, or "undefined" if that is not known."""
         slot = self.slots.get(self._landed_id)
         if (
             slot is not None
@@ -259,35 +260,36 @@ class Vehicle:
         return "undefined"
 
     def in_air(self, now: float) -> bool | None:
-        """Whether it flies; None if nothing tells."""
+        """True if it flies; None if that is not known."""
         landed = self.landed(now)
         return None if landed == "undefined" else landed in AIRBORNE
 
     def last_frames(self, msgids: Iterable[int]) -> list[tuple[Frame, float]]:
-        """The last frame of each of these messages, with the time it came, as far as they have come."""
+        """The last frame of each of these messages that has come, with its time."""
         slots = [self.slots[msgid] for msgid in msgids if msgid in self.slots]
         return [(slot.frame, slot.at) for slot in slots if slot.frame is not None]
 
     def slot(self, message: str) -> Slot | None:
-        """The last frame of a message, its time and count; None if none came (or none since the last reboot)."""
+        """The last frame of a message, its time and count; None if none came since the last reboot."""
         return self.message_cache.slot(message)
 
     def count(self, message: str) -> int:
-        """How often a message has come."""
+        """Number of frames of a message."""
         slot = self.slots.get(self._decoder.msgid_of(message))
         return 0 if slot is None else slot.count
 
     def telemetry(self, name: str) -> TelemetryGroup | None:
-        """One section of the state, without its age. It is kept: do not change it."""
+        """One telemetry group, without its age. It is shared: do not modify it."""
         return self.message_cache.telemetry(name)[0]
 
     def telemetry_at(self, name: str) -> float | None:
-        """When the newest message of a section came."""
+        """When the newest message of a telemetry group came."""
         group_values, at = self.message_cache.telemetry(name)
         return None if group_values is None else at
 
     def home_alt_amsl_m(self) -> float | None:
-        """What GLOBAL_POSITION_INT.relative_alt is relative to; HOME_POSITION only if there is no position."""
+        """The altitude that GLOBAL_POSITION_INT.relative_alt is relative to; without a position that of
+        HOME_POSITION."""
         position = self.telemetry("position")
         if position is not None and position["lat_deg"] is not None:
             return float(position["alt_amsl_m"] - position["alt_rel_m"])
@@ -295,18 +297,19 @@ class Vehicle:
         return None if home is None else float(home["alt_amsl_m"])
 
     def param(self, name: str) -> float | None:
-        """A parameter of `parameters.WATCHED`; None if nobody has read it since the vehicle started."""
+        """A parameter of `watched_params.WATCHED`; None if no station has read it since the vehicle started."""
         return self.parameters.value(name)
 
     def clock_offset_s(self, now: float, unix_now: float) -> float | None:
-        """The vehicle's clock minus ours, as of the last SYSTEM_TIME; the link's delay makes it look late."""
+        """The vehicle's clock minus ours, from the last SYSTEM_TIME; it includes the link's delay, with a minus
+        sign."""
         time, at = self.message_cache.telemetry("time")
         if time is None or time["unix_s"] is None:
             return None
         return round(float(time["unix_s"]) - (unix_now - (now - at)), 3)
 
     def enum_name(self, enum: str, value: int) -> str:
-        """Name of an entry of one of the dialect's enums without the enum's own; the number if it has none."""
+        """Name of an enum's entry in the dialect, without the enum's name; the number if it has no name."""
         name = self._decoder.dialect.enums.get(enum, {}).get(value)
         return str(value) if name is None else name.removeprefix(enum + "_")
 
@@ -324,7 +327,7 @@ class Vehicle:
         return Event(kind, self.name, self.sysid, text, data or {})
 
     def on_heartbeat(self, payload: bytes, now: float, frame: Frame | None = None) -> Events:
-        """A heartbeat. ``frame``: put it into its slot if it is the vehicle's own; None: the slot has it already."""
+        """A heartbeat. ``frame``: put it into its slot if it is the vehicle's own; None: it is in the slot already."""
         fields = self._decoder.read["HEARTBEAT"](payload)
         origin = self.heartbeats.judge(fields[0], fields[1], fields[2], fields[3], now)
         if origin != "own":
@@ -350,8 +353,8 @@ class Vehicle:
         return self._on_life(vehicle_type, autopilot, base_mode, custom_mode, system_status, now)
 
     def _on_other_heartbeat(self, origin: HeartbeatOrigin, fields: tuple[int, ...], now: float) -> Events:
-        """A heartbeat with the vehicle's ids that is not its own changes nothing, but for orders if it is of another
-        vehicle."""
+        """A heartbeat with the vehicle's ids that is not its own leaves the state unchanged; if it is another
+        vehicle's, plain orders are refused."""
         count, reported_at = self._other_heartbeats.get(origin, (0, -math.inf))
         count += 1
         if now - reported_at < REPORT_AGAIN_S:
@@ -392,7 +395,7 @@ class Vehicle:
         return self._set_beside(False)
 
     def _on_high_latency(self, payload: bytes, now: float) -> Events:
-        """It replaces the heartbeat on a satellite link; it has no armed bit, so that is left as it was."""
+        """HIGH_LATENCY2 replaces the heartbeat on a satellite link. It has no armed bit, so ``armed`` stays."""
         vehicle_type, autopilot, custom_mode, failures, *_ = self._decoder.read["HIGH_LATENCY2"](payload)
         if autopilot == modes.AUTOPILOT_PX4:
             custom_mode <<= 16  # PX4 sends main and sub mode in the low and high byte
@@ -419,7 +422,7 @@ class Vehicle:
             self.connected = True
             if first:
                 self._known_since = now
-                return ()  # that it is there at all is told by whoever made it
+                return ()  # the caller that created it reports its first frame
             gone = now - (self._lost_at or now)
             events.append(self._event("vehicle_back", f"back after {gone:.1f} s", {"gone_s": round(gone, 1)}))
         if self.armed != armed:
@@ -501,8 +504,8 @@ class Vehicle:
         return ()
 
     def _check_clocks(self, now: float) -> Events:
-        """SYSTEM_TIME is not streamed by everybody; other messages carry the same clock. While there may be two clocks,
-        all of them are looked at."""
+        """Not every autopilot streams SYSTEM_TIME; other messages carry the same clock. While there may be two clocks,
+        all of these messages are read."""
         if self.boot.went_back_at is None:
             newest = self.message_cache.newest(BOOT_TIME_MESSAGES)
             slots = [] if newest is None else [newest]
@@ -531,13 +534,13 @@ class Vehicle:
         return ()
 
     def restart(self, now: float, text: str) -> Events:
-        """Another life of it begins: it started anew elsewhere, or another vehicle takes its place."""
+        """It restarted on another channel, or another vehicle replaces it."""
         self.boot.forget()
         self.heartbeats.forget()
         return (self._rebooted(now, text, since=now),)
 
     def _rebooted(self, now: float, text: str, since: float) -> Event:
-        """What was known of the life before, which ended at ``since``, is no longer true, but for the heartbeat."""
+        """Drop the state from before a restart at ``since``, except the heartbeat."""
         self._known_since = now
         self._landed = "undefined"
         self.takeoff.forget()

@@ -1,4 +1,4 @@
-"""The few parameters of an autopilot that decide how it takes setpoints, as far as anybody has read them aloud."""
+"""Parameters that decide how an autopilot takes setpoints, from the PARAM_VALUEs that any station requested."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ WATCHED = frozenset(
         "THR_MDL_FAC",
     }
 )
-"""Names not among them are not kept: a vehicle has a thousand."""
+"""Others are not kept: a vehicle has a thousand parameters."""
 
 INTEGER_FORMAT = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 """struct codes of the integer types among MAV_PARAM_TYPE."""
 
 
 class Parameters:
-    """Values of `WATCHED` by name, each with the time it was told. They may change; a reboot forgets them all."""
+    """Values of `WATCHED` by name, each with the time of its report. A reboot drops them all."""
 
     __slots__ = ("_values",)
 
@@ -36,8 +36,8 @@ class Parameters:
         self._values: dict[str, tuple[float, float]] = {}
 
     def note(self, raw_name: bytes, wire_value: float, param_type: int, now: float, *, bytewise: bool) -> None:
-        """A PARAM_VALUE came. ``bytewise``: integers lie in the float field byte by byte, as PX4 puts them
-        (PARAM_ENCODE_BYTEWISE); else they are cast to float, as ArduPilot does (PARAM_ENCODE_C_CAST)."""
+        """Note a PARAM_VALUE. ``bytewise``: the float field holds an integer's bytes, as PX4 sends it
+        (PARAM_ENCODE_BYTEWISE); else integers are cast to float, as ArduPilot does (PARAM_ENCODE_C_CAST)."""
         name = raw_name.rstrip(b"\0").decode("ascii", "replace")
         if name not in WATCHED:
             return
@@ -49,7 +49,7 @@ class Parameters:
             self._values[name] = (value, now)
 
     def value(self, name: str) -> float | None:
-        """None if it was not told since the vehicle started."""
+        """The value; None if it was not reported since the vehicle started."""
         known = self._values.get(name)
         return None if known is None else known[0]
 

@@ -99,7 +99,7 @@ def test_no_number_whatsoever_raises_or_is_inside_by_mistake(place: tuple[float,
         reason = FENCE.why_not(*place, reference=reference)
         assert FENCE.contains(*place, reference=reference) is (reason is None)
         if not all(map(math.isfinite, place)):
-            assert reason is not None and "no place on earth" in reason
+            assert reason is not None and "not a position on earth" in reason
 
 
 def test_where_a_reference_may_be_a_vehicle_may_be() -> None:

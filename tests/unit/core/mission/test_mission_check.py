@@ -71,7 +71,7 @@ def found(
         (MissionItem(177, 2, (2.0, 1.0, 0.0, 0.0)), "ERROR mission item 2: jumps to itself"),
         (MissionItem(177, 2, (1.0, -2.0, 0.0, 0.0)), "ERROR mission item 2: repeats -2 times"),
         (MissionItem(601, 2, (5.0, 1.0, 0.0, 0.0)), "ERROR mission item 2: jumps to tag 5, which no item has"),
-        (MissionItem(16, 3, x=950000000, y=10, z=20.0), "ERROR mission item 2: 95.0, 1e-06 is no place on earth"),
+        (MissionItem(16, 3, x=950000000, y=10, z=20.0), "ERROR mission item 2: 95.0, 1e-06 is not a position on earth"),
         (MissionItem(16, 2, z=20.0), "ERROR mission item 2: is a waypoint in frame MISSION"),
         (MissionItem(16, 3, z=20.0), "warning mission item 2: is at 0, 0: an ArduPilot takes that"),
     ],

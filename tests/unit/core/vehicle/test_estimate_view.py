@@ -67,7 +67,7 @@ def test_a_latitude_beyond_the_pole_is_outside_any_fence() -> None:
     estimate_view.set_local_origin(Fence(Origin(89.9999, 1.0, 100.0)))
     vehicle.on_frame(told_position(voice, 900_001_000, -1_790_000_000, 100_000), 101.0)
     estimate_view.estimate()
-    assert "no place on earth" in str(estimate_view.breach())
+    assert "not a position on earth" in str(estimate_view.breach())
 
 
 @given(

@@ -31,9 +31,9 @@ EVIDENCE: dict[str, tuple[Callable[[Voice], Frame], str]] = {
     "takeoff": (lambda v: v.landed(3), "it reports itself in takeoff"),
     "landing": (lambda v: v.landed(4), "it reports itself in landing"),
     "high": (lambda v: v.position(rel_m=12.0), "it is 12 m above its home"),
-    "climbs": (lambda v: v.position(velocity=(0, 0, -150)), "it climbs with 1.5 m/s"),
-    "sinks": (lambda v: v.position(velocity=(0, 0, 150)), "it sinks with 1.5 m/s"),
-    "moves": (lambda v: v.position(velocity=(300, 400, 0)), "it moves with 5.0 m/s"),
+    "climbs": (lambda v: v.position(velocity=(0, 0, -150)), "it climbs at 1.5 m/s"),
+    "sinks": (lambda v: v.position(velocity=(0, 0, 150)), "it sinks at 1.5 m/s"),
+    "moves": (lambda v: v.position(velocity=(300, 400, 0)), "it moves at 5.0 m/s"),
     "throttle": (lambda v: v.say(mav.MAVLink_vfr_hud_message(0, 0, 0, 38, 0, 0)), "its throttle is at 38 %"),
 }
 

@@ -41,8 +41,8 @@ def its_origin(vehicle: Vehicle, voice: Voice, lat: float = HOME[0], alt: float 
     [
         (Origin(0.0, 0.0, 100.0), "zero coordinate"),
         (Origin(47.0, 0.0, 100.0), "zero coordinate"),
-        (Origin(91.0, 8.0, 100.0), "no place on earth"),
-        (Origin(math.nan, 8.0, 100.0), "no place on earth"),
+        (Origin(91.0, 8.0, 100.0), "not a position on earth"),
+        (Origin(math.nan, 8.0, 100.0), "not a position on earth"),
         (Origin(47.0, 8.0, math.nan), "altitude of nan"),
         (Origin(47.0, 8.0, math.inf), "altitude of inf"),
         (Origin(47.0, 8.0, 480_000.0), "between -500 and 9000"),
@@ -85,10 +85,10 @@ def test_a_vehicle_gives_its_place_and_if_wanted_its_heading() -> None:
     ("changes", "now", "force", "why"),
     [
         ({}, 103.5, True, r"3\.5 s old; 3 s is the limit"),
-        ({"place": (0.0, 0.0, 0.0)}, 101.0, True, "not told its position"),
+        ({"place": (0.0, 0.0, 0.0)}, 101.0, True, "not reported its position"),
         ({"fix": 2}, 101.0, False, r"no 3D fix \(2d\).*force"),
         ({"fix": None}, 101.0, False, "not known.*force"),
-        ({"heading": 65535}, 101.0, True, "does not tell its heading"),
+        ({"heading": 65535}, 101.0, True, "does not report its heading"),
     ],
 )
 def test_a_vehicle_that_does_not_know_well_where_it_is_gives_none(
