@@ -32,6 +32,7 @@ from skygcs.config.models import (
     VehicleSettings,
 )
 from skygcs.config.preflight import PreflightSettings, RuleSettings
+from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import KeyPath, Problem, key_lines, line_of
 from skygcs.core.mavlink.dialect import Dialect
@@ -320,6 +321,10 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return VehicleSettings
         case ("vehicles", _):
             return VehicleEntry
+        case ("monitor",):
+            return MonitorConfig
+        case (*_, "separation"):
+            return SeparationSettings
         case (*_, "preflight"):
             return PreflightSettings
         case (*_, "preflight", "params", _):

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from skygcs.config.control import ControlSettings
 from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
+from skygcs.config.separation import MonitorConfig, SeparationSettings
 from skygcs.config.signing import SigningSettings
 from skygcs.config.tables import Model
 from skygcs.core.geo import EAST_DEG
@@ -287,6 +288,8 @@ class VehicleSettings(Model):
     """Expectations before a flight; laid over the lower levels' key by key."""
     require_preflight: bool | None = None
     """As in [daemon], for these vehicles."""
+    separation: SeparationSettings | None = None
+    """The space it needs and its priority; laid over the lower levels' key by key."""
 
 
 class VehicleEntry(VehicleSettings):
@@ -312,6 +315,7 @@ class VehicleConfig(Model):
     """Whether any level has a control table: it is to be flown by setpoints."""
     preflight: PreflightSettings = PreflightSettings()
     require_preflight: bool = False
+    separation: SeparationSettings = SeparationSettings()
     named: bool = False
     """Whether it is in the fleet file."""
 
@@ -338,6 +342,7 @@ class FleetConfig(Model):
     """A whole fleet file."""
 
     daemon: DaemonConfig = DaemonConfig()
+    monitor: MonitorConfig = MonitorConfig()
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
     links: dict[str, AnyLink] = Field(default_factory=dict)
@@ -394,6 +399,8 @@ class FleetConfig(Model):
                 merged["control_planned"] = True
             if layer.preflight is not None:
                 merged["preflight"] = layer.preflight.over(merged.get("preflight", PreflightSettings()))
+            if layer.separation is not None:
+                merged["separation"] = layer.separation.over(merged.get("separation", SeparationSettings()))
             if layer.group is not None:
                 groups = [layer.group] if isinstance(layer.group, str) else list(layer.group)
         return VehicleConfig(name=name, sysid=entry.sysid, groups=tuple(groups), **merged)

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import control, models, preflight, signing
+from skygcs.config import control, models, preflight, separation, signing
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
@@ -33,6 +33,8 @@ LINKS = get_args(models.LinkConfig)
         control.ControlFenceSettings,
         preflight.PreflightSettings,
         preflight.RuleSettings,
+        separation.MonitorConfig,
+        separation.SeparationSettings,
         signing.SigningSettings,
     ],
     ids=lambda m: m.__name__,
