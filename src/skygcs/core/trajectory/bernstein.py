@@ -5,7 +5,7 @@ and sum to 1, so min b ≤ p(t) ≤ max b on the whole interval, and b_0 and b_n
 interval in two (de Casteljau) makes the bounds tighter, quadratically in the length of the parts.
 Sources: Farouki, "The Bernstein polynomial basis: a centennial retrospective", CAGD 29 (2012).
 
-Plain Python: for a few trajectories. `skygcs.core.plan` has the same in numpy for all pairs of a fleet.
+Plain Python, for a few trajectories; checks of all pairs of a fleet need the same in numpy.
 """
 
 from __future__ import annotations
