@@ -100,7 +100,11 @@ class Flown:
     deaf: bool = False
     """Nothing of ours reaches the vehicles; all that they send comes."""
 
+    uplink_delay_s: float = 0.0
+    """What is sent from now on reaches the vehicles so much later; the order is kept."""
+
     def __post_init__(self) -> None:
+        self._arrives = 0.0
         self._fleet = SimFleet(self.sims)
         self._uplink = FrameParser(self.sims[0].dialect)
         self.other = PymavPeer(250, 190)
@@ -258,6 +262,13 @@ class Flown:
     def _to_vehicles(self, raw: bytes) -> None:
         if self.cut or self.deaf:
             return
+        self._arrives = max(self._arrives, self.now + self.uplink_delay_s)
+        if self._arrives > self.now:
+            asyncio.get_running_loop().call_at(self._arrives, self._arrive, raw)
+        else:
+            self._arrive(raw)
+
+    def _arrive(self, raw: bytes) -> None:
         for frame in self._uplink.feed_datagram(raw):
             self._fleet.on_frame(frame, self.now)
 

@@ -31,7 +31,8 @@ UNKNOWN = 255
 SETPOINT_SHARE = 0.25
 """Share of a serial link's bytes per second for the setpoints of all vehicles behind it. A half-duplex radio shares its
 air between both directions: half of it is the fleet's telemetry (field-notes 10.2), commands and ground stations have
-the rest. At 57600 baud 1440 B/s: 28 attitude setpoints of 51 B a second, for one vehicle or divided among several."""
+the rest. At 57600 baud 1440 B/s: 28 attitude setpoints of 51 B a second, or 25 beside five pings, for one vehicle or
+divided among several."""
 
 BUDGET_SHARE = 0.5
 """Share of a radio's uplink, where that is known better than from the serial rate: its timeslots, its own reports.

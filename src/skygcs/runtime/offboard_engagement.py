@@ -22,6 +22,7 @@ from skygcs.config.control import ControlSettings
 from skygcs.config.models import VehicleConfig
 from skygcs.core.control.analysis import why_not_delay
 from skygcs.core.control.control_fence import Fence
+from skygcs.core.control.delay import FAST_PERIOD_S, PING_BYTES
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
@@ -280,9 +281,13 @@ class OffboardEngagement:
             self._publish("control", text, {"state": "flying"})
 
     def refresh_budget(self) -> None:
-        """Update how many attitude setpoints a second the link can carry."""
+        """Update how many attitude setpoints a second the link can carry, and whether pings five times a second beside
+        them, which come out of the same share."""
+        controller, frame_bytes = self.controller, FRAME_BYTES["SET_ATTITUDE_TARGET"]
         bytes_per_s = self._services.links.setpoint_bytes_per_s(self._vehicle, self._services.flown())
-        self.controller.attitude_hz_allowed = bytes_per_s / FRAME_BYTES["SET_ATTITUDE_TARGET"]
+        left = bytes_per_s - PING_BYTES / FAST_PERIOD_S
+        controller.fast_pings = left >= controller.config.rate_min_hz * frame_bytes
+        controller.attitude_hz_allowed = (left if controller.fast_pings else bytes_per_s) / frame_bytes
 
     def status(self, now: float) -> dict[str, Any]:
         """The ``control`` part of the vehicle's state, still in the controller's local frame."""

@@ -235,13 +235,29 @@ async def test_the_links_budget_sets_the_pace(tmp_path: Path) -> None:
         assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
         since = f.loop.time()
         await asyncio.sleep(5)
-        assert len(f.ways(since)) == pytest.approx(5 * 28, abs=2) and set(f.ways(since)) == {ControlMode.ATTITUDE}
+        assert len(f.ways(since)) == pytest.approx(5 * 25.5, abs=2), "1440 B/s, and 140 of them for pings"
+        assert set(f.ways(since)) == {ControlMode.ATTITUDE}
         f.links.bytes_per_s = 720.0
         f.offboard.refresh_budget()
         await asyncio.sleep(0.2)
         since = f.loop.time()
         await asyncio.sleep(1)
         assert set(f.ways(since)) == {ControlMode.VELOCITY} and "14.1" in f.texts()
+
+
+@pytest.mark.parametrize(("bytes_per_s", "pings_per_s", "setpoints_per_s"), [(1200.0, 5, 20.8), (1100.0, 1, 21.6)])
+async def test_fast_pings_come_out_of_the_setpoints_share_where_enough_is_left(
+    tmp_path: Path, bytes_per_s: float, pings_per_s: float, setpoints_per_s: float
+) -> None:
+    async with field(tmp_path) as f:
+        f.links.bytes_per_s = bytes_per_s
+        assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+        await asyncio.sleep(1)
+        since = f.loop.time()
+        await asyncio.sleep(5)
+        pings = [at for at, name, *_ in f.commands.sent if name == "TIMESYNC" and at >= since]
+        assert len(pings) == pytest.approx(5 * pings_per_s, abs=2)
+        assert len(f.ways(since)) == pytest.approx(5 * setpoints_per_s, abs=2)
 
 
 async def test_the_hover_thrust_is_the_files_else_the_vehicles_else_the_seeds(tmp_path: Path) -> None:

@@ -80,6 +80,8 @@ class EstimateView:
     def measure(self, state_age_s: float | None, now: float) -> None:
         """One tick's age of the state (`age_s`); every JUDGE_S, what moves slowly."""
         self.delay.on_tick(state_age_s, now)
+        if self.delay.bound_s:  # the link got slow: not to wait for JUDGE_S
+            self.delay_p95_s = self.delay.delay_p95_s
         if not 0.0 <= now - self._judged_at < JUDGE_S:
             self._judged_at = now
             self.delay_p95_s = self.delay.delay_p95_s

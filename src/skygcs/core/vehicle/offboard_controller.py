@@ -88,6 +88,8 @@ class OffboardController:
         self.control_mode: ControlMode | None = None
         self.reasons: tuple[str, ...] = ()
         self.attitude_hz_allowed = math.inf
+        self.fast_pings = True
+        """Whether the link bears a ping five times a second while attitude is flown; may be set at any time."""
         self.was_entered = False
         """Whether the autopilot obeyed since the last `engage`."""
         self.refusing: str | None = None
@@ -236,6 +238,8 @@ class OffboardController:
         estimate = self._estimate_view.estimate()
         age_s = self._estimate_view.age_s(now)
         last.estimate, last.state_age_s = estimate, age_s
+        attitude = self.wanted is ATTITUDE and (self.state is ENGAGING or self.control_mode in (None, ATTITUDE))
+        self.delay.fast = attitude and self.fast_pings
         self._estimate_view.measure(age_s, now)
         events: list[Event] = []
         if self.state is ENGAGING:

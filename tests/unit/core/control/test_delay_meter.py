@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import random
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -17,6 +19,41 @@ ages = st.floats(0.0, 10.0)
 
 def answered(meter: DelayMeter, rtt_s: float, now: float) -> None:
     meter.on_pong(meter.ping(now), now + rtt_s)
+
+
+def flown(
+    seconds: float,
+    *,
+    uplink_s: float = 0.01,
+    slow_from: float = math.inf,
+    slow_s: float = 0.585,
+    slow_for: float = math.inf,
+    loss: float = 0.0,
+    seed: int = 0,
+    hz: float = 50.0,
+    fast: bool = True,
+) -> Iterator[tuple[float, float, bool]]:
+    """A meter over a link that keeps its order and loses messages each way: at each tick the time, the delay and
+    whether a ping went out."""
+    meter, rng = DelayMeter(share=1.0), random.Random(seed)
+    meter.fast = fast
+    under_way: list[tuple[float, int]] = []
+    arrives = age_s = 0.0
+    for n in range(round(seconds * hz)):
+        now = n / hz
+        for at, token in [pong for pong in under_way if pong[0] <= now]:
+            under_way.remove((at, token))
+            meter.on_pong(token, at)
+        age_s = 0.02 if rng.random() >= loss else age_s + 1 / hz
+        meter.on_tick(age_s, now)
+        sends = meter.due_ping(now)
+        if sends:
+            token = meter.ping(now)
+            slow = slow_from <= now < slow_from + slow_for
+            arrives = max(arrives, now + (slow_s if slow else uplink_s))
+            if rng.random() >= loss and rng.random() >= loss:
+                under_way.append((arrives + 0.01, token))
+        yield now, meter.delay_p95_s or 0.0, sends
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=200))
@@ -87,6 +124,61 @@ def test_the_way_up_is_half_of_the_median_round_trip() -> None:
     for n, rtt_s in enumerate((0.2, 0.2, 3.0, 0.2, 0.1)):
         answered(meter, rtt_s, float(n))
     assert meter.uplink_s == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("hz", [20.0, 25.0, 33.0, 50.0, 100.0])
+@pytest.mark.parametrize("uplink_s", [0.005, 0.01, 0.03])
+def test_an_uplink_that_gets_slow_is_noticed_at_any_phase_of_the_pings(hz: float, uplink_s: float) -> None:
+    for phase in range(21):
+        slow_from = 5.0 + phase * 0.01
+        flight = flown(7.0, uplink_s=uplink_s, slow_from=slow_from, hz=hz)
+        noticed = next(now for now, delay_s, _ in flight if delay_s > 0.1)
+        assert 0 < noticed - slow_from <= 0.7
+
+
+def test_the_bound_holds_until_late_pongs_show_the_same() -> None:
+    seen = [(now, delay_s) for now, delay_s, _ in flown(20.0, slow_from=5.0)]
+    noticed = next(now for now, delay_s in seen if delay_s > 0.1)
+    assert all(delay_s > 0.1 for now, delay_s in seen if now >= noticed)
+    assert seen[-1][1] == pytest.approx(0.615, abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_false_alarm_in_ten_minutes_at_five_percent_loss_each_way(seed: int) -> None:
+    assert max(delay_s for _, delay_s, _ in flown(600.0, loss=0.05, seed=seed)) <= 0.1
+
+
+@pytest.mark.parametrize("pause_s", [0.1, 0.2, 0.25])
+def test_a_short_pause_of_the_link_is_one_late_pong(pause_s: float) -> None:
+    """What is sent within the pause arrives at its end, all at once."""
+    for phase in range(20):
+        begins, ends = 5.0 + phase * 0.01, 5.0 + phase * 0.01 + pause_s
+        meter, most = DelayMeter(share=1.0), 0.0
+        meter.fast = True
+        under_way: list[tuple[float, int]] = []
+        for n in range(500):
+            now = n / 50
+            for at, token in [pong for pong in under_way if pong[0] <= now]:
+                under_way.remove((at, token))
+                meter.on_pong(token, at)
+            meter.on_tick(0.02, now)
+            if meter.due_ping(now):
+                under_way.append(((ends if begins <= now < ends else now) + 0.02, meter.ping(now)))
+            most = max(most, meter.delay_p95_s or 0.0)
+        assert most <= 0.1
+
+
+def test_pings_cost_a_slow_link_one_a_second_and_a_fast_one_five_and_twenty_only_in_doubt() -> None:
+    def rate_hz(since: float, until: float, **link: float) -> float:
+        flight = flown(until, fast=bool(link.pop("fast", 1)), **link)  # type: ignore[arg-type]
+        return sum(sends for now, _, sends in flight if now >= since) / (until - since)
+
+    assert rate_hz(2.0, 12.0) == pytest.approx(5.0, abs=0.3)
+    assert rate_hz(2.0, 12.0, hz=20.0) == pytest.approx(5.0, abs=0.3)
+    assert rate_hz(2.0, 12.0, fast=0, slow_from=5.0) == pytest.approx(1.0, abs=0.15)
+    assert 18 <= rate_hz(5.3, 5.8, slow_from=5.0) <= 26
+    assert 18 <= rate_hz(5.3, 5.8, slow_from=5.0, hz=20.0) <= 21
+    assert rate_hz(9.0, 12.0, slow_from=5.0) == pytest.approx(5.0, abs=0.4), "known now, and no doubt any more"
 
 
 @pytest.mark.parametrize("unknown", [None, math.nan, math.inf])

@@ -1,0 +1,59 @@
+"""Flown by attitude, and the uplink gets slow while all telemetry comes: noticed within 0.7 s. Loss is no delay."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from support.flown import flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+
+
+@KINDS
+@pytest.mark.parametrize("phase_s", [0.0, 0.05, 0.1, 0.15, 0.19])
+async def test_an_uplink_that_gets_slow_ends_attitude_within_0_7_s(
+    tmp_path: Path, kind: dict[str, int], phase_s: float
+) -> None:
+    async with flown(tmp_path, delay_s=0.01, **kind) as gcs:
+        await gcs.fly("attitude")
+        start = gcs.place()
+        await asyncio.sleep(6.0)
+        await gcs.step(8.0, 0.0, 0.0)
+        await asyncio.sleep(2.0)
+        ping = [s.at for s in gcs.sent if s.name == "TIMESYNC"][-1]
+        await gcs.until(lambda: [s.at for s in gcs.sent if s.name == "TIMESYNC"][-1] > ping)
+        await asyncio.sleep(phase_s)
+        slow, gcs.uplink_delay_s = gcs.now, 0.575
+        left = await gcs.until(lambda: gcs.control()["control_mode"] != "attitude")
+        assert left - slow <= 0.7
+        (text,) = gcs.texts(slow)[:1]
+        assert text.startswith("flown by velocity setpoints: state age plus setpoint transport is 0.")
+        await asyncio.sleep(12.0)
+        assert gcs.farthest_m(slow, of=(start[0] + 8.0, start[1], start[2])) < 8.0, "it never leaves the step"
+        assert gcs.place() == pytest.approx((start[0] + 8.0, start[1], start[2]), abs=0.5)
+
+
+async def test_five_percent_of_loss_each_way_is_no_delay(tmp_path: Path) -> None:
+    links = {"air": {"type": "memory", "role": "radio", "delay_s": 0.01, "loss": 0.05}}
+    async with flown(tmp_path, links=links) as gcs:
+        assert (await gcs.outcome("control.set", mode="attitude"))["ok"]
+        await gcs.until(lambda: gcs.control()["control_mode"] == "attitude")
+        began = gcs.now
+        await asyncio.sleep(120.0)
+        assert gcs.texts(began) == [] and gcs.control()["control_mode"] == "attitude"
+
+
+async def test_the_return_waits_for_twenty_good_pongs_and_then_return_after_s(tmp_path: Path) -> None:
+    async with flown(tmp_path, delay_s=0.01, control={"return_after_s": 2.0}) as gcs:
+        await gcs.fly("attitude")
+        await asyncio.sleep(6.0)
+        gcs.uplink_delay_s = 0.575
+        await asyncio.sleep(3.0)
+        over, gcs.uplink_delay_s = gcs.now, 0.0
+        back = await gcs.until(lambda: gcs.control()["control_mode"] == "attitude", timeout_s=60.0)
+        assert 20.0 <= back - over <= 24.0, "docs/explanation/control-guard.md"
