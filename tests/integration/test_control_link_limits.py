@@ -29,7 +29,8 @@ async def test_three_tenths_of_a_second_of_delay(tmp_path: Path, kind: dict[str,
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(20)
         assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.2)
-        assert gcs.farthest_m(began, of=start) < 3.6
+        # the firmwares' velocity loops lag by half a second: with the delay a third of the step too far
+        assert gcs.farthest_m(began, of=start) < 4.1
         assert "SET_ATTITUDE_TARGET" not in {s.name for s in gcs.setpoints(began)}
         assert gcs.control()["control_mode"] == "velocity"
         assert len(gcs.texts(began)) <= 1, "the order's outcome has told it already"

@@ -151,7 +151,7 @@ async def test_a_daemon_that_dies_leaves_the_autopilot_to_its_own_failsafe(
         await asyncio.sleep(1.0)
         died, gcs.cut = gcs.now, True
         await asyncio.sleep(4.5)
-        assert gcs.farthest_m(died, of=start) < (12.0 if kind != {"px4": 1} and mode == "attitude" else 5.0)
+        assert gcs.farthest_m(died, of=start) < (12.0 if kind != {"px4": 1} and mode == "attitude" else 5.5)
         await asyncio.sleep(1.5)
         modes = [t.mode for t in gcs.truth[1] if t.at > died]
         first = next(mode for mode in modes if mode not in (Px4Mode.OFFBOARD, CopterMode.GUIDED))

@@ -107,7 +107,12 @@ def _add_sim(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     sim.add_argument(
         "--dynamics", choices=("rigid", "kinematic"), default="rigid", help="kinematic: exact, without wind, cheaper"
     )
-    sim.add_argument("--airframe", choices=("f450", "ideal"), default="f450", help="ideal: no lags, no drag, no sag")
+    sim.add_argument(
+        "--airframe",
+        choices=("f450", "ideal", "sih"),
+        default="f450",
+        help="ideal: no lags, no drag, no sag; sih: as in PX4's own simulator",
+    )
     sim.add_argument("--attitude-lag", type=float, metavar="S", help="instead of the airframe's (0.15)")
     sim.add_argument("--wind", default="0", metavar="MPS[,FROM[,GUST]]", help="speed, compass degrees, gusts in m/s")
     sim.add_argument("--gps-noise", type=float, default=0.1, metavar="M", help="standard deviation (default 0.1)")

@@ -244,7 +244,7 @@ class SimulatedLinkConfig(RadioKeys, LinkCommon):
     seed: int = 1
     dynamics: Literal["rigid", "kinematic"] = "rigid"
     """Rigid bodies take attitude setpoints and feel the wind; kinematic ones are exact and cost two thirds."""
-    airframe: Literal["f450", "ideal"] = "f450"
+    airframe: Literal["f450", "ideal", "sih"] = "f450"
     attitude_lag_s: Annotated[float, Field(ge=0, le=2)] | None = None
     """None: the airframe's own, 0.15 s for the F450."""
     wind_mps: Annotated[float, Field(ge=0, le=30)] = 0.0

@@ -23,10 +23,12 @@ from skygcs.sim.command_message import Command
 from skygcs.sim.copter_files import FileServer
 from skygcs.sim.copter_lists import CopterLists
 from skygcs.sim.copter_mission import CopterRun
+from skygcs.sim.copter_position_control import CopterPositionControl
 from skygcs.sim.firmware_params import STREAM_GROUPS, copter_params
-from skygcs.sim.kinematics import Limits, Setpoint
+from skygcs.sim.kinematics import Limits
 from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
+from skygcs.sim.position_control import ControlGains, PositionTarget
 from skygcs.sim.position_targets import is_altitude, is_position, up_of
 from skygcs.sim.requests import common_command
 from skygcs.sim.vehicle import Home, SimVehicle
@@ -75,6 +77,10 @@ class CopterVehicle(SimVehicle):
     @staticmethod
     def factory_params(sysid: int) -> Params:
         return Params(copter_params(sysid), bytewise=False)
+
+    @staticmethod
+    def make_position_control(gains: ControlGains) -> CopterPositionControl:
+        return CopterPositionControl(gains)
 
     # -- what it says of itself
 
@@ -189,7 +195,7 @@ class CopterVehicle(SimVehicle):
         self.speed_mps = 0.0
         self.setpoint_at = now
         self.velocity_target = False
-        self.velocity_wanted = Setpoint((None, None, None))
+        self.velocity_wanted = PositionTarget()
         self._prearm_at = now + 3.0
         for stream, (param, _) in STREAM_GROUPS.items():
             self._set_group(stream, self.params[param], now)

@@ -304,6 +304,23 @@ class Answers:
 
 
 @dataclass(frozen=True, slots=True)
+class GainNames:
+    """The parameters of position and velocity control; "": it has none."""
+
+    xy_p: str
+    xy_vel_p: str
+    xy_vel_i: str
+    xy_vel_d: str
+    z_p: str
+    z_vel_p: str
+    z_vel_i: str
+    tilt_max: str
+    tilt_unit_deg: float
+    jerk_xy: str = ""
+    jerk_z: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Firmware:
     """One firmware's behaviour. Every field is a `Fact`, but the name and version."""
 
@@ -352,6 +369,19 @@ class Firmware:
     """Parameter (s) after which a stream that has ceased has ceased."""
     attitude_timeout_s: Fact[float | None]
     """The same for attitudes, where it is another; None: the parameter."""
+
+    control_gains: Fact[GainNames]
+    """Velocity per metre, acceleration per m/s, lean and jerk."""
+    target_moves_on: Fact[bool]
+    """Between two messages a position moves on with its velocity and acceleration."""
+    target_shaped: Fact[bool]
+    """The way to a target is a path within jerk and acceleration; otherwise each target is followed at once."""
+    axes_mix: Fact[bool]
+    """Each axis may be given a position, a velocity or an acceleration; otherwise all three axes or none."""
+    global_int_acceleration: Fact[bool]
+    """SET_POSITION_TARGET_GLOBAL_INT with position and velocity: whether its acceleration counts."""
+    yaw_unset: Fact[str]
+    """Where the nose points when a target has neither yaw nor yaw rate."""
 
     # failsafes
     failsafe_hold: Fact[str]
@@ -442,6 +472,45 @@ COPTER: Final = Firmware(
     attitude_timeout_s=Fact(
         None,
         "ArduCopter/mode_guided.cpp: ModeGuided::angle_control_run (up to 4.0: GUIDED_ATTITUDE_TIMEOUT_MS, 1 s)",
+    ),
+    control_gains=Fact(
+        GainNames(
+            xy_p="PSC_POSXY_P",
+            xy_vel_p="PSC_VELXY_P",
+            xy_vel_i="PSC_VELXY_I",
+            xy_vel_d="PSC_VELXY_D",
+            z_p="PSC_POSZ_P",
+            z_vel_p="PSC_VELZ_P",
+            z_vel_i="",
+            tilt_max="ANGLE_MAX",
+            tilt_unit_deg=0.01,
+            jerk_xy="PSC_JERK_XY",
+            jerk_z="PSC_JERK_Z",
+        ),
+        "libraries/AC_AttitudeControl/AC_PosControl.cpp: update_xy_controller, update_z_controller "
+        "(1.0; 2.0, 1.0, 0.25; z 1.0, 5.0; 30 deg; 5 m/s³)",
+    ),
+    target_moves_on=Fact(
+        True,
+        "libraries/AC_AttitudeControl/AC_PosControl.cpp: input_pos_vel_accel_xy, input_vel_accel_xy (until "
+        "GUID_TIMEOUT; then its velocity is 0)",
+    ),
+    target_shaped=Fact(
+        True,
+        "libraries/AP_Math/control.cpp: shape_pos_vel_accel_xy (WPNAV_ACCEL, PSC_JERK_XY; beside the feed-forward)",
+    ),
+    axes_mix=Fact(
+        False,
+        "ArduCopter/GCS_Mavlink.cpp: handle_message_set_position_target_local_ned (position and acceleration without "
+        "velocity: it stops)",
+    ),
+    global_int_acceleration=Fact(
+        False, "ArduCopter/GCS_Mavlink.cpp: handle_message_set_position_target_global_int (set_destination_posvel)"
+    ),
+    yaw_unset=Fact(
+        "where it flies, faster than 5 % of WPNAV_SPEED",
+        "ArduCopter/mode_guided.cpp: ModeGuided::set_yaw_state; autoyaw.cpp: default_mode (WP_YAW_BEHAVIOR 2); "
+        "AC_PosControl.cpp: calculate_yaw_and_rate_yaw",
     ),
     failsafe_hold=Fact("", "ArduCopter/events.cpp: Copter::do_failsafe_action"),
     failsafe_land_pause_s=Fact(4.0, "ArduCopter/config.h: LAND_WITH_DELAY_MS; mode_land.cpp: set_mode_land_with_pause"),
@@ -599,6 +668,33 @@ PX4: Final = Firmware(
     ),
     setpoint_timeout=Fact("COM_OF_LOSS_T", "commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
     attitude_timeout_s=Fact(None, "commander/HealthAndArmingChecks/checks/offboardCheck.cpp"),
+    control_gains=Fact(
+        GainNames(
+            xy_p="MPC_XY_P",
+            xy_vel_p="MPC_XY_VEL_P_ACC",
+            xy_vel_i="MPC_XY_VEL_I_ACC",
+            xy_vel_d="MPC_XY_VEL_D_ACC",
+            z_p="MPC_Z_P",
+            z_vel_p="MPC_Z_VEL_P_ACC",
+            z_vel_i="MPC_Z_VEL_I_ACC",
+            tilt_max="MPC_TILTMAX_AIR",
+            tilt_unit_deg=1.0,
+        ),
+        "mc_pos_control/PositionControl/PositionControl.cpp: _positionControl, _velocityControl "
+        "(0.95; 1.8, 0.4, 0.2; z 1.0, 4.0, 2.0; 45 deg)",
+    ),
+    target_moves_on=Fact(False, "mavlink/mavlink_receiver.cpp: handle_message_set_position_target_local_ned"),
+    target_shaped=Fact(
+        False,
+        "mc_pos_control/MulticopterPositionControl.cpp: Run (trajectory_setpoint as it came, within MPC_XY_VEL_MAX, "
+        "MPC_Z_VEL_MAX_UP and _DN)",
+    ),
+    axes_mix=Fact(
+        True,
+        "mc_pos_control/PositionControl/PositionControl.cpp: _inputValid (x and y in pairs; else it stops after 0.2 s)",
+    ),
+    global_int_acceleration=Fact(True, "mavlink/mavlink_receiver.cpp: handle_message_set_position_target_global_int"),
+    yaw_unset=Fact("where it points", "mc_pos_control/PositionControl/PositionControl.cpp: update"),
     failsafe_hold=Fact("COM_FAIL_ACT_T", "commander/failsafe/framework.cpp: FailsafeBase::getSelectedAction"),
     failsafe_land_pause_s=Fact(0.0, "navigator/land.cpp"),
     gcs_timeout=Fact("COM_DL_LOSS_T", "commander/Commander.cpp: dataLinkCheck (any ground station counts)"),

@@ -57,6 +57,15 @@ class AttitudeSetpoint:
     climb_mps: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class AccelerationSetpoint:
+    """How to accelerate: what a position controller asks for. Compass yaw; None keeps it, turning with the rate."""
+
+    acc_enu_mps2: Vector
+    yaw_rad: float | None = None
+    yaw_rate_radps: float = 0.0
+
+
 class Body:
     """Position, velocity and attitude of one vehicle. Yaw is compass yaw: 0 north, clockwise."""
 

@@ -9,7 +9,7 @@ from math import cos, hypot, isfinite, radians, sin
 
 from skygcs.sim.body import Vector
 from skygcs.sim.kinematics import Motion
-from skygcs.sim.quad import F450, IDEAL, Airframe, Quad
+from skygcs.sim.quad import F450, IDEAL, SIH, Airframe, Quad
 from skygcs.sim.wind import Wind
 
 
@@ -57,7 +57,7 @@ class Conditions:
 
 CALM = Conditions()
 
-AIRFRAMES: Mapping[str, Airframe] = {"f450": F450, "ideal": IDEAL}
+AIRFRAMES: Mapping[str, Airframe] = {"f450": F450, "ideal": IDEAL, "sih": SIH}
 """By the names fleet files and the command line use."""
 
 

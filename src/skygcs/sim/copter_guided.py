@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 from skygcs.sim.attitude_targets import Refusal, copter_attitude
 from skygcs.sim.behaviours import CopterMode
 from skygcs.sim.body import AttitudeSetpoint
+from skygcs.sim.copter_position_control import CopterPositionControl
 from skygcs.sim.failsafe import FENCE_CIRCLE
-from skygcs.sim.kinematics import Setpoint, approach_speed
+from skygcs.sim.kinematics import approach_speed
 from skygcs.sim.legs import Follow
-from skygcs.sim.position_targets import setpoint_of
+from skygcs.sim.position_control import PositionTarget
+from skygcs.sim.position_targets import copter_target
 
 if TYPE_CHECKING:
     from skygcs.sim.ardupilot import CopterVehicle
@@ -31,7 +33,7 @@ def take(v: CopterVehicle, name: str, fields: dict[str, Any], now: float) -> Non
     """A SET_ATTITUDE_TARGET or SET_POSITION_TARGET_*; nothing interrupts a take-off."""
     if v.mode != CopterMode.GUIDED or v.taking_off:
         return
-    setpoint: Setpoint | AttitudeSetpoint | None
+    setpoint: PositionTarget | AttitudeSetpoint | None
     if name == "SET_ATTITUDE_TARGET":
         target = _attitude(v, fields)
         if isinstance(target, Refusal):
@@ -40,22 +42,26 @@ def take(v: CopterVehicle, name: str, fields: dict[str, Any], now: float) -> Non
         setpoint = target
         lifts = target is not None and (target.thrust or target.climb_mps) > 0.0
     else:
-        setpoint = setpoint_of(v, name, fields, any_bit=True)
+        position = copter_target(v, name, fields)
+        if isinstance(position, Refusal):
+            _stop(v)
+            return
+        setpoint = position
         lifts = False  # from the ground only NAV_TAKEOFF or an attitude with a climb lifts it
         if setpoint is not None and not _within_fence(v, setpoint):
             return
     if setpoint is None or (v.landed and not lifts):
         return
     v.setpoint_at = now
-    v.velocity_target = isinstance(setpoint, Setpoint) and setpoint.pos_enu_m[0] is None
-    if v.velocity_target and isinstance(setpoint, Setpoint):
+    v.velocity_target = isinstance(setpoint, PositionTarget) and setpoint.pos_enu_m[0] is None
+    if v.velocity_target and isinstance(setpoint, PositionTarget):
         v.velocity_wanted = setpoint
         setpoint = _before_the_fence(v, setpoint)
     v.plan.fly(Follow(setpoint))
 
 
 def watch(v: CopterVehicle, now: float) -> None:
-    """A velocity that nobody renews ends in a stop, an attitude level and without climb; a position stays.
+    """A target that nobody renews moves no more, an attitude ends level and without climb; a position stays.
 
     Level is not still: it drifts with the wind until somebody or a failsafe changes the mode.
     """
@@ -63,8 +69,9 @@ def watch(v: CopterVehicle, now: float) -> None:
         return
     age, leg = now - v.setpoint_at, v.plan.leg
     longest = max(SHORTEST_TIMEOUT_S, v.params[v.firmware.setpoint_timeout.simulated])
-    if v.velocity_target and age > longest:
-        _stop(v)
+    if isinstance(leg, Follow) and isinstance(leg.setpoint, PositionTarget) and age > longest:
+        if isinstance(v.position_control, CopterPositionControl):
+            v.position_control.cease()
     elif v.velocity_target and v.params["FENCE_ENABLE"]:
         v.plan.fly(Follow(_before_the_fence(v, v.velocity_wanted)))
     elif isinstance(leg, Follow) and isinstance(leg.setpoint, AttitudeSetpoint):
@@ -74,7 +81,7 @@ def watch(v: CopterVehicle, now: float) -> None:
             v.plan.fly(Follow(AttitudeSetpoint(None)))
 
 
-def _before_the_fence(v: CopterVehicle, setpoint: Setpoint) -> Setpoint:
+def _before_the_fence(v: CopterVehicle, setpoint: PositionTarget) -> PositionTarget:
     """A velocity that goes no faster towards the circle about home than it can still stop FENCE_MARGIN before it
     (AC_Avoid::adjust_velocity_circle_fence, bit 0 of AVOID_ENABLE)."""
     p, home, here = v.params, v.home, v.estimated
@@ -111,6 +118,6 @@ def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Re
     )
 
 
-def _within_fence(v: CopterVehicle, setpoint: Setpoint) -> bool:
+def _within_fence(v: CopterVehicle, setpoint: PositionTarget) -> bool:
     east, north, up = setpoint.pos_enu_m
     return east is None or north is None or up is None or v.inside_fence(east, north, up)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from skygcs.sim.body import AttitudeSetpoint
-from skygcs.sim.kinematics import Setpoint
+from skygcs.sim.body import AccelerationSetpoint, AttitudeSetpoint
+from skygcs.sim.kinematics import Limits, Setpoint
+from skygcs.sim.position_control import PositionTarget
 from skygcs.sim.quad import Quad
 
 if TYPE_CHECKING:
@@ -29,7 +30,10 @@ def step(v: SimVehicle, now: float, dt_s: float) -> None:
         lifts = False
     if isinstance(motion, Quad):
         motion.supply_v = v.battery.volts
-    motion.step(dt_s, _as_flown(v, setpoint) if lifts else None, limits)
+    flown = _as_flown(v, setpoint, limits, dt_s) if lifts else None
+    if not isinstance(flown, AccelerationSetpoint):
+        v.position_control.restart()
+    motion.step(dt_s, flown, limits)
     v.sensors.step()
     v.battery.step(dt_s * v.faults.battery_drain, flying=not motion.on_ground, climb_mps=motion.vel_u_mps)
     _watch_ground(v, now)
@@ -58,8 +62,13 @@ def _watch_ground(v: SimVehicle, now: float) -> None:
         v.on_landed(now)
 
 
-def _as_flown(v: SimVehicle, setpoint: Setpoint | AttitudeSetpoint | None) -> Setpoint | AttitudeSetpoint | None:
-    """The setpoint towards where the vehicle, wrong about where it is, takes the target to be."""
+def _as_flown(
+    v: SimVehicle, setpoint: Setpoint | PositionTarget | AttitudeSetpoint | None, limits: Limits, dt_s: float
+) -> Setpoint | AttitudeSetpoint | AccelerationSetpoint | None:
+    """What the body flies: the acceleration that the firmware's controller asks for on the way to a position target;
+    the setpoint of a leg, towards where the vehicle, wrong about where it is, takes it to be."""
+    if isinstance(setpoint, PositionTarget):
+        return v.position_control.step(v.estimated, dt_s, setpoint, limits)
     if v.estimated is v.motion or not isinstance(setpoint, Setpoint):
         return setpoint
     east, north, up = setpoint.pos_enu_m

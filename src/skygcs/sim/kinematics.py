@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import atan2, copysign, cos, hypot, inf, pi, radians, remainder, sin, sqrt
 
-from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, wrap_pi
+from skygcs.sim.body import GRAVITY_MPS2, AccelerationSetpoint, AttitudeSetpoint, Body, wrap_pi
 
 POSITION_GAIN_PER_S = 1.0
 """Speed per metre of distance close to the target (PX4's MPC_XY_P 0.95, ArduCopter's PSC_POSXY_P 1.0)."""
@@ -125,7 +125,9 @@ class Motion(Body):
         super().__init__(yaw_rad)
         self.floor_m = 0.0
 
-    def step(self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | None, limits: Limits) -> None:
+    def step(
+        self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
+    ) -> None:
         """Move on by ``dt_s``. Without a setpoint the motors give no lift: it stays on the ground, or falls."""
         if isinstance(setpoint, AttitudeSetpoint):
             setpoint = Setpoint((None, None, None), (None, None, setpoint.climb_mps))
@@ -137,7 +139,10 @@ class Motion(Body):
                 return
             self.vel_u_mps = max(self.vel_u_mps - GRAVITY_MPS2 * dt_s, -TERMINAL_MPS)
         else:
-            self._steer(dt_s, setpoint, limits)
+            if isinstance(setpoint, AccelerationSetpoint):
+                self._accelerate(dt_s, setpoint)
+            else:
+                self._steer(dt_s, setpoint, limits)
             self._turn(dt_s, setpoint, limits)
         self.up_m += self.vel_u_mps * dt_s
         if self.up_m <= self.floor_m:
@@ -180,7 +185,17 @@ class Motion(Body):
         most = limits.climb_accel_mps2 * dt_s
         self.vel_u_mps += max(-most, min(most, want_u - self.vel_u_mps))
 
-    def _turn(self, dt_s: float, setpoint: Setpoint, limits: Limits) -> None:
+    def _accelerate(self, dt_s: float, setpoint: AccelerationSetpoint) -> None:
+        east, north, up = setpoint.acc_enu_mps2
+        self.vel_e_mps += east * dt_s
+        self.vel_n_mps += north * dt_s
+        self.vel_u_mps += up * dt_s
+        too_fast = hypot(self.vel_e_mps, self.vel_n_mps) / TOP_SPEED_MPS
+        if too_fast > 1.0:
+            self.vel_e_mps, self.vel_n_mps = self.vel_e_mps / too_fast, self.vel_n_mps / too_fast
+        self.vel_u_mps = max(-TERMINAL_MPS, min(TOP_SPEED_MPS, self.vel_u_mps))
+
+    def _turn(self, dt_s: float, setpoint: Setpoint | AccelerationSetpoint, limits: Limits) -> None:
         if setpoint.yaw_rad is not None:
             error = wrap_pi(setpoint.yaw_rad - self.yaw_rad)
             turn = max(-limits.yaw_rate_radps * dt_s, min(limits.yaw_rate_radps * dt_s, error))

@@ -10,6 +10,7 @@ from typing import assert_never
 
 from skygcs.sim.body import AttitudeSetpoint, Body
 from skygcs.sim.kinematics import Limits, Setpoint
+from skygcs.sim.position_control import NO_AXES, PositionTarget
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,11 +28,12 @@ class GoTo:
 class Follow:
     """Follow this setpoint: OFFBOARD and GUIDED targets. Never finished."""
 
-    setpoint: Setpoint | AttitudeSetpoint
+    setpoint: PositionTarget | AttitudeSetpoint
 
     @property
     def needs_position(self) -> bool:
-        return isinstance(self.setpoint, Setpoint)
+        setpoint = self.setpoint
+        return isinstance(setpoint, PositionTarget) and (setpoint.pos_enu_m, setpoint.vel_enu_mps) != (NO_AXES, NO_AXES)
 
 
 @dataclass(slots=True)
@@ -88,7 +90,9 @@ class Plan:
         self._legs = list(legs)
         self.arrived = False
 
-    def step(self, motion: Body, limits: Limits, now: float) -> tuple[Setpoint | AttitudeSetpoint | None, Limits]:
+    def step(
+        self, motion: Body, limits: Limits, now: float
+    ) -> tuple[Setpoint | PositionTarget | AttitudeSetpoint | None, Limits]:
         """What to steer to now, and the limits on the way; moves on to the next leg when one is finished."""
         while self._legs and _finished(self._legs[0], motion, now):
             if len(self._legs) == 1:
@@ -116,7 +120,9 @@ def _finished(leg: Leg, motion: Body, now: float) -> bool:
             assert_never(leg)
 
 
-def _steer(leg: Leg, motion: Body, limits: Limits, now: float) -> tuple[Setpoint | AttitudeSetpoint, Limits]:
+def _steer(
+    leg: Leg, motion: Body, limits: Limits, now: float
+) -> tuple[Setpoint | PositionTarget | AttitudeSetpoint, Limits]:
     match leg:
         case GoTo(east_m, north_m, up_m, yaw_rad, climb_mps):
             if climb_mps is not None:

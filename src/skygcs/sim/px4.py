@@ -9,7 +9,7 @@ TAKEOFF at its height, or disarmed after landing: LOITER
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import hypot, inf, isfinite, radians, tan
+from math import hypot, isfinite, radians, tan
 from typing import Any
 
 from skygcs.sim import failsafe, px4_mission
@@ -19,12 +19,14 @@ from skygcs.sim.behaviours import PX4, Px4Mode, Reaction, px4_mode
 from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.command_message import Command
 from skygcs.sim.firmware_params import PX4_RATES_HZ, px4_params
-from skygcs.sim.kinematics import Limits, Setpoint
+from skygcs.sim.kinematics import Limits
 from skygcs.sim.legs import Descend, Follow, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
-from skygcs.sim.position_targets import is_altitude, is_position, setpoint_of
+from skygcs.sim.position_control import ControlGains, PositionTarget
+from skygcs.sim.position_targets import is_altitude, is_position, px4_target
 from skygcs.sim.px4_lists import Px4Lists
 from skygcs.sim.px4_mission import Px4Run
+from skygcs.sim.px4_position_control import Px4PositionControl
 from skygcs.sim.requests import common_command
 from skygcs.sim.vehicle import Home, SimVehicle
 
@@ -82,6 +84,10 @@ class Px4Vehicle(SimVehicle):
     def factory_params(sysid: int) -> Params:
         return Params(px4_params(sysid), bytewise=True)
 
+    @staticmethod
+    def make_position_control(gains: ControlGains) -> Px4PositionControl:
+        return Px4PositionControl(gains)
+
     # -- what it says of itself
 
     @property
@@ -123,6 +129,15 @@ class Px4Vehicle(SimVehicle):
     def limits(self) -> Limits:
         p = self.params
         accel, unit_mps2 = self.firmware.climb_accel.simulated
+        if self.mode == Px4Mode.OFFBOARD:
+            return Limits(
+                speed_mps=p["MPC_XY_VEL_MAX"],
+                accel_mps2=p["MPC_ACC_HOR"],
+                climb_mps=p["MPC_Z_VEL_MAX_UP"],
+                descent_mps=p["MPC_Z_VEL_MAX_DN"],
+                yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
+                climb_accel_mps2=p[accel] * unit_mps2,
+            ).bounded()
         return Limits(
             speed_mps=self.cruise_mps or p["MPC_XY_CRUISE"],
             accel_mps2=p["MPC_ACC_HOR"],
@@ -130,7 +145,7 @@ class Px4Vehicle(SimVehicle):
             descent_mps=p["MPC_Z_V_AUTO_DN"],
             yaw_rate_radps=radians(p["MPC_YAWRAUTO_MAX"]),
             climb_accel_mps2=p[accel] * unit_mps2,
-            jerk_mps3=inf if self.mode == Px4Mode.OFFBOARD else p[self.firmware.jerk.simulated],
+            jerk_mps3=p[self.firmware.jerk.simulated],
         ).bounded()
 
     @property
@@ -402,14 +417,19 @@ class Px4Vehicle(SimVehicle):
         return  # read where they are used; MAV_SYS_ID at the next boot
 
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
-        setpoint: Setpoint | AttitudeSetpoint | None
+        setpoint: PositionTarget | AttitudeSetpoint | None
         if name == "SET_ATTITUDE_TARGET":
             target = px4_attitude(fields, self._last_thrust)
             if target is Refusal.NOTHING or target is Refusal.STOP:
                 return
             setpoint = target
         else:
-            setpoint = setpoint_of(self, name, fields, any_bit=False)
+            position = px4_target(self, name, fields)
+            if isinstance(position, str):
+                self.say_event(m.MAV_SEVERITY_CRITICAL, position)
+            if not isinstance(position, PositionTarget):
+                return
+            setpoint = position
         self.setpoint_at = now
         if self.mode == Px4Mode.OFFBOARD and setpoint is not None:
             if isinstance(setpoint, AttitudeSetpoint):

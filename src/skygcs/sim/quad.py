@@ -13,7 +13,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import asin, atan2, cos, exp, hypot, inf, radians, sin, sqrt
 
-from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, Quaternion, Vector, quaternion_of
+from skygcs.sim.body import (
+    GRAVITY_MPS2,
+    AccelerationSetpoint,
+    AttitudeSetpoint,
+    Body,
+    Quaternion,
+    Vector,
+    quaternion_of,
+)
 from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.steering import Steering
 from skygcs.sim.wind import Wind
@@ -61,6 +69,18 @@ IDEAL = Airframe(
 """The plant of docs/explanation/control-law.md: acceleration = g * thrust / hover, at once, in still air."""
 
 
+SIH = Airframe(
+    mass_kg=1.0,
+    hover_thrust=0.49,
+    attitude_lag_s=0.1,
+    drag_linear_n_per_mps=1.0,
+    drag_quadratic_n_per_mps2=0.0,
+    battery_sag=False,
+)
+"""The quadrotor of PX4's own simulator: SIH_MASS 1, SIH_T_MAX 5 N a motor, SIH_KDV 1 (six times the F450's drag: 1/s of
+speed, 12 degrees of lean at 2 m/s)."""
+
+
 class Quad(Body):
     """One quadrotor with its attitude, thrust and the wind about it; starts at rest on the ground, motors off.
 
@@ -76,7 +96,7 @@ class Quad(Body):
         self.supply_v = airframe.nominal_v
         self.thrust = 0.0
         self.attitude_ned_frd: Quaternion = level(self.yaw_rad)
-        self._steering = Steering(airframe.hover_thrust)
+        self._steering = Steering(airframe.hover_thrust, airframe.attitude_lag_s)
         self._gains = (0.0, 0.0, 0.0)
 
     def place(self, east_m: float, north_m: float, up_m: float) -> None:
@@ -88,7 +108,9 @@ class Quad(Body):
         self.thrust = self.airframe.hover_thrust if up_m > 0.0 else 0.0
         self._steering.restart()
 
-    def step(self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | None, limits: Limits) -> None:
+    def step(
+        self, dt_s: float, setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint | None, limits: Limits
+    ) -> None:
         """Move on by ``dt_s``. Without a setpoint the motors stop: it stays on the ground, or falls."""
         if setpoint is None:
             self._steering.restart()

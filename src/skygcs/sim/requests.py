@@ -253,6 +253,7 @@ def _param_set(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> Non
     found = v.params.find(fields["param_id"])
     if param is not None and found is not None:
         _send_param(v, found[0], v.named_param_index)
+        v.position_control.gains = v.control_gains()
         v.on_param(param.name, now)
 
 

@@ -1,17 +1,27 @@
-"""The autopilot's own position and velocity controllers, as both firmwares have them, on a rigid body.
+"""Attitude and thrust for a rigid body, from what the autopilot's own controllers want.
 
     setpoint ─> trajectory within the limits (`kinematics`) ──pos, vel, acc──> P ─> PI ─> attitude, thrust
+    target of SET_POSITION_TARGET_* ─> `position_control` ──acc──> attitude, thrust
 
-The trajectory is shaped first and tracked then (PX4's position smoothing, ArduPilot's input shaping), so that a far
-goto neither saturates nor overshoots. It waits for a body that cannot keep up.
+The trajectory of a goto, a take-off or a landing is shaped first and tracked then (PX4's position smoothing,
+ArduPilot's input shaping), so that a far goto neither saturates nor overshoots. It waits for a body that cannot
+keep up.
 """
 
 from __future__ import annotations
 
 from math import atan2, cos, hypot, inf, radians, sin, tan
 
-from skygcs.sim.body import GRAVITY_MPS2, AttitudeSetpoint, Body, Quaternion, quaternion_of
+from skygcs.sim.body import (
+    GRAVITY_MPS2,
+    AccelerationSetpoint,
+    AttitudeSetpoint,
+    Body,
+    Quaternion,
+    quaternion_of,
+)
 from skygcs.sim.kinematics import Limits, Motion, Setpoint
+from skygcs.sim.position_control import bounded_length
 
 POSITION_XY_PER_S = 1.0
 POSITION_Z_PER_S = 1.5
@@ -25,8 +35,14 @@ INTEGRAL_XY_PER_S2 = 1.0
 INTEGRAL_Z_PER_S2 = 2.0
 """ArduCopter's PSC_VELXY_I 1.0, PX4's MPC_Z_VEL_I_ACC 2.0."""
 
+INTEGRAL_HOVER_PER_S = 2.0
+"""ArduCopter's PSC_ACCZ_I 1.0 over a hover thrust of 0.45; PX4's estimator is about as fast."""
+
 INTEGRAL_MAX_MPS2 = 5.0
 """Drag at 12 m/s of wind; vertically a battery at half its nominal thrust."""
+
+WIND_AVERAGE_S = 2.0
+"""Over which the push of a position target's controller is averaged: longer than a turn, shorter than the wind."""
 
 TILT_MAX_RAD = radians(35)
 """ArduCopter's ANGLE_MAX is 30 to 45 degrees, PX4's MPC_TILTMAX_AIR 45."""
@@ -50,10 +66,11 @@ LEAST_UPRIGHT = 0.5
 class Steering:
     """What the autopilot remembers from tick to tick: where its trajectory is, and the integrals (ENU, m/s²)."""
 
-    __slots__ = ("_hover_thrust", "_integral", "_trajectory")
+    __slots__ = ("_attitude_lag_s", "_hover_thrust", "_integral", "_trajectory")
 
-    def __init__(self, hover_thrust: float) -> None:
+    def __init__(self, hover_thrust: float, attitude_lag_s: float = 0.0) -> None:
         self._hover_thrust = hover_thrust
+        self._attitude_lag_s = attitude_lag_s
         self._trajectory: Motion | None = None
         self._integral = [0.0, 0.0, 0.0]
 
@@ -63,9 +80,15 @@ class Steering:
         self._integral = [0.0, 0.0, 0.0]
 
     def step(
-        self, body: Body, dt_s: float, setpoint: Setpoint | AttitudeSetpoint, limits: Limits
+        self,
+        body: Body,
+        dt_s: float,
+        setpoint: Setpoint | AttitudeSetpoint | AccelerationSetpoint,
+        limits: Limits,
     ) -> tuple[Quaternion, float]:
         """Attitude (NED/FRD) and thrust for the next ``dt_s``."""
+        if isinstance(setpoint, AccelerationSetpoint):
+            return self._accelerate(body, dt_s, setpoint)
         level = quaternion_of(0.0, 0.0, body.yaw_rad)
         if isinstance(setpoint, AttitudeSetpoint):
             attitude = setpoint.attitude_ned_frd or level
@@ -84,6 +107,31 @@ class Steering:
         lift = GRAVITY_MPS2 + self._vertical(body, path, dt_s)
         accel_e, accel_n = self._horizontal(body, path, lift, dt_s)
         return self._lean(accel_e, accel_n, lift, path.yaw_rad)
+
+    def _accelerate(self, body: Body, dt_s: float, setpoint: AccelerationSetpoint) -> tuple[Quaternion, float]:
+        """The lean is that of the push at hover, whatever the climb, and the thrust makes up for it (PX4's
+        MPC_ACC_DECOUPLE 1; ArduPilot's accel_to_angle and angle boost). The integral learns the hover thrust that
+        the battery leaves (PX4's hover thrust estimator, the I of ArduCopter's PSC_ACCZ)."""
+        self._trajectory = None
+        east, north, up = setpoint.acc_enu_mps2
+        if body.on_ground and up <= 0.0:
+            self.restart()
+            return quaternion_of(0.0, 0.0, body.yaw_rad), IDLE_THRUST
+        lead_rad = setpoint.yaw_rate_radps * max(self._attitude_lag_s, dt_s)
+        yaw = (body.yaw_rad if setpoint.yaw_rad is None else setpoint.yaw_rad) + lead_rad
+        attitude, _ = self._lean(east, north, GRAVITY_MPS2, yaw)
+        held = self._integral
+        missing = up - body.accel_enu_mps2[2]
+        if LEAST_THRUST < self._hover_thrust * (GRAVITY_MPS2 + up + held[2]) / GRAVITY_MPS2 < MOST_THRUST:
+            held[2] += INTEGRAL_HOVER_PER_S * missing * dt_s
+            held[2] = max(-INTEGRAL_MAX_MPS2, min(INTEGRAL_MAX_MPS2, held[2]))
+        # what holds it against the wind on the average, for the trajectory that may follow
+        share = dt_s / (dt_s + WIND_AVERAGE_S)
+        mean_e, mean_n = held[0] + (east - held[0]) * share, held[1] + (north - held[1]) * share
+        held[0], held[1] = bounded_length(mean_e, mean_n, INTEGRAL_MAX_MPS2)
+        push = GRAVITY_MPS2 + up + held[2]
+        boost = hypot(east, north, GRAVITY_MPS2) / GRAVITY_MPS2
+        return attitude, _bounded(self._hover_thrust * push * boost / GRAVITY_MPS2)
 
     def _go_on(self, body: Body, dt_s: float, setpoint: Setpoint, limits: Limits) -> Motion | None:
         """The trajectory one step on; None while the ground carries a body that is not to rise."""
@@ -136,9 +184,7 @@ class Steering:
             return accel_e * most / asked, accel_n * most / asked
         held[0] += INTEGRAL_XY_PER_S2 * error_e * dt_s
         held[1] += INTEGRAL_XY_PER_S2 * error_n * dt_s
-        size = hypot(held[0], held[1])
-        if size > INTEGRAL_MAX_MPS2:
-            held[0], held[1] = held[0] * INTEGRAL_MAX_MPS2 / size, held[1] * INTEGRAL_MAX_MPS2 / size
+        held[0], held[1] = bounded_length(held[0], held[1], INTEGRAL_MAX_MPS2)
         return accel_e, accel_n
 
     def _lean(self, accel_e: float, accel_n: float, lift_mps2: float, yaw_rad: float) -> tuple[Quaternion, float]:

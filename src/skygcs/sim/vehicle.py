@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from math import radians
+from math import inf, radians
 from typing import Any, Final
 
 from skygcs.core.mavlink import ftp_payload
@@ -30,6 +30,7 @@ from skygcs.sim.mission_lists import MissionLists
 from skygcs.sim.mission_run import MissionRun
 from skygcs.sim.onboard_signing import BoardSigning
 from skygcs.sim.param_table import Param, Params
+from skygcs.sim.position_control import ControlGains, PositionControl
 from skygcs.sim.rng import Rng
 from skygcs.sim.rtk import RtkReceiver
 from skygcs.sim.sensors import Sensors
@@ -119,6 +120,7 @@ class SimVehicle(ABC):
         self.sensors = Sensors(self.motion, conditions, TICK_S, rng.child_seed())
         self.battery = Battery()
         self.plan = Plan()
+        self.position_control = self.make_position_control(self.control_gains())
         self.lists, self.run = self.make_lists()
         self._unix_offset_us = unix_us - now * 1e6
         self._clock = now
@@ -132,6 +134,11 @@ class SimVehicle(ABC):
     @abstractmethod
     def factory_params(sysid: int) -> Params:
         """The parameters of a new vehicle."""
+
+    @staticmethod
+    @abstractmethod
+    def make_position_control(gains: ControlGains) -> PositionControl:
+        """What follows its targets in OFFBOARD or GUIDED."""
 
     @property
     @abstractmethod
@@ -390,6 +397,23 @@ class SimVehicle(ABC):
         sysid = int(self.params[self.sysid_param])
         return sysid if 1 <= sysid <= 255 else 1
 
+    def control_gains(self) -> ControlGains:
+        """As the parameters say, within what can be flown."""
+        p, names = self.params, self.firmware.control_gains.simulated
+        jerk_xy, jerk_z = names.jerk_xy, names.jerk_z
+        return ControlGains(
+            xy_p=max(0.1, p[names.xy_p]),
+            xy_vel_p=max(0.1, p[names.xy_vel_p]),
+            xy_vel_i=max(0.0, p[names.xy_vel_i]),
+            xy_vel_d=max(0.0, p[names.xy_vel_d]),
+            z_p=max(0.1, p[names.z_p]),
+            z_vel_p=max(0.1, p[names.z_vel_p]),
+            z_vel_i=max(0.0, p[names.z_vel_i]) if names.z_vel_i else 0.0,
+            tilt_max_rad=radians(max(10.0, min(80.0, p[names.tilt_max] * names.tilt_unit_deg))),
+            jerk_xy_mps3=max(1.0, p[jerk_xy]) if jerk_xy else inf,
+            jerk_z_mps3=max(1.0, p[jerk_z]) if jerk_z else inf,
+        )
+
     def height_m(self) -> float:
         """Above home."""
         return self.reported.up_m - (self.home.up_m if self.home else 0.0)
@@ -480,6 +504,7 @@ class SimVehicle(ABC):
         )
         self.rtk = RtkReceiver(whole_messages=self.autopilot != m.MAV_AUTOPILOT_PX4)
         self.plan.fly()
+        self.position_control.gains = self.control_gains()
         self.on_boot(now)
 
     def _tick(self, now: float) -> None:

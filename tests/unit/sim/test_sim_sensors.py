@@ -127,7 +127,7 @@ def test_numbers_out_of_range_are_refused(word: str, value: float) -> None:
 
 
 def test_names_that_are_none_are_refused() -> None:
-    with pytest.raises(ValueError, match="f450, ideal"):
+    with pytest.raises(ValueError, match="f450, ideal, sih"):
         conditions_of(airframe="x8")
     with pytest.raises(ValueError, match="soft"):
         conditions_of(dynamics="soft")
