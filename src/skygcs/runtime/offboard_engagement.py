@@ -214,7 +214,8 @@ class OffboardEngagement:
                 "send in the new frame"
             )
         self._frozen = False
-        self.controller.follow(setpoint, now + valid_s)
+        if (why := self.controller.follow(setpoint, now, now + valid_s)) is not None:
+            return Outcome.refused(why)
         return Outcome(True, "accepted", "followed")
 
     def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:

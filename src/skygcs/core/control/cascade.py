@@ -69,7 +69,8 @@ class Estimate(_Judged):
 
 @dataclass(frozen=True, slots=True)
 class Reference(_Judged):
-    """What the vehicle is to follow. An axis marked as velocity only follows ``vel_enu_mps``, not a position."""
+    """What the vehicle is to follow. An axis marked as velocity only follows ``vel_enu_mps``; its position, which the
+    law does not use, is where that velocity has led since it began."""
 
     pos_enu_m: Vector = ZERO
     yaw_rad: float = 0.0
@@ -78,9 +79,49 @@ class Reference(_Judged):
     acc_enu_mps2: Vector = ZERO
     velocity_only_xy: bool = False
     velocity_only_z: bool = False
+    yaw_rate_radps: float = 0.0
+    """Counter-clockwise positive. The law has no use for it: ``yaw_rad`` turns with it already."""
+    yaw_rate_only: bool = False
+    """It turns with the rate, from wherever its nose is, and ``yaw_rad`` is only where it should be by now."""
 
     def __post_init__(self) -> None:
-        self._judge(self.pos_enu_m, self.vel_enu_mps, self.acc_enu_mps2, (self.yaw_rad, 0.0, 0.0))
+        self._judge(self.pos_enu_m, self.vel_enu_mps, self.acc_enu_mps2, (self.yaw_rad, self.yaw_rate_radps, 0.0))
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has a velocity: only then does an acceleration mean anything, and only then is it ahead of itself
+        by the time an order takes."""
+        return self.vel_enu_mps != ZERO
+
+    def ahead(self, time_s: float) -> Reference:
+        """The same reference this much later: position and velocity by velocity and acceleration, yaw by its rate.
+
+        A reference that slows down stops; no acceleration turns it back.
+        """
+        if time_s == 0.0 or not (self.moves or self.yaw_rate_radps):
+            return self
+        (x, y, z), (vx, vy, vz) = self.pos_enu_m, self.vel_enu_mps
+        ax, ay, az = self.acc_enu_mps2
+        along = vx * ax + vy * ay + vz * az
+        t = time_s if along >= 0.0 else min(time_s, -(vx * vx + vy * vy + vz * vz) / along)
+        half, rest = 0.5 * t * t, time_s - t
+        later = (vx + ax * t, vy + ay * t, vz + az * t)
+        return Reference(
+            (
+                x + vx * t + ax * half + later[0] * rest,
+                y + vy * t + ay * half + later[1] * rest,
+                z + vz * t + az * half + later[2] * rest,
+            )
+            if self.moves
+            else self.pos_enu_m,
+            self.yaw_rad + self.yaw_rate_radps * time_s,
+            later if self.moves else self.vel_enu_mps,
+            self.acc_enu_mps2 if rest == 0.0 else ZERO,
+            self.velocity_only_xy,
+            self.velocity_only_z,
+            self.yaw_rate_radps,
+            self.yaw_rate_only,
+        )
 
 
 @record

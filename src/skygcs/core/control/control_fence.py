@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from skygcs.core.geo import EnuFrame, Origin, Vector
+from skygcs.core.geo import EnuFrame, Origin, Vector, world_from_enu
 from skygcs.errors import ConfigError
 
 Span = tuple[float, float]
@@ -104,6 +104,30 @@ class Fence:
         low, high = self.up_m[0] - below, self.up_m[1] - inset
         if not low <= up_m <= high:
             return self._text(what, "up", up_m, low, high, reference)
+        return None
+
+    def leads_out(
+        self, lat_deg: float, lon_deg: float, alt_amsl_m: float, offset_enu_m: Vector, *, margin: bool, what: str
+    ) -> str | None:
+        """Why a way from there by ``offset_enu_m`` ends beyond a wall, the top or the floor; None if it does not.
+
+        Only what it goes towards counts: along a wall, or back inside, it may go. ``margin``: the walls and the top
+        less the margin; the floor is the vehicle's own, the margin below.
+        """
+        if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and math.isfinite(alt_amsl_m)):
+            return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is no place on earth"
+        here = self._frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m)
+        inset = self.margin_m if margin else 0.0
+        spans = (
+            ("x", self.x_m[0] + inset, self.x_m[1] - inset),
+            ("y", self.y_m[0] + inset, self.y_m[1] - inset),
+            ("up", self.up_m[0] - self.margin_m, self.up_m[1] - inset),
+        )
+        offset_m = world_from_enu(offset_enu_m, self.origin)
+        for (axis, low, high), start_m, way_m in zip(spans, here, offset_m, strict=True):
+            end_m = start_m + way_m
+            if (way_m > 0.0 and not end_m <= high) or (way_m < 0.0 and not end_m >= low) or way_m != way_m:
+                return self._text(what, axis, end_m, low, high, margin)
         return None
 
     def _text(self, what: str, axis: str, value_m: float, low_m: float, high_m: float, reference: bool) -> str:

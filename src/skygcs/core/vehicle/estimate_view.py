@@ -16,6 +16,7 @@ from skygcs.core.geo import EnuFrame, Origin, ecef, yaw_enu_from_heading_deg
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.vehicle.decoding import GlobalPosition, finite_angles, global_position
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
+from skygcs.core.vehicle.offboard_entry import braking_limits, loss_timeout_s
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
@@ -30,6 +31,9 @@ ATTITUDE_FRESH_S = 3.0
 
 JUDGE_S = 0.1
 """How often what moves slowly is looked at anew: the percentile of a window of seconds, fix and battery."""
+
+LONGEST_S = 5.0
+"""A state is not taken for the present beyond this age: by then the guard has ended control (`position_stale_s`)."""
 
 MAX_LAT_DEG = 90.0
 """Beyond it a number is no latitude, though it would be some point."""
@@ -108,6 +112,56 @@ class EstimateView:
     def age_s(self, now: float) -> float | None:
         """How long ago what `estimate` gave last came; None if it gave none."""
         return None if self._estimate is None else now - self._at
+
+    def present_place(self, now: float) -> Vector | None:
+        """Where it is by now, if it went on as it was last told; None without a position."""
+        estimate = self.estimate()
+        if estimate is None or not estimate.usable:
+            return None
+        (x, y, z), (vx, vy, vz) = estimate.pos_enu_m, estimate.vel_enu_mps
+        since_s = self._since_s(now)
+        return x + vx * since_s, y + vy * since_s, z + vz * since_s
+
+    def braking_offset(self, vel_enu_mps: Vector, now: float) -> Vector:
+        """From the place of the newest state to where the vehicle stands if it is ordered now to stop, and flies with
+        this velocity until the order reaches it."""
+        return braking_limits(self._vehicle).offset(vel_enu_mps, self._since_s(now) + (self.delay.uplink_s or 0.0))
+
+    def stopping_place(self, now: float) -> Vector | None:
+        """Where it comes to rest if it is ordered now to stop; None without a position.
+
+        Within the fence: where that would be outside, the place it was last known at.
+        """
+        estimate = self.estimate()
+        if estimate is None or not estimate.usable:
+            return None
+        (x, y, z), (dx, dy, dz) = estimate.pos_enu_m, self.braking_offset(estimate.vel_enu_mps, now)
+        place = (x + dx, y + dy, z + dz)
+        return place if self.reference_breach(Reference(place)) is None else estimate.pos_enu_m
+
+    def _since_s(self, now: float) -> float:
+        """How long ago the newest state was measured: its age here, and its way down."""
+        return min(max(now - self._at, 0.0) + (self.delay.uplink_s or 0.0), LONGEST_S)
+
+    def way_out(self, reference: Reference, now: float, *, margin: bool) -> str | None:
+        """Why the velocity of a reference leads out of the fence: the autopilot would go on with it for as long as it
+        waits for setpoints that have ceased, and then needs its braking distance. None: it does not, or rests."""
+        fence, frame = self._fence, self.frame
+        if fence is None or frame is None or not reference.moves:
+            return None
+        velocity, timeout_s, estimate = reference.vel_enu_mps, loss_timeout_s(self._vehicle), self.estimate()
+        x, y, z = reference.pos_enu_m
+        way_x, way_y, way_z = braking_limits(self._vehicle).offset(velocity, timeout_s)
+        if estimate is not None and (reference.velocity_only_xy or reference.velocity_only_z):
+            # from the vehicle itself, which has flown on since it reported where it is
+            blind_s = self._since_s(now) + (self.delay.uplink_s or 0.0)
+            if reference.velocity_only_xy:
+                x, y, _ = estimate.pos_enu_m
+                way_x, way_y = way_x + velocity[0] * blind_s, way_y + velocity[1] * blind_s
+            if reference.velocity_only_z:
+                z, way_z = estimate.pos_enu_m[2], way_z + velocity[2] * blind_s
+        what = f"with this velocity, {timeout_s:g} s after its last setpoint, the vehicle"
+        return fence.leads_out(*frame.to_geodetic(x, y, z), (way_x, way_y, way_z), margin=margin, what=what)
 
     def yaw_rad(self) -> float:
         """Its present yaw (ENU); north unless it tells."""

@@ -29,6 +29,7 @@ from skygcs.errors import RefusedError
 MAX_OFFSET_M = 100_000.0
 MAX_SPEED_MPS = 100.0
 MAX_ACCELERATION_MPS2 = 30.0
+MAX_YAW_RATE_DPS = 360.0
 """A larger value is a mistake in the unit."""
 
 Axes = Sequence[float | None]
@@ -40,6 +41,7 @@ def setpoint_from_world(
     vel_mps: Axes | None,
     acc_mps2: Sequence[float] | None,
     yaw_deg: float | None,
+    yaw_rate_dps: float | None = None,
 ) -> Setpoint:
     """Make a setpoint from values along the world frame's axes; None is "not given". An axis without a position follows
     its velocity. Raises RefusedError for impossible values."""
@@ -58,6 +60,7 @@ def setpoint_from_world(
         None if yaw_deg is None else yaw_enu_rad(yaw_deg, origin),
         free_xy=x is None,
         free_z=up is None,
+        yaw_rate_enu_radps=None if yaw_rate_dps is None else _yaw_rate(yaw_rate_dps),
     )
 
 
@@ -66,6 +69,14 @@ def yaw_enu_rad(world_yaw_deg: float, origin: Origin) -> float:
     if not abs(world_yaw_deg) <= 360.0:  # also false for NaN
         raise RefusedError(f"a yaw of {world_yaw_deg:g} is not between -360 and 360")
     return math.radians(yaw_enu_from_heading_deg(heading_from_world_yaw_deg(math.radians(world_yaw_deg), origin)))
+
+
+def _yaw_rate(yaw_rate_dps: float) -> float:
+    if not abs(yaw_rate_dps) <= MAX_YAW_RATE_DPS:  # also false for NaN
+        raise RefusedError(
+            f"a yaw rate of {yaw_rate_dps:g} is not between {-MAX_YAW_RATE_DPS:g} and {MAX_YAW_RATE_DPS:g}"
+        )
+    return math.radians(yaw_rate_dps)
 
 
 def shown(status: dict[str, Any], frame: EnuFrame | None, origin: Origin | None) -> dict[str, Any]:

@@ -27,3 +27,5 @@ class Setpoint:
     yaw_enu_rad: float | None = None
     free_xy: bool = False
     free_z: bool = False
+    yaw_rate_enu_radps: float | None = None
+    """Counter-clockwise positive. Without a yaw it turns from wherever its nose is."""

@@ -10,8 +10,9 @@
 
 The law works in an *anchor* frame: true ENU about the place where control began. The fleet's world frame is turned into
 it where references come in, so a change of the fleet's origin moves no vehicle.
-A reference comes as a place to hold (`fly_to`) or as a stream of setpoints with a deadline each (`follow`); when a
-stream's deadline passes, the vehicle stays where it then is.
+A reference comes as a place to hold (`fly_to`) or as a stream of setpoints with a deadline each (`follow`), which moves
+on by its velocity and acceleration between them; when a stream's deadline passes, the vehicle stays where it comes to
+rest.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ class OffboardController:
         self._last = _Last()
         self._obeys = guided_mode(self.vehicle)
         self._setpoints.forget()
-        self._source.stay(self._estimate_view.yaw_rad())
+        self._source.stop(self._last.at, self._estimate_view.yaw_rad())
 
     def entered(self) -> None:
         """The autopilot obeys our setpoints: from now on the reference stays where it is."""
@@ -183,7 +184,7 @@ class OffboardController:
             self.was_entered = True
             self._guard.reset(self.wanted)
             self._setpoints.forget()
-            self._source.stay()
+            self._source.stop(self._last.at)
 
     def want(self, control_mode: ControlMode) -> None:
         """Fly it another way from the next tick on, as far as the guard lets it; the reference stays."""
@@ -217,13 +218,18 @@ class OffboardController:
         """Go to a point on earth and stay there; None keeps the yaw."""
         self._source.hold_at(place, yaw_enu_rad)
 
-    def follow(self, wanted: Setpoint, until: float) -> None:
-        """One setpoint of a stream, good ``until`` then."""
-        self._source.follow(wanted, until)
+    def follow(self, wanted: Setpoint, now: float, until: float) -> str | None:
+        """One setpoint of a stream, good ``until`` then. Why not, if its velocity leads out of the fence: the stream
+        goes on as before."""
+        wanted_reference = self._source.reference_of(wanted, now)
+        if (why := self._estimate_view.way_out(wanted_reference, now, margin=True)) is not None:
+            return why
+        self._source.follow(wanted_reference, now, until)
+        return None
 
     def stay(self) -> None:
-        """End a stream now: stay where it is."""
-        self._source.stay()
+        """End a stream now: stay where it comes to rest."""
+        self._source.stop(self._last.at)
 
     # -- tick by tick
 
@@ -243,9 +249,16 @@ class OffboardController:
         self._estimate_view.measure(age_s, now)
         events: list[Event] = []
         if self.state is ENGAGING:
-            self._source.stay()
+            self._source.stop(now)
         elif self._source.expire(now):
             events.append(self._event("the setpoints ended: it stays where it is", "flying"))
+        elif self._source.streaming:
+            why = self._estimate_view.way_out(self._source.advance(now), now, margin=False)
+            if why is not None:
+                self._source.stop(now)
+                events.append(
+                    self._event(f"the setpoints lead out of the fence, it stays where it is: {why}", "flying")
+                )
         verdict = self._guard.check(self._facts(estimate, age_s, now), now)
         if verdict.action == "release":
             ended = self.release("; ".join(verdict.reasons))
@@ -257,7 +270,7 @@ class OffboardController:
             events += self._on_change(verdict)
         if verdict.control_mode is POSITION and self.wanted is not POSITION and self._source.velocity_only:
             # a velocity is not flown on in a control mode that the guard has refused for it
-            self._source.stay()
+            self._source.stop(now)
             if not self._velocity_ended:
                 events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
             self._velocity_ended = True

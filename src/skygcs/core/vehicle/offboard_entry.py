@@ -11,6 +11,8 @@ fails, or when control ends, `leave`.
 
 from __future__ import annotations
 
+from skygcs.core.control.braking import COPTER_BRAKING, PX4_BRAKING, BrakingLimits
+from skygcs.core.control.pi import within
 from skygcs.core.mavlink import modes
 from skygcs.core.vehicle import autopilot, orders
 from skygcs.core.vehicle.order_plan import ParamKnown, Plan, Step
@@ -47,6 +49,13 @@ PX4_PARAMETERS = (("MPC_THR_HOVER", True), ("COM_OF_LOSS_T", True), ("COM_OBL_RC
 LONGEST_LEAN_S = 1.0
 """Longest time for which a vehicle may keep the last attitude after the setpoints stop. With ArduCopter's default
 GUID_TIMEOUT of 3 s a vehicle that had just begun an 8 m step drifted 45 m (ArduCopter 4.6.2 SITL, daemon killed)."""
+
+COPTER_LOSS_TIMEOUT_S = 3.0
+PX4_LOSS_TIMEOUT_S = 1.0
+"""Defaults of GUID_TIMEOUT (ArduCopter 4.6, Parameters.cpp) and COM_OF_LOSS_T (PX4 1.16, commander_params.c)."""
+
+LONGEST_LOSS_TIMEOUT_S = 60.0
+"""COM_OF_LOSS_T's own bound; a longer GUID_TIMEOUT leaves a fence nothing to fly in anyway."""
 
 BY_STICKS = {0: "Position", 1: "Altitude", 2: "Manual"}
 """Values of PX4's COM_OBL_RC_ACT that lead to a mode flown by transmitter."""
@@ -136,6 +145,22 @@ def loss_refusal(vehicle: Vehicle) -> str | None:
         f"its {name} is {timeout_s:g} s: if the setpoints stop, it would keep its last tilt for that time; "
         f"set {name} to {LONGEST_LEAN_S:g} or less, or {orders.FORCE_HINT}"
     )
+
+
+def loss_timeout_s(vehicle: Vehicle) -> float:
+    """How long it goes on with the last setpoint after they have ceased: its own parameter, or the firmware's default
+    (ArduCopter 3 s, PX4 1 s)."""
+    if vehicle.family == "px4":
+        timeout_s = vehicle.param("COM_OF_LOSS_T")
+        return PX4_LOSS_TIMEOUT_S if timeout_s is None else within(timeout_s, 0.0, LONGEST_LOSS_TIMEOUT_S)
+    timeout_s = vehicle.param("GUID_TIMEOUT")
+    # ModeGuided::get_timeout_ms takes no less than 0.1 s
+    return COPTER_LOSS_TIMEOUT_S if timeout_s is None else within(timeout_s, 0.1, LONGEST_LOSS_TIMEOUT_S)
+
+
+def braking_limits(vehicle: Vehicle) -> BrakingLimits:
+    """What it slows down with."""
+    return PX4_BRAKING if vehicle.family == "px4" else COPTER_BRAKING
 
 
 def loss_note(vehicle: Vehicle) -> str | None:

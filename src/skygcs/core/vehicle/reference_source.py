@@ -1,17 +1,32 @@
 """Where the reference of flight control comes from: a place to hold, or a stream of setpoints. Pure.
 
-source    reference                                 what ends it
--------   ---------------------------------------   ---------------------------------------------------------
-hold      a point on earth, at rest                 `follow` -> stream
-stream    the newest setpoint of a client           its deadline, `stay` -> hold where the vehicle then is;
-                                                    `hold_at` -> hold there
+source    reference                                   what ends it
+-------   -----------------------------------------   ---------------------------------------------------------
+hold      a point on earth, at rest                   `follow` -> stream
+stream    the newest setpoint of a client, moved on   its deadline, `stop` -> hold where the vehicle comes to rest;
+          by its velocity and acceleration since it   `hold_at` -> hold there
+          came
+
+An axis that follows a velocity alone has a position all the same: where that velocity has led since it began. Nothing
+but `position` setpoints use it, which thereby close no loop on the ground. It is kept near enough to the vehicle that
+one which cannot fly so fast has no distance to make up for afterwards.
 """
 
 from __future__ import annotations
 
-from skygcs.core.control.cascade import ZERO, Reference
+import math
+from dataclasses import replace
+
+from skygcs.core.control.cascade import ZERO, Reference, Vector
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+
+MOST_AHEAD_M = 2.0
+"""Of a position that a velocity led to, in front of the vehicle that follows it, beyond what it needs to get up to that
+speed: wind and an estimator that wanders make about 1 m."""
+
+MOST_AHEAD_RAD = math.radians(60.0)
+"""The same of a yaw that turns with a rate alone: from half a turn on the vehicle would turn the other way."""
 
 
 class ReferenceSource:
@@ -19,7 +34,11 @@ class ReferenceSource:
 
     def __init__(self, estimate_view: EstimateView) -> None:
         self.reference = Reference()
+        """As of the last `advance`, `follow` or end of a stream."""
         self._estimate_view = estimate_view
+        self._newest = self.reference
+        """As it was at ``_at``."""
+        self._at = 0.0
         self._until: float | None = None
 
     @property
@@ -34,37 +53,99 @@ class ReferenceSource:
 
     def hold_at(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> None:
         """Hold a point on earth; None keeps the yaw."""
-        yaw = self.reference.yaw_rad if yaw_enu_rad is None else yaw_enu_rad
-        self.reference = Reference(self._estimate_view.in_local_frame(place), yaw)
-        self._until = None
+        yaw = self._yaw_rad() if yaw_enu_rad is None else yaw_enu_rad
+        self._hold(self._estimate_view.in_local_frame(place), yaw)
 
-    def follow(self, setpoint: Setpoint, until: float) -> None:
-        """The newest setpoint of a stream, valid ``until`` then."""
-        yaw = self.reference.yaw_rad if setpoint.yaw_enu_rad is None else setpoint.yaw_enu_rad
-        self.reference = Reference(
-            ZERO if setpoint.place is None else self._estimate_view.in_local_frame(setpoint.place),
+    def reference_of(self, setpoint: Setpoint, now: float) -> Reference:
+        """The reference of a new setpoint of a stream."""
+        before = self.advance(now)
+        rate = setpoint.yaw_rate_enu_radps or 0.0
+        yaw = setpoint.yaw_enu_rad
+        turning = yaw is None and rate != 0.0
+        if yaw is None:
+            yaw = before.yaw_rad if before.yaw_rate_only and turning else self._yaw_rad()
+        return Reference(
+            self._position(setpoint, before, now),
             yaw,
             setpoint.vel_enu_mps or ZERO,
             setpoint.acc_enu_mps2 or ZERO,
             velocity_only_xy=setpoint.free_xy,
             velocity_only_z=setpoint.free_z,
+            yaw_rate_radps=rate,
+            yaw_rate_only=turning,
         )
-        self._until = until
 
-    def stay(self, yaw_rad: float | None = None) -> None:
-        """Hold where the vehicle is now; None keeps the yaw."""
-        estimate = self._estimate_view.estimate()
-        position = self.reference.pos_enu_m if estimate is None else estimate.pos_enu_m
-        self.reference = Reference(position, self.reference.yaw_rad if yaw_rad is None else yaw_rad)
-        self._until = None
+    def follow(self, reference: Reference, now: float, until: float) -> None:
+        """The newest reference of a stream, valid ``until`` then."""
+        self.reference = self._newest = reference
+        self._at, self._until = now, until
+
+    def advance(self, now: float) -> Reference:
+        """Move a stream's reference on to ``now``, at most to its deadline. The reference."""
+        if self._until is None:
+            return self.reference
+        at = min(now, self._until)
+        if at > self._at and (self._newest.moves or self._newest.yaw_rate_radps):
+            self.reference = self._near(self._newest.ahead(at - self._at), now)
+            if self.reference.velocity_only_xy or self.reference.velocity_only_z or self.reference.yaw_rate_only:
+                self._newest, self._at = self.reference, at  # what was cut off in front of the vehicle is gone
+        return self.reference
+
+    def stop(self, now: float, yaw_rad: float | None = None) -> None:
+        """Hold where the vehicle comes to rest if it brakes now; None keeps the yaw."""
+        position = self._estimate_view.stopping_place(now)
+        yaw = self._yaw_rad() if yaw_rad is None else yaw_rad
+        self._hold(self.reference.pos_enu_m if position is None else position, yaw)
 
     def end_stream(self) -> None:
-        """The stream ends; the reference remains for whoever reads the status."""
-        self._until = None
+        """The stream ends; the reference remains for whoever reads the status, at rest."""
+        self._hold(self.reference.pos_enu_m, self.reference.yaw_rad)
 
     def expire(self, now: float) -> bool:
-        """End a stream whose deadline has passed: hold where the vehicle is. True in the tick in which that happens."""
+        """End a stream whose deadline has passed, as `stop` does. True in the tick in which that happens."""
         if self._until is None or now <= self._until:
             return False
-        self.stay()
+        self.stop(now)
         return True
+
+    def _hold(self, position: Vector, yaw_rad: float) -> None:
+        self.reference = self._newest = Reference(position, yaw_rad)
+        self._until = None
+
+    def _yaw_rad(self) -> float:
+        """The yaw to keep: of a vehicle that turned by a rate alone the one it has, else the reference's."""
+        return self._estimate_view.yaw_rad() if self.reference.yaw_rate_only else self.reference.yaw_rad
+
+    def _position(self, setpoint: Setpoint, before: Reference, now: float) -> Vector:
+        """Of a new setpoint: its place, and for an axis without one where velocities have led so far. They begin where
+        the vehicle is."""
+        given = before.pos_enu_m if setpoint.place is None else self._estimate_view.in_local_frame(setpoint.place)
+        if not (setpoint.free_xy or setpoint.free_z):
+            return given
+        here = self._estimate_view.present_place(now) or before.pos_enu_m
+        x, y, z = given
+        if setpoint.free_xy:
+            x, y, _ = before.pos_enu_m if before.velocity_only_xy and self.streaming else here
+        if setpoint.free_z:
+            z = before.pos_enu_m[2] if before.velocity_only_z and self.streaming else here[2]
+        return x, y, z
+
+    def _near(self, reference: Reference, now: float) -> Reference:
+        """The same with what follows a velocity or a rate alone kept near the vehicle."""
+        if reference.yaw_rate_only:
+            yaw = self._estimate_view.yaw_rad()
+            off = math.remainder(reference.yaw_rad - yaw, math.tau)
+            reference = replace(reference, yaw_rad=yaw + max(-MOST_AHEAD_RAD, min(off, MOST_AHEAD_RAD)))
+        here = self._estimate_view.present_place(now)
+        if here is None or not (reference.velocity_only_xy or reference.velocity_only_z):
+            return reference
+        x, y, z = reference.pos_enu_m
+        dx, dy, dz = (abs(d) for d in self._estimate_view.braking_offset(reference.vel_enu_mps, now))
+        if reference.velocity_only_xy:
+            most, off = MOST_AHEAD_M + math.hypot(dx, dy), math.hypot(x - here[0], y - here[1])
+            if off > most:
+                x, y = here[0] + (x - here[0]) * most / off, here[1] + (y - here[1]) * most / off
+        if reference.velocity_only_z:
+            most = MOST_AHEAD_M + dz
+            z = max(here[2] - most, min(z, here[2] + most))
+        return replace(reference, pos_enu_m=(x, y, z))

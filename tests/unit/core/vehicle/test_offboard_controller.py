@@ -434,12 +434,15 @@ def test_the_heading_at_the_beginning_is_kept() -> None:
 
 def test_a_stream_leads_it_until_its_deadline_and_then_it_stays_where_it_is() -> None:
     flight = Flight().fly(ControlMode.VELOCITY)
-    flight.pilot.follow(Setpoint(place(20.0, 0.0, 10.0), (1.0, 2.0, 0.0), yaw_enu_rad=0.3), flight.now + 0.5)
+    flight.pilot.follow(
+        Setpoint(place(20.0, 0.0, 10.0), (1.0, 2.0, 0.0), yaw_enu_rad=0.3), flight.now, flight.now + 0.5
+    )
     assert flight.pilot.streaming
     tick = flight.tick(0.4)
     assert tick.message is not None and not tick.events
     law = flight.pilot.config.law
-    assert tick.message[1]["vx"] == pytest.approx(min(2.0, law.vel_xy_max_mps), abs=0.02)  # north: no error
+    # north, the reference is as far ahead as its own velocity brought it in 0.4 s
+    assert tick.message[1]["vx"] == pytest.approx(min(2.0 + 0.95 * 0.8, law.vel_xy_max_mps), abs=0.02)
     assert tick.message[1]["vy"] == pytest.approx(min(1.0 + 0.95 * 20, law.vel_xy_max_mps), abs=0.02)
     flight.at(6.0, 0.0, 10.0)
     ended = flight.tick(0.2)
@@ -454,7 +457,7 @@ def test_axes_without_a_position_are_flown_by_velocity_also_where_the_way_is_pos
     control_mode: ControlMode,
 ) -> None:
     flight = Flight().fly(control_mode)
-    flight.pilot.follow(Setpoint(None, (1.0, 0.0, -0.5), free_xy=True, free_z=True), flight.now + 1)
+    flight.pilot.follow(Setpoint(None, (1.0, 0.0, -0.5), free_xy=True, free_z=True), flight.now, flight.now + 1)
     tick = flight.tick()
     assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY]
     assert (tick.message[1]["vy"], tick.message[1]["vz"]) == pytest.approx((1.0, 0.5))
@@ -463,12 +466,12 @@ def test_axes_without_a_position_are_flown_by_velocity_also_where_the_way_is_pos
 def test_what_a_place_says_of_a_free_axis_does_not_matter() -> None:
     high = Fence(Origin(*HOME), up_m=(5.0, 20.0))
     flight = Flight().fly(ControlMode.VELOCITY, high)
-    flight.pilot.follow(Setpoint(place(5.0, 0.0, 0.0), (0.0, 0.0, 0.5), free_z=True), flight.now + 1)
+    flight.pilot.follow(Setpoint(place(5.0, 0.0, 0.0), (0.0, 0.0, 0.5), free_z=True), flight.now, flight.now + 1)
     tick = flight.tick()
     assert not tick.hold and tick.message is not None
     assert tick.message[1]["vz"] == pytest.approx(-0.5) and tick.message[1]["vy"] == pytest.approx(4.75, abs=0.02)
     assert flight.pilot.status(flight.now)["error_enu_m"] == pytest.approx([5.0, 0.0, 0.0], abs=0.02)
-    flight.pilot.follow(Setpoint(place(0.0, 0.0, 300.0), free_xy=True), flight.now + 1)
+    flight.pilot.follow(Setpoint(place(0.0, 0.0, 300.0), free_xy=True), flight.now, flight.now + 1)
     assert (
         "z" not in texts(flight.tick()) and flight.pilot.state is OffboardState.HELD
     )  # but what it says of the other does
@@ -539,7 +542,7 @@ def _engage(control_mode: ControlMode) -> Happening:
 
 def _follow(flight: Flight, wanted: Setpoint) -> None:
     if flight.pilot.state is OffboardState.FLYING:
-        flight.pilot.follow(wanted, flight.now + 0.5)
+        flight.pilot.follow(wanted, flight.now, flight.now + 0.5)
 
 
 def _go(flight: Flight, there: GeodeticPosition) -> None:
