@@ -1,0 +1,102 @@
+"""What all readers of plan files share: bounds, text, numbers, JSON. Nothing but PlanFileError leaves a reader."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from skygcs.core.trajectory.piecewise import MAX_POSITION_M, Trajectory
+from skygcs.errors import PlanFileError, TrajectoryError
+
+Trajectories = dict[str, Trajectory]
+"""By the vehicle's name, in the order of the file; all on one clock that begins at 0."""
+
+MAX_FILE_BYTES = 32 << 20
+"""100 vehicles with 1000 pieces of degree 7 are about 25 MB as JSON."""
+
+MAX_VEHICLES = 255
+"""There are that many system ids."""
+
+MAX_NAME = 64
+"""Characters of a vehicle's name."""
+
+
+def text_of(source: str, data: bytes) -> str:
+    """UTF-8 text, a byte order mark removed. Raises PlanFileError."""
+    if len(data) > MAX_FILE_BYTES:
+        raise PlanFileError(source, "", f"larger than {MAX_FILE_BYTES >> 20} MiB")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise PlanFileError(source, "", f"not UTF-8 at byte {error.start}") from None
+
+
+def rows(source: str, text: str) -> Iterator[tuple[int, list[str]]]:
+    """(line number, cells) of each line that is neither empty nor a comment (#). Raises PlanFileError."""
+    for number, line in enumerate(io.StringIO(text), 1):
+        stripped = line.strip()
+        if not stripped or stripped.startswith("#"):
+            continue
+        try:
+            cells = next(csv.reader([stripped], skipinitialspace=True, strict=True))
+        except (csv.Error, StopIteration) as error:
+            raise PlanFileError(source, f"line {number}", f"not CSV: {error}") from None
+        yield number, [cell.strip() for cell in cells]
+
+
+def number_of(source: str, where: str, what: str, value: Any, largest: float = MAX_POSITION_M) -> float:
+    """A finite number of at most ``largest``; from text or JSON. Raises PlanFileError."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        raise PlanFileError(source, where, f"{what} is not a number")
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        raise PlanFileError(source, where, f"{what} is not a number: {str(value)[:40]!r}") from None
+    if not abs(number) <= largest:  # also for NaN
+        raise PlanFileError(source, where, f"{what} of {number:g} is not within ±{largest:g}")
+    return number
+
+
+def vehicle_name(source: str, where: str, name: Any) -> str:
+    """A name that can be typed and printed. Raises PlanFileError."""
+    if not isinstance(name, str) or not name.strip() or len(name) > MAX_NAME or not name.isprintable():
+        raise PlanFileError(source, where, f"a vehicle's name has 1 to {MAX_NAME} printable characters")
+    return name.strip()
+
+
+def require_vehicles(source: str, count: int) -> None:
+    """Raise PlanFileError if there are none or too many."""
+    if not count:
+        raise PlanFileError(source, "", "it names no vehicle")
+    if count > MAX_VEHICLES:
+        raise PlanFileError(source, "", f"{count} vehicles; there are at most {MAX_VEHICLES} system ids")
+
+
+def refused(source: str, where: str, error: TrajectoryError) -> PlanFileError:
+    """The error of a trajectory as one of its file."""
+    return PlanFileError(source, where, str(error))
+
+
+def json_of(source: str, data: bytes) -> Any:
+    """JSON in which no object has a key twice (one path of two would silently win). Raises PlanFileError."""
+    try:
+        return json.loads(text_of(source, data), object_pairs_hook=_unique, parse_constant=_no_constant)
+    except RecursionError:
+        raise PlanFileError(source, "", "nested too deeply") from None
+    except ValueError as error:
+        raise PlanFileError(source, "", f"not JSON: {str(error)[:200]}") from None
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {next(key for key in keys if keys.count(key) > 1)[:40]!r} is there twice")
+    return found
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number")
