@@ -35,6 +35,10 @@ MAX_SUN_PATH_BYTES = 107
 BACKLOG = 100
 """Connections that the system keeps until they are taken; not more than `sessions.MAX_RESERVE`."""
 
+ACCEPT_TURNS = 2
+"""Turns of the event loop from accepting a connection to its session: one for the transport, one for
+`connection_made`."""
+
 _log = structlog.get_logger(__name__)
 
 
@@ -57,7 +61,7 @@ class RpcServer:
         self._tcp_port = tcp_port
         self._token = token
         self._hub: Sessions | None = None
-        self._servers: list[asyncio.AbstractServer] = []
+        self._servers: list[asyncio.Server] = []
         self._socket_inode: tuple[int, int] | None = None
         self._lock_fd = -1
         self._tcp_listener: socket.socket | None = None
@@ -109,14 +113,25 @@ class RpcServer:
 
     async def close(self) -> None:
         """Stop listening, cancel every order, close all clients, remove the socket. Idempotent."""
-        for server in self._servers:
-            server.close()
-        self._servers.clear()
+        await self._stop_accepting()
         if self._hub is not None:
             await self._hub.close()
             self._hub = None
         self._remove_socket()
         self._release()
+
+    async def _stop_accepting(self) -> None:
+        """Stop listening. A connection that is accepted in this moment becomes a session, which is closed with the
+        others: asyncio leaves its socket open if the server closes between (CPython 3.11, `Server._attach`)."""
+        servers, self._servers = self._servers, []
+        for server in servers:
+            for listener in server.sockets:
+                asyncio.get_running_loop().remove_reader(listener.fileno())  # uvloop has none there and needs none
+        for _ in range(ACCEPT_TURNS if servers else 0):
+            await asyncio.sleep(0)
+        for server in servers:
+            server.close()
+        await asyncio.sleep(0)
 
     def stats(self) -> JsonObject:
         """Counters: sessions now and ever, requests, errors, drops."""
