@@ -15,6 +15,7 @@ from skygcs.config.tables import Model
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import LARGEST_GAIN, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 from skygcs.core.control.guard import GuardConfig
+from skygcs.core.control.velocity_predictor import MAX_RATE_HZ
 from skygcs.core.geo import Origin
 from skygcs.errors import ConfigError
 
@@ -73,6 +74,8 @@ class ControlSettings(Model):
     battery_min_percent: Annotated[float, Field(ge=0, le=100)] | None = None
     return_after_s: Seconds | None = None
     """The ordered control mode is resumed when the cause of the fallback was absent for so long; default: never."""
+    velocity_predictor: bool | None = None
+    """Velocity control predicts the vehicle's state over the link's delay: false."""
     fence: ControlFenceSettings | None = None
 
     def over(self, lower: ControlSettings) -> ControlSettings:
@@ -133,7 +136,16 @@ class ControlSettings(Model):
         rate_hz, least_hz = self.rate_hz or ATTITUDE_HZ, self.rate_min_hz or ATTITUDE_MIN_HZ
         if rate_hz < least_hz:
             found.append((("rate_hz",), f"{rate_hz:g} is below rate_min_hz ({least_hz:g}): attitude is never flown"))
-        return found
+        return [*found, *self._predictor_problems()]
+
+    def _predictor_problems(self) -> list[tuple[tuple[str, ...], str]]:
+        velocity_hz = self.velocity_hz or VELOCITY_HZ
+        if not self.velocity_predictor or velocity_hz <= MAX_RATE_HZ:
+            return []
+        text = (
+            f"{velocity_hz:g} with velocity_predictor is above {MAX_RATE_HZ:g}: each setpoint under way is a step of it"
+        )
+        return [(("velocity_hz",), text)]
 
 
 def _problems(table: tuple[str, ...], make: Callable[[], object]) -> list[tuple[tuple[str, ...], str]]:

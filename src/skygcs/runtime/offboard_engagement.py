@@ -564,7 +564,8 @@ def _superseded(elapsed_s: float) -> Outcome:
 def _offboard_config(settings: ControlSettings, hover_thrust: float | None) -> OffboardConfig:
     config = OffboardConfig(settings.law(hover_thrust), settings.guard())
     rates = {"attitude_hz": settings.rate_hz, "velocity_hz": settings.velocity_hz, "position_hz": settings.position_hz}
-    given: dict[str, Any] = {k: v for k, v in {**rates, "rate_min_hz": settings.rate_min_hz}.items() if v is not None}
+    others = {"rate_min_hz": settings.rate_min_hz, "velocity_predictor": settings.velocity_predictor}
+    given: dict[str, Any] = {k: v for k, v in {**rates, **others}.items() if v is not None}
     shared: OffboardConfig = _shared(replace(config, **given))
     return shared
 

@@ -10,7 +10,7 @@ from typing import TextIO
 
 from skygcs.core.control.cascade import Memory
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.trace import TraceHead, TraceRow, TraceWriter
+from skygcs.core.control.trace import PredictionStep, TraceHead, TraceRow, TraceWriter
 from skygcs.core.vehicle.offboard_controller import OffboardController
 from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.events import Event
@@ -35,9 +35,16 @@ class TraceFile:
         self._flushed_at = 0.0
         self._bytes = 0
 
-    def write(self, row: TraceRow, config: ControlConfig, before: Memory, after: Memory) -> None:
+    def write(
+        self,
+        row: TraceRow,
+        config: ControlConfig,
+        before: Memory,
+        after: Memory,
+        prediction: PredictionStep | None = None,
+    ) -> None:
         """Raises OSError."""
-        text = self._writer.lines(row, config, before, after)
+        text = self._writer.lines(row, config, before, after, prediction)
         self._bytes += len(text)
         if self._bytes > LARGEST_BYTES:
             raise OSError(f"the trace has reached {LARGEST_BYTES // 1_000_000} MB")
@@ -99,7 +106,7 @@ class Recording:
         if tick.row is None or self._file is None or tick.before is None or tick.after is None:
             return
         try:
-            self._file.write(tick.row, self._offboard.config.law, tick.before, tick.after)
+            self._file.write(tick.row, self._offboard.config.law, tick.before, tick.after, tick.prediction)
         except OSError as error:
             self._give_up(error)
 

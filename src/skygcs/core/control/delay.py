@@ -39,6 +39,9 @@ MAX_TICKS = 512
 ROUND_TRIPS = 21
 """The least number of which one outlier does not move the 95th percentile (0.95 · 20 = 19, the second largest)."""
 
+RECENT_TRIPS = 5
+"""Of them, those that say how long a round trip takes now: three of five pongs settle it."""
+
 ROUND_TRIP_VALID_S = 5.0
 """Without a pong for so long nothing is known of the link. Five lost in a row: at 10 % loss each way once an hour."""
 
@@ -194,6 +197,12 @@ class DelayMeter:
         """How long a message takes to the vehicle: half of the median round trip, since the two ways cannot be told
         apart. For leading a moving reference; the guard judges by `rtt_p95_s`. None without a round trip."""
         return 0.5 * median(self._trips) if self._trips else None
+
+    @property
+    def recent_rtt_s(self) -> float | None:
+        """Median of the newest RECENT_TRIPS round trips: two late pongs do not move it, a link that changed does. None
+        without a round trip."""
+        return median(list(self._trips)[-RECENT_TRIPS:]) if self._trips else None
 
     @property
     def delay_p95_s(self) -> float | None:

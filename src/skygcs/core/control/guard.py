@@ -10,7 +10,8 @@
                 battery low, autopilot refuses our setpoints,
                 "disarmed" in the air, two senders on its link
     3 unfit     state older than stale_s                                 position    position   │ as it is; higher
-                delay p95 above velocity_delay_s, or rate below 2 Hz     position    position   │ again only after
+                delay p95 above velocity_delay_s (unless predicted),     position    position   │ again only after
+                or rate below 2 Hz                                                              │
                 delay p95 above attitude_delay_s or not measured yet,    velocity    velocity   │ return_after_s of
                 rate below rate_min_hz, attitude_refused                                        │ all well, if set
     4 none of these                                                      wanted      wanted
@@ -150,6 +151,9 @@ class Facts:
     position_breach: str | None = None
     reference_breach: str | None = None
     """The texts of `Fence.why_not`, reported instead of a sentence without figures."""
+    predicted: bool = False
+    """Velocity control predicts the state over the delay, and its delay margin holds: instead of ``velocity_delay_s``.
+    """
 
 
 @record
@@ -323,7 +327,7 @@ def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
     if _too_old(age_s, config.stale_s) or not facts.rate_hz >= STREAM_MIN_HZ:  # stale_s is the smaller one of the two
         return False
     if wanted is _VELOCITY:
-        return delay_s is None or delay_s <= config.velocity_delay_s
+        return delay_s is None or delay_s <= config.velocity_delay_s or facts.predicted
     return (
         facts.rtt_p95_s is not None
         and facts.rtt_p95_s >= 0
@@ -395,7 +399,7 @@ def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iter
         yield Refusal("stale", _age_text(age_s, config.stale_s, "attitude and velocity"))
     delay_s = facts.delay_p95_s
     if control_mode is ControlMode.VELOCITY:
-        if delay_s is not None and not delay_s <= config.velocity_delay_s:
+        if delay_s is not None and not delay_s <= config.velocity_delay_s and not facts.predicted:
             yield Refusal("velocity_delay", _delay_text(delay_s, config.velocity_delay_s, control_mode))
         if not facts.rate_hz >= STREAM_MIN_HZ:
             yield Refusal(

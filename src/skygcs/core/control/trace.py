@@ -1,6 +1,6 @@
 """The trace: one vehicle's control at full rate as CSV, exact enough to run the law over it again (control-trace.md).
 
-    # format = "skygcs control trace 1"          lines with # are remarks: a key and its value as JSON
+    # format = "skygcs control trace 2"          lines with # are remarks: a key and its value as JSON
     # vehicle = "alpha"
     # anchor = {"lat_deg": …, "lon_deg": …, "alt_amsl_m": …}
     t_s,dt_s,way,…                               the columns, once
@@ -16,15 +16,23 @@ A line ends with a newline: a last one without is what a crash left, and is not 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from skygcs.core.control.cascade import Memory, Vector, step, velocity_setpoint
 from skygcs.core.control.gains import AxisGains, ControlConfig
+from skygcs.core.control.prediction_step import (
+    PredictionStep,
+    decode_loop,
+    decode_memory,
+    encode_loop,
+    encode_memory,
+)
 from skygcs.core.control.trace_row import (
     ATTITUDE,
     COLUMNS,
+    COLUMNS_1,
     CONTROL_MODES,
     FIRST_OUTPUT,
     POSITION,
@@ -34,6 +42,7 @@ from skygcs.core.control.trace_row import (
     decode_row,
     encode,
 )
+from skygcs.core.control.velocity_predictor import PredictorMemory, Timing, VelocityLoop, predicted_setpoint
 from skygcs.errors import ConfigError, TraceError
 
 __all__ = [
@@ -43,6 +52,7 @@ __all__ = [
     "POSITION",
     "VELOCITY",
     "Mismatch",
+    "PredictionStep",
     "Trace",
     "TraceEntry",
     "TraceHead",
@@ -54,10 +64,13 @@ __all__ = [
     "rerun",
 ]
 
-FORMAT = "skygcs control trace 1"
+FORMAT = "skygcs control trace 2"
+FORMATS = ("skygcs control trace 1", FORMAT)
+"""Those that are read. The first has no columns of prediction."""
 
-LARGEST_LINE = 4096
-"""Characters. A row has at most 35 cells of 24 and the names of all limits (some 950), a config remark some 400."""
+LARGEST_LINE = 16384
+"""Characters. A row has at most 46 cells of 24 and the names of all limits (some 1200), a config remark some 400, and
+what a predictor remembers 64 setpoints of 7 numbers (some 10,000)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +93,10 @@ class TraceEntry:
     config: ControlConfig
     memory: Memory | None
     """What the step began with; None: with what the last one left."""
+    loop: VelocityLoop | None = None
+    """The model of the predictor; None: none was recorded so far."""
+    predictor: PredictorMemory | None = None
+    """As ``memory``, of the predictor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +116,17 @@ class TraceWriter:
         self._head: TraceHead | None = head
         self._config: ControlConfig | None = None
         self._memory: Memory | None = None
+        self._loop: VelocityLoop | None = None
+        self._predictor: PredictorMemory | None = None
 
-    def lines(self, row: TraceRow, config: ControlConfig, before: Memory, after: Memory) -> str:
+    def lines(
+        self,
+        row: TraceRow,
+        config: ControlConfig,
+        before: Memory,
+        after: Memory,
+        prediction: PredictionStep | None = None,
+    ) -> str:
         """Everything this tick adds to the file, newlines included.
 
         ``before``: the memory handed to `step`; ``after``: what it returned. Where no step was made, both are the one
@@ -115,6 +141,13 @@ class TraceWriter:
         if before != self._memory:
             text += _remark("memory", asdict(before))
         self._memory = after
+        if prediction is not None:
+            if prediction.loop != self._loop:
+                text += _remark("velocity_loop", encode_loop(prediction.loop))
+                self._loop = prediction.loop
+            if prediction.before is not self._predictor:
+                text += _remark("predictor", encode_memory(prediction.before))
+            self._predictor = prediction.after
         return text + encode(row) + "\n"
 
 
@@ -140,6 +173,8 @@ class Trace:
     def __iter__(self) -> Iterator[TraceEntry]:
         config: ControlConfig | None = None
         memory: Memory | None = None
+        loop: VelocityLoop | None = None
+        predictor: PredictorMemory | None = None
         for number, line in self._numbered:
             whole = _whole(number, line)
             if whole is None:
@@ -153,11 +188,15 @@ class Trace:
                     config = _config(number, value)
                 elif key == "memory":
                     memory = _memory(number, value)
+                elif key == "velocity_loop":
+                    loop = _decoded(number, key, value, decode_loop)
+                elif key == "predictor":
+                    predictor = _decoded(number, key, value, decode_memory)
                 continue
             if config is None:
                 raise TraceError(number, "a row before the remark 'config'")
-            yield TraceEntry(number, decode_row(number, whole), config, memory)
-            memory = None
+            yield TraceEntry(number, decode_row(number, whole), config, memory, loop, predictor)
+            memory = predictor = None
 
 
 def decode(lines: Iterable[str]) -> Trace:
@@ -169,7 +208,7 @@ def decode(lines: Iterable[str]) -> Trace:
         if whole is None:
             break
         if not whole.startswith("#"):
-            if tuple(whole.split(",")) != COLUMNS:
+            if tuple(whole.split(",")) not in (COLUMNS, COLUMNS_1):
                 raise TraceError(number, "these are not the columns of a control trace")
             return Trace(_head(number, remarks), numbered)
         key, value = _remark_of(number, whole)
@@ -185,16 +224,18 @@ def rerun(entries: Iterable[TraceEntry]) -> Iterator[Mismatch]:
     Rows of ``position``, and those in which nothing was sent, have nothing of ours to compare. After a mismatch the
     law goes on with what it computed itself, so that one wrong cell of the input shows in all that followed from it.
     """
-    memory = Memory()
+    memory, predictor = Memory(), PredictorMemory()
     for entry in entries:
-        if entry.memory is not None:
-            memory = entry.memory
+        memory = entry.memory or memory
+        predictor = entry.predictor or predictor
         row = entry.row
         if row.estimate is None or row.reference is None or row.control_mode not in (ATTITUDE, VELOCITY):
             continue
         if row.control_mode == ATTITUDE:
             output, memory = step(entry.config, memory, row.estimate, row.reference, row.dt_s, following=row.following)
             again = row.with_output(output, memory)
+        elif row.round_trip_s is not None:
+            again, predictor = _predicted_again(entry, predictor)
         else:
             again = row.with_velocity(velocity_setpoint(entry.config, row.estimate, row.reference))
         recorded, computed = cells(row)[FIRST_OUTPUT:], cells(again)[FIRST_OUTPUT:]
@@ -202,6 +243,18 @@ def rerun(entries: Iterable[TraceEntry]) -> Iterator[Mismatch]:
             for column, was, now in zip(COLUMNS[FIRST_OUTPUT:], recorded, computed, strict=True):
                 if was != now:
                     yield Mismatch(entry.line, column, was, now)
+
+
+def _predicted_again(entry: TraceEntry, memory: PredictorMemory) -> tuple[TraceRow, PredictorMemory]:
+    row = entry.row
+    assert row.estimate is not None and row.reference is not None and row.round_trip_s is not None
+    if entry.loop is None or row.state_age_s is None or row.hold_s is None:
+        raise TraceError(
+            entry.line, "a row with round_trip_s but without state_age_s, hold_s or remark 'velocity_loop'"
+        )
+    timing = Timing(row.t_s, row.state_age_s, row.round_trip_s, row.hold_s)
+    setpoint, memory = predicted_setpoint(entry.config, entry.loop, memory, row.estimate, row.reference, timing)
+    return row.with_prediction(setpoint), memory
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------
@@ -232,8 +285,8 @@ def _remark_of(number: int, line: str) -> tuple[str, Any]:
 
 
 def _head(number: int, remarks: dict[str, Any]) -> TraceHead:
-    if remarks.get("format") != FORMAT:
-        raise TraceError(number, f"its format is {remarks.get('format')!r}; this skygcs reads {FORMAT!r}")
+    if remarks.get("format") not in FORMATS:
+        raise TraceError(number, f"its format is {remarks.get('format')!r}; this skygcs reads {', '.join(FORMATS)}")
     try:
         local_origin = remarks["anchor"]
         place = (float(local_origin["lat_deg"]), float(local_origin["lon_deg"]), float(local_origin["alt_amsl_m"]))
@@ -261,6 +314,16 @@ def _memory(number: int, value: Any) -> Memory:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise TraceError(number, f"memory: {error}") from None
+
+
+T = TypeVar("T")
+
+
+def _decoded(number: int, key: str, value: Any, decoder: Callable[[Any], T]) -> T:
+    try:
+        return decoder(value)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        raise TraceError(number, f"{key}: {error}") from None
 
 
 def _vector(value: Any) -> Vector:

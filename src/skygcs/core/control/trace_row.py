@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 from skygcs.core.control.cascade import Estimate, Memory, Output, Quaternion, Reference, Saturation, Vector
+from skygcs.core.control.velocity_predictor import PredictedSetpoint
 from skygcs.errors import TraceError
 
 ATTITUDE, VELOCITY, POSITION = "attitude", "velocity", "position"
 CONTROL_MODES = (ATTITUDE, VELOCITY, POSITION)
 """Who closes the loops: all of them here; the position loop here; none here."""
 
-COLUMNS = (
+COLUMNS_1 = (
     *("t_s", "dt_s", "control_mode", "following"),
     *("ref_x_m", "ref_y_m", "ref_z_m", "ref_yaw_rad", "ref_vx_mps", "ref_vy_mps", "ref_vz_mps"),
     *("ref_ax_mps2", "ref_ay_mps2", "ref_az_mps2", "vel_only_xy", "vel_only_z"),
@@ -19,6 +20,15 @@ COLUMNS = (
     *("out_w", "out_x", "out_y", "out_z", "thrust", "vel_sp_x_mps", "vel_sp_y_mps", "vel_sp_z_mps"),
     *("int_x", "int_y", "int_z", "saturation"),
 )
+"""Of the first format, whose traces are still read."""
+
+COLUMNS = (
+    *COLUMNS_1,
+    *("round_trip_s", "hold_s", "acc_sp_x_mps2", "acc_sp_y_mps2", "acc_sp_z_mps2"),
+    *("pred_x_m", "pred_y_m", "pred_z_m", "dist_x_mps2", "dist_y_mps2", "dist_z_mps2"),
+)
+"""The last eleven are those of velocity control with prediction, empty without it."""
+
 FIRST_OUTPUT = COLUMNS.index("out_w")
 """Columns from here on are what the law answered; those before are what it was asked."""
 
@@ -46,6 +56,13 @@ class TraceRow:
     """After the step."""
     saturation: tuple[str, ...] = ()
     """Names of `Saturation`."""
+    round_trip_s: float | None = None
+    """Measured, as velocity control with prediction was given it; None: without prediction."""
+    hold_s: float | None = None
+    acc_setpoint_enu_mps2: Vector | None = None
+    predicted_enu_m: Vector | None = None
+    """For the moment at which the setpoint acts."""
+    disturbance_enu_mps2: Vector | None = None
 
     def with_output(self, output: Output | None, memory: Memory) -> TraceRow:
         """The same tick with what `step` returned."""
@@ -61,6 +78,16 @@ class TraceRow:
     def with_velocity(self, vel_setpoint_enu_mps: Vector | None) -> TraceRow:
         """The same tick with what `velocity_setpoint` returned."""
         return replace(self, vel_setpoint_enu_mps=vel_setpoint_enu_mps)
+
+    def with_prediction(self, setpoint: PredictedSetpoint | None) -> TraceRow:
+        """The same tick with what `predicted_setpoint` returned."""
+        return replace(
+            self,
+            vel_setpoint_enu_mps=None if setpoint is None else setpoint.vel_enu_mps,
+            acc_setpoint_enu_mps2=None if setpoint is None else setpoint.acc_enu_mps2,
+            predicted_enu_m=None if setpoint is None else setpoint.pos_enu_m,
+            disturbance_enu_mps2=None if setpoint is None else setpoint.disturbance_enu_mps2,
+        )
 
 
 def encode(row: TraceRow) -> str:
@@ -83,6 +110,11 @@ def cells(row: TraceRow) -> list[str]:
         *_numbers(row.vel_setpoint_enu_mps, 3),
         *_numbers(row.integral_enu, 3),
         " ".join(row.saturation),
+        _number(row.round_trip_s),
+        _number(row.hold_s),
+        *_numbers(row.acc_setpoint_enu_mps2, 3),
+        *_numbers(row.predicted_enu_m, 3),
+        *_numbers(row.disturbance_enu_mps2, 3),
     ]
 
 
@@ -107,10 +139,11 @@ def _flag(value: bool) -> str:
 
 
 def decode_row(number: int, line: str) -> TraceRow:
-    """One row, newline removed. Raises TraceError with the line's ``number``."""
+    """One row, newline removed; of the first format or of this one. Raises TraceError with the line's ``number``."""
     cells = line.split(",")
-    if len(cells) != len(COLUMNS):
+    if len(cells) not in (len(COLUMNS), len(COLUMNS_1)):
         raise TraceError(number, f"{len(cells)} cells; a row has {len(COLUMNS)}")
+    cells += [""] * (len(COLUMNS) - len(cells))
     return _RowReader(number, cells).row()
 
 
@@ -136,6 +169,11 @@ class _RowReader:
             vel_setpoint_enu_mps=self._maybe_vector(),
             integral_enu=self._maybe_vector(),
             saturation=self._saturation(),
+            round_trip_s=self._maybe(),
+            hold_s=self._maybe(),
+            acc_setpoint_enu_mps2=self._maybe_vector(),
+            predicted_enu_m=self._maybe_vector(),
+            disturbance_enu_mps2=self._maybe_vector(),
         )
 
     def _cell(self) -> str:

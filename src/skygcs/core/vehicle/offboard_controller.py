@@ -36,6 +36,7 @@ from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
 from skygcs.core.vehicle.reference_source import ReferenceSource
 from skygcs.core.vehicle.setpoint_generator import SetpointGenerator
 from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.core.vehicle.velocity_prediction import VelocityPrediction
 from skygcs.events import Event
 
 LARGEST_DT_S = 1.0
@@ -64,6 +65,8 @@ class OffboardConfig:
     velocity_hz: float = 10.0
     position_hz: float = 5.0
     rate_min_hz: float = 20.0
+    velocity_predictor: bool = False
+    """Velocity control predicts the state over the delay where its delay margin holds (`VelocityPrediction`)."""
 
 
 @dataclass(slots=True)
@@ -98,6 +101,9 @@ class OffboardController:
         self._estimate_view = EstimateView(vehicle)
         self._source = ReferenceSource(self._estimate_view)
         self._setpoints = SetpointGenerator(vehicle, self._estimate_view)
+        self._prediction = VelocityPrediction(vehicle, self._estimate_view)
+        self._predicting = False
+        """As was reported last."""
         self._guard = Guard(config.guard, POSITION)
         self._obeys = -1
         self._last = _Last()
@@ -169,6 +175,8 @@ class OffboardController:
         The fence stands on earth until control ends. Raises RefusedError without a position.
         """
         self._estimate_view.set_local_origin(fence)
+        self._prediction.forget()
+        self._predicting = False
         self.state, self.wanted, self.control_mode, self.reasons = ENGAGING, control_mode, None, ()
         self.was_entered, self.refusing = False, None
         self._guard.reset(control_mode)
@@ -247,6 +255,8 @@ class OffboardController:
         attitude = self.wanted is ATTITUDE and (self.state is ENGAGING or self.control_mode in (None, ATTITUDE))
         self.delay.fast = attitude and self.fast_pings
         self._estimate_view.measure(age_s, now)
+        if self.config.velocity_predictor:
+            self._prediction.judge(self.config.law, 1.0 / self.config.velocity_hz, now)
         events: list[Event] = []
         if self.state is ENGAGING:
             self._source.stop(now)
@@ -281,6 +291,8 @@ class OffboardController:
             self._source.end_stream()
             return Tick(events=tuple(events), hold=True)
         sent = self._send(verdict.control_mode, dt_s, following=True)
+        if self.config.velocity_predictor:
+            events += self._on_prediction()
         return replace(sent, events=tuple(events)) if events else sent
 
     def status(self, now: float) -> dict[str, Any]:
@@ -297,6 +309,7 @@ class OffboardController:
             "control_mode": None if self.control_mode is None else self.control_mode.value,
             "state": self.state.value,
             "reasons": list(self.reasons),
+            "prediction": self._prediction_status(),
             "reference": reference,
             "error_enu_m": error,
             "error_m": None if error is None else math.hypot(*error),
@@ -313,12 +326,28 @@ class OffboardController:
 
     # -- the inside
 
+    def _prediction_status(self) -> dict[str, Any] | None:
+        """None unless the fleet file chooses it."""
+        if not self.config.velocity_predictor:
+            return None
+        active = self.state is FLYING and self.control_mode is VELOCITY and self._prediction.allowed
+        return {
+            "active": active,
+            "refused": self._prediction.refused if self.wanted is VELOCITY else None,
+            "round_trip_s": self._prediction.round_trip_s if active else None,
+            "disturbance_enu_mps2": list(self._setpoints.predictor.disturbance_enu_mps2) if active else None,
+        }
+
     def _send(self, control_mode: ControlMode, dt_s: float, *, following: bool) -> Tick:
         if control_mode is not self.control_mode:
             self.control_mode = control_mode
             self._setpoints.forget()
         last = self._last
         given = TickInput(last.at, dt_s, last.estimate, last.state_age_s, self._source.reference, following)
+        prediction, round_trip_s = self._prediction, self._prediction.round_trip_s
+        if control_mode is VELOCITY and round_trip_s is not None:
+            hold_s = 1.0 / self.config.velocity_hz
+            given = replace(given, loop=prediction.loop(), round_trip_s=round_trip_s, hold_s=hold_s)
         return self._setpoints.generate(control_mode, self.config.law, given)
 
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
@@ -350,7 +379,23 @@ class OffboardController:
             engaging=engaging,
             position_breach=breach,
             reference_breach=reference_breach,
+            predicted=self._prediction.allowed,
         )
+
+    def _on_prediction(self) -> list[Event]:
+        """The event of a change between velocity control with and without prediction, in flight."""
+        predicting = self.control_mode is VELOCITY and self._prediction.allowed
+        if predicting == self._predicting or not (predicting or self.control_mode is VELOCITY):
+            self._predicting = predicting
+            return []
+        self._predicting = predicting
+        round_trip_s, refused = self._prediction.round_trip_s, self._prediction.refused
+        text = (
+            f"its state is predicted over {round_trip_s:.3f} s of round trip"
+            if round_trip_s is not None
+            else f"its state is not predicted any more: {refused}"
+        )
+        return [self._event(text, "flying", VELOCITY)]
 
     def _on_change(self, verdict: Verdict) -> list[Event]:
         first = self.control_mode is None and verdict.control_mode is self.wanted

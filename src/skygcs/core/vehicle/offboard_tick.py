@@ -6,7 +6,8 @@ from typing import Any
 
 from skygcs.core.control.cascade import Estimate, Memory, Reference
 from skygcs.core.control.record import record
-from skygcs.core.control.trace import TraceRow
+from skygcs.core.control.trace import PredictionStep, TraceRow
+from skygcs.core.control.velocity_predictor import VelocityLoop
 from skygcs.events import Event
 
 Message = tuple[str, dict[str, Any]]
@@ -25,6 +26,12 @@ class TickInput:
     reference: Reference
     following: bool
     """Whether the autopilot obeys: the integrators run only then."""
+    loop: VelocityLoop | None = None
+    """Velocity control predicts the state with this model; None: without prediction."""
+    round_trip_s: float = 0.0
+    """To predict over."""
+    hold_s: float = 0.0
+    """Until the next setpoint."""
 
 
 @record
@@ -42,6 +49,8 @@ class Tick:
     row: TraceRow | None = None
     before: Memory | None = None
     after: Memory | None = None
+    prediction: PredictionStep | None = None
+    """Of velocity control with prediction, for the trace."""
 
 
 IDLE = Tick()

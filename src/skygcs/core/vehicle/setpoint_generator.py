@@ -2,7 +2,8 @@
 
 control mode    loops closed here            message
 attitude        position and velocity        SET_ATTITUDE_TARGET
-velocity        position                     SET_POSITION_TARGET_LOCAL_NED with a velocity
+velocity        position                     SET_POSITION_TARGET_LOCAL_NED with a velocity, and an acceleration where
+                                             the reference has one
 position        none                         SET_POSITION_TARGET_GLOBAL_INT; as velocity where an axis of the
                                              reference follows a velocity
 """
@@ -15,7 +16,8 @@ from skygcs.core.control.cascade import Memory, Output, step, velocity_setpoint
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.control.pi import clip
-from skygcs.core.control.trace import TraceRow
+from skygcs.core.control.trace import PredictionStep, TraceRow
+from skygcs.core.control.velocity_predictor import PredictorMemory, Timing, predicted_setpoint
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.offboard_entry import boosts_thrust
@@ -36,6 +38,8 @@ class SetpointGenerator:
         self.memory = Memory()
         self.output: Output | None = None
         """Of the last step in the present control mode; only attitude has one."""
+        self.predictor = PredictorMemory()
+        """Velocity control's, after the last tick; a new one while it does not predict."""
         self.tracing = False
         """Whether ticks carry a row for the trace."""
         self._vehicle = vehicle
@@ -45,6 +49,7 @@ class SetpointGenerator:
         """Begin anew: an integral of another time is no use, and the first error has no slope yet."""
         self.memory = Memory()
         self.output = None
+        self.predictor = PredictorMemory()
 
     def move_integral_up(self, thrust: float, bound: float) -> None:
         """Add to the integral of the vertical thrust; it stays within ± ``bound``."""
@@ -75,12 +80,39 @@ class SetpointGenerator:
         return Tick(message, row=row, before=before, after=self.memory)
 
     def _velocity(self, law: ControlConfig, given: TickInput, row: TraceRow | None) -> Tick:
+        if given.loop is not None and given.following:
+            return self._predicted(law, given, row)
+        self.predictor = PredictorMemory()
         velocity = None if given.estimate is None else velocity_setpoint(law, given.estimate, given.reference)
         if velocity is None:
             return IDLE
-        message = setpoint.velocity_target(velocity, given.reference.yaw_rad, _boot_ms(given.at))
+        acceleration = given.reference.acc_enu_mps2
+        message = setpoint.velocity_target(
+            velocity,
+            given.reference.yaw_rad,
+            _boot_ms(given.at),
+            acc_enu_mps2=acceleration if any(acceleration) else None,
+        )
         row = None if row is None else row.with_velocity(velocity)
         return Tick(message, row=row, before=self.memory, after=self.memory)
+
+    def _predicted(self, law: ControlConfig, given: TickInput, row: TraceRow | None) -> Tick:
+        """The velocity and acceleration for the state and the reference at the moment at which they act."""
+        estimate, age_s, loop = given.estimate, given.state_age_s, given.loop
+        if estimate is None or age_s is None or loop is None:
+            return IDLE
+        before, timing = self.predictor, Timing(given.at, age_s, given.round_trip_s, given.hold_s)
+        found, self.predictor = predicted_setpoint(law, loop, before, estimate, given.reference, timing)
+        if found is None:
+            return IDLE
+        message = setpoint.velocity_target(
+            found.vel_enu_mps, given.reference.yaw_rad, _boot_ms(given.at), acc_enu_mps2=found.acc_enu_mps2
+        )
+        if row is None:
+            return Tick(message, before=self.memory, after=self.memory)
+        row = replace(row, round_trip_s=timing.round_trip_s, hold_s=timing.hold_s).with_prediction(found)
+        step_made = PredictionStep(loop, before, self.predictor)
+        return Tick(message, row=row, before=self.memory, after=self.memory, prediction=step_made)
 
     def _position(self, given: TickInput, row: TraceRow | None) -> Tick:
         place = self._estimate_view.place_of(given.reference)

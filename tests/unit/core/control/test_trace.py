@@ -21,6 +21,7 @@ from skygcs.core.control import (
 )
 from skygcs.core.control.trace import (
     COLUMNS,
+    COLUMNS_1,
     CONTROL_MODES,
     TraceEntry,
     TraceHead,
@@ -130,7 +131,7 @@ def test_without_the_memory_it_began_with_the_law_answers_otherwise() -> None:
     assert next(rerun(entries(lines))).column in ("out_w", "out_x")
 
 
-@pytest.mark.parametrize("column", COLUMNS[COLUMNS.index("out_w") : -1])
+@pytest.mark.parametrize("column", COLUMNS_1[COLUMNS_1.index("out_w") : -1])
 def test_one_flipped_bit_of_the_output_is_found(column: str) -> None:
     lines = flight()
     at = 20
@@ -184,7 +185,7 @@ def test_line_ends_of_other_systems_are_read() -> None:
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
-        ("garbage\n", "1 cells; a row has 35"),
+        ("garbage\n", "1 cells; a row has 46"),
         ("\x00\xff,\n", "cells"),
         ("# config\n", "there is no ="),
         ("# config = {\n", "not '# key = JSON'"),
@@ -194,7 +195,7 @@ def test_line_ends_of_other_systems_are_read() -> None:
         ('# memory = {"integral_enu": [1, 2]}\n', "memory:"),
         ("# " + "[" * 4000 + "\n", "not '# key = JSON'"),
         ("# x = " + "[" * 4000 + "\n", "not '# key = JSON'"),
-        ("1" * 5000, "longer than 4096"),
+        ("1" * 20000, "longer than 16384"),
     ],
 )
 def test_a_line_that_is_none_is_an_error_with_its_number(line: str, reason: str) -> None:

@@ -1,0 +1,291 @@
+"""Velocity control over a delay: the vehicle's motion predicted through the setpoints that are under way. Pure.
+
+The measured state is old when it comes, and what is sent now acts later still. Between the two lie setpoints that were
+sent already: the loop that ignores them answers the same error again and again. Here the state is moved on through
+them, by a model of the autopilot's velocity loop, to the moment at which this tick's setpoint acts:
+
+    measured x, v ──> model, setpoints under way, disturbance ──> x^ at the time t + h
+    v_sp = v_ref(t + h) + Kp (x_ref(t + h) - x^),    a_ff = a_ref
+
+    model         dv/dt = (u - v)/T + a_u + d,   dx/dt = v         u, a_u: velocity and acceleration that were sent
+    observer      d^ += (1 - exp(-dt/Td)) ((v - v_model) / (T (1 - exp(-dt/T))) - d^)    at each new measurement
+    horizon       h = round trip + age of the state + attitude lag
+
+A predictor that leaves out the disturbance is worse than none at short delays: gusts that the vehicle has felt already
+would be ignored until they are measured as position. So there is no prediction here without the observer.
+Derivation, source and figures: docs/explanation/velocity-prediction.md. Its delay margin: `predictor_margin`.
+Measured: 25 us a tick at 0.8 s of delay and 10 Hz (CPython 3.11).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from skygcs.core.control.cascade import LARGEST_INPUT, ZERO, Estimate, Reference, Vector
+from skygcs.core.control.gains import ControlConfig
+from skygcs.core.control.pi import clip, within
+from skygcs.core.control.record import record
+
+MAX_COMMANDS = 64
+"""Setpoints kept, the oldest are dropped first: 3.2 s at `MAX_RATE_HZ`."""
+
+MAX_RATE_HZ = 20.0
+"""Velocity setpoints per second with prediction: each one under way is a step of the model."""
+
+DISTURBANCE_TIME_S = 1.0
+"""Time constant of the observer: gusts last about 2 s (Dryden, low altitude), and noise of 5 cm/s at 10 Hz moves d^ by
+5 cm/s²."""
+
+DISTURBANCE_MAX_MPS2 = 3.0
+"""Bound of d^: the drag of an F450 in 10 m/s of wind."""
+
+GAP_S = 1.0
+"""Without a measurement or a setpoint for so long the model has nothing to go on from: it begins anew."""
+
+DELAY_SLEW = 0.2
+"""Seconds per second: so fast the round trip in use follows the measured one. A jump of the delay by 0.5 s would
+otherwise move the prediction, at 2 m/s, by a metre within one tick."""
+
+NEW_S = 1e-3
+"""A state is newer than the last if it came so much later; received times are differences of floats."""
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityLoop:
+    """The autopilot's velocity loop as the model has it: a lag of first order, and what delays it further."""
+
+    lag_xy_s: float
+    lag_z_s: float
+    attitude_lag_s: float
+    """Of the airframe's attitude behind the acceleration asked for: in the model a delay."""
+    accel_max_xy_mps2: float
+    accel_max_z_mps2: float
+    """Of the answer to a velocity, per axis."""
+
+
+PX4_LOOP = VelocityLoop(
+    lag_xy_s=0.556, lag_z_s=0.25, attitude_lag_s=0.15, accel_max_xy_mps2=9.81, accel_max_z_mps2=9.81
+)
+"""1/MPC_XY_VEL_P_ACC (1.8) and 1/MPC_Z_VEL_P_ACC (4.0); in OFFBOARD only MPC_TILTMAX_AIR (45 degrees) limits the
+acceleration (PositionControl.cpp, v1.16.1). Attitude lag: the F450's, as measured for the simulator."""
+
+ARDUCOPTER_LOOP = VelocityLoop(
+    lag_xy_s=0.5, lag_z_s=0.2, attitude_lag_s=0.15, accel_max_xy_mps2=2.5, accel_max_z_mps2=1.0
+)
+"""shape_vel_accel answers a velocity error with jerk_max/accel_max: 5/2.5 across (PSC_JERK_XY, WPNAV_ACCEL) and 5/1 up
+(PSC_JERK_Z, WPNAV_ACCEL_Z); the path it makes is followed with feed-forward (AC_PosControl.cpp, Copter-4.6.3)."""
+
+
+@record
+class SentVelocity:
+    """A velocity setpoint that was sent, and the acceleration with it."""
+
+    at: float
+    vel_enu_mps: Vector
+    acc_enu_mps2: Vector
+
+
+@record
+class PredictorMemory:
+    """What one step leaves to the next. A new one forgets everything: no setpoint is under way, no disturbance."""
+
+    sent: tuple[SentVelocity, ...] = ()
+    """The oldest first; before it the vehicle is taken to go on as it was measured."""
+    received_at: float | None = None
+    """When the state that was last seen came in."""
+    estimate: Estimate | None = None
+    disturbance_enu_mps2: Vector = ZERO
+    round_trip_s: float | None = None
+    """In use: follows the measured one with `DELAY_SLEW`."""
+    ticked_at: float | None = None
+
+
+@record
+class Timing:
+    """The times of one step, in seconds of the loop's clock."""
+
+    now: float
+    state_age_s: float
+    """Since the state came in."""
+    round_trip_s: float
+    """Measured: down and up together."""
+    hold_s: float
+    """Until the next setpoint."""
+
+
+@record
+class PredictedSetpoint:
+    """What is to be sent now, and what it was made from."""
+
+    vel_enu_mps: Vector
+    acc_enu_mps2: Vector
+    pos_enu_m: Vector
+    """Predicted for the moment at which this setpoint acts."""
+    disturbance_enu_mps2: Vector
+    round_trip_s: float
+    """In use."""
+
+
+def predicted_setpoint(
+    law: ControlConfig,
+    loop: VelocityLoop,
+    memory: PredictorMemory,
+    estimate: Estimate,
+    reference: Reference,
+    timing: Timing,
+) -> tuple[PredictedSetpoint | None, PredictorMemory]:
+    """One step. None, and the memory as it was, for a number that is NaN, infinite or above `LARGEST_INPUT`.
+
+    The first step after a new memory sends what velocity control without prediction would send from the state moved
+    on at its measured velocity: entering makes no jump. The reference is moved on by the way up, half of ``hold_s``
+    and the attitude lag; an axis without position follows its velocity alone.
+    """
+    numbers = (timing.now, timing.state_age_s, timing.round_trip_s, timing.hold_s)
+    if not (
+        reference.usable and estimate.usable and all(-LARGEST_INPUT <= number <= LARGEST_INPUT for number in numbers)
+    ):
+        return None, memory
+    memory = _observed(loop, _continued(memory, timing), estimate, timing)
+    assert memory.round_trip_s is not None and memory.received_at is not None
+    shift_s = memory.round_trip_s + loop.attitude_lag_s
+    position, _, _ = _moved_on(
+        loop, memory, estimate, shift_s, memory.received_at, timing.now + shift_s, memory.disturbance_enu_mps2
+    )
+    led = led_reference(reference, 0.5 * (memory.round_trip_s + timing.hold_s) + loop.attitude_lag_s)
+    velocity = _velocity(law, position, led)
+    acceleration = led.acc_enu_mps2
+    sent = (*memory.sent, SentVelocity(timing.now, velocity, acceleration))[-MAX_COMMANDS:]
+    setpoint = PredictedSetpoint(velocity, acceleration, position, memory.disturbance_enu_mps2, memory.round_trip_s)
+    return setpoint, PredictorMemory(
+        sent,
+        memory.received_at,
+        memory.estimate,
+        memory.disturbance_enu_mps2,
+        memory.round_trip_s,
+        timing.now,
+    )
+
+
+def led_reference(reference: Reference, by_s: float) -> Reference:
+    """Where a moving reference will be ``by_s`` later, with its acceleration constant; one at rest is returned."""
+    vx, vy, vz = reference.vel_enu_mps
+    ax, ay, az = reference.acc_enu_mps2
+    if not (vx or vy or vz or ax or ay or az):
+        return reference
+    x, y, z = reference.pos_enu_m
+    half = 0.5 * by_s * by_s
+    return Reference(
+        (x + vx * by_s + ax * half, y + vy * by_s + ay * half, z + vz * by_s + az * half),
+        reference.yaw_rad,
+        (vx + ax * by_s, vy + ay * by_s, vz + az * by_s),
+        reference.acc_enu_mps2,
+        velocity_only_xy=reference.velocity_only_xy,
+        velocity_only_z=reference.velocity_only_z,
+    )
+
+
+def _continued(memory: PredictorMemory, timing: Timing) -> PredictorMemory:
+    """The memory for this step, with the round trip moved towards the measured one; a new one after a gap."""
+    before = memory.ticked_at
+    if before is None or memory.round_trip_s is None or not 0.0 <= timing.now - before <= GAP_S:
+        return PredictorMemory(round_trip_s=max(0.0, timing.round_trip_s))
+    most = DELAY_SLEW * (timing.now - before)
+    change = clip(timing.round_trip_s - memory.round_trip_s, most)
+    return PredictorMemory(
+        memory.sent,
+        memory.received_at,
+        memory.estimate,
+        memory.disturbance_enu_mps2,
+        max(0.0, memory.round_trip_s + change),
+        before,
+    )
+
+
+def _observed(loop: VelocityLoop, memory: PredictorMemory, estimate: Estimate, timing: Timing) -> PredictorMemory:
+    """With the newest state, and the disturbance that the difference from the model shows."""
+    received_at = timing.now - timing.state_age_s
+    before_at, before = memory.received_at, memory.estimate
+    if before_at is not None and received_at - before_at < NEW_S:
+        return memory
+    disturbance = memory.disturbance_enu_mps2
+    if before is not None and before_at is not None and received_at - before_at <= GAP_S:
+        assert memory.round_trip_s is not None
+        shift_s = memory.round_trip_s + loop.attitude_lag_s
+        _, model, at_limit = _moved_on(loop, memory, before, shift_s, before_at, received_at, ZERO)
+        if not at_limit:  # the difference is then the limit's, not the wind's
+            disturbance = _disturbance(loop, disturbance, estimate.vel_enu_mps, model, received_at - before_at)
+    return PredictorMemory(memory.sent, received_at, estimate, disturbance, memory.round_trip_s, memory.ticked_at)
+
+
+def _disturbance(loop: VelocityLoop, before: Vector, measured: Vector, model: Vector, dt_s: float) -> Vector:
+    weight = -math.expm1(-dt_s / DISTURBANCE_TIME_S)
+    xy = loop.lag_xy_s * -math.expm1(-dt_s / loop.lag_xy_s)
+    z = loop.lag_z_s * -math.expm1(-dt_s / loop.lag_z_s)
+    shown = ((measured[0] - model[0]) / xy, (measured[1] - model[1]) / xy, (measured[2] - model[2]) / z)
+    most = DISTURBANCE_MAX_MPS2
+    return (
+        clip(before[0] + weight * (shown[0] - before[0]), most),
+        clip(before[1] + weight * (shown[1] - before[1]), most),
+        clip(before[2] + weight * (shown[2] - before[2]), most),
+    )
+
+
+def _moved_on(
+    loop: VelocityLoop,
+    memory: PredictorMemory,
+    state: Estimate,
+    shift_s: float,
+    start: float,
+    end: float,
+    disturbance: Vector,
+) -> tuple[Vector, Vector, bool]:
+    """Position and velocity at ``end``, from those at ``start`` through the setpoints that act between, each
+    ``shift_s`` after it was sent; and whether the acceleration was at its limit."""
+    (x, y, z), (vx, vy, vz) = state.pos_enu_m, state.vel_enu_mps
+    sent = memory.sent
+    at, at_limit = start, False
+    following = next((n for n, command in enumerate(sent) if command.at + shift_s > start), len(sent))
+    while at < end:
+        until = min(end, sent[following].at + shift_s) if following < len(sent) else end
+        step_s = until - at
+        if following == 0:  # nothing of ours acts yet: it goes on as it does
+            x, y, z = x + vx * step_s, y + vy * step_s, z + vz * step_s
+        else:
+            command = sent[following - 1]
+            (ux, uy, uz), (ax, ay, az) = command.vel_enu_mps, command.acc_enu_mps2
+            xy, up = (loop.lag_xy_s, loop.accel_max_xy_mps2), (loop.lag_z_s, loop.accel_max_z_mps2)
+            x, vx, limited_x = _axis(xy, (x, vx), (ux, ax, disturbance[0]), step_s)
+            y, vy, limited_y = _axis(xy, (y, vy), (uy, ay, disturbance[1]), step_s)
+            z, vz, limited_z = _axis(up, (z, vz), (uz, az, disturbance[2]), step_s)
+            at_limit = at_limit or limited_x or limited_y or limited_z
+        at = until
+        following += 1
+    return (x, y, z), (vx, vy, vz), at_limit
+
+
+def _axis(
+    lag: tuple[float, float], state: tuple[float, float], acting: tuple[float, float, float], step_s: float
+) -> tuple[float, float, bool]:
+    """Position and velocity of one axis after a time in which nothing changes: the lag's exact solution, or motion
+    with its largest acceleration; and which of the two. ``lag``: time constant and largest acceleration."""
+    (lag_s, accel_max), (x, v), (u, a, d) = lag, state, acting
+    asked = (u - v) / lag_s + a
+    if not -accel_max <= asked <= accel_max:
+        accel = within(asked, -accel_max, accel_max) + d
+        return x + (v + 0.5 * accel * step_s) * step_s, v + accel * step_s, True
+    end = u + lag_s * (a + d)
+    left = math.exp(-step_s / lag_s)
+    return x + end * step_s + (v - end) * lag_s * (1.0 - left), end + (v - end) * left, False
+
+
+def _velocity(law: ControlConfig, position: Vector, led: Reference) -> Vector:
+    x, y, z = position
+    x_ref, y_ref, z_ref = led.pos_enu_m
+    vx, vy, vz = led.vel_enu_mps
+    if not led.velocity_only_xy:
+        vx += law.xy.pos_p_per_s * (x_ref - x)
+        vy += law.xy.pos_p_per_s * (y_ref - y)
+    if not led.velocity_only_z:
+        vz += law.z.pos_p_per_s * (z_ref - z)
+    return clip(vx, law.vel_xy_max_mps), clip(vy, law.vel_xy_max_mps), clip(vz, law.vel_z_max_mps)
