@@ -16,7 +16,7 @@ import structlog
 
 from skygcs.core.mavlink.parser import FrameParser
 from skygcs.sim.conditions import Conditions
-from support.flown import Flown, Truth, flown
+from support.flown import Flown, flown
 from support.virtual_uvloop import VirtualUvloop
 
 T = TypeVar("T")
@@ -179,10 +179,6 @@ def lose(gcs: Flown, share: float) -> None:
     """From now on so much of the packets gets lost, in each direction."""
     for network in (gcs.link.inward, gcs.link.outward):
         network._config = network._config.model_copy(update={"loss": share})
-
-
-def looks_between(gcs: Flown, since: float, until: float) -> list[Truth]:
-    return [look for look in gcs.truth[1] if since <= look.at <= until]
 
 
 def _plus(a: Vector, b: Vector) -> Vector:

@@ -152,7 +152,7 @@ def predicted_setpoint(
     position, _, _ = _moved_on(
         loop, memory, estimate, shift_s, memory.received_at, timing.now + shift_s, memory.disturbance_enu_mps2
     )
-    led = led_reference(reference, 0.5 * (memory.round_trip_s + timing.hold_s) + loop.attitude_lag_s)
+    led = reference.ahead(0.5 * (memory.round_trip_s + timing.hold_s) + loop.attitude_lag_s)
     velocity = _velocity(law, position, led)
     acceleration = led.acc_enu_mps2
     sent = (*memory.sent, SentVelocity(timing.now, velocity, acceleration))[-MAX_COMMANDS:]
@@ -164,24 +164,6 @@ def predicted_setpoint(
         memory.disturbance_enu_mps2,
         memory.round_trip_s,
         timing.now,
-    )
-
-
-def led_reference(reference: Reference, by_s: float) -> Reference:
-    """Where a moving reference will be ``by_s`` later, with its acceleration constant; one at rest is returned."""
-    vx, vy, vz = reference.vel_enu_mps
-    ax, ay, az = reference.acc_enu_mps2
-    if not (vx or vy or vz or ax or ay or az):
-        return reference
-    x, y, z = reference.pos_enu_m
-    half = 0.5 * by_s * by_s
-    return Reference(
-        (x + vx * by_s + ax * half, y + vy * by_s + ay * half, z + vz * by_s + az * half),
-        reference.yaw_rad,
-        (vx + ax * by_s, vy + ay * by_s, vz + az * by_s),
-        reference.acc_enu_mps2,
-        velocity_only_xy=reference.velocity_only_xy,
-        velocity_only_z=reference.velocity_only_z,
     )
 
 
