@@ -74,6 +74,9 @@ POSITION_HZ = {ControlMode.ATTITUDE: 50.0, ControlMode.VELOCITY: 10.0}
 """GLOBAL_POSITION_INT asked for: the age of the state is half a period of it on average. Position setpoints need none:
 the autopilot closes the loop, the nav profile's 2 Hz stay."""
 
+ATTITUDE_AIDS_HZ = {"ATTITUDE": 10.0, "VFR_HUD": 5.0}
+"""Requested while attitude is wanted: tilt and throttle, from which the law's integral begins (`steady_thrust`)."""
+
 LATE_ENTRY_S = 2.5
 """After a mode was commanded in vain, or given up while the command was on its way, the vehicle may still take it: the
 repeats of the command and a heartbeat, which shows the mode, come within so long."""
@@ -130,6 +133,9 @@ class OffboardEngagement:
         """The position's rate before it was raised: an own 5 Hz of PX4, or what a program asked for."""
         self._raised = False
         self._restored_at = -math.inf
+        self._stream_rates_hz = config.streams
+        self._aids_before_hz: dict[str, float] = {}
+        """Rates of the messages that are requested for attitude, from before."""
 
     @property
     def flying(self) -> bool:
@@ -168,6 +174,7 @@ class OffboardEngagement:
             await self._raise_position_rate(POSITION_HZ.get(control_mode))
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
+            self._request_aids(control_mode)
             self._check_entry(self._loop.time())  # what was true before the wait may have changed
             self._begin(control_mode)
         except RefusedError as error:
@@ -406,6 +413,7 @@ class OffboardEngagement:
         if slower:
             self.controller.want(control_mode)
         await self._raise_position_rate(POSITION_HZ.get(control_mode))
+        self._request_aids(control_mode)
         if not slower:
             if (ended := await self._settle(control_mode, turn, PAUSE_S)) is not None:
                 return ended
@@ -480,8 +488,34 @@ class OffboardEngagement:
             self._tasks.start(self._request_position(self._before_hz or None), "position rate")
 
     async def _request_position(self, rate_hz: float | None) -> None:
+        await self._request_rate(POSITION, rate_hz)
+
+    def _request_aids(self, control_mode: ControlMode) -> None:
+        """Have tilt and throttle come faster for attitude, in the background, unless a radio's plan sets the rates."""
+        if control_mode is not ControlMode.ATTITUDE or self._streams.planned:
+            return
+        wanted: dict[str, float] = {}
+        for name, rate_hz in ATTITUDE_AIDS_HZ.items():
+            slot = self._vehicle.slot(name)
+            before_hz = 0.0 if slot is None else slot.rate_hz
+            if name not in self._aids_before_hz and name in self._services.dialect.by_name and before_hz < rate_hz:
+                self._aids_before_hz[name] = max(intended_rate(before_hz), self._stream_rates_hz.get(name, 0.0))
+                wanted[name] = rate_hz
+        if wanted:
+            self._tasks.start(self._request_rates(wanted), "attitude rate")
+
+    def _restore_aids(self) -> None:
+        before, self._aids_before_hz = self._aids_before_hz, {}
+        if before and self._vehicle.connected and not self._streams.planned:
+            self._tasks.start(self._request_rates(before), "attitude rate")
+
+    async def _request_rates(self, rates_hz: Mapping[str, float]) -> None:
+        for name, rate_hz in rates_hz.items():
+            await self._request_rate(name, rate_hz or None)
+
+    async def _request_rate(self, name: str, rate_hz: float | None) -> None:
         await self._orders.attempt_in_control(
-            lambda now: orders.message_interval(self._vehicle, now, self._services.dialect, POSITION, rate_hz)
+            lambda now: orders.message_interval(self._vehicle, now, self._services.dialect, name, rate_hz)
         )
 
     # -- ticks
@@ -510,6 +544,7 @@ class OffboardEngagement:
             self._displace()
             self._trace.end()
             self._restore_position_rate()
+            self._restore_aids()
         for event in tick.events:
             self._on_event(event)
         if tick.hold:

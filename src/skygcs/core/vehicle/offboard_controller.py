@@ -34,7 +34,8 @@ from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_entry import attitude_refusal, guided_mode
 from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
 from skygcs.core.vehicle.reference_source import ReferenceSource
-from skygcs.core.vehicle.setpoint_generator import SetpointGenerator
+from skygcs.core.vehicle.setpoint_generator import NOTHING, SetpointGenerator
+from skygcs.core.vehicle.steady_thrust import SteadyThrust
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.velocity_prediction import VelocityPrediction
 from skygcs.events import Event
@@ -104,6 +105,7 @@ class OffboardController:
         self._prediction = VelocityPrediction(vehicle, self._estimate_view)
         self._predicting = False
         """As was reported last."""
+        self._steady_thrust = SteadyThrust(vehicle)
         self._guard = Guard(config.guard, POSITION)
         self._obeys = -1
         self._last = _Last()
@@ -183,6 +185,7 @@ class OffboardController:
         self._last = _Last()
         self._obeys = guided_mode(self.vehicle)
         self._setpoints.forget()
+        self._steady_thrust.forget()
         self._source.stop(self._last.at, self._estimate_view.yaw_rad())
 
     def entered(self) -> None:
@@ -339,10 +342,15 @@ class OffboardController:
         }
 
     def _send(self, control_mode: ControlMode, dt_s: float, *, following: bool) -> Tick:
-        if control_mode is not self.control_mode:
+        last, period_s = self._last, 1.0 / self.attitude_hz
+        if self.config.law.period_s != period_s:  # a step is measured against the rate that the link leaves
+            self.config = replace(self.config, law=replace(self.config.law, period_s=period_s))
+        attitude = control_mode is ATTITUDE
+        if not attitude or not following:
+            self._steady_thrust.observe(self.config.law, last.estimate, last.at)
+        if control_mode is not self.control_mode or (attitude and not following):
             self.control_mode = control_mode
-            self._setpoints.forget()
-        last = self._last
+            self._setpoints.forget(self._steady_thrust.memory(self.config.law, last.at) if attitude else NOTHING)
         given = TickInput(last.at, dt_s, last.estimate, last.state_age_s, self._source.reference, following)
         prediction, round_trip_s = self._prediction, self._prediction.round_trip_s
         if control_mode is VELOCITY and round_trip_s is not None:

@@ -27,6 +27,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 LEAST_DEG = 1e-7
 """Resolution of coordinates on the wire, 1 cm."""
 
+NOTHING = Memory()
+
 ATTITUDE, VELOCITY, POSITION = CONTROL_MODES
 """To name a member of an enumeration takes 75 ns each time (CPython 3.11)."""
 
@@ -45,9 +47,9 @@ class SetpointGenerator:
         self._vehicle = vehicle
         self._estimate_view = estimate_view
 
-    def forget(self) -> None:
-        """Begin anew: an integral of another time is no use, and the first error has no slope yet."""
-        self.memory = Memory()
+    def forget(self, memory: Memory = NOTHING) -> None:
+        """Begin anew, with this memory: an integral of another time is no use, and the first error has no slope yet."""
+        self.memory = memory
         self.output = None
         self.predictor = PredictorMemory()
 

@@ -1,0 +1,108 @@
+"""The thrust with which a vehicle stands still now, read from its own attitude and throttle: what the integral of the
+control law shall begin with. Pure.
+
+A vehicle that hovers in the wind leans into it; its throttle is its true hover thrust. Attitude control that begins
+with an integral of 0 lets go of both, is blown away until the integral has grown, and sinks or climbs by what its hover
+thrust is wrong. So the mean thrust vector of the last seconds, less what accelerated the vehicle meanwhile, becomes the
+integral: entry and each return to attitude are bumpless.
+
+    tilt        ATTITUDE, as it comes; nothing older than FRESH_S counts
+    throttle    ATTITUDE_TARGET.thrust where it comes; ArduCopter shows it before its angle boost, which divides it by
+                the cosine of the tilt (GCS_MAVLINK_Copter::send_attitude_target: get_throttle_in)
+                else VFR_HUD.throttle, in whole percent and cut off by both (ArduCopter: after the boost)
+                else the hover thrust of the law: the tilt alone is used, and the vertical integral begins at 0
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from skygcs.core.control.cascade import Estimate, Memory, Vector
+from skygcs.core.control.gains import GRAVITY_MPS2, ControlConfig
+from skygcs.core.control.pi import clip
+from skygcs.core.mavlink.frame import Frame
+from skygcs.core.vehicle.offboard_entry import boosts_thrust
+from skygcs.core.vehicle.setpoint import LEAST_BOOST_COSINE
+from skygcs.core.vehicle.vehicle import Vehicle
+
+WINDOW_S = 2.0
+"""Over which the thrust is averaged: some swings of an autopilot's own position loop, little of a changing wind."""
+
+FRESH_S = 1.0
+"""The newest attitude must not be older: 1 Hz is what the nav profile streams."""
+
+THROTTLE_FRESH_S = 2.0
+"""Nor the throttle, which changes less than the tilt."""
+
+LEAST_SPAN_S = 0.4
+"""Between the first and the last velocity, to tell an acceleration from their steps of 1 cm/s."""
+
+MAX_SAMPLES = 200
+"""2 s at 100 Hz."""
+
+LARGEST_TILT_COSINE = 0.5
+"""60 degrees: no hover, and not averaged."""
+
+THROTTLES = (0.05, 1.0)
+"""Of a vehicle in the air; what is outside is no throttle."""
+
+
+class SteadyThrust:
+    """Of one vehicle. `observe` in every tick that does not fly by attitude."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._vehicle = vehicle
+        self._attitude: Frame | None = None
+        self._samples: deque[tuple[float, Vector, Vector]] = deque(maxlen=MAX_SAMPLES)
+        """When, thrust and velocity (ENU)."""
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._samples.clear()
+
+    def observe(self, law: ControlConfig, estimate: Estimate | None, now: float) -> None:
+        """A tick; counts if an attitude came since the last."""
+        slot = self._vehicle.slot("ATTITUDE")
+        if slot is None or slot.frame is self._attitude or estimate is None or not estimate.usable:
+            return
+        self._attitude = slot.frame
+        roll, pitch, yaw = self._vehicle.message_cache.values(slot)[1:4] or (math.nan,) * 3
+        cosine = math.cos(roll) * math.cos(pitch) if math.isfinite(roll + pitch + yaw) else 0.0
+        if now - slot.at > FRESH_S or cosine < LARGEST_TILT_COSINE:
+            return
+        thrust = self._collective(cosine, now) or law.hover_thrust / cosine
+        north = -(math.cos(roll) * math.sin(pitch) * math.cos(yaw) + math.sin(roll) * math.sin(yaw))
+        east = -(math.cos(roll) * math.sin(pitch) * math.sin(yaw) - math.sin(roll) * math.cos(yaw))
+        while self._samples and not 0.0 <= now - self._samples[0][0] <= WINDOW_S:
+            self._samples.popleft()
+        self._samples.append((now, (thrust * east, thrust * north, thrust * cosine), estimate.vel_enu_mps))
+
+    def memory(self, law: ControlConfig, now: float) -> Memory:
+        """What the law shall begin with, within its limits; nothing remembered where nothing fresh is known."""
+        samples = [sample for sample in self._samples if 0.0 <= now - sample[0] <= WINDOW_S]
+        if not samples or now - samples[-1][0] > FRESH_S:
+            return Memory()
+        (first_at, _, first), (last_at, _, last) = samples[0], samples[-1]
+        span_s = last_at - first_at
+        weight = law.hover_thrust / GRAVITY_MPS2 / span_s if span_s >= LEAST_SPAN_S else 0.0
+        east, north, up = (
+            sum(thrust[axis] for _, thrust, _ in samples) / len(samples) - weight * (last[axis] - first[axis])
+            for axis in range(3)
+        )
+        size, bound = math.hypot(east, north), law.integral_xy_max
+        scale = bound / size if size > bound else 1.0
+        return Memory((east * scale, north * scale, clip(up - law.hover_thrust, law.thrust_max)))
+
+    def _collective(self, cosine: float, now: float) -> float | None:
+        """Thrust along the body's axis, as the vehicle reports it; None if it does not."""
+        target, hud = self._vehicle.slot("ATTITUDE_TARGET"), self._vehicle.slot("VFR_HUD")
+        values = self._vehicle.message_cache.values
+        thrust = math.nan
+        if target is not None and now - target.at <= THROTTLE_FRESH_S:
+            thrust = (values(target) or (math.nan,))[-1]
+            if boosts_thrust(self._vehicle):
+                thrust /= max(LEAST_BOOST_COSINE, cosine)
+        elif hud is not None and now - hud.at <= THROTTLE_FRESH_S:
+            thrust = (values(hud)[3:4] or (math.nan,))[0] / 100.0 + 0.005
+        return thrust if THROTTLES[0] <= thrust <= THROTTLES[1] else None

@@ -1,0 +1,67 @@
+"""Attitude begins without a bump: in wind, with a wrong hover thrust, at the entry and at each return after a fall."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+
+import pytest
+
+from skygcs.sim.conditions import Conditions
+from support.flown import Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+KINDS = pytest.mark.parametrize("kind", [{"px4": 1}, {"px4": 0, "ardupilot": 1}], ids=["px4", "ardupilot"])
+WIND = Conditions(wind_enu_mps=(3.0, 4.0, 0.0))
+
+
+def moved_m(gcs: Flown, since: float) -> tuple[float, float]:
+    """How far it was from where it was then, at most: in the plane, and up or down."""
+    looks = [t.pos_m for t in gcs.truth[1] if t.at >= since]
+    x, y, z = looks[0]
+    return max(math.hypot(p[0] - x, p[1] - y) for p in looks), max(abs(p[2] - z) for p in looks)
+
+
+@KINDS
+async def test_entry_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, conditions=WIND, **kind) as gcs:
+        await asyncio.sleep(10.0)
+        began = gcs.now
+        await gcs.fly("attitude")
+        await asyncio.sleep(15.0)
+        plane_m, height_m = moved_m(gcs, began)
+        print("moved", plane_m, height_m)
+        assert plane_m <= 0.25 and height_m <= 0.1
+
+
+@KINDS
+@pytest.mark.parametrize("hover_thrust", [0.36, 0.54])
+async def test_entry_with_a_wrong_hover_thrust(tmp_path: Path, kind: dict[str, int], hover_thrust: float) -> None:
+    async with flown(tmp_path, control={"hover_thrust": hover_thrust}, **kind) as gcs:
+        await asyncio.sleep(5.0)
+        began = gcs.now
+        await gcs.fly("attitude")
+        await asyncio.sleep(15.0)
+        print("moved", moved_m(gcs, began))
+        assert moved_m(gcs, began)[1] <= 0.1
+
+
+@KINDS
+async def test_return_after_a_fall_in_wind(tmp_path: Path, kind: dict[str, int]) -> None:
+    async with flown(tmp_path, conditions=WIND, control={"return_after_s": 3.0, "hover_thrust": 0.5}, **kind) as gcs:
+        await asyncio.sleep(10.0)
+        await gcs.fly("attitude")
+        await asyncio.sleep(15.0)
+        gcs.sim().faults.mute = True
+        await asyncio.sleep(1.0)
+        gcs.sim().faults.mute = False
+        assert gcs.control()["control_mode"] != "attitude"
+        await asyncio.sleep(3.0)
+        began = gcs.now
+        await gcs.until(lambda: gcs.control()["control_mode"] == "attitude", timeout_s=40.0)
+        await asyncio.sleep(15.0)
+        plane_m, height_m = moved_m(gcs, began)
+        print("moved", plane_m, height_m)
+        assert plane_m <= 0.25 and height_m <= 0.1
