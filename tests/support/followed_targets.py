@@ -80,6 +80,8 @@ def message(rig: Rig, way: Way, pos: Vector, vel: Vector, acc: Vector, yaw: floa
 
 def follow(rig: Rig, way: Way, *, settle_s: float = PERIOD_S, laps: float = 1.0) -> list[float]:
     """Horizontal distances (m) from the reference over the last laps, by the vehicle's own position and clock."""
+    rig.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_HOME_POSITION)
+    rig.run(0.5)
     take_off(rig)
     begin, sent_at = rig.clock(), -1e9
     offset_s = 1e9

@@ -1,7 +1,7 @@
 """SET_ATTITUDE_TARGET as each firmware takes it.
 
-ArduCopter: ArduCopter/GCS_MAVLink_Copter.cpp and mode_guided.cpp (angle_control_run); PX4: mavlink_receiver.cpp.
-Body rates without an attitude are not flown here.
+ArduCopter: ArduCopter/GCS_Mavlink.cpp (handle_message_set_attitude_target) and mode_guided.cpp (angle_control_run);
+PX4: mavlink/mavlink_receiver.cpp (handle_message_set_attitude_target).
 """
 
 from __future__ import annotations
@@ -11,13 +11,17 @@ from math import isfinite, sqrt
 from typing import Any
 
 from skygcs.sim import protocol as m
-from skygcs.sim.body import AttitudeSetpoint, Quaternion
+from skygcs.sim.body import AttitudeSetpoint, Quaternion, Vector
 
 RATES_IGNORE = (
     m.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
     | m.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
     | m.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
 )
+TILT_RATES_IGNORE = m.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE | m.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
+
+THRUST_BODY_SET = 32
+"""ATTITUDE_TARGET_TYPEMASK_THRUST_BODY_SET, which ArduPilot's dialect does not have."""
 
 UNIT_TOLERANCE = 1e-3
 """ArduPilot's Quaternion::is_unit_length: how far the squared length may be from 1."""
@@ -33,57 +37,83 @@ class Refusal(Enum):
     STOP = "stop"
     """ArduCopter: ill-defined, the vehicle stops and holds."""
     NOTHING = "nothing"
-    """PX4: thrown away, and does not count as a setpoint either."""
+    """It is passed over, and does not count as a setpoint either."""
 
 
-def px4_attitude(fields: dict[str, Any], last_thrust: float) -> AttitudeSetpoint | Refusal | None:
-    """What PX4 makes of it; None: a setpoint of a kind that is not flown here (it keeps OFFBOARD alive).
+def px4_attitude(fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
+    """What PX4 makes of it.
 
-    A message that ignores the thrust leaves ``last_thrust``.
+    With an attitude, of the rates that of the yaw alone counts, as feed-forward; without, roll and pitch rates are
+    needed, and a yaw rate that is ignored leaves the turn that there is. A thrust that is ignored is none: the motors
+    idle. The firmware does not look at the numbers; those that are none are passed over here.
     """
-    numbers = (*fields["q"], fields["thrust"], *_rates(fields))
-    if not all(isfinite(number) for number in numbers):
-        return Refusal.NOTHING
     mask = int(fields["type_mask"])
-    if mask & m.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE:
-        return None
-    attitude = _unit(fields["q"])
-    if attitude is None:
+    thrust = float(fields["thrust"])
+    if mask & THRUST_BODY_SET:
+        thrust = -float((fields.get("thrust_body") or (0.0, 0.0, 0.0))[2])
+    elif mask & m.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE:
+        thrust = 0.0
+    rates = _rates(fields)
+    if not all(map(isfinite, (*fields["q"], thrust, *rates))):
         return Refusal.NOTHING
-    if mask & m.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE:
-        return AttitudeSetpoint(attitude, last_thrust)
-    return AttitudeSetpoint(attitude, min(1.0, max(0.0, fields["thrust"])))
+    thrust = min(1.0, max(0.0, thrust))
+    yaw_ignored = bool(mask & m.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE)
+    if not mask & m.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE:
+        attitude = _unit(fields["q"])
+        if attitude is None:
+            return Refusal.NOTHING
+        turn = None if yaw_ignored or rates[2] == 0.0 else (0.0, 0.0, rates[2])
+        return AttitudeSetpoint(attitude, thrust, rates_frd_radps=turn)
+    if mask & TILT_RATES_IGNORE:
+        return Refusal.NOTHING
+    return AttitudeSetpoint(None, thrust, rates_frd_radps=(rates[0], rates[1], None if yaw_ignored else rates[2]))
 
 
 def copter_attitude(
-    fields: dict[str, Any], *, thrust_as_thrust: bool, climb_mps: float, descent_mps: float, angle_boost: bool = False
-) -> AttitudeSetpoint | Refusal | None:
-    """What ArduCopter makes of it in GUIDED; None: a kind that is not flown here.
+    fields: dict[str, Any],
+    *,
+    thrust_as_thrust: bool,
+    climb_mps: float,
+    descent_mps: float,
+    angle_boost: bool = False,
+    upright: float = 1.0,
+) -> AttitudeSetpoint | Refusal:
+    """What ArduCopter makes of it in GUIDED.
 
-    Without GUID_OPTIONS bit 3 (``thrust_as_thrust``) the thrust is a climb rate: 0.5 holds the height, 1 climbs with
+    Without an attitude it flies the rates (none: 0), with both the attitude turns on with the rates. Without
+    GUID_OPTIONS bit 3 (``thrust_as_thrust``) the thrust is a climb rate: 0.5 holds the height, 1 climbs with
     WPNAV_SPEED_UP (``climb_mps``), 0 descends with WPNAV_SPEED_DN (``descent_mps``). With ``angle_boost`` a thrust is
-    divided by the cosine of the tilt asked for, as set_throttle_out does.
+    divided by the cosine of the tilt asked for, as set_throttle_out does; for rates by that of the tilt there is
+    (``upright``).
     """
     mask = int(fields["type_mask"])
     if mask & m.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE:
-        return Refusal.STOP
+        return Refusal.NOTHING
+    attitude = None
+    if not mask & m.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE:
+        attitude = _unit(fields["q"], UNIT_TOLERANCE)
+        if attitude is None:
+            return Refusal.NOTHING
     if mask & RATES_IGNORE not in (0, RATES_IGNORE):
         return Refusal.STOP
+    rates = (0.0, 0.0, 0.0) if mask & RATES_IGNORE else _rates(fields)
+    if not all(map(isfinite, rates)):
+        return Refusal.NOTHING  # the firmware does not look, and would fly with NaN
     thrust = float(fields["thrust"])
-    if mask & m.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE:
-        return None
-    attitude = _unit(fields["q"], UNIT_TOLERANCE)
-    if attitude is None or not isfinite(thrust):
-        return Refusal.STOP
+    turning = rates if attitude is None or rates != (0.0, 0.0, 0.0) else None
     if thrust_as_thrust:
+        thrust = 0.0 if thrust != thrust else min(1.0, max(-1.0, thrust))  # constrain_float of NaN: the middle
         if angle_boost:
-            thrust /= max(1.0 - 2.0 * (attitude[1] ** 2 + attitude[2] ** 2), LEAST_BOOST_COSINE)
-        return AttitudeSetpoint(attitude, min(1.0, max(-1.0, thrust)))
-    deflection = 2.0 * min(1.0, max(0.0, thrust)) - 1.0
-    return AttitudeSetpoint(attitude, climb_mps=deflection * (climb_mps if deflection > 0.0 else descent_mps))
+            tilt = upright if attitude is None else 1.0 - 2.0 * (attitude[1] ** 2 + attitude[2] ** 2)
+            thrust /= max(tilt, LEAST_BOOST_COSINE)
+        return AttitudeSetpoint(attitude, min(1.0, max(-1.0, thrust)), rates_frd_radps=turning, turns_on=True)
+    thrust = 0.5 if thrust != thrust else min(1.0, max(0.0, thrust))
+    deflection = 2.0 * thrust - 1.0
+    climb = deflection * (climb_mps if deflection > 0.0 else descent_mps)
+    return AttitudeSetpoint(attitude, climb_mps=climb, rates_frd_radps=turning, turns_on=True)
 
 
-def _rates(fields: dict[str, Any]) -> tuple[float, float, float]:
+def _rates(fields: dict[str, Any]) -> Vector:
     return fields["body_roll_rate"], fields["body_pitch_rate"], fields["body_yaw_rate"]
 
 

@@ -43,18 +43,45 @@ def quaternion_of(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Quaterni
     )
 
 
+def quaternion_product(a: Quaternion, b: Quaternion) -> Quaternion:
+    """First ``a``, then ``b`` about the axes that ``a`` has turned."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def turned_by(rates_frd_radps: Vector, seconds: float) -> Quaternion:
+    """The rotation that these body rates make in so long."""
+    p, q, r = rates_frd_radps
+    speed = hypot(p, q, r)
+    half = speed * seconds / 2
+    if half < 1e-9:
+        return 1.0, 0.0, 0.0, 0.0
+    scale = sin(half) / speed
+    return cos(half), p * scale, q * scale, r * scale
+
+
 @dataclass(frozen=True, slots=True)
 class AttitudeSetpoint:
     """How to lie and how hard to push: what SET_ATTITUDE_TARGET asks for.
 
     ``attitude_ned_frd`` turns FRD body vectors into NED ones (w, x, y, z), of unit length; None keeps level and the
-    yaw there is. ``thrust`` is collective and normalised (0..1); None: the autopilot's height controller follows
-    ``climb_mps`` instead.
+    yaw there is, or turns with the rates. ``thrust`` is collective and normalised (0..1); None: the autopilot's height
+    controller follows ``climb_mps`` instead.
     """
 
     attitude_ned_frd: Quaternion | None
     thrust: float | None = None
     climb_mps: float = 0.0
+    rates_frd_radps: tuple[float, float, float | None] | None = None
+    """Body rates: feed-forward of an attitude, or flown alone; None as the third: the turn there is."""
+    turns_on: bool = False
+    """The attitude turns on with the rates until the next one (ArduCopter)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import hypot
+from math import cos, hypot
 from typing import TYPE_CHECKING, Any
 
 from skygcs.sim.attitude_targets import Refusal, copter_attitude
@@ -25,6 +25,9 @@ THRUST_AS_THRUST = 8
 AVOID_FENCE = 1
 """Bit of AVOID_ENABLE."""
 
+LEVEL = AttitudeSetpoint(None)
+"""What an attitude that nobody renews ends in."""
+
 SHORTEST_TIMEOUT_S = 0.1
 """The firmware's lower bound of GUID_TIMEOUT."""
 
@@ -37,10 +40,11 @@ def take(v: CopterVehicle, name: str, fields: dict[str, Any], now: float) -> Non
     if name == "SET_ATTITUDE_TARGET":
         target = _attitude(v, fields)
         if isinstance(target, Refusal):
-            _stop(v)
+            if target is Refusal.STOP:
+                _stop(v)
             return
         setpoint = target
-        lifts = target is not None and (target.thrust or target.climb_mps) > 0.0
+        lifts = (target.thrust or target.climb_mps) > 0.0
     else:
         position = copter_target(v, name, fields)
         if isinstance(position, Refusal):
@@ -77,8 +81,8 @@ def watch(v: CopterVehicle, now: float) -> None:
     elif isinstance(leg, Follow) and isinstance(leg.setpoint, AttitudeSetpoint):
         if v.attitude_timeout_s is not None:
             longest = v.attitude_timeout_s
-        if age > longest and leg.setpoint.attitude_ned_frd is not None:
-            v.plan.fly(Follow(AttitudeSetpoint(None)))
+        if age > longest and leg.setpoint != LEVEL:
+            v.plan.fly(Follow(LEVEL))
 
 
 def _before_the_fence(v: CopterVehicle, setpoint: PositionTarget) -> PositionTarget:
@@ -107,7 +111,7 @@ def _stop(v: CopterVehicle) -> None:
     v.hold_here()
 
 
-def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Refusal | None:
+def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
     p = v.params
     return copter_attitude(
         fields,
@@ -115,6 +119,7 @@ def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Re
         climb_mps=p["WPNAV_SPEED_UP"] / 100,
         descent_mps=p["WPNAV_SPEED_DN"] / 100,
         angle_boost=bool(p["ATC_ANGLE_BOOST"]),
+        upright=cos(v.estimated.roll_rad) * cos(v.estimated.pitch_rad),
     )
 
 

@@ -223,7 +223,6 @@ class Px4Vehicle(SimVehicle):
         self.failsafe = False
         self.cruise_mps = 0.0
         self.setpoint_at = -1e9
-        self._last_thrust = 0.0
         self._reported_ready = False
 
     def on_ready(self, now: float) -> None:
@@ -417,10 +416,10 @@ class Px4Vehicle(SimVehicle):
         return  # read where they are used; MAV_SYS_ID at the next boot
 
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
-        setpoint: PositionTarget | AttitudeSetpoint | None
+        setpoint: PositionTarget | AttitudeSetpoint
         if name == "SET_ATTITUDE_TARGET":
-            target = px4_attitude(fields, self._last_thrust)
-            if target is Refusal.NOTHING or target is Refusal.STOP:
+            target = px4_attitude(fields)
+            if isinstance(target, Refusal):
                 return
             setpoint = target
         else:
@@ -431,9 +430,7 @@ class Px4Vehicle(SimVehicle):
                 return
             setpoint = position
         self.setpoint_at = now
-        if self.mode == Px4Mode.OFFBOARD and setpoint is not None:
-            if isinstance(setpoint, AttitudeSetpoint):
-                self._last_thrust = setpoint.thrust or 0.0
+        if self.mode == Px4Mode.OFFBOARD:
             self.plan.fly(Follow(setpoint))
 
     # -- commands

@@ -21,6 +21,8 @@ from skygcs.sim.body import (
     Quaternion,
     Vector,
     quaternion_of,
+    quaternion_product,
+    turned_by,
 )
 from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.steering import Steering
@@ -28,6 +30,14 @@ from skygcs.sim.wind import Wind
 
 SUB_STEPS = 2
 """Of a tick of 20 ms. Halving the sub-step moves no point of a 3 m step by 1 cm (test_sim_quad)."""
+
+
+RATE_LAG = 0.3
+"""The rate loop's lag as a share of the attitude loop's, which it is a part of (PX4's MC_ROLL_P 6.5 is 0.15 s)."""
+
+RATE_MAX_RADPS = radians(720)
+YAW_RATE_MAX_RADPS = radians(200)
+"""Body rates that motors of this size reach; yaw as PX4's MC_YAWRATE_MAX."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +127,15 @@ class Quad(Body):
             self.fly(dt_s, None, 0.0)
             return
         attitude, thrust = self._steering.step(self, dt_s, setpoint, limits)
+        if isinstance(setpoint, AttitudeSetpoint) and setpoint.attitude_ned_frd is None and setpoint.rates_frd_radps:
+            roll, pitch, yaw = setpoint.rates_frd_radps
+            self.fly(dt_s, None, thrust, (roll, pitch, self.yaw_rate_radps if yaw is None else yaw))
+            return
         self.fly(dt_s, attitude, thrust)
 
-    def fly(self, dt_s: float, attitude: Quaternion | None, thrust: float) -> None:
-        """The body alone: move on by ``dt_s`` under an attitude (None: as it lies) and a collective thrust (0..1)."""
+    def fly(self, dt_s: float, attitude: Quaternion | None, thrust: float, rates: Vector | None = None) -> None:
+        """The body alone: move on by ``dt_s`` under an attitude or body rates (neither: as it lies) and a collective
+        thrust (0..1)."""
         frame = self.airframe
         h = dt_s / SUB_STEPS
         if h != self._gains[0]:
@@ -140,6 +155,8 @@ class Quad(Body):
                 continue
             if attitude is not None:
                 self._rotate(h, attitude)
+            elif rates is not None:
+                self._spin(h, rates)
             self._move(h, self.thrust * lift, wind)
         self._report_angles()
         self.accel_enu_mps2 = (
@@ -195,14 +212,26 @@ class Quad(Body):
         q = self.attitude_ned_frd
         if size > 1e-12:
             half = sin(swing / 2.0) / size
-            q = _times(q, (cos(swing / 2.0), sx * half, sy * half, 0.0))
+            q = quaternion_product(q, (cos(swing / 2.0), sx * half, sy * half, 0.0))
             self.roll_rate_radps, self.pitch_rate_radps = swing / h * sx / size, swing / h * sy / size
         else:
             self.roll_rate_radps = self.pitch_rate_radps = 0.0
-        q = _times(q, (cos(twist / 2.0), 0.0, 0.0, sin(twist / 2.0)))
+        q = quaternion_product(q, (cos(twist / 2.0), 0.0, 0.0, sin(twist / 2.0)))
         self.yaw_rate_radps = twist / h
         length = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
         self.attitude_ned_frd = (q[0] / length, q[1] / length, q[2] / length, q[3] / length)
+
+    def _spin(self, h: float, rates: Vector) -> None:
+        """Turn with the rates, as fast as the rate loops of roll, pitch and yaw take them on."""
+        frame = self.airframe
+        share = _share(h, frame.attitude_lag_s * RATE_LAG)
+        most = (RATE_MAX_RADPS, RATE_MAX_RADPS, YAW_RATE_MAX_RADPS)
+        p, q, r = (max(-m, min(m, wanted)) for wanted, m in zip(rates, most, strict=True))
+        self.roll_rate_radps += (p - self.roll_rate_radps) * share
+        self.pitch_rate_radps += (q - self.pitch_rate_radps) * share
+        self.yaw_rate_radps += (r - self.yaw_rate_radps) * share
+        step = turned_by((self.roll_rate_radps, self.pitch_rate_radps, self.yaw_rate_radps), h)
+        self.attitude_ned_frd = quaternion_product(self.attitude_ned_frd, step)
 
     def _report_angles(self) -> None:
         w, x, y, z = self.attitude_ned_frd
@@ -221,17 +250,6 @@ def _share(h: float, lag_s: float) -> float:
     return 1.0 if lag_s <= 0.0 else 1.0 - exp(-h / lag_s)
 
 
-def _times(a: Quaternion, b: Quaternion) -> Quaternion:
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
 def _between(a: Quaternion, b: Quaternion) -> Quaternion:
     """The rotation, about body axes, from one attitude to the other."""
-    return _times((a[0], -a[1], -a[2], -a[3]), b)
+    return quaternion_product((a[0], -a[1], -a[2], -a[3]), b)

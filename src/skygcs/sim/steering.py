@@ -19,6 +19,8 @@ from skygcs.sim.body import (
     Body,
     Quaternion,
     quaternion_of,
+    quaternion_product,
+    turned_by,
 )
 from skygcs.sim.kinematics import Limits, Motion, Setpoint
 from skygcs.sim.position_control import bounded_length
@@ -66,12 +68,14 @@ LEAST_UPRIGHT = 0.5
 class Steering:
     """What the autopilot remembers from tick to tick: where its trajectory is, and the integrals (ENU, m/s²)."""
 
-    __slots__ = ("_attitude_lag_s", "_hover_thrust", "_integral", "_trajectory")
+    __slots__ = ("_asked", "_attitude_lag_s", "_hover_thrust", "_integral", "_trajectory", "_turned")
 
     def __init__(self, hover_thrust: float, attitude_lag_s: float = 0.0) -> None:
         self._hover_thrust = hover_thrust
         self._attitude_lag_s = attitude_lag_s
         self._trajectory: Motion | None = None
+        self._asked: AttitudeSetpoint | None = None
+        self._turned: Quaternion = (1.0, 0.0, 0.0, 0.0)
         self._integral = [0.0, 0.0, 0.0]
 
     def restart(self) -> None:
@@ -91,7 +95,7 @@ class Steering:
             return self._accelerate(body, dt_s, setpoint)
         level = quaternion_of(0.0, 0.0, body.yaw_rad)
         if isinstance(setpoint, AttitudeSetpoint):
-            attitude = setpoint.attitude_ned_frd or level
+            attitude = self._attitude(setpoint, dt_s) or level
             if setpoint.thrust is None:
                 return attitude, self._climb(body, dt_s, setpoint.climb_mps, limits)
             self._trajectory = None
@@ -107,6 +111,19 @@ class Steering:
         lift = GRAVITY_MPS2 + self._vertical(body, path, dt_s)
         accel_e, accel_n = self._horizontal(body, path, lift, dt_s)
         return self._lean(accel_e, accel_n, lift, path.yaw_rad)
+
+    def _attitude(self, setpoint: AttitudeSetpoint, dt_s: float) -> Quaternion | None:
+        """Where the attitude has turned to with its rates, ahead of it by as much as the body lags (feed-forward)."""
+        rates, attitude = setpoint.rates_frd_radps, setpoint.attitude_ned_frd
+        if rates is None or attitude is None:
+            return attitude
+        roll, pitch, yaw = rates
+        spin = (roll, pitch, yaw or 0.0)
+        if setpoint.turns_on:
+            before = attitude if setpoint is not self._asked else self._turned
+            attitude = self._turned = quaternion_product(before, turned_by(spin, dt_s))
+            self._asked = setpoint
+        return quaternion_product(attitude, turned_by(spin, self._attitude_lag_s))
 
     def _accelerate(self, body: Body, dt_s: float, setpoint: AccelerationSetpoint) -> tuple[Quaternion, float]:
         """The lean is that of the push at hover, whatever the climb, and the thrust makes up for it (PX4's

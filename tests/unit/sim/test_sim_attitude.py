@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import cos, hypot, inf, nan, radians
+from math import cos, hypot, inf, isfinite, nan, pi, radians
 
 import pytest
 from hypothesis import given
@@ -75,13 +75,16 @@ def test_no_target_from_outside_is_anything_but_a_unit_attitude_with_a_bounded_t
     rates = {"body_roll_rate": rate, "body_pitch_rate": rate, "body_yaw_rate": rate}
     fields = {"q": q, "thrust": thrust, "type_mask": mask, **rates}
     for taken in (
-        px4_attitude(fields, 0.4),
+        px4_attitude(fields),
         copter_attitude(fields, thrust_as_thrust=True, climb_mps=2.5, descent_mps=1.5, angle_boost=True),
         copter_attitude(fields, thrust_as_thrust=False, climb_mps=2.5, descent_mps=1.5),
     ):
         if isinstance(taken, AttitudeSetpoint):
-            assert taken.attitude_ned_frd is not None
-            assert hypot(*taken.attitude_ned_frd) == pytest.approx(1.0)
+            if taken.attitude_ned_frd is None:
+                assert taken.rates_frd_radps is not None
+            else:
+                assert hypot(*taken.attitude_ned_frd) == pytest.approx(1.0)
+            assert all(rate is None or isfinite(rate) for rate in taken.rates_frd_radps or ())
             assert taken.thrust is None or -1.0 <= taken.thrust <= 1.0
             assert -1.5 <= taken.climb_mps <= 2.5
 
@@ -128,6 +131,88 @@ def test_where_it_truly_is_agrees_with_what_it_tells() -> None:
     )
 
 
+# -- body rates
+
+RATES_AND_THRUST = 128
+
+
+def rates(roll: float, pitch: float, yaw: float, thrust: float, mask: int = RATES_AND_THRUST) -> Message:
+    return mav.MAVLink_set_attitude_target_message(0, 1, 1, mask, LEVEL, roll, pitch, yaw, thrust)
+
+
+@pytest.mark.parametrize("start", [offboard, guided_with_thrust, guided])
+def test_rates_without_an_attitude_turn_it_and_what_they_have_turned_stays(start: Callable[[], Pilot]) -> None:
+    pilot = start()
+    motion = pilot.vehicles[0].motion
+    thrust = 0.5 if start is guided else hover_thrust(pilot)
+    stream(pilot, 0.5, rates(0.4, -0.2, 0.0, thrust))
+    stream(pilot, 0.5, rates(0.0, 0.0, 0.0, thrust))
+    assert (motion.roll_rad, motion.pitch_rad) == pytest.approx((0.2, -0.1), abs=0.02)
+    stream(pilot, 0.5, rates(-0.4, 0.2, 0.0, thrust))
+    stream(pilot, 0.5, rates(0.0, 0.0, 0.0, thrust))
+    assert (motion.roll_rad, motion.pitch_rad) == pytest.approx((0.0, 0.0), abs=0.02)
+    stream(pilot, 2.0, rates(0.0, 0.0, 0.5, thrust))
+    assert motion.yaw_rad == pytest.approx(1.0, abs=0.06)
+    assert motion.vel_n_mps > 0.2 and motion.vel_e_mps > 0.4, "nobody stops it"
+
+
+def test_no_rates_at_all_are_rates_of_nothing_for_a_copter_and_no_target_for_a_px4() -> None:
+    pilot = guided()
+    stream(pilot, 0.5, rates(0.0, -0.2, 0.0, 0.5))
+    stream(pilot, 2.0, rates(1.0, 1.0, 1.0, 0.5, mask=RATES_AND_THRUST | 0b111))
+    assert pilot.vehicles[0].motion.pitch_rad == pytest.approx(-0.1, abs=0.02)
+    for ignored in (0b001, 0b010, 0b111):
+        pilot = offboard()
+        pilot.vehicles[0].params.set("COM_OBL_RC_ACT", int_param(5))
+        stream(pilot, 1.5, rates(0.0, 0.0, 0.0, 0.42, mask=RATES_AND_THRUST | ignored))
+        assert px4_mode(pilot) == Px4Mode.LOITER
+
+
+def test_a_px4_goes_on_turning_when_the_yaw_rate_alone_is_ignored() -> None:
+    pilot = offboard()
+    thrust = hover_thrust(pilot)
+    stream(pilot, 1.0, rates(0.0, 0.0, 0.5, thrust))
+    before = pilot.vehicles[0].motion.yaw_rad
+    stream(pilot, 1.0, rates(0.0, 0.0, -1.0, thrust, mask=RATES_AND_THRUST | 0b100))
+    assert pilot.vehicles[0].motion.yaw_rad - before == pytest.approx(0.5, abs=0.05)
+
+
+def test_rates_that_nobody_renews_end_level_and_without_climb() -> None:
+    pilot = guided()
+    motion = pilot.vehicles[0].motion
+    stream(pilot, 0.3, rates(0.0, -0.1, 0.0, 0.6))
+    pilot.run(2.5)
+    assert motion.pitch_rad < -0.2, "3 s of GUID_TIMEOUT at this rate"
+    pilot.run(3.0)
+    assert motion.pitch_rad == pytest.approx(0.0, abs=0.01)
+    assert motion.vel_u_mps == pytest.approx(0.0, abs=0.1)
+
+
+def test_an_attitude_turns_on_with_its_rates_on_a_copter_and_not_on_a_px4() -> None:
+    for start, turned in ((guided, 0.5), (offboard, 0.0)):
+        pilot = start()
+        thrust = 0.5 if start is guided else hover_thrust(pilot)
+        message = mav.MAVLink_set_attitude_target_message(0, 1, 1, 0, LEVEL, 0.0, 0.0, 0.5, thrust)
+        pilot.send(message)
+        pilot.run(0.9)
+        assert pilot.vehicles[0].motion.yaw_rad == pytest.approx(turned, abs=0.12), start.__name__
+
+
+@pytest.mark.parametrize("start", [offboard, guided])
+def test_an_attitude_with_its_yaw_rate_is_followed_without_lag(start: Callable[[], Pilot]) -> None:
+    pilot = start()
+    thrust = 0.5 if start is guided else hover_thrust(pilot)
+    behind = {}
+    for rate in (0.0, 0.5):
+        for i in range(60):
+            q = list(quaternion_of(0.0, 0.0, 0.025 * i))
+            pilot.send(mav.MAVLink_set_attitude_target_message(0, 1, 1, 0, q, 0.0, 0.0, rate, thrust))
+            pilot.run(0.05, 0.05)
+        behind[rate] = (0.025 * 60 - pilot.vehicles[0].motion.yaw_rad + pi) % (2 * pi) - pi
+        stream(pilot, 4.0, target(thrust))
+    assert abs(behind[0.5]) < 0.03 < 0.06 < behind[0.0]
+
+
 # -- PX4
 
 
@@ -162,12 +247,13 @@ def test_px4_holds_when_the_stream_ends_or_turns_nan() -> None:
         assert pilot.vehicles[0].motion.groundspeed_mps < 0.05
 
 
-def test_px4_keeps_its_thrust_where_a_message_ignores_it() -> None:
+def test_px4_has_no_thrust_where_a_message_ignores_it() -> None:
+    """vehicle_attitude_setpoint begins with zeros."""
     pilot = offboard()
     stream(pilot, 0.5, target(hover_thrust(pilot)))
     up = pilot.vehicles[0].motion.up_m
-    stream(pilot, 1.0, target(0.0, mask=ATTITUDE_AND_THRUST | 64))
-    assert pilot.vehicles[0].motion.up_m == pytest.approx(up, abs=0.3)
+    stream(pilot, 1.0, target(0.45, mask=ATTITUDE_AND_THRUST | 64))
+    assert up - pilot.vehicles[0].motion.up_m > 2.5, "it falls"
 
 
 def test_px4_lifts_off_and_lands_on_thrust_alone() -> None:
@@ -231,21 +317,40 @@ def test_from_4_1_on_the_timeout_is_that_of_guid_timeout() -> None:
     "bad",
     [
         target(0.8, mask=ATTITUDE_AND_THRUST | 64),
-        target(0.8, mask=0b011),
         raw_target([1.01, 0.0, 0.0, 0.0], 0.8),
         raw_target([nan, 0.0, 0.0, 0.0], 0.8),
-        raw_target(LEVEL, nan),
     ],
-    ids=["thrust ignored", "one rate ignored", "no unit quaternion", "NaN", "NaN thrust"],
+    ids=["thrust ignored", "no unit quaternion", "NaN"],
 )
-def test_an_ill_defined_target_makes_it_stop_and_hold(bad: Message) -> None:
+def test_a_target_that_4_6_passes_over_leaves_the_last_attitude_until_guid_timeout(bad: Message) -> None:
+    """From 4.7 on it stops at once (mode_guided.init)."""
+    pilot = guided()
+    motion = pilot.vehicles[0].motion
+    stream(pilot, 2.0, target(0.5, pitch=-0.1))
+    stream(pilot, 2.8, bad)
+    assert motion.pitch_rad == pytest.approx(-0.1, abs=0.01)
+    stream(pilot, 1.5, bad)
+    assert motion.pitch_rad == pytest.approx(0.0, abs=0.01)
+
+
+def test_one_rate_of_three_makes_it_stop_and_hold() -> None:
     pilot = guided()
     motion = pilot.vehicles[0].motion
     stream(pilot, 2.0, target(0.5, pitch=-0.1))
     assert motion.vel_n_mps > 1.0
-    stream(pilot, 8.0, bad)
+    stream(pilot, 8.0, target(0.8, mask=0b011))
     assert motion.groundspeed_mps < 0.1
     assert motion.up_m == pytest.approx(10.0, abs=0.3)
+
+
+def test_a_thrust_that_is_no_number_is_the_middle_of_its_range() -> None:
+    """constrain_float: no climb, but no thrust either where thrust is thrust."""
+    pilot = guided()
+    stream(pilot, 3.0, raw_target(LEVEL, nan))
+    assert pilot.vehicles[0].motion.up_m == pytest.approx(10.0, abs=0.2)
+    pilot = guided_with_thrust()
+    stream(pilot, 1.0, raw_target(LEVEL, nan))
+    assert pilot.vehicles[0].motion.up_m < 8.0
 
 
 def test_attitudes_do_nothing_outside_guided_or_during_the_take_off() -> None:

@@ -1,0 +1,126 @@
+"""SET_ATTITUDE_TARGET in every combination of what it ignores, flown on the simulator and on real firmware alike.
+
+python -m support.attitude_flights simulated|FIRMWARE      the figures of both, or of a real firmware
+"""
+
+from __future__ import annotations
+
+import sys
+from math import cos, nan, sin
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mav
+
+from support.behaviour_flights import PX4_OFFBOARD, Figures, end, get_ready, take_off
+from support.behaviour_rig import FirmwareRig, Rig
+from support.followed_targets import simulated
+
+RATES_IGNORED, THRUST_IGNORED, ATTITUDE_IGNORED = 0b111, 64, 128
+LEAN_RAD = -0.1
+"""Nose down, slowly forward."""
+
+
+def quaternion(pitch_rad: float, size: float = 1.0) -> list[float]:
+    return [size * cos(pitch_rad / 2), 0.0, size * sin(pitch_rad / 2), 0.0]
+
+
+def send(
+    rig: Rig,
+    seconds: float,
+    mask: int,
+    *,
+    pitch: float = 0.0,
+    rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    thrust: float = 0.5,
+    size: float = 1.0,
+) -> Any:
+    """This target at 20 Hz for so long; the ATTITUDE heard last. An ArduCopter takes half for no climb, the PX4 that
+    its own simulator flies hovers at about half."""
+    message = mav.MAVLink_set_attitude_target_message(0, rig.sysid, 1, mask, quaternion(pitch, size), *rates, thrust)
+    rig.stream = lambda t: message
+    rig.run(seconds)
+    return rig.heard["ATTITUDE"]
+
+
+def begin(rig: Rig) -> None:
+    """In the air, flown level by attitudes."""
+    rig.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_HOME_POSITION)
+    rig.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, mav.MAVLINK_MSG_ID_ATTITUDE, 5e4)
+    rig.run(0.5)
+    take_off(rig)
+    send(rig, 0.5, RATES_IGNORED)
+    if rig.px4:
+        assert rig.set_mode(PX4_OFFBOARD) == 0
+
+
+def word(rig: Rig, seconds: float, mask: int, **fields: Any) -> str:
+    """What it does with an attitude that leans: flies it, passes it over, or falls without thrust."""
+    send(rig, 0.6, RATES_IGNORED)
+    up = rig.here.up_m
+    pitch = send(rig, seconds, mask, pitch=LEAN_RAD, **fields).pitch
+    sank = up - rig.here.up_m
+    what = "flown" if abs(pitch - LEAN_RAD) < 0.04 else "passed over" if abs(pitch) < 0.04 else f"pitch {pitch:.2f}"
+    if sank > 1.0:
+        what += ", without thrust"
+        send(rig, 2.0, RATES_IGNORED, thrust=0.7)
+    return what
+
+
+def attitude_targets(rig: Rig) -> Figures:
+    begin(rig)
+    figures: Figures = {}
+    send(rig, 0.5, ATTITUDE_IGNORED, rates=(0.3, 0.0, 0.0))
+    figures["rates alone, roll of .15"] = round(send(rig, 0.5, ATTITUDE_IGNORED).roll, 2)
+    figures["attitude and rates"] = word(rig, 0.8, 0)
+    figures["attitude and one rate of three"] = word(rig, 0.8, 0b011)
+    figures["thrust ignored"] = word(rig, 0.7, RATES_IGNORED | THRUST_IGNORED)
+    figures["quaternion of length 1.01"] = word(rig, 0.8, RATES_IGNORED, size=1.01)
+    before = send(rig, 0.8, RATES_IGNORED, pitch=LEAN_RAD).pitch
+    after = send(rig, 0.7, ATTITUDE_IGNORED | RATES_IGNORED).pitch
+    figures["nothing but thrust"] = "as it leans" if abs(after - before) < 0.03 else f"pitch {after:.2f}"
+    rig.run(0.8)
+    figures["nothing but thrust, mode changed"] = rig.px4 and rig.mode != PX4_OFFBOARD
+    end(rig)
+    return figures
+
+
+def not_a_number(rig: Rig) -> Figures:
+    """By itself: a real PX4 may fall."""
+    begin(rig)
+    send(rig, 0.5, RATES_IGNORED)
+    up = rig.here.up_m
+    heard = send(rig, 1.5, RATES_IGNORED, pitch=nan)
+    figures: Figures = {
+        "NaN: roll, pitch": (round(heard.roll, 2), round(heard.pitch, 2)),
+        "sank m": round(up - rig.here.up_m, 1),
+        "mode changed": rig.px4 and rig.mode != PX4_OFFBOARD,
+    }
+    end(rig)
+    begin(rig)
+    up = rig.here.up_m
+    send(rig, 0.7, RATES_IGNORED, thrust=nan)
+    figures["NaN thrust: sank m"] = round(up - rig.here.up_m, 1)
+    end(rig)
+    return figures
+
+
+def report(rig: Rig) -> None:
+    get_ready(rig)
+    for flight in (attitude_targets, not_a_number):
+        for name, value in flight(rig).items():
+            print(f"{rig.firmware}: {name}: {value}", flush=True)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "simulated":
+        for kind in ("ardupilot", "px4"):
+            report(simulated(kind))
+    else:
+        with TemporaryDirectory() as folder:
+            real = FirmwareRig(sys.argv[1], Path(folder))
+            try:
+                report(real)
+            finally:
+                real.close()
