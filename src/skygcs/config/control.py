@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,7 @@ from skygcs.core.control.gains import LARGEST_GAIN, UTIAS_HOVER_THRUST, UTIAS_XY
 from skygcs.core.control.guard import GuardConfig
 from skygcs.core.control.velocity_predictor import MAX_RATE_HZ
 from skygcs.core.geo import Origin
+from skygcs.core.vehicle.raw_setpoint import RawLimits
 from skygcs.errors import ConfigError
 
 Gain = Annotated[float, Field(ge=0, le=LARGEST_GAIN)]
@@ -45,6 +46,17 @@ class ControlFenceSettings(Model):
     up_m: Span | None = None
     margin_m: Annotated[float, Field(ge=0, le=100)] | None = None
     """References are refused this near to the fence already: 2."""
+
+
+class RawSettings(Model):
+    """Limits of the user's own controller (`control set raw`); see `core.vehicle.raw_setpoint.RawLimits`. A setpoint
+    beyond one of them is refused."""
+
+    tilt_max_deg: Annotated[float, Field(ge=1, le=80)] | None = None
+    rate_max_deg_s: Annotated[float, Field(ge=1, le=1000)] | None = None
+    thrust_min: Annotated[float, Field(ge=0, le=1)] | None = None
+    thrust_max: Annotated[float, Field(ge=0, le=1)] | None = None
+    acc_max_mps2: Annotated[float, Field(ge=0.1, le=30)] | None = None
 
 
 class ControlSettings(Model):
@@ -77,13 +89,16 @@ class ControlSettings(Model):
     velocity_predictor: bool | None = None
     """Velocity control predicts the vehicle's state over the link's delay: false."""
     fence: ControlFenceSettings | None = None
+    raw: RawSettings | None = None
+    engage_after_takeoff: Literal["off", "position", "velocity", "attitude"] | None = None
+    """Control is engaged in this mode when a take-off that was ordered through skygcs has reached its height: "off"."""
 
     def over(self, lower: ControlSettings) -> ControlSettings:
         """These settings, completed key by key from ``lower``. Not checked: see `problems`."""
         merged: dict[str, Any] = {}
         for key in type(self).model_fields:
             mine, below = getattr(self, key), getattr(lower, key)
-            if isinstance(mine, GainSettings | ControlFenceSettings) and below is not None:
+            if isinstance(mine, GainSettings | ControlFenceSettings | RawSettings) and below is not None:
                 given = {k: v for k, v in mine.model_dump().items() if v is not None}
                 mine = below.model_copy(update=given)
             merged[key] = below if mine is None else mine
@@ -117,6 +132,11 @@ class ControlSettings(Model):
         given = {key: value for key in (*keys, "return_after_s") if (value := getattr(self, key)) is not None}
         return GuardConfig(**given)
 
+    def raw_limits(self) -> RawLimits:
+        """Limits of the user's own controller. Raises ConfigError."""
+        raw = self.raw or RawSettings()
+        return RawLimits(**{key: value for key, value in raw.model_dump().items() if value is not None})
+
     def fence_at(self, origin: Origin) -> Fence:
         """The box, standing on earth about this origin. Raises ConfigError."""
         fence = self.fence or ControlFenceSettings()
@@ -131,6 +151,7 @@ class ControlSettings(Model):
         found = [
             *_problems((), self.law),
             *_problems((), self.guard),
+            *_problems(("raw",), self.raw_limits),
             *_problems(("fence",), lambda: self.fence_at(Origin(0.0, 0.0, 0.0))),
         ]
         rate_hz, least_hz = self.rate_hz or ATTITUDE_HZ, self.rate_min_hz or ATTITUDE_MIN_HZ

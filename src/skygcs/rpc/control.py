@@ -15,7 +15,7 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 Gain = Annotated[float, Field(ge=0, le=100)]
 
 
-Mode = Literal["off", "position", "velocity", "attitude"]
+Mode = Literal["off", "position", "velocity", "attitude", "raw"]
 
 
 Axes = Annotated[
@@ -28,8 +28,8 @@ class ControlSetParams(TargetsParams):
     """Which control loops skygcs closes: none (position), position (velocity), position and velocity (attitude)."""
 
     mode: Mode = Field(
-        description="What is sent: attitude and thrust, velocities, or places; off: nothing, and hold. See "
-        "docs/explanation/flight-control.md."
+        description="What is sent: attitude and thrust, velocities, or places; raw: what control.setpoint gives of "
+        "attitude, body rates or acceleration; off: nothing, and hold. See docs/explanation/flight-control.md."
     )
     force: bool = Field(
         False, description="Attitude although the autopilot would keep its tilt for long after setpoints were lost."
@@ -62,12 +62,17 @@ class ControlGainsParams(TargetsParams):
 
 
 class SetpointParams(TargetsParams):
-    """A position, a velocity, or of each axis one of them; good for ``valid_s``."""
+    """A position, a velocity, or of each axis one of them; valid for ``valid_s``.
+
+    In the control mode raw instead: an attitude (quaternion, or roll_deg, pitch_deg and yaw_deg) with a thrust, body
+    rates with a thrust, or acc_enu_mps2 alone. One that exceeds a limit of the fleet file is refused.
+    """
 
     pos_enu_m: Axes | None = None
     vel_enu_mps: Axes | None = None
     acc_enu_mps2: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
-        None, description="Fed forward, in attitude mode only: [x, y, up] along the fleet's axes."
+        None,
+        description="[x, y, up] along the fleet's axes. Beside a position or velocity: fed forward; alone: raw.",
     )
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
         None, description="From the frame's x axis, counter-clockwise; without it the yaw stays."
@@ -75,9 +80,31 @@ class SetpointParams(TargetsParams):
     valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(
         0.5, description="When no newer setpoint has come by then, the vehicle stays where it is."
     )
+    attitude: Annotated[list[float], Field(min_length=4, max_length=4)] | None = Field(
+        None,
+        description="Raw: quaternion [w, x, y, z] that turns vectors of the body (x forward, y left, z up) into the "
+        "fleet's frame (x, y, up).",
+    )
+    roll_deg: Annotated[float, Field(ge=-180, le=180)] | None = Field(
+        None, description="Raw: right side down; with pitch_deg and yaw_deg instead of the quaternion."
+    )
+    pitch_deg: Annotated[float, Field(ge=-90, le=90)] | None = Field(None, description="Raw: nose up.")
+    body_rates_deg_s: Annotated[list[float], Field(min_length=3, max_length=3)] | None = Field(
+        None,
+        description="Raw: [roll, pitch, yaw], each positive as roll_deg, pitch_deg and yaw_deg grow in level flight.",
+    )
+    thrust: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        None, description="Raw: collective, beside an attitude or body rates."
+    )
 
     @model_validator(mode="after")
     def _say_every_axis(self) -> SetpointParams:
+        raw = (self.attitude, self.roll_deg, self.pitch_deg, self.body_rates_deg_s, self.thrust)
+        is_raw = any(value is not None for value in raw)
+        if self.pos_enu_m is None and self.vel_enu_mps is None and (is_raw or self.acc_enu_mps2 is not None):
+            return self
+        if is_raw:
+            raise ValueError("attitude, body rates and thrust go with no position or velocity: give one or the other")
         position = self.pos_enu_m or [None, None, None]
         velocity = self.vel_enu_mps or [None, None, None]
         if (position[0] is None) != (position[1] is None):
@@ -113,7 +140,9 @@ class ControlState(Result):
 
     vehicle: str
     mode: str | None = Field(description="The control mode that was ordered; null: off.")
-    control_mode: str | None = Field(description="The control mode it is flown in now: attitude, velocity or position.")
+    control_mode: str | None = Field(
+        description="The control mode it is flown in now: raw, attitude, velocity or position."
+    )
     state: str = Field(description="off, engaging, flying, held (the guard had it hold; nothing is sent).")
     reasons: list[str] = Field(description="Why it is not flown as it was wanted.")
     reference: dict[str, Any] | None = Field(description="pos_enu_m, vel_enu_mps, yaw_deg in the fleet's frame.")
@@ -129,6 +158,7 @@ class ControlState(Result):
     late: int
     skipped: int
     lateness_p99_s: float | None
+    raw: str | None = Field(description="Kind of the raw setpoint in force: attitude, rates, acceleration; null: none.")
     saturation: list[str]
     integral_enu: list[float]
     thrust: float | None

@@ -23,7 +23,7 @@ from skygcs.config.models import VehicleConfig
 from skygcs.core.control.analysis import why_not_delay
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import FAST_PERIOD_S, PING_BYTES
-from skygcs.core.control.guard import CONTROL_MODES, ControlMode
+from skygcs.core.control.guard import BY_DELAY, ControlMode
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.capacity import FRAME_BYTES
@@ -33,6 +33,7 @@ from skygcs.core.vehicle import offboard_entry, orders
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
+from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
 from skygcs.events import Event
@@ -70,7 +71,7 @@ MEASURED_PINGS = 4
 RATE_SETTLES_S = 20.0
 """After the position's rate was restored, its smoothed measure still includes the time before for so long."""
 
-POSITION_HZ = {ControlMode.ATTITUDE: 50.0, ControlMode.VELOCITY: 10.0}
+POSITION_HZ = {ControlMode.RAW: 50.0, ControlMode.ATTITUDE: 50.0, ControlMode.VELOCITY: 10.0}
 """GLOBAL_POSITION_INT asked for: the age of the state is half a period of it on average. Position setpoints need none:
 the autopilot closes the loop, the nav profile's 2 Hz stay."""
 
@@ -159,7 +160,7 @@ class OffboardEngagement:
             self._check_entry(started)
             if not force and not self.controller.active:
                 self._check_links()
-            if control_mode is ControlMode.ATTITUDE:
+            if control_mode in (ControlMode.ATTITUDE, ControlMode.RAW):
                 await self._check_attitude(force=force)
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
@@ -199,7 +200,7 @@ class OffboardEngagement:
         """Move the reference. Refused outside the fence, and unless it flies by setpoints."""
         if not self.flying:
             return self._not_flying()
-        if (why := self._outside(place)) is not None:
+        if (why := self._own_controller() or self._outside(place)) is not None:
             return Outcome.refused(why)
         self.controller.fly_to(place, yaw_enu_rad)
         control_mode = self.controller.control_mode or self.controller.wanted
@@ -209,21 +210,54 @@ class OffboardEngagement:
         """One setpoint of a client's stream."""
         if not self.flying:
             return self._not_flying()
-        if not VALID_S[0] <= valid_s <= VALID_S[1]:
-            return Outcome.refused(f"valid_s {valid_s:g} is not between {VALID_S[0]} and {VALID_S[1]}")
-        if (why := self._outside(setpoint.place, setpoint.free_xy, setpoint.free_z)) is not None:
+        why = self._own_controller() or self._outside(setpoint.place, setpoint.free_xy, setpoint.free_z)
+        if (refusal := why or self._stream_refusal(valid_s)) is not None:
+            return Outcome.refused(refusal)
+        now = self._followed_at
+        if (why := self.controller.follow(setpoint, now, now + valid_s)) is not None:
             return Outcome.refused(why)
+        return Outcome(True, "accepted", "followed")
+
+    def follow_raw(self, setpoint: RawSetpoint, valid_s: float) -> Outcome:
+        """One setpoint of the user's own controller. Refused beyond a limit: it is never clipped."""
+        controller = self.controller
+        if not self.flying:
+            return self._not_flying()
+        if controller.wanted is not ControlMode.RAW:
+            name = self._vehicle.name
+            return Outcome.refused(
+                f"it is flown in {controller.wanted.value}: `skygcs-cli control set {name} raw` first"
+            )
+        if not controller.raw_allowed:
+            return Outcome.refused(f"raw setpoints are not flown: {'; '.join(controller.reasons)}")
+        if (refusal := setpoint.refusal(controller.config.raw) or self._stream_refusal(valid_s)) is not None:
+            return Outcome.refused(refusal)
+        if controller.follow_raw(setpoint, self._followed_at + valid_s) and self.clock.running:
+            self.clock.stop()  # the next tick of a position hold would come too late for the first one
+            self.clock.start()
+        return Outcome(True, "accepted", "followed")
+
+    def _stream_refusal(self, valid_s: float) -> str | None:
+        """Why a setpoint of a stream is not taken now; None if it is."""
+        if not VALID_S[0] <= valid_s <= VALID_S[1]:
+            return f"valid_s {valid_s:g} is not between {VALID_S[0]} and {VALID_S[1]}"
         now = self._loop.time()
         paused, self._followed_at = now - self._followed_at >= NEW_STREAM_S, now
         if self._frozen and not paused:
-            return Outcome.refused(
+            return (
                 f"the origin changed under this stream, and it stays where it is: pause for {NEW_STREAM_S:g} s, then "
                 "send in the new frame"
             )
         self._frozen = False
-        if (why := self.controller.follow(setpoint, now, now + valid_s)) is not None:
-            return Outcome.refused(why)
-        return Outcome(True, "accepted", "followed")
+        return None
+
+    def _own_controller(self) -> str | None:
+        """Why a place or a velocity is not taken: the user's own controller flies it; None if it does not."""
+        if self.controller.wanted is not ControlMode.RAW:
+            return None
+        name = self._vehicle.name
+        how = "by attitude, body rates or acceleration"
+        return f"it is flown in raw, {how}; `skygcs-cli control set {name} position` first"
 
     def change_gains(self, changes: Mapping[str, Any], *, force: bool = False) -> Outcome:
         """Part of xy, z and hover_thrust; checked as the fleet file's are, and, unless ``force``, against the delay
@@ -409,7 +443,7 @@ class OffboardEngagement:
     async def _change(self, control_mode: ControlMode, turn: int) -> Outcome:
         """Another control mode while it flies. The present one goes on until the state comes as fast as the new one
         needs it."""
-        slower = CONTROL_MODES.index(control_mode) > CONTROL_MODES.index(self.controller.wanted)
+        slower = BY_DELAY.index(control_mode) > BY_DELAY.index(self.controller.wanted)
         if slower:
             self.controller.want(control_mode)
         await self._raise_position_rate(POSITION_HZ.get(control_mode))
@@ -597,7 +631,7 @@ def _superseded(elapsed_s: float) -> Outcome:
 
 
 def _offboard_config(settings: ControlSettings, hover_thrust: float | None) -> OffboardConfig:
-    config = OffboardConfig(settings.law(hover_thrust), settings.guard())
+    config = OffboardConfig(settings.law(hover_thrust), settings.guard(), raw=settings.raw_limits())
     rates = {"attitude_hz": settings.rate_hz, "velocity_hz": settings.velocity_hz, "position_hz": settings.position_hz}
     others = {"rate_min_hz": settings.rate_min_hz, "velocity_predictor": settings.velocity_predictor}
     given: dict[str, Any] = {k: v for k, v in {**rates, **others}.items() if v is not None}

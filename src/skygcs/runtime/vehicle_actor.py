@@ -31,6 +31,7 @@ from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_controller import OffboardState
 from skygcs.core.vehicle.order_plan import Plan
+from skygcs.core.vehicle.raw_setpoint import raw_from_world
 from skygcs.core.vehicle.snapshot import latest_message, take_snapshot
 from skygcs.core.vehicle.stop import Action
 from skygcs.core.vehicle.uplink_watch import FEWEST, Change, UplinkWatch
@@ -439,7 +440,7 @@ class VehicleActor:
         return await self._orders.run("mission item", lambda now: mission_orders.set_current(self.vehicle, now, item))
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
-        """Fly it by setpoints: "position", "velocity" or "attitude"; "off": no more, and hold."""
+        """Fly it by setpoints: "position", "velocity", "attitude" or "raw"; "off": no more, and hold."""
         if mode != "off":
             work = self.offboard.engage(ControlMode(mode), force=force)
             return await self._orders.track("control", work)
@@ -461,12 +462,18 @@ class VehicleActor:
         acc_enu_mps2: Sequence[float] | None = None,
         yaw_deg: float | None = None,
         valid_s: float = 0.5,
+        **raw: Any,
     ) -> Outcome:
-        """One setpoint of a stream in the fleet's world frame; made to be called 50 times a second."""
+        """One setpoint of a stream in the fleet's world frame; made to be called 50 times a second. ``raw``: see
+        `raw_setpoint.raw_from_world`; also an acceleration alone."""
         origin = self.vehicle.origin
         if origin is None:
             return Outcome.refused("the fleet has no origin yet, so ENU means nothing")
         try:
+            no_place = pos_enu_m is None and vel_enu_mps is None
+            if no_place and (acc_enu_mps2 is not None or any(value is not None for value in raw.values())):
+                own = raw_from_world(origin, acc_enu_mps2=acc_enu_mps2, yaw_deg=yaw_deg, **raw)
+                return self.offboard.follow_raw(own, valid_s)
             wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg)
         except RefusedError as error:
             return Outcome.refused(str(error))

@@ -14,6 +14,7 @@
                 or rate below 2 Hz                                                              │
                 delay p95 above attitude_delay_s or not measured yet,    velocity    velocity   │ return_after_s of
                 rate below rate_min_hz, attitude_refused                                        │ all well, if set
+                the same for raw, or raw_refused                     position    position   │
     4 none of these                                                      wanted      wanted
 
 The first row that applies decides. *Release* comes before *hold*: a hold is an order, and skygcs sends no orders to a
@@ -50,8 +51,9 @@ FUTURE_SLACK_S = 0.1
 
 
 class ControlMode(StrEnum):
-    """Which loops skygcs closes: all of them, the outer one, none."""
+    """Which loops skygcs closes: all of them, the outer one, none. Raw: the user's own controller closes them."""
 
+    RAW = "raw"
     ATTITUDE = "attitude"
     VELOCITY = "velocity"
     POSITION = "position"
@@ -59,6 +61,16 @@ class ControlMode(StrEnum):
 
 CONTROL_MODES = (ControlMode.ATTITUDE, ControlMode.VELOCITY, ControlMode.POSITION)
 """In fallback order."""
+
+BY_DELAY = (ControlMode.RAW, *CONTROL_MODES)
+"""All of them; each needs at most as much delay as the next."""
+
+FALLBACKS = {
+    ControlMode.RAW: (ControlMode.RAW, ControlMode.POSITION),
+    **{control_mode: CONTROL_MODES[i:] for i, control_mode in enumerate(CONTROL_MODES)},
+}
+"""What each mode may become: the user's own controller is not replaced by ours, the vehicle stays where it is."""
+
 _, _VELOCITY, _POSITION = CONTROL_MODES
 """Naming a member of an enumeration takes 75 ns (CPython 3.11), twice in every tick."""
 
@@ -148,6 +160,9 @@ class Facts:
     """Another vehicle sends with its ids on the same link: its state may be the other vehicle's."""
     attitude_refused: str | None = None
     """Why this autopilot must not get attitude setpoints (ArduPilot: thrust may mean climb rate); None: it may."""
+    raw_refused: str | None = None
+    """Why the user's own controller must not fly on: the measured tilt, or a fence it could not stop before; None: it
+    may."""
     position_breach: str | None = None
     reference_breach: str | None = None
     """The texts of `Fence.why_not`, reported instead of a sentence without figures."""
@@ -250,7 +265,7 @@ class Guard:
 
     def _control_modes(self) -> tuple[ControlMode, ...]:
         """The wanted mode and its fallbacks."""
-        return CONTROL_MODES[CONTROL_MODES.index(self.wanted) :]
+        return FALLBACKS[self.wanted]
 
     def _note_clear(self, refused: dict[ControlMode, tuple[Refusal, ...]], now: float) -> None:
         for control_mode, refusals in refused.items():
@@ -262,10 +277,11 @@ class Guard:
     def _chosen(self, refused: dict[ControlMode, tuple[Refusal, ...]], now: float, *, bound: bool) -> ControlMode:
         """The highest mode without a refusal; position is never refused. ``bound``: not above the present mode."""
         after_s = self.config.return_after_s
-        for control_mode in self._control_modes():
+        order = self._control_modes()
+        for control_mode in order:
             if refused[control_mode]:
                 continue
-            if not bound or CONTROL_MODES.index(control_mode) >= CONTROL_MODES.index(self._control_mode):
+            if not bound or order.index(control_mode) >= order.index(self._control_mode):
                 return control_mode
             if after_s is not None and now - self._clear_since[control_mode] >= after_s:
                 return control_mode
@@ -276,11 +292,8 @@ class Guard:
             self._cause = ()
             self._as_before = not any(refused.values())
             return Verdict("send", self._control_mode, (), changed=moved)
-        above = [
-            control_mode
-            for control_mode in self._control_modes()
-            if CONTROL_MODES.index(control_mode) < CONTROL_MODES.index(self._control_mode)
-        ]
+        order = self._control_modes()
+        above = order[: order.index(self._control_mode)]
         present = tuple({r.kind: r for control_mode in above for r in refused[control_mode]}.values())
         self._cause = present or self._cause
         reasons, kinds = [r.text for r in self._cause], tuple(r.kind for r in self._cause)
@@ -335,6 +348,7 @@ def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
         and delay_s <= config.attitude_delay_s  # which is not above velocity_delay_s
         and facts.rate_hz >= facts.rate_min_hz
         and facts.attitude_refused is None
+        and facts.raw_refused is None
     )
 
 
@@ -416,6 +430,8 @@ def _unfit(config: GuardConfig, facts: Facts, control_mode: ControlMode) -> Iter
         yield Refusal("attitude_rate", _rate_text(facts.rate_hz, facts.rate_min_hz))
     if facts.attitude_refused is not None:
         yield Refusal("attitude_refused", facts.attitude_refused or "the autopilot cannot be given attitude and thrust")
+    if control_mode is ControlMode.RAW and facts.raw_refused is not None:
+        yield Refusal("raw_refused", facts.raw_refused)
 
 
 def _too_old(age_s: float, limit_s: float) -> bool:

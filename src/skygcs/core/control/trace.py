@@ -36,6 +36,7 @@ from skygcs.core.control.trace_row import (
     CONTROL_MODES,
     FIRST_OUTPUT,
     POSITION,
+    RAW,
     VELOCITY,
     TraceRow,
     cells,
@@ -50,6 +51,7 @@ __all__ = [
     "COLUMNS",
     "CONTROL_MODES",
     "POSITION",
+    "RAW",
     "VELOCITY",
     "Mismatch",
     "PredictionStep",
@@ -69,7 +71,7 @@ FORMATS = ("skygcs control trace 1", FORMAT)
 """Those that are read. The first has no columns of prediction."""
 
 LARGEST_LINE = 16384
-"""Characters. A row has at most 46 cells of 24 and the names of all limits (some 1200), a config remark some 400, and
+"""Characters. A row has at most 49 cells of 24 and the names of all limits (some 1200), a config remark some 400, and
 what a predictor remembers 64 setpoints of 7 numbers (some 10,000)."""
 
 
@@ -221,8 +223,9 @@ def decode(lines: Iterable[str]) -> Trace:
 def rerun(entries: Iterable[TraceEntry]) -> Iterator[Mismatch]:
     """Run the law over what was recorded; gives every cell that does not come out bit for bit as it was recorded.
 
-    Rows of ``position``, and those in which nothing was sent, have nothing of ours to compare. After a mismatch the
-    law goes on with what it computed itself, so that one wrong cell of the input shows in all that followed from it.
+    Rows of ``position`` and ``raw``, and those in which nothing was sent, have nothing of ours to compare. After a
+    mismatch the law goes on with what it computed itself, so that one wrong cell of the input shows in all that
+    followed from it.
     """
     memory, predictor = Memory(), PredictorMemory()
     for entry in entries:

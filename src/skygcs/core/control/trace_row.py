@@ -8,9 +8,9 @@ from skygcs.core.control.cascade import Estimate, Memory, Output, Quaternion, Re
 from skygcs.core.control.velocity_predictor import PredictedSetpoint
 from skygcs.errors import TraceError
 
-ATTITUDE, VELOCITY, POSITION = "attitude", "velocity", "position"
-CONTROL_MODES = (ATTITUDE, VELOCITY, POSITION)
-"""Who closes the loops: all of them here; the position loop here; none here."""
+ATTITUDE, VELOCITY, POSITION, RAW = "attitude", "velocity", "position", "raw"
+CONTROL_MODES = (ATTITUDE, VELOCITY, POSITION, RAW)
+"""Which loops are closed here: all of them; the position loop; none; those of the user's own controller."""
 
 COLUMNS_1 = (
     *("t_s", "dt_s", "control_mode", "following"),
@@ -26,8 +26,9 @@ COLUMNS = (
     *COLUMNS_1,
     *("round_trip_s", "hold_s", "acc_sp_x_mps2", "acc_sp_y_mps2", "acc_sp_z_mps2"),
     *("pred_x_m", "pred_y_m", "pred_z_m", "dist_x_mps2", "dist_y_mps2", "dist_z_mps2"),
+    *("rate_roll_radps", "rate_pitch_radps", "rate_yaw_radps"),
 )
-"""The last eleven are those of velocity control with prediction, empty without it."""
+"""The last fourteen are those of velocity control with prediction and of raw setpoints, empty without them."""
 
 FIRST_OUTPUT = COLUMNS.index("out_w")
 """Columns from here on are what the law answered; those before are what it was asked."""
@@ -60,9 +61,12 @@ class TraceRow:
     """Measured, as velocity control with prediction was given it; None: without prediction."""
     hold_s: float | None = None
     acc_setpoint_enu_mps2: Vector | None = None
+    """Of velocity control with prediction, or what the user's own controller asked for."""
     predicted_enu_m: Vector | None = None
     """For the moment at which the setpoint acts."""
     disturbance_enu_mps2: Vector | None = None
+    rates_frd_radps: Vector | None = None
+    """What the user's own controller asked for."""
 
     def with_output(self, output: Output | None, memory: Memory) -> TraceRow:
         """The same tick with what `step` returned."""
@@ -115,6 +119,7 @@ def cells(row: TraceRow) -> list[str]:
         *_numbers(row.acc_setpoint_enu_mps2, 3),
         *_numbers(row.predicted_enu_m, 3),
         *_numbers(row.disturbance_enu_mps2, 3),
+        *_numbers(row.rates_frd_radps, 3),
     ]
 
 
@@ -174,6 +179,7 @@ class _RowReader:
             acc_setpoint_enu_mps2=self._maybe_vector(),
             predicted_enu_m=self._maybe_vector(),
             disturbance_enu_mps2=self._maybe_vector(),
+            rates_frd_radps=self._maybe_vector(),
         )
 
     def _cell(self) -> str:

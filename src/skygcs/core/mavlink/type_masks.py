@@ -20,6 +20,9 @@ ATTITUDE_AND_THRUST = 0b0000_0111
 """Attitude and thrust given, the three body rates ignored. ArduCopter wants all of the rates or none (it stops where it
 is for a mask in between); PX4 takes roll and pitch rate, where they are not ignored, for another setpoint, of rates."""
 
+BODY_RATES_AND_THRUST = 0b1000_0000
+"""The three body rates and thrust given, the attitude ignored."""
+
 
 def position_target_mask(
     *, pos: Axes = NONE, vel: Axes = NONE, acc: Axes = NONE, yaw: bool = False, yaw_rate: bool = False

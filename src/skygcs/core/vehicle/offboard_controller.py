@@ -18,7 +18,7 @@ rest.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -33,6 +33,8 @@ from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_entry import attitude_refusal, guided_mode
 from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
+from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint
+from skygcs.core.vehicle.raw_source import RawSource
 from skygcs.core.vehicle.reference_source import ReferenceSource
 from skygcs.core.vehicle.setpoint_generator import NOTHING, SetpointGenerator
 from skygcs.core.vehicle.steady_thrust import SteadyThrust
@@ -52,6 +54,7 @@ class OffboardState(StrEnum):
 
 
 ATTITUDE, VELOCITY, POSITION = CONTROL_MODES
+RAW = ControlMode.RAW
 OFF, ENGAGING, FLYING, HELD = OffboardState
 """To name a member of an enumeration takes 75 ns each time (CPython 3.11): 1.5 us of every tick."""
 
@@ -68,6 +71,7 @@ class OffboardConfig:
     rate_min_hz: float = 20.0
     velocity_predictor: bool = False
     """Velocity control predicts the state over the delay where its delay margin holds (`VelocityPrediction`)."""
+    raw: RawLimits = field(default_factory=RawLimits)
 
 
 @dataclass(slots=True)
@@ -101,6 +105,7 @@ class OffboardController:
         """What the autopilot said of our setpoints when it threw one away since the last `engage`."""
         self._estimate_view = EstimateView(vehicle)
         self._source = ReferenceSource(self._estimate_view)
+        self._raw = RawSource(vehicle)
         self._setpoints = SetpointGenerator(vehicle, self._estimate_view)
         self._prediction = VelocityPrediction(vehicle, self._estimate_view)
         self._predicting = False
@@ -137,7 +142,7 @@ class OffboardController:
     def period_s(self) -> float:
         """From one tick to the next, for the present way and the link's budget."""
         control_mode = self.wanted if self.control_mode is None else self.control_mode
-        if control_mode is ATTITUDE:
+        if control_mode is ATTITUDE or control_mode is RAW:
             return 1.0 / self.attitude_hz
         return 1.0 / (self.config.velocity_hz if control_mode is VELOCITY else self.config.position_hz)
 
@@ -149,7 +154,7 @@ class OffboardController:
     @property
     def streaming(self) -> bool:
         """Whether a stream of setpoints leads it now."""
-        return self._source.streaming
+        return self._source.streaming or self._raw.setpoint is not None
 
     @property
     def frame(self) -> EnuFrame | None:
@@ -168,8 +173,8 @@ class OffboardController:
 
     @property
     def reference(self) -> Reference | None:
-        """Where it shall be, in the anchor's frame; None while it is not told."""
-        return self._source.reference if self.state is FLYING else None
+        """Where it shall be, in the anchor's frame; None while it is not told, or raw setpoints fly it."""
+        return self._source.reference if self.state is FLYING and self.control_mode is not RAW else None
 
     def engage(self, control_mode: ControlMode, fence: Fence | None) -> None:
         """Begin to stream "stay where you are" so that the autopilot can be switched over.
@@ -186,6 +191,7 @@ class OffboardController:
         self._obeys = guided_mode(self.vehicle)
         self._setpoints.forget()
         self._steady_thrust.forget()
+        self._raw.end()
         self._source.stop(self._last.at, self._estimate_view.yaw_rad())
 
     def entered(self) -> None:
@@ -199,6 +205,9 @@ class OffboardController:
 
     def want(self, control_mode: ControlMode) -> None:
         """Fly it another way from the next tick on, as far as the guard lets it; the reference stays."""
+        if self.control_mode is RAW:
+            self._source.stop(self._last.at)
+        self._raw.end()
         self.wanted, self.reasons = control_mode, ()
         self._guard.reset(control_mode)
 
@@ -208,6 +217,7 @@ class OffboardController:
             return IDLE
         self.state, self.control_mode, self.reasons = OFF, None, (reason,)
         self._source.end_stream()
+        self._raw.end()
         return Tick(events=(self._event(f"control ended: {reason}", "off"),))
 
     def why_not(self, control_mode: ControlMode, now: float) -> tuple[str, ...]:
@@ -238,8 +248,21 @@ class OffboardController:
         self._source.follow(wanted_reference, now, until)
         return None
 
+    def follow_raw(self, setpoint: RawSetpoint, until: float) -> bool:
+        """One setpoint of the user's own controller, in force ``until`` then; it was checked. True for the first after
+        none was in force."""
+        began = self._raw.setpoint is None
+        self._raw.follow(setpoint, until)
+        return began
+
+    @property
+    def raw_allowed(self) -> bool:
+        """Whether raw setpoints are flown: they were ordered, and the guard has not rejected them."""
+        return self.state is FLYING and self.wanted is RAW and self._guard.control_mode is RAW
+
     def stay(self) -> None:
         """End a stream now: stay where it comes to rest."""
+        self._raw.end()
         self._source.stop(self._last.at)
 
     # -- tick by tick
@@ -265,6 +288,9 @@ class OffboardController:
             self._source.stop(now)
         elif self._source.expire(now):
             events.append(self._event("the setpoints ended: it stays where it is", "flying"))
+        elif self._raw.expire(now):
+            self._source.stop(now)
+            events.append(self._event("the raw setpoints ended: it holds its position by position setpoints", "flying"))
         elif self._source.streaming:
             why = self._estimate_view.way_out(self._source.advance(now), now, margin=False)
             if why is not None:
@@ -292,7 +318,11 @@ class OffboardController:
         if verdict.action == "hold" or verdict.control_mode is None:
             self.state, self.control_mode = HELD, None
             self._source.end_stream()
+            self._raw.end()
             return Tick(events=tuple(events), hold=True)
+        if verdict.control_mode is not RAW and self._raw.setpoint is not None:  # its own controller must not fly on
+            self._raw.end()
+            self._source.stop(now)
         sent = self._send(verdict.control_mode, dt_s, following=True)
         if self.config.velocity_predictor:
             events += self._on_prediction()
@@ -320,6 +350,7 @@ class OffboardController:
             "delay_p95_s": self.delay_p95_s,
             "rtt_s": self.delay.rtt_p95_s,
             "rate_hz": 1.0 / self.period_s if self.active else None,
+            "raw": None if self._raw.setpoint is None else self._raw.setpoint.kind,
             "saturation": [] if attitude is None else list(attitude.saturation.names()),
             "integral_enu": list(self._setpoints.memory.integral_enu),
             "thrust": None if attitude is None else attitude.collective_thrust,
@@ -342,6 +373,11 @@ class OffboardController:
         }
 
     def _send(self, control_mode: ControlMode, dt_s: float, *, following: bool) -> Tick:
+        raw = self._raw.setpoint
+        if control_mode is RAW and raw is not None and following:
+            return self._send_raw(raw, dt_s)
+        if control_mode is RAW:
+            control_mode = POSITION  # none is in force: it stays where it is
         last, period_s = self._last, 1.0 / self.attitude_hz
         if self.config.law.period_s != period_s:  # a step is measured against the rate that the link leaves
             self.config = replace(self.config, law=replace(self.config.law, period_s=period_s))
@@ -357,6 +393,14 @@ class OffboardController:
             hold_s = 1.0 / self.config.velocity_hz
             given = replace(given, loop=prediction.loop(), round_trip_s=round_trip_s, hold_s=hold_s)
         return self._setpoints.generate(control_mode, self.config.law, given)
+
+    def _send_raw(self, raw: RawSetpoint, dt_s: float) -> Tick:
+        last = self._last
+        if self.control_mode is not RAW:
+            self.control_mode = RAW
+            self._setpoints.forget(NOTHING)
+        given = TickInput(last.at, dt_s, last.estimate, last.state_age_s, self._source.reference, True)
+        return self._setpoints.raw(raw, self._raw.tilt_cosine(last.at), given)
 
     def _facts(self, estimate: Estimate | None, age_s: float | None, now: float) -> Facts:
         vehicle, config, estimate_view = self.vehicle, self.config, self._estimate_view
@@ -383,7 +427,8 @@ class OffboardController:
             rate_hz=min(config.attitude_hz, self.attitude_hz_allowed),
             rate_min_hz=config.rate_min_hz,
             refusing=self.refusing,
-            attitude_refused=attitude_refusal(vehicle) if self.wanted is ATTITUDE else None,
+            attitude_refused=attitude_refusal(vehicle) if self.wanted is ATTITUDE or self.wanted is RAW else None,
+            raw_refused=self._raw_refused(estimate, now) if self.wanted is RAW else None,
             engaging=engaging,
             position_breach=breach,
             reference_breach=reference_breach,
@@ -405,6 +450,19 @@ class OffboardController:
         )
         return [self._event(text, "flying", VELOCITY)]
 
+    def _raw_refused(self, estimate: Estimate | None, now: float) -> str | None:
+        """Why the user's own controller must not fly on; None if it may."""
+        if self._raw.setpoint is None:
+            return None
+        tilt = self._raw.tilt_refusal(self.config.raw, now)
+        if tilt is not None or estimate is None or not estimate.usable:
+            return tilt
+        # flown on unchanged after a loss of setpoints, and then stopped, it must still be inside
+        moving = Reference(
+            estimate.pos_enu_m, vel_enu_mps=estimate.vel_enu_mps, velocity_only_xy=True, velocity_only_z=True
+        )
+        return self._estimate_view.way_out(moving, now, margin=True)
+
     def _on_change(self, verdict: Verdict) -> list[Event]:
         first = self.control_mode is None and verdict.control_mode is self.wanted
         why = "; ".join(verdict.reasons)
@@ -413,6 +471,8 @@ class OffboardController:
         if verdict.control_mode is None or first:
             return []  # that it flies as it was wanted is the order's own outcome
         text = f"flown by {verdict.control_mode.value} setpoints" + (f": {why}" if why else " again")
+        if verdict.control_mode is POSITION and self.wanted is RAW:
+            text = f"its own controller flies no more, it holds its position: {why}"
         return [self._event(text, "flying", verdict.control_mode)]
 
     def _event(self, text: str, state: str, control_mode: ControlMode | None = None) -> Event:

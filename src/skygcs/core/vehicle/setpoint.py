@@ -27,7 +27,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from skygcs.core.mavlink.modes import Family
-from skygcs.core.mavlink.type_masks import ALL, ATTITUDE_AND_THRUST, NONE, Axes, position_target_mask
+from skygcs.core.mavlink.type_masks import (
+    ALL,
+    ATTITUDE_AND_THRUST,
+    BODY_RATES_AND_THRUST,
+    NONE,
+    Axes,
+    position_target_mask,
+)
 from skygcs.errors import RefusedError
 
 Message = tuple[str, dict[str, Any]]
@@ -47,6 +54,9 @@ UNIT_TOLERANCE = 1e-3
 MAX_SPEED_MPS = 100.0
 MAX_ACCELERATION_MPS2 = 100.0
 """Beyond any multirotor; a larger value comes from a wrong unit or sign."""
+
+MAX_BODY_RATE_RADPS = 35.0
+"""2000 degrees/s, what the gyros of autopilots measure at most."""
 
 MAX_LOCAL_M = 100_000.0
 """Largest distance from the estimator's origin of a target in a flat frame."""
@@ -89,6 +99,35 @@ def attitude_target(
         "thrust": thrust,
     }
     return "SET_ATTITUDE_TARGET", values
+
+
+def body_rate_target(
+    rates_frd_radps: Sequence[float], thrust: float, boot_ms: int, *, boost_cosine: float | None = None
+) -> Message:
+    """SET_ATTITUDE_TARGET: body rates (FRD: roll, pitch, yaw) and collective thrust of 0 to 1, the attitude ignored.
+
+    ``boost_cosine``: of the vehicle's tilt, where the autopilot divides the thrust by it (`attitude_target`).
+    Raises RefusedError.
+    """
+    roll, pitch, yaw = _vector("body rates", rates_frd_radps, MAX_BODY_RATE_RADPS)
+    if not 0.0 <= thrust <= 1.0:  # also false for NaN
+        raise RefusedError(f"a thrust of {thrust:g} is not between 0 and 1")
+    values = {
+        "time_boot_ms": boot_ms & UINT32,
+        "type_mask": BODY_RATES_AND_THRUST,
+        "q": [1.0, 0.0, 0.0, 0.0],
+        "body_roll_rate": roll,
+        "body_pitch_rate": pitch,
+        "body_yaw_rate": yaw,
+        "thrust": thrust if boost_cosine is None else thrust * max(boost_cosine, LEAST_BOOST_COSINE),
+    }
+    return "SET_ATTITUDE_TARGET", values
+
+
+def acceleration_target(acc_enu_mps2: Sequence[float], yaw_enu_rad: float | None, boot_ms: int) -> Message:
+    """SET_POSITION_TARGET_LOCAL_NED with an acceleration alone. Raises RefusedError."""
+    acc = _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)
+    return _local(NOTHING, NOTHING, acc, yaw_enu_rad, boot_ms)
 
 
 def velocity_target(

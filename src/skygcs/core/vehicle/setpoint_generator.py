@@ -1,6 +1,7 @@
 """Makes the setpoint of one tick in a control mode: the control law's step and the message. Pure.
 
 control mode    loops closed here            message
+raw             none                         what the user's own controller asks for (`raw_setpoint`)
 attitude        position and velocity        SET_ATTITUDE_TARGET
 velocity        position                     SET_POSITION_TARGET_LOCAL_NED with a velocity, and an acceleration where
                                              the reference has one
@@ -21,7 +22,8 @@ from skygcs.core.control.velocity_predictor import PredictorMemory, Timing, pred
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.offboard_entry import boosts_thrust
-from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
+from skygcs.core.vehicle.offboard_tick import IDLE, Message, Tick, TickInput
+from skygcs.core.vehicle.raw_setpoint import RawSetpoint
 from skygcs.core.vehicle.vehicle import Vehicle
 
 LEAST_DEG = 1e-7
@@ -66,6 +68,32 @@ class SetpointGenerator:
         if control_mode is VELOCITY or given.reference.velocity_only_xy or given.reference.velocity_only_z:
             return self._velocity(law, given, row)
         return self._position(given, row)
+
+    def raw(self, wanted: RawSetpoint, tilt_cosine: float | None, given: TickInput) -> Tick:
+        """The message of the user's own controller; ``tilt_cosine`` of the vehicle as it reports it."""
+        row = self._row(ControlMode.RAW, given)
+        if row is not None:
+            row = replace(
+                row,
+                reference=None,
+                attitude_ned_frd=wanted.attitude_ned_frd,
+                thrust=wanted.thrust,
+                rates_frd_radps=wanted.rates_frd_radps,
+                acc_setpoint_enu_mps2=wanted.acc_enu_mps2,
+            )
+        return Tick(self._raw_message(wanted, tilt_cosine, given.at), row=row, before=self.memory, after=self.memory)
+
+    def _raw_message(self, wanted: RawSetpoint, tilt_cosine: float | None, at: float) -> Message:
+        boosts = boosts_thrust(self._vehicle)
+        if wanted.acc_enu_mps2 is not None:
+            return setpoint.acceleration_target(wanted.acc_enu_mps2, wanted.yaw_enu_rad, _boot_ms(at))
+        assert wanted.thrust is not None
+        if wanted.attitude_ned_frd is not None:
+            attitude, thrust = wanted.attitude_ned_frd, wanted.thrust
+            return setpoint.attitude_target(attitude, thrust, _boot_ms(at), angle_boost=boosts)
+        assert wanted.rates_frd_radps is not None
+        cosine = tilt_cosine if boosts else None
+        return setpoint.body_rate_target(wanted.rates_frd_radps, wanted.thrust, _boot_ms(at), boost_cosine=cosine)
 
     def _attitude(self, law: ControlConfig, given: TickInput, row: TraceRow | None) -> Tick:
         before = self.memory

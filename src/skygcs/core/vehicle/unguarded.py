@@ -19,7 +19,7 @@ from skygcs.core.vehicle.orders import FORCE_HINT
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
-CONTROL = "control set and setpoint"
+CONTROL = "control set and setpoint (control set raw for attitude, body rates and accelerations)"
 GUARDED_MESSAGES: Mapping[str, str] = {
     "SET_ATTITUDE_TARGET": CONTROL,
     "SET_POSITION_TARGET_LOCAL_NED": CONTROL,
