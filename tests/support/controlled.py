@@ -34,6 +34,7 @@ OFF: dict[str, Any] = {
     **dict.fromkeys(("state_age_s", "delay_p95_s", "rtt_s", "rate_hz", "lateness_p99_s", "thrust"), None),
     **dict.fromkeys(("roll_deg", "pitch_deg", "recording"), None),
     **dict.fromkeys(("ticks", "late", "skipped"), 0),
+    "raw": None,
     "saturation": [],
     "integral_enu": [0.0, 0.0, 0.0],
 }

@@ -38,6 +38,7 @@ class Mode(StrEnum):
     POSITION = "position"
     VELOCITY = "velocity"
     ATTITUDE = "attitude"
+    RAW = "raw"
 
 
 class Switch(StrEnum):
@@ -51,7 +52,7 @@ def set_mode(
     mode: Annotated[
         Mode,
         typer.Argument(
-            metavar="off|position|velocity|attitude",
+            metavar="off|position|velocity|attitude|raw",
             help="The setpoint that skygcs sends; off: the autopilot flies alone, nothing is sent.",
             show_default=False,
         ),
@@ -64,7 +65,8 @@ def set_mode(
     """Take vehicles under control (start setpoints, switch the flight mode, check), or give them back.
 
     position: the autopilot flies to positions. velocity: skygcs closes the position loop. attitude: skygcs closes the
-    velocity loop, too. skygcs falls back by itself if the link is too slow, and reports that.
+    velocity loop, too. skygcs falls back by itself if the link is too slow, and reports that. raw: your own program
+    closes all loops and sends attitude, body rates or accelerations with `setpoint`.
     """
     run_order("control.set", json_output, targets=targets, mode=mode.value, force=force)
 

@@ -8,6 +8,12 @@ A program writes one setpoint per line, as a JSON object or as a row of CSV:
     1,2,5,90
     1,2,5                                             without a header: x, y, z and, if present, the yaw
 
+Vehicles under `control set raw` are flown by the user's own controller instead, in JSON or by columns of these names:
+
+    {"att": [5, -3, 90], "thrust": 0.5}               roll, pitch, yaw in degrees, or a quaternion w, x, y, z
+    {"rates": [10, 0, 0], "thrust": 0.5}              roll, pitch, yaw rate in degrees/s
+    {"acc": [0.5, 0, 0]}                              m/s²; also with "yaw_deg"
+
 Every setpoint is valid for a limited time. When the last one expires, the vehicle stays where it then is. So nothing
 has to be undone at the end: when the stream stops or its program dies, the vehicles hold their positions.
 """
@@ -57,6 +63,23 @@ Yaw = Annotated[
     float | None,
     typer.Option("--yaw", metavar="DEG", help="From the frame's x axis, counter-clockwise.", parser=finite),
 ]
+Attitude = Annotated[
+    Vector | None,
+    typer.Option("--att", metavar="ROLL PITCH YAW", help="Raw: degrees; with --thrust.", show_default=False),
+]
+QuaternionOption = Annotated[
+    tuple[str, str, str, str] | None,
+    typer.Option("--quat", metavar="W X Y Z", help="Raw: attitude as a quaternion; with --thrust.", show_default=False),
+]
+BodyRates = Annotated[
+    Vector | None,
+    typer.Option("--rates", metavar="ROLL PITCH YAW", help="Raw: degrees/s; with --thrust.", show_default=False),
+]
+Thrust = Annotated[float | None, typer.Option("--thrust", metavar="0..1", help="Raw: collective.", parser=finite)]
+Acceleration = Annotated[
+    Vector | None,
+    typer.Option("--acc", metavar="X Y Z", help="m/s²: feed-forward; alone: raw.", show_default=False),
+]
 Duration = Annotated[
     float | None, typer.Option("--for", metavar="S", help="Stop after S seconds; default: at Ctrl-C.", parser=finite)
 ]
@@ -85,6 +108,11 @@ def setpoint(
     position: Position = None,
     velocity: Velocity = None,
     yaw: Yaw = None,
+    attitude: Attitude = None,
+    quaternion: QuaternionOption = None,
+    rates: BodyRates = None,
+    thrust: Thrust = None,
+    acceleration: Acceleration = None,
     duration_s: Duration = None,
     rate_hz: RateHz = None,
     stdin: Stdin = False,
@@ -95,26 +123,23 @@ def setpoint(
 
     From your own program: `./my-planner | skygcs-cli setpoint alpha --stdin`, one line each: {"pos": [5, -3, 10]} or
     5,-3,10. Level flight: `--vel 1 0 - --pos - - 10`. When the setpoints end, vehicles stay where they then are.
+    Under `control set alpha raw`: `--att 5 0 90 --thrust 0.5`, `--rates 10 0 0 --thrust 0.5`, `--acc 0.5 0 0`.
     """
     # the setpoint of the options, or standard input
-    given = _given(position, velocity, yaw)
+    given = _given(position, velocity, yaw, acceleration)
+    given.update(_given_raw(attitude, quaternion, rates, thrust))
     if stdin and (given or duration_s is not None):
-        raise typer.BadParameter("--stdin supplies the setpoints: give no --pos, --vel, --yaw or --for with it")
+        raise typer.BadParameter(
+            "--stdin supplies the setpoints: give no --pos, --vel, --yaw, --for or raw setpoint with it"
+        )
     if not stdin:
         try:
             given = checked(given)
         except LineError as error:
-            raise typer.BadParameter(f"{error}: give --pos X Y Z, --vel X Y Z, or --stdin") from None
+            raise typer.BadParameter(f"{error}: give --pos X Y Z, --vel X Y Z, a raw setpoint, or --stdin") from None
     # rate and validity
-    within("--rate", rate_hz, LEAST_HZ, LARGEST_HZ)
     within("--for", duration_s, 0.0, 86400.0)
-    within("--valid", valid_s, 0.1, LARGEST_VALID_S)
-    rate = DEFAULT_HZ if rate_hz is None and not stdin else rate_hz
-    if valid_s is None:
-        valid_s = VALID_S if rate is None else min(max(VALID_S, 2.5 / rate), LARGEST_VALID_S)
-    if rate is not None and valid_s * rate < 1:
-        raise typer.BadParameter(f"--valid {valid_s:g} s: it expires before the next one comes at {rate:g} Hz")
-    valid_for_s = valid_s
+    rate, valid_for_s = _pace(rate_hz, valid_s, stdin=stdin)
 
     async def command(gcs: Client) -> int:
         sender = Sender(gcs, valid_for_s, fail)
@@ -139,13 +164,46 @@ def setpoint(
     run(command)
 
 
-def _given(position: Vector | None, velocity: Vector | None, yaw: float | None) -> dict[str, Any]:
+def _pace(rate_hz: float | None, valid_s: float | None, *, stdin: bool) -> tuple[float | None, float]:
+    """Setpoints per second (None: as they come) and how long each is valid. Raises BadParameter."""
+    within("--rate", rate_hz, LEAST_HZ, LARGEST_HZ)
+    within("--valid", valid_s, 0.1, LARGEST_VALID_S)
+    rate = DEFAULT_HZ if rate_hz is None and not stdin else rate_hz
+    if valid_s is None:
+        valid_s = VALID_S if rate is None else min(max(VALID_S, 2.5 / rate), LARGEST_VALID_S)
+    if rate is not None and valid_s * rate < 1:
+        raise typer.BadParameter(f"--valid {valid_s:g} s: it expires before the next one comes at {rate:g} Hz")
+    return rate, valid_s
+
+
+def _given(
+    position: Vector | None, velocity: Vector | None, yaw: float | None, acceleration: Vector | None
+) -> dict[str, Any]:
     """The options as parameters of control.setpoint. Raises BadParameter."""
     given: dict[str, Any] = {}
+    if acceleration is not None:
+        given["acc_enu_mps2"] = [finite(value) for value in acceleration]
     for option, parameter, vector in (("--pos", "pos_enu_m", position), ("--vel", "vel_enu_mps", velocity)):
         if vector is not None:
             given[parameter] = [parse_unset_number(value, option) for value in vector]
     return given if yaw is None else {**given, "yaw_deg": yaw}
+
+
+def _given_raw(
+    attitude: Vector | None,
+    quaternion: tuple[str, str, str, str] | None,
+    rates: Vector | None,
+    thrust: float | None,
+) -> dict[str, Any]:
+    """The options of a raw setpoint as parameters of control.setpoint. Raises BadParameter."""
+    given: dict[str, Any] = {}
+    if attitude is not None:
+        given.update(zip(ANGLES, map(finite, attitude), strict=True))
+    if quaternion is not None:
+        given["attitude"] = [finite(value) for value in quaternion]
+    if rates is not None:
+        given["body_rates_deg_s"] = [finite(value) for value in rates]
+    return given if thrust is None else {**given, "thrust": thrust}
 
 
 def _report_end(tally: SetpointTally, elapsed_s: float, after: str, json_output: bool) -> None:
@@ -189,7 +247,17 @@ VECTORS = {
 
 YAW = "yaw_deg"
 VEHICLE = "vehicle"
-COLUMNS = (*(column for _, columns in VECTORS.values() for column in columns), YAW, VEHICLE)
+THRUST = "thrust"
+ANGLES = ("roll_deg", "pitch_deg", YAW)
+RATES = ("roll_rate", "pitch_rate", "yaw_rate")
+QUATERNION = ("qw", "qx", "qy", "qz")
+KEYS = (*VECTORS, YAW, "att", "rates", THRUST, VEHICLE)
+"""Of a JSON line."""
+
+COLUMNS = (
+    *(column for _, columns in VECTORS.values() for column in columns),
+    *(*ANGLES, *RATES, *QUATERNION, THRUST, VEHICLE),
+)
 DEFAULT_COLUMNS = ("x", "y", "z", YAW)
 
 
@@ -250,9 +318,9 @@ def _from_json(line: str) -> tuple[str | None, dict[str, Any]]:
         given = parse_json(line)
     except (ValueError, RecursionError) as error:
         raise LineError(f"not JSON: {error}") from None
-    unknown = [key for key in given if key not in (*VECTORS, YAW, VEHICLE)]
+    unknown = [key for key in given if key not in KEYS]
     if unknown:
-        raise LineError(f"no key {unknown[0][:40]!r}; there are: {', '.join((*VECTORS, YAW, VEHICLE))}")
+        raise LineError(f"no key {unknown[0][:40]!r}; there are: {', '.join(KEYS)}")
     setpoint: dict[str, Any] = {}
     for key, (parameter, _) in VECTORS.items():
         if key in given:
@@ -264,10 +332,36 @@ def _from_json(line: str) -> tuple[str | None, dict[str, Any]]:
         if not _is_number(given[YAW]):
             raise LineError(f"{YAW}: must be a number")
         setpoint[YAW] = float(given[YAW])
+    setpoint.update(_raw_from_json(given))
     vehicle = given.get(VEHICLE)
     if vehicle is not None and not isinstance(vehicle, str | int):
         raise LineError(f"{VEHICLE}: must be a name or a system id")
     return (None if vehicle is None else str(vehicle)), checked(setpoint)
+
+
+def _raw_from_json(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The raw part of a JSON line. Raises LineError."""
+    raw: dict[str, Any] = {}
+    for key, lengths in (("att", (3, 4)), ("rates", (3,))):
+        values = given.get(key)
+        if values is None:
+            continue
+        if not (isinstance(values, list) and len(values) in lengths and all(map(_is_number, values))):
+            raise LineError(f"{key}: must be a list of {' or '.join(map(str, lengths))} numbers")
+        numbers = [float(value) for value in values]
+        if key == "rates":
+            raw["body_rates_deg_s"] = numbers
+        elif len(numbers) == 4:
+            raw["attitude"] = numbers
+        else:
+            if given.get(YAW) is not None:
+                raise LineError(f"att has the yaw: give no {YAW} beside it")
+            raw.update(zip(ANGLES, numbers, strict=True))
+    if given.get(THRUST) is not None:
+        if not _is_number(given[THRUST]):
+            raise LineError(f"{THRUST}: must be a number")
+        raw[THRUST] = float(given[THRUST])
+    return raw
 
 
 def _header(cells: list[str]) -> tuple[str, ...]:
@@ -293,13 +387,24 @@ def _from_cells(line: str, cells: list[str], columns: tuple[str, ...] | None) ->
     for parameter, names in VECTORS.values():
         if any(name in values for name in names):
             setpoint[parameter] = [values.get(name) for name in names]
-    if YAW in values:
-        setpoint[YAW] = values[YAW]
+    whole: tuple[tuple[str, tuple[str, ...]], ...] = (("body_rates_deg_s", RATES), ("attitude", QUATERNION))
+    for parameter, of_raw in whole:
+        if any(name in values for name in of_raw):
+            if not all(name in values for name in of_raw):
+                raise LineError(f"{', '.join(of_raw)}: give all of them or none")
+            setpoint[parameter] = [values[name] for name in of_raw]
+    setpoint.update({name: values[name] for name in (*ANGLES, THRUST) if name in values})
     return vehicle, checked(setpoint)
 
 
 def checked(setpoint: Mapping[str, Any]) -> dict[str, Any]:
-    """The setpoint, if every axis has a position or a velocity. Raises LineError."""
+    """The setpoint, if every axis has a position or a velocity, or if it is raw. Raises LineError."""
+    raw = [key for key in ("roll_deg", "pitch_deg", "attitude", "body_rates_deg_s", THRUST) if key in setpoint]
+    placed = [key for key in ("pos_enu_m", "vel_enu_mps") if any(v is not None for v in setpoint.get(key) or ())]
+    if raw and placed:
+        raise LineError("attitude, body rates and thrust go with no position or velocity")
+    if not placed and (raw or "acc_enu_mps2" in setpoint):
+        return _checked_raw(setpoint)
     position = setpoint.get("pos_enu_m") or [None] * 3
     velocity = setpoint.get("vel_enu_mps") or [None] * 3
     if not any(value is not None for value in (*position, *velocity)):
@@ -311,6 +416,24 @@ def checked(setpoint: Mapping[str, Any]) -> dict[str, Any]:
             raise LineError(f"{axis} has neither a position nor a velocity")
     if None in setpoint.get("acc_enu_mps2", ()):
         raise LineError("an acceleration needs all three axes")
+    return dict(setpoint)
+
+
+def _checked_raw(setpoint: Mapping[str, Any]) -> dict[str, Any]:
+    """A raw setpoint, if it is whole; its limits are the daemon's. Raises LineError."""
+    angles = [key for key in ANGLES[:2] if key in setpoint]
+    kinds = ("attitude" in setpoint, bool(angles), "body_rates_deg_s" in setpoint, "acc_enu_mps2" in setpoint)
+    if sum(kinds) != 1:
+        raise LineError("a raw setpoint is an attitude, body rates or an acceleration: one of them")
+    if angles and not all(key in setpoint for key in ANGLES):
+        raise LineError("an attitude by angles needs roll, pitch and yaw")
+    if "acc_enu_mps2" in setpoint:
+        if None in setpoint["acc_enu_mps2"]:
+            raise LineError("an acceleration needs all three axes")
+        if THRUST in setpoint:
+            raise LineError("an acceleration has no thrust beside it")
+    elif THRUST not in setpoint:
+        raise LineError("an attitude or body rates need a thrust")
     return dict(setpoint)
 
 

@@ -477,6 +477,8 @@ class OffboardEngagement:
         await self._commands.until(lambda: self.clock.ticks >= judged, FIRST_VERDICT_S)
         if controller.state is not OffboardState.FLYING:
             return Outcome(False, "failed", f"control ended at once: {'; '.join(controller.reasons)}")
+        if controller.raw_allowed:
+            return Outcome(True, "accepted", "flown by raw setpoints; it holds its position while none is in force")
         flown = controller.control_mode or control_mode
         why = "" if flown is control_mode else f" and not by {control_mode.value}: {'; '.join(controller.reasons)}"
         return Outcome(True, "accepted", f"flown by {flown.value} setpoints{why}")

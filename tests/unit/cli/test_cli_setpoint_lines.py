@@ -108,3 +108,48 @@ def test_a_line_without_end_keeps_no_memory_and_the_next_one_is_read() -> None:
     assert len(lines._rest) <= LARGEST_LINE
     assert list(lines.feed(b"x\n1,2,3\n")) == [(1, None), (2, "1,2,3")]
     assert list(lines.feed(b"4,5,6")) == [] and list(lines.end()) == [(3, "4,5,6")]
+
+
+RAW = [
+    ('{"att": [5, -3, 90], "thrust": 0.5}', "roll_deg,pitch_deg,yaw_deg,thrust", "5,-3,90,0.5"),
+    ('{"att": [1, 0, 0, 0], "thrust": 0.5}', "qw,qx,qy,qz,thrust", "1,0,0,0,0.5"),
+    ('{"rates": [10, 0, -5], "thrust": 0.5}', "roll_rate,pitch_rate,yaw_rate,thrust", "10,0,-5,0.5"),
+    ('{"acc": [0.5, 0, -1]}', "ax,ay,az", "0.5,0,-1"),
+    ('{"acc": [0.5, 0, -1], "yaw_deg": 7}', "ax,ay,az,yaw_deg", "0.5,0,-1,7"),
+]
+RAW_PARAMS: list[dict[str, Any]] = [
+    {"roll_deg": 5.0, "pitch_deg": -3.0, "yaw_deg": 90.0, "thrust": 0.5},
+    {"attitude": [1.0, 0.0, 0.0, 0.0], "thrust": 0.5},
+    {"body_rates_deg_s": [10.0, 0.0, -5.0], "thrust": 0.5},
+    {"acc_enu_mps2": [0.5, 0.0, -1.0]},
+    {"acc_enu_mps2": [0.5, 0.0, -1.0], "yaw_deg": 7.0},
+]
+
+
+@pytest.mark.parametrize(("lines", "expected"), zip(RAW, RAW_PARAMS, strict=True))
+def test_json_and_csv_of_an_own_controller_say_the_same(lines: tuple[str, str, str], expected: dict[str, Any]) -> None:
+    as_json, header, row = lines
+    assert read(as_json) == [(None, expected)]
+    assert read(header, row) == [(None, expected)]
+
+
+@pytest.mark.parametrize(
+    ("lines", "reason"),
+    [
+        (['{"att": [5, -3, 90]}'], "need a thrust"),
+        (['{"thrust": 0.5}'], "one of them"),
+        (['{"att": [5, 90], "thrust": 0.5}'], "a list of 3 or 4 numbers"),
+        (['{"att": [5, null, 90], "thrust": 0.5}'], "a list of 3 or 4 numbers"),
+        (['{"att": [5, 0, 90], "thrust": true}'], "thrust: must be a number"),
+        (['{"att": [5, 0, 90], "yaw_deg": 3, "thrust": 0.5}'], "att has the yaw"),
+        (['{"rates": [5, 0, 90], "acc": [0, 0, 0], "thrust": 0.5}'], "one of them"),
+        (['{"acc": [0, 0, 0], "thrust": 0.5}'], "no thrust beside"),
+        (['{"acc": [0, null, 0]}'], "all three axes"),
+        (['{"att": [5, 0, 90], "thrust": 0.5, "pos": [1, 2, 3]}'], "go with no position"),
+        (["roll_deg,pitch_deg,thrust", "1,2,0.5"], "needs roll, pitch and yaw"),
+        (["roll_rate,yaw_rate,thrust", "1,2,0.5"], "give all of them or none"),
+    ],
+)
+def test_what_is_no_raw_setpoint_is_reported(lines: list[str], reason: str) -> None:
+    with pytest.raises(LineError, match=reason):
+        read(*lines)

@@ -31,6 +31,7 @@ LINKS = get_args(models.LinkConfig)
         control.ControlSettings,
         control.GainSettings,
         control.ControlFenceSettings,
+        control.RawSettings,
         preflight.PreflightSettings,
         preflight.RuleSettings,
         separation.MonitorConfig,

@@ -185,7 +185,7 @@ def test_line_ends_of_other_systems_are_read() -> None:
 @pytest.mark.parametrize(
     ("line", "reason"),
     [
-        ("garbage\n", "1 cells; a row has 46"),
+        ("garbage\n", "1 cells; a row has 49"),
         ("\x00\xff,\n", "cells"),
         ("# config\n", "there is no ="),
         ("# config = {\n", "not '# key = JSON'"),
