@@ -126,7 +126,7 @@ RAW_PARAMS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize(("lines", "expected"), zip(RAW, RAW_PARAMS, strict=True))
+@pytest.mark.parametrize(("lines", "expected"), list(zip(RAW, RAW_PARAMS, strict=True)))
 def test_json_and_csv_of_an_own_controller_say_the_same(lines: tuple[str, str, str], expected: dict[str, Any]) -> None:
     as_json, header, row = lines
     assert read(as_json) == [(None, expected)]

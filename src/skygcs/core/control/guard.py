@@ -348,7 +348,7 @@ def all_well(config: GuardConfig, facts: Facts, wanted: ControlMode) -> bool:
         and delay_s <= config.attitude_delay_s  # which is not above velocity_delay_s
         and facts.rate_hz >= facts.rate_min_hz
         and facts.attitude_refused is None
-        and facts.raw_refused is None
+        and (wanted is not ControlMode.RAW or facts.raw_refused is None)
     )
 
 

@@ -11,12 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.quaternion import QuaternionBase
 
-from skygcs.core.control.cascade import Estimate
-from skygcs.core.control.control_fence import Fence
-from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.geo import Origin
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint, raw_from_world, up_part
-from skygcs.core.vehicle.raw_source import RawSource, loss_s
+from skygcs.core.vehicle.raw_source import RawSource
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
 
@@ -106,16 +104,11 @@ def test_messages_give_nothing_but_what_was_asked_for() -> None:
 
 
 class Telemetry:
-    """A vehicle that reports an attitude and has parameters."""
+    """A vehicle that reports an attitude."""
 
-    def __init__(self, roll_deg: float, at: float, family: str = "px4", **params: float) -> None:
-        self.family = family
-        self.params = params
+    def __init__(self, roll_deg: float, at: float) -> None:
         attitude = {"roll_deg": roll_deg, "pitch_deg": 0.0, "yaw_deg": 0.0}
         self.message_cache = SimpleNamespace(telemetry=lambda name: (attitude, at))
-
-    def param(self, name: str) -> float | None:
-        return self.params.get(name)
 
 
 def source(vehicle: Telemetry, raw: RawSetpoint, until: float = 10.0) -> RawSource:
@@ -139,39 +132,6 @@ def test_body_rates_need_a_fresh_attitude_and_an_attitude_does_not() -> None:
     assert source(Telemetry(0.0, 1.0), LEVEL).tilt_refusal(RawLimits(), 2.0) is None
     why = source(Telemetry(0.0, 1.0), RATES).tilt_refusal(RawLimits(), 2.0)
     assert why is not None and "none has come for 0.5 s" in why
-
-
-def test_it_must_be_able_to_stop_before_the_fence() -> None:
-    fence = Fence(NORTH_UP, (-20.0, 20.0), (-20.0, 20.0), (0.0, 20.0))
-    frame = EnuFrame(NORTH_UP)
-    flying = source(Telemetry(0.0, 0.0, COM_OF_LOSS_T=0.5), LEVEL)
-
-    def why(x_m: float, speed_mps: float, up_mps: float = 0.0, up_m: float = 10.0) -> str | None:
-        estimate = Estimate((x_m, 0.0, up_m), (speed_mps, 0.0, up_mps))
-        return flying.fence_refusal(fence, frame, estimate, 0.1)
-
-    # 5 m/s: 0.6 s at this speed and 5 m of braking, before the wall less 2 m of margin
-    assert why(9.9, 5.0) is None
-    found = why(10.1, 5.0)
-    assert found is not None and "towards the control fence" in found
-    assert why(10.1, -5.0) is None, "away from it"
-    assert why(0.0, 0.0, -4.0, 5.0) is not None, "the floor"
-    assert why(0.0, 0.0, 4.0, 14.0) is not None, "the ceiling"
-    flying.end()
-    assert why(19.0, 5.0) is None, "no setpoint is in force"
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "expected"),
-    [
-        (Telemetry(0.0, 0.0, COM_OF_LOSS_T=0.3), 0.3),
-        (Telemetry(0.0, 0.0, "ardupilot", GUID_TIMEOUT=3.0), 3.0),
-        (Telemetry(0.0, 0.0), 1.0),
-        (Telemetry(0.0, 0.0, COM_OF_LOSS_T=math.nan), 1.0),
-    ],
-)
-def test_the_autopilots_own_time_out_counts(vehicle: Telemetry, expected: float) -> None:
-    assert loss_s(cast(Vehicle, vehicle)) == expected
 
 
 def test_a_deadline_ends_the_setpoint_once() -> None:
