@@ -148,7 +148,7 @@ async def test_an_arducopter_whose_thrust_is_a_climb_rate_is_refused(tmp_path: P
 async def test_it_is_stopped_before_the_fence_though_the_setpoint_would_lead_out(
     tmp_path: Path, kind: dict[str, int]
 ) -> None:
-    control = {"fence": {"x_m": [-20, 20], "y_m": [-20, 20], "up_m": [0, 20]}, "raw": {"tilt_max_deg": 20}}
+    control = {"fence": {"x_m": [-20, 20], "y_m": [-20, 20], "up_m": [0, 90]}, "raw": {"tilt_max_deg": 20}}
     async with flown(tmp_path, control=control, **kind) as gcs:
         await gcs.outcome("control.set", mode="raw")
         began = gcs.now
