@@ -13,9 +13,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from support.behaviour_flights import PX4_OFFBOARD, Figures, end, get_ready, take_off
+from support.behaviour_flights import PX4_OFFBOARD, Figures, end, get_ready
 from support.behaviour_rig import FirmwareRig, Rig
-from support.followed_targets import simulated
+from support.followed_targets import be_airborne, simulated
 
 RATES_IGNORED, THRUST_IGNORED, ATTITUDE_IGNORED = 0b111, 64, 128
 LEAN_RAD = -0.1
@@ -46,10 +46,8 @@ def send(
 
 def begin(rig: Rig) -> None:
     """In the air, flown level by attitudes."""
-    rig.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_HOME_POSITION)
     rig.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, mav.MAVLINK_MSG_ID_ATTITUDE, 5e4)
-    rig.run(0.5)
-    take_off(rig)
+    be_airborne(rig)
     send(rig, 0.5, RATES_IGNORED)
     if rig.px4:
         assert rig.set_mode(PX4_OFFBOARD) == 0

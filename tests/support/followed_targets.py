@@ -1,6 +1,6 @@
 """How closely a vehicle follows a target that moves: SET_POSITION_TARGET_* sent straight to it, simulated or real.
 
-python -m support.followed_targets simulated|FIRMWARE      the table of docs/explanation/simulator.md
+python -m support.followed_targets simulated|FIRMWARE [WAY...]      the table of docs/explanation/simulator.md
 """
 
 from __future__ import annotations
@@ -78,11 +78,20 @@ def message(rig: Rig, way: Way, pos: Vector, vel: Vector, acc: Vector, yaw: floa
     return mav.MAVLink_set_position_target_global_int_message(0, rig.sysid, 1, 6, mask, *where, *rest)
 
 
-def follow(rig: Rig, way: Way, *, settle_s: float = PERIOD_S, laps: float = 1.0) -> list[float]:
-    """Horizontal distances (m) from the reference over the last laps, by the vehicle's own position and clock."""
+def be_airborne(rig: Rig) -> None:
+    """Near its height: the height that a real PX4 believes wanders by half a metre and more."""
     rig.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_HOME_POSITION)
     rig.run(0.5)
-    take_off(rig)
+    try:
+        take_off(rig)
+    except AssertionError:
+        if rig.here.up_m < 0.8 * HEIGHT_M:
+            raise
+
+
+def follow(rig: Rig, way: Way, *, settle_s: float = PERIOD_S, laps: float = 1.0) -> list[float]:
+    """Horizontal distances (m) from the reference over the last laps, by the vehicle's own position and clock."""
+    be_airborne(rig)
     begin, sent_at = rig.clock(), -1e9
     offset_s = 1e9
 
@@ -117,9 +126,10 @@ def rms(errors: list[float]) -> float:
     return (sum(error * error for error in errors) / len(errors)) ** 0.5
 
 
-def table(rig: Rig, say: Callable[[str], None] = print) -> None:
+def table(rig: Rig, names: list[str], say: Callable[[str], None] = print) -> None:
     get_ready(rig)
-    for name, way in WAYS.items():
+    for name in names:
+        way = WAYS[name]
         say(f"| {rig.firmware} | {name} | {rms(follow(rig, way)):.2f} |")
 
 
@@ -134,11 +144,11 @@ def simulated(firmware: str) -> SimRig:
 if __name__ == "__main__":
     if sys.argv[1] == "simulated":
         for kind in ("ardupilot", "px4"):
-            table(simulated(kind))
+            table(simulated(kind), sys.argv[2:] or list(WAYS))
     else:
         with TemporaryDirectory() as folder:
             real = FirmwareRig(sys.argv[1], Path(folder))
             try:
-                table(real, lambda line: print(line, flush=True))
+                table(real, sys.argv[2:] or list(WAYS), lambda line: print(line, flush=True))
             finally:
                 real.close()

@@ -20,6 +20,8 @@ RATES_IGNORE = (
 )
 TILT_RATES_IGNORE = m.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE | m.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
 
+UNCONTROLLED = (None, None, None)
+
 THRUST_BODY_SET = 32
 """ATTITUDE_TARGET_TYPEMASK_THRUST_BODY_SET, which ArduPilot's dialect does not have."""
 
@@ -45,7 +47,8 @@ def px4_attitude(fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
 
     With an attitude, of the rates that of the yaw alone counts, as feed-forward; without, roll and pitch rates are
     needed, and a yaw rate that is ignored leaves the turn that there is. A thrust that is ignored is none: the motors
-    idle. The firmware does not look at the numbers; those that are none are passed over here.
+    idle. The firmware does not look at the numbers: without a rotation nothing controls the attitude, a rate that is no
+    number leaves the turn that there is, and a thrust that is none is no thrust. It counts as a setpoint all the same.
     """
     mask = int(fields["type_mask"])
     thrust = float(fields["thrust"])
@@ -53,20 +56,18 @@ def px4_attitude(fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
         thrust = -float((fields.get("thrust_body") or (0.0, 0.0, 0.0))[2])
     elif mask & m.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE:
         thrust = 0.0
-    rates = _rates(fields)
-    if not all(map(isfinite, (*fields["q"], thrust, *rates))):
-        return Refusal.NOTHING
-    thrust = min(1.0, max(0.0, thrust))
-    yaw_ignored = bool(mask & m.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE)
+    thrust = min(1.0, max(0.0, thrust)) if isfinite(thrust) else 0.0
+    roll, pitch, yaw = (rate if isfinite(rate) else None for rate in _rates(fields))
+    if mask & m.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE:
+        yaw = None
     if not mask & m.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE:
         attitude = _unit(fields["q"])
         if attitude is None:
-            return Refusal.NOTHING
-        turn = None if yaw_ignored or rates[2] == 0.0 else (0.0, 0.0, rates[2])
-        return AttitudeSetpoint(attitude, thrust, rates_frd_radps=turn)
+            return AttitudeSetpoint(None, thrust, rates_frd_radps=UNCONTROLLED)
+        return AttitudeSetpoint(attitude, thrust, rates_frd_radps=(0.0, 0.0, yaw) if yaw else None)
     if mask & TILT_RATES_IGNORE:
         return Refusal.NOTHING
-    return AttitudeSetpoint(None, thrust, rates_frd_radps=(rates[0], rates[1], None if yaw_ignored else rates[2]))
+    return AttitudeSetpoint(None, thrust, rates_frd_radps=(roll, pitch, yaw))
 
 
 def copter_attitude(

@@ -78,8 +78,8 @@ class AttitudeSetpoint:
     attitude_ned_frd: Quaternion | None
     thrust: float | None = None
     climb_mps: float = 0.0
-    rates_frd_radps: tuple[float, float, float | None] | None = None
-    """Body rates: feed-forward of an attitude, or flown alone; None as the third: the turn there is."""
+    rates_frd_radps: tuple[float | None, float | None, float | None] | None = None
+    """Body rates: feed-forward of an attitude, or flown alone; None for one: the turn there is."""
     turns_on: bool = False
     """The attitude turns on with the rates until the next one (ArduCopter)."""
 

@@ -129,7 +129,12 @@ class Quad(Body):
         attitude, thrust = self._steering.step(self, dt_s, setpoint, limits)
         if isinstance(setpoint, AttitudeSetpoint) and setpoint.attitude_ned_frd is None and setpoint.rates_frd_radps:
             roll, pitch, yaw = setpoint.rates_frd_radps
-            self.fly(dt_s, None, thrust, (roll, pitch, self.yaw_rate_radps if yaw is None else yaw))
+            rates = (
+                self.roll_rate_radps if roll is None else roll,
+                self.pitch_rate_radps if pitch is None else pitch,
+                self.yaw_rate_radps if yaw is None else yaw,
+            )
+            self.fly(dt_s, None, thrust, rates)
             return
         self.fly(dt_s, attitude, thrust)
 

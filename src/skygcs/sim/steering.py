@@ -118,7 +118,7 @@ class Steering:
         if rates is None or attitude is None:
             return attitude
         roll, pitch, yaw = rates
-        spin = (roll, pitch, yaw or 0.0)
+        spin = (roll or 0.0, pitch or 0.0, yaw or 0.0)
         if setpoint.turns_on:
             before = attitude if setpoint is not self._asked else self._turned
             attitude = self._turned = quaternion_product(before, turned_by(spin, dt_s))
