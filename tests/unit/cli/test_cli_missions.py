@@ -144,7 +144,7 @@ SURVEYED = (
 @pytest.mark.parametrize(
     ("autopilot", "line"),
     [
-        ("px4", "  changed  mission item 4: the place of NAV_RETURN_TO_LAUNCH"),
+        ("px4", "  changed  mission item 4: the position of NAV_RETURN_TO_LAUNCH"),
         ("ardupilot", "  changed  mission item 2: SET_CAMERA_MODE, which an ArduPilot does not take, is left out"),
     ],
 )

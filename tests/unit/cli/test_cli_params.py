@@ -202,7 +202,7 @@ def test_diff_and_apply_see_the_second_digit(served: Served, tmp_path: Path) -> 
     [
         ("# Onboard parameters for Vehicle 9\nWPNAV_SPEED,600\n", "the file is of vehicle 9"),
         ("WPNAV_SPEED,600\nFENCE_ENABLE,0.5\n", "line 2: FENCE_ENABLE: 0.5 is not whole"),
-        ("WPNAV_SPEED,fast\n", "line 1: 'fast' is no number"),
+        ("WPNAV_SPEED,fast\n", "line 1: 'fast' is not a number"),
     ],
 )
 def test_of_a_wrong_file_nothing_is_sent(served: Served, tmp_path: Path, text: str, reported: str) -> None:

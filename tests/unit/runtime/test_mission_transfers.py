@@ -178,7 +178,7 @@ async def test_an_upload_says_what_it_changed_and_the_check_says_it_before() -> 
         outcome = await actor.upload_plan(plan=plan, kinds=(MISSION,))
         (line,) = grouped(for_firmware(plan.mission, "px4", names).changes)
         assert outcome.ok and outcome.message == f"4 mission items taken; mission {line}"
-        assert line.startswith("item 4: the place of NAV_RETURN_TO_LAUNCH")
+        assert line.startswith("item 4: the position of NAV_RETURN_TO_LAUNCH")
         assert (storing.lists[0].items[3].frame, storing.lists[0].items[3].x) == (2, 0)
     async with Site(ARDUPILOT) as (_, storing, actor):
         outcome = await actor.upload_plan(plan=plan, kinds=(MISSION,))
@@ -193,7 +193,7 @@ async def test_an_upload_says_what_it_changed_and_the_check_says_it_before() -> 
 async def test_a_mission_that_a_px4_takes_and_will_not_fly_is_no_success(by: str) -> None:
     async with Site() as (_, storing, actor):
         if by == "event":
-            reason = "the take-off is not the first item with a place"
+            reason = "the take-off is not the first item with a position"
             number = event_id("navigator_mis_takeoff_not_first")
             fields = {"id": number, "arguments": bytes(40)}
             raw = parsed(encode(flight_dialect().by_name["EVENT"], fields, sysid=1, compid=1, seq=0))

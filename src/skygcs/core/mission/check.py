@@ -1,7 +1,7 @@
-"""What is wrong with a plan before it is sent: every finding with the number of its item.
+"""Checks a plan before it is sent; each finding has the number of its item.
 
-An error is what an autopilot would refuse, or fly to a place nobody meant; a warning is what may be meant. What depends
-on the autopilot is reported for the given one, or with its name if none is given.
+An error is an item that an autopilot would refuse, or fly to an unintended position; a warning may be intended.
+Findings that depend on the autopilot are for the given one, or name the autopilot if none is given.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from skygcs.core.mission.item import (
 from skygcs.core.mission.plan import MissionPlan, PlannedHome
 
 MAX_HEIGHT_M = 500.0
-"""Default limit above home; as for take-off heights."""
+"""Default limit of the height above home; as for takeoff heights."""
 
 MAX_DISTANCE_M = 1000.0
-"""Default limit of the distance from the vehicle, else from home; as for a goto."""
+"""Default limit of the distance from the vehicle, or from home if that is not known; as for a goto."""
 
 MIN_FLIGHT_HEIGHT_M = 0.5
-"""A waypoint below it is on the ground."""
+"""A waypoint below this height is on the ground."""
 
 TAKEOFFS = frozenset({NAV_TAKEOFF, 24, 84})
 """NAV_TAKEOFF, NAV_TAKEOFF_LOCAL, NAV_VTOL_TAKEOFF."""
@@ -47,17 +47,17 @@ ENDS_ON_GROUND = frozenset({NAV_RETURN, 21, 23, 85})
 """Commands whose altitude may be 0, or is not used: return, and the landings."""
 
 NEEDS_PLACE = frozenset({NAV_WAYPOINT, 82, 36})
-"""Waypoint, spline waypoint, arc waypoint: without a position they are none."""
+"""Waypoint, spline waypoint, arc waypoint: they need a position."""
 
 FLOWN_PLACE = NEEDS_PLACE | {17, 18, 19, 21, 22, 31, 84, 85, 94}
-"""NAV commands whose x and y are where the vehicle flies."""
+"""NAV commands whose x and y are a position to fly to."""
 
 Place = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class CheckLimits:
-    """``max_items``: what the vehicle can hold, home included; None: not known."""
+    """``max_items``: the vehicle's capacity, home included; None: not known."""
 
     max_height_m: float = MAX_HEIGHT_M
     max_distance_m: float = MAX_DISTANCE_M
@@ -89,7 +89,7 @@ def check_plan(
     family: Family | None = None,
     vehicle: Place | None = None,
 ) -> tuple[Finding, ...]:
-    """Everything that is wrong, in the order of the items. ``vehicle``: (lat_deg, lon_deg) where it is now."""
+    """All findings, in the order of the items. ``vehicle``: its present (lat_deg, lon_deg)."""
     return (
         *_home_findings(plan.home),
         *_counts(plan, limits, family),
@@ -144,7 +144,7 @@ def _mission(
 
 
 def _firmware(item: MissionItem, family: Family, commands: dict[int, str]) -> Iterator[tuple[bool, str]]:
-    """What the firmware has against the item once it is converted."""
+    """The firmware's refusals of an item after its conversion."""
     converted, _ = convert(item, family, commands)
     if converted is not None:
         yield from refusals(converted, family, commands)
@@ -158,13 +158,13 @@ def _start(items: tuple[MissionItem, ...]) -> Iterator[Finding]:
 
 
 def _reference(plan: MissionPlan, vehicle: Place | None) -> tuple[Place | None, str]:
-    """What distances are measured from, and its name."""
+    """The point that distances are measured from, and its name."""
     if vehicle is not None:
         return vehicle, "the vehicle"
     if plan.home is not None:
         return (plan.home.lat_deg, plan.home.lon_deg), "home"
     first = next((item.position for item in plan.mission if item.position is not None and _flies_to(item)), None)
-    return first, "the first place of the mission"
+    return first, "the first position of the mission"
 
 
 def _flies_to(item: MissionItem) -> bool:
@@ -190,7 +190,7 @@ def _place(item: MissionItem, family: Family | None) -> Iterator[tuple[bool, str
             if family == "px4" or not zero:
                 yield True, "has no position" + (" (0, 0)" if zero else "")
             elif family is None:
-                yield False, "is at 0, 0: an ArduPilot takes that for where it is then, a PX4 flies there"
+                yield False, "is at 0, 0: for an ArduPilot that is its own position then, a PX4 flies to 0, 0"
     elif item.frame == MISSION_FRAME and item.command in NEEDS_PLACE:
         yield True, "is a waypoint in frame MISSION, which has no position"
 
@@ -243,7 +243,7 @@ def _far(item: MissionItem, reference: Place | None, what: str, limits: CheckLim
 
 
 def fence_findings(plan: MissionPlan, family: Family | None = None) -> Iterator[Finding]:
-    """What is wrong with the fence itself, and where the mission and the rally points come into conflict with it."""
+    """Problems of the fence itself, and conflicts of the mission and the rally points with it."""
     sound = True
     for shape, text, is_error in fence_problems(plan.fence):
         sound = sound and not is_error
@@ -261,7 +261,7 @@ def fence_findings(plan: MissionPlan, family: Family | None = None) -> Iterator[
             elif (
                 kind is MissionType.MISSION and before is not None and (crossed := area.crossed(before, item.position))
             ):
-                yield Finding(False, kind, number, f"the way to it {crossed}")
+                yield Finding(False, kind, number, f"the path to it {crossed}")
             before = item.position
         before = None
     if plan.home is not None and (conflict := area.conflict((plan.home.lat_deg, plan.home.lon_deg))):

@@ -1,6 +1,6 @@
-"""Whether a fence's shapes are shapes, and what is inside them.
+"""Checks the shapes of a fence, and which positions they contain.
 
-Plane geometry in metres about a corner of the fence: over the kilometres of a flying site the error is a millionth.
+Plane geometry in metres around a corner of the fence: over the kilometres of a flying site the error is a millionth.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from skygcs.core.mission.fence_items import Corner, FencePlan, FencePolygon
 Point = tuple[float, float]
 
 MIN_AREA_M2 = 1.0
-"""A polygon of less encloses nothing that flies."""
+"""A polygon with a smaller area is a mistake."""
 
 MAX_RADIUS_M = 100_000.0
 """No fence of a small vehicle is larger; a radius in millimetres or of 1e9 is a mistake."""
 
 MAX_CORNERS = 1000
-"""In one polygon: the check for self-intersection compares every pair of edges. ArduPilot stores far fewer."""
+"""Corners of one polygon: the check for self-intersection compares every pair of edges. ArduPilot stores far fewer."""
 
 
 def fence_problems(fence: FencePlan) -> Iterator[tuple[str, str, bool]]:
-    """(shape, what is wrong with it, whether that is an error); a shape is named with the items it is uploaded as."""
+    """(shape, problem, True for an error); the name of a shape includes the items it is uploaded as."""
     item = 1
     for n, polygon in enumerate(fence.polygons, 1):
         count = len(polygon.corners)
@@ -52,7 +52,7 @@ def _polygon_problems(polygon: FencePolygon) -> Iterator[tuple[bool, str]]:
         )
         return
     if corners[0] == corners[-1]:
-        yield False, "the last corner repeats the first one; a polygon is closed without it"
+        yield False, "the last corner repeats the first one; a polygon is closed automatically"
         corners.pop()
     repeated = next((n for n in range(1, len(corners)) if corners[n] == corners[n - 1]), None)
     if repeated is not None:
@@ -68,8 +68,8 @@ def _polygon_problems(polygon: FencePolygon) -> Iterator[tuple[bool, str]]:
 
 
 class FenceArea:
-    """Where one may be. ``any_inclusion``: to be inside one of several inclusion shapes is enough, as for a PX4; else
-    it must be all of them, as for an ArduPilot by default."""
+    """The permitted area. ``any_inclusion``: a position inside one of several inclusion shapes is permitted, as for a
+    PX4; else it must be inside all of them, as for an ArduPilot by default."""
 
     def __init__(self, fence: FencePlan, *, any_inclusion: bool) -> None:
         first = fence.polygons[0].corners[0] if fence.polygons else (0.0, 0.0)
@@ -86,7 +86,7 @@ class FenceArea:
         ]
 
     def conflict(self, place: Corner) -> str | None:
-        """Why one may not be there; None if one may."""
+        """Why a position is not permitted; None if it is."""
         point = self._plane.xy(place)
         held = [(name, inclusion, inside_polygon(point, corners)) for name, inclusion, corners in self._polygons]
         held += [(n, inclusion, math.dist(point, center) <= r) for n, inclusion, center, r in self._circles]
@@ -100,7 +100,7 @@ class FenceArea:
         return None
 
     def crossed(self, a: Corner, b: Corner) -> str | None:
-        """Which fence the straight way from one allowed place to another passes through; None for none."""
+        """The shape that the straight path between two permitted positions crosses; None for none."""
         start, end = self._plane.xy(a), self._plane.xy(b)
         for name, inclusion, corners in self._polygons:
             if self._any and inclusion:
@@ -115,7 +115,7 @@ class FenceArea:
 
 
 class _Plane:
-    """Metres east and north of a place."""
+    """Metres east and north of a position."""
 
     def __init__(self, origin: Corner) -> None:
         self._lat, self._lon = origin
@@ -123,7 +123,7 @@ class _Plane:
         self._shrink = math.cos(math.radians(origin[0]))
 
     def xy(self, place: Corner) -> Point:
-        east_deg = (place[1] - self._lon + 180.0) % 360.0 - 180.0  # a fence may lie across the date line
+        east_deg = (place[1] - self._lon + 180.0) % 360.0 - 180.0  # a fence may cross the date line
         return east_deg * self._per_deg * self._shrink, (place[0] - self._lat) * self._per_deg
 
 
@@ -133,7 +133,7 @@ def _area_m2(points: Sequence[Point]) -> float:
 
 
 def _self_crossing(points: Sequence[Point]) -> tuple[int, int] | None:
-    """The numbers of two edges that are not neighbours and meet."""
+    """The numbers of two edges that meet without being neighbours."""
     count = len(points)
     for a in range(count):
         for b in range(a + 2, count):
@@ -145,7 +145,7 @@ def _self_crossing(points: Sequence[Point]) -> tuple[int, int] | None:
 
 
 def _segments_meet(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether two segments have a point in common, ends included."""
+    """True if two segments have a point in common, ends included."""
     d1, d2, d3, d4 = _turn(c, d, a), _turn(c, d, b), _turn(a, b, c), _turn(a, b, d)
     if ((d1 > 0 > d2) or (d1 < 0 < d2)) and ((d3 > 0 > d4) or (d3 < 0 < d4)):
         return True

@@ -1,7 +1,7 @@
 """A geofence of polygons and circles, and its form as mission items (MAV_CMD 5000 to 5004).
 
-A polygon is as many items as it has corners, each of which says in param1 how many those are; nothing else says where
-one polygon ends and the next begins, so a wrong count makes another fence of the same items. It is refused here.
+A polygon is one item per corner; param1 of each is the number of corners. Nothing else separates one polygon from the
+next, so a wrong count would make another fence of the same items. It is refused here.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from skygcs.core.mission.item import (
 )
 
 Corner = tuple[float, float]
-"""(lat_deg, lon_deg), on the grid of 1e-7 degrees that the wire has."""
+"""(lat_deg, lon_deg), rounded to the 1e-7 degrees of the wire."""
 
 
 @dataclass(frozen=True, slots=True)
 class FencePolygon:
-    """The vehicle stays inside (``inclusion``) or outside. Closed by itself: the first corner is not repeated."""
+    """The vehicle stays inside (``inclusion``) or outside. Closed automatically: the first corner is not repeated."""
 
     inclusion: bool
     corners: tuple[Corner, ...]
@@ -51,7 +51,7 @@ class FenceCircle:
 
 @dataclass(frozen=True, slots=True)
 class FencePlan:
-    """``return_point``: (lat_deg, lon_deg, height above home in metres) to go to after a breach, where there is one."""
+    """``return_point``: (lat_deg, lon_deg, height above home in metres) to fly to after a breach, or None."""
 
     polygons: tuple[FencePolygon, ...] = ()
     circles: tuple[FenceCircle, ...] = ()
@@ -70,7 +70,7 @@ def on_grid(lat_deg: float, lon_deg: float) -> Corner:
 
 
 def fence_items(fence: FencePlan) -> tuple[MissionItem, ...]:
-    """The fence as it is uploaded."""
+    """The items of the fence for the upload."""
     items = []
     for polygon in fence.polygons:
         command = POLYGON_INCLUSION if polygon.inclusion else POLYGON_EXCLUSION
@@ -85,7 +85,7 @@ def fence_items(fence: FencePlan) -> tuple[MissionItem, ...]:
 
 
 def fence_from_items(items: Sequence[MissionItem], first: int = 1) -> FencePlan:
-    """The inverse of `fence_items`. Raises ValueError naming the item, the first of which is numbered ``first``."""
+    """The inverse of `fence_items`. Raises ValueError naming the item; the first item has the number ``first``."""
     polygons: list[FencePolygon] = []
     circles: list[FenceCircle] = []
     return_point: tuple[float, float, float] | None = None
@@ -116,7 +116,7 @@ def _corners(items: Sequence[MissionItem], at: int) -> tuple[Corner, ...]:
     begin = items[at]
     count = begin.params[0]
     if count is None or count < 1 or count != int(count):
-        raise ValueError(f"a polygon's corner must say in param1 how many there are, not {count}")
+        raise ValueError(f"param1 of a polygon's corner must be the number of corners, not {count}")
     members = items[at : at + int(count)]
     same = [m for m in members if m.command == begin.command and m.params[0] == count]
     if len(same) < count:

@@ -1,15 +1,15 @@
-"""What the two firmwares take in a mission, and items turned into what they take where the meaning stays.
+"""The items that the two firmwares accept in a mission, and conversions of other items that keep their meaning.
 
 The tables were read from the firmwares' sources:
 
-    PX4 v1.16.1         src/modules/mavlink/mavlink_mission.cpp, parse_mavlink_mission_item: taken at the upload
+    PX4 v1.16.1         src/modules/mavlink/mavlink_mission.cpp, parse_mavlink_mission_item: accepted at the upload
                         src/modules/navigator/MissionFeasibility/FeasibilityChecker.cpp: flown, or "Mission rejected"
     PX4 main, 2026-08   src/modules/mavlink/mavlink_command_params.hpp: parameters that it does not use are refused
-    ArduPilot 4.6.3     libraries/AP_Mission/AP_Mission.cpp, mavlink_int_to_mission_cmd, sanity_check_params: taken
+    ArduPilot 4.6.3     libraries/AP_Mission/AP_Mission.cpp, mavlink_int_to_mission_cmd, sanity_check_params: accepted
                         the same and ArduCopter/mode_auto.cpp, start_command: flown, or skipped
 
-`convert` and `refusals` look at one item, `for_firmware` at the whole mission. An item is first converted, and only
-what it is then can be refused: a check that looks at both says what an upload will say.
+`convert` and `refusals` handle one item, `for_firmware` the whole mission. An item is converted first, and `refusals`
+checks the converted item: so the check and the upload have the same result.
 """
 
 from __future__ import annotations
@@ -40,31 +40,31 @@ ROI_NONE, ROI_LOCATION = 0, 3
 """MAV_ROI, DO_SET_ROI's param1."""
 
 PX4_PLACED = frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 4501})
-"""Taken in a global frame."""
+"""Accepted in a global frame."""
 
 PX4_PLACELESS = frozenset(
     {20, 80, 93, 112, 114, 177, 178, 179, 187, 189, 196, 197, 200, 201, 203, 204, 205, 206, 211, 214, 260, 530, 532}
     | {534, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
 )
-"""Taken in MAV_FRAME_MISSION, and in no other."""
+"""Accepted in MAV_FRAME_MISSION only."""
 
 PX4_SINCE_1_17 = frozenset({212, 400})
 """DO_AUTOTUNE_ENABLE and COMPONENT_ARM_DISARM: in either frame, from 1.17 on."""
 
 PX4_NOT_FLOWN = {112: "use NAV_DELAY; from 1.18 on it is flown as one", 114: "no version flies it"}
-"""CONDITION_DELAY and CONDITION_DISTANCE: taken at the upload, and then "Mission rejected: unsupported cmd"."""
+"""CONDITION_DELAY and CONDITION_DISTANCE: accepted at the upload, and then "Mission rejected: unsupported cmd"."""
 
 PX4_VTOL = frozenset({VTOL_TAKEOFF, VTOL_LAND, 3000})
-"""Flown by a VTOL; to any other vehicle a reason to reject the mission."""
+"""For VTOLs; any other vehicle rejects the mission."""
 
 PX4_NO_PLACE_YET = (PX4_PLACELESS | {DO_SET_ROI_LOCATION}) - {NAV_RETURN, 112, 114, 187, 211, 42600}
-"""Before these a take-off may stand; before anything else it is "not first waypoint item" and the mission rejected."""
+"""The only items allowed before a takeoff; else it is "not first waypoint item" and the mission is rejected."""
 
 PX4_NUMBERS = frozenset({187, 196, 203, 204, 205, 260, 1000, 1001})
-"""Placeless commands whose param5 to param7 are numbers; those of all others mean nothing to a PX4."""
+"""Commands without a position whose param5 to param7 PX4 reads; it ignores those of all others."""
 
 PX4_FLOWN_PLACE = frozenset({17, 19, NAV_LAND, NAV_TAKEOFF, 31, VTOL_TAKEOFF, VTOL_LAND})
-"""Besides waypoints: where the vehicle flies, also to 0, 0. (An ArduPilot stays where it is then.)"""
+"""Besides waypoints: positions to fly to, also 0, 0. (For an ArduPilot 0, 0 is its own position then.)"""
 
 PX4_PARAMS: Mapping[int, tuple[int, ...]] = {
     **{16: (1, 2, 4), 17: (3, 4), 19: (1, 2, 3, 4), 20: (), 21: (1, 2, 4), 22: (1, 4), 31: (1, 2, 4), 84: (4,)},
@@ -80,19 +80,19 @@ ARDUPILOT_TAKEN = frozenset(
     | {188, 189, 191, 193, 194, 195, 197, 201, 202, 203, 205, 206, 207, 208, 210, 211, 212, 213, 215, 216, 217, 218}
     | {222, 223, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501, 3000, 42600, 42702, 42703}
 )
-"""In any frame where the command has no place. 195 and 197 since 4.6: `convert` makes 201 of them."""
+"""Accepted in any frame if the command has no position. 195 and 197 since 4.6: `convert` replaces them by 201."""
 
 ARDUPILOT_PLACED = frozenset({16, 17, 18, 19, 21, 22, 30, 31, 82, 84, 85, 92, 94, 179, 188, 189, 191, 195, 201})
 """`stored_in_location`: latitude, longitude and altitude must be valid, and the frame one that has them, or MISSION."""
 
 ARDUPILOT_HERE = ARDUPILOT_PLACED - {16, 82, 94, 195, 201}
-"""Those for which 0, 0 means "where it is then", or nothing."""
+"""Commands for which 0, 0 means the vehicle's position then, or nothing."""
 
 ARDUPILOT_ANY_HEIGHT = frozenset({NAV_LAND, VTOL_LAND, 92, 179, 188, 189, 191})
-"""Those that do not use an altitude, so that 0 may be sent for one that is not set."""
+"""Commands that do not use the altitude, so that 0 may be sent if it is not set."""
 
 COPTER_SKIPS = frozenset({30, 83, 191, 193, 194, 210, 212, 213, 223, 3000})
-"""Taken, because planes or rovers fly them; an ArduCopter goes on with the next item."""
+"""Accepted, because planes or rovers use them; an ArduCopter skips them."""
 
 ARDUPILOT_FRAMES = frozenset({GLOBAL, RELATIVE_ALT, TERRAIN_ALT, MISSION_FRAME})
 MAX_ALTITUDE_M = 83000.0
@@ -101,7 +101,7 @@ MAX_ALTITUDE_M = 83000.0
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What became of an item of the plan; ``item``: its number there, from 1."""
+    """The change to one item of the plan; ``item``: its number, from 1."""
 
     item: int
     text: str
@@ -109,20 +109,20 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Converted:
-    """A mission as a firmware takes it, and every change to it that a person might miss."""
+    """A mission in the form a firmware accepts, and the changes to report to the user."""
 
     items: tuple[MissionItem, ...]
     changes: tuple[Change, ...] = ()
 
 
 def for_firmware(items: tuple[MissionItem, ...], family: Family | None, names: Mapping[int, str]) -> Converted:
-    """The mission as this firmware takes it, jumps included. ``family`` None: as it is. ``names``: MAV_CMD's."""
+    """The mission in this firmware's form, jumps included. ``family`` None: unchanged. ``names``: MAV_CMD names."""
     if family is None:
         return Converted(items)
     kept: list[MissionItem] = []
     changes: list[Change] = []
     numbers: list[int] = []
-    """For each item of the plan its number in ``kept``; for one that is left out, that of the next one."""
+    """For each item of the plan its number in ``kept``; for an omitted item the number of the next one."""
     for number, item in enumerate(items, 1):
         numbers.append(len(kept) + 1)
         converted, texts = convert(item, family, names)
@@ -135,7 +135,7 @@ def for_firmware(items: tuple[MissionItem, ...], family: Family | None, names: M
 
 
 def grouped(changes: tuple[Change, ...]) -> list[str]:
-    """The changes as lines, items of the same change together."""
+    """The changes as lines, items with the same change in one line."""
     items: dict[str, list[int]] = {}
     for change in changes:
         items.setdefault(change.text, []).append(change.item)
@@ -143,22 +143,22 @@ def grouped(changes: tuple[Change, ...]) -> list[str]:
 
 
 def convert(item: MissionItem, family: Family, names: Mapping[int, str]) -> tuple[MissionItem | None, list[str]]:
-    """(the item as this firmware takes it, what was changed). None: it is left out. What cannot be converted stays as
-    it is, for `refusals` to name."""
+    """(the item in this firmware's form, the change). None: it is omitted. An item that cannot be converted stays
+    unchanged, and `refusals` names it."""
     return _for_px4(item, names) if family == "px4" else _for_ardupilot(item, names)
 
 
 def refusals(item: MissionItem, family: Family, names: Mapping[int, str]) -> Iterator[tuple[bool, str]]:
-    """What this firmware refuses (True), or does not fly (False), of an item that has been converted."""
+    """Reasons why this firmware refuses (True) or skips (False) a converted item."""
     return _px4_refusals(item, names) if family == "px4" else _ardupilot_refusals(item, names)
 
 
 def px4_order(items: tuple[MissionItem, ...]) -> Iterator[tuple[int, str]]:
-    """(number, reason) of items of a converted mission that stand where a PX4 rejects the mission for them."""
+    """(number, reason) of items of a converted mission whose order makes a PX4 reject it."""
     before = False
     for number, item in enumerate(items, 1):
         if item.command in (NAV_TAKEOFF, VTOL_TAKEOFF) and before:
-            yield number, "PX4 rejects the mission: a take-off must come before all other places and returns"
+            yield number, "PX4 rejects the mission: a take-off must come before all other positions and returns"
         before = before or item.command not in PX4_NO_PLACE_YET
 
 
@@ -167,12 +167,12 @@ def _for_px4(item: MissionItem, names: Mapping[int, str]) -> tuple[MissionItem, 
     texts = []
     if item.command == DO_SET_ROI and item.params[0] == ROI_LOCATION and item.position is not None:
         item = replace(item, command=DO_SET_ROI_LOCATION, params=(0.0, 0.0, 0.0, 0.0))
-        texts.append(f"{name} becomes {_name(DO_SET_ROI_LOCATION, names)}, by which a PX4 finds the place")
+        texts.append(f"{name} becomes {_name(DO_SET_ROI_LOCATION, names)}, whose position a PX4 reads")
     placed = item.frame in GLOBAL_FRAMES and item.command in PX4_PLACED
     if item.command in PX4_PLACELESS and not placed and not (item.command == DO_SET_HOME and item.params[0] != 1):
         item, dropped = _without_place(item)
         if dropped:
-            texts.append(f"the place of {name}, which means nothing to a PX4, is left out: it would be refused")
+            texts.append(f"the position of {name}, which a PX4 does not use, is left out: it would be refused")
     used = PX4_PARAMS.get(item.command)
     unused = [n for n, value in enumerate(item.params, 1) if used is not None and n not in used and value]
     if unused:
@@ -183,8 +183,8 @@ def _for_px4(item: MissionItem, names: Mapping[int, str]) -> tuple[MissionItem, 
 
 
 def _without_place(item: MissionItem) -> tuple[MissionItem, bool]:
-    """A placeless command in the frame that a PX4 takes it in, and whether it lost a place. Numbers in param5 and
-    param6 that are not whole cannot travel in that frame: the item stays as it is."""
+    """A command without a position, in the frame in which a PX4 accepts it, and whether a position was removed.
+    Fractions in param5 and param6 cannot be sent in that frame: such an item stays unchanged."""
     x, y, z = item.seven[4:]
     if item.command not in PX4_NUMBERS:
         return replace(item, frame=MISSION_FRAME, x=0, y=0, z=0.0 if z else item.z), bool(x or y or z)
@@ -196,24 +196,24 @@ def _without_place(item: MissionItem) -> tuple[MissionItem, bool]:
 def _px4_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator[tuple[bool, str]]:
     command, name = item.command, _name(item.command, names)
     if command in PX4_SINCE_1_17:
-        yield True, f"PX4 takes {name} from 1.17 on only; to one of these it can be sent with --force"
+        yield True, f"PX4 takes {name} from 1.17 on only; for such a version insist with --force"
     elif command not in PX4_PLACED | PX4_PLACELESS:
         yield True, f"PX4 takes no {name} in a mission"
         return
     if item.frame == TERRAIN_ALT or item.frame not in GLOBAL_FRAMES | {MISSION_FRAME}:
-        yield True, f"PX4 takes no item in frame {item.frame}, only in 0 (AMSL), 3 (above home) and 2 (no place)"
+        yield True, f"PX4 takes no item in frame {item.frame}, only in 0 (AMSL), 3 (above home) and 2 (no position)"
     elif item.frame == MISSION_FRAME and command in PX4_PLACED - PX4_PLACELESS:
-        yield True, f"PX4 takes {name} with a place only: frame 0 or 3, not 2"
+        yield True, f"PX4 takes {name} with a position only: frame 0 or 3, not 2"
     elif item.frame != MISSION_FRAME and command in PX4_NUMBERS:
         yield True, f"PX4 takes {name} with whole numbers in param5 and param6 only"
     if command == DO_SET_HOME and item.params[0] != 1:
-        yield True, f"PX4 takes {name} in a mission with param1 = 1 (where it is then) only"
+        yield True, f"PX4 takes {name} in a mission with param1 = 1 (its position then) only"
     if command in (80, DO_SET_ROI):
         allowed = (ROI_NONE, 1, 2) if item.frame == MISSION_FRAME else (ROI_NONE, ROI_LOCATION)
         if item.params[0] not in allowed:
             yield True, f"PX4 takes {name} in frame {item.frame} with param1 {' or '.join(map(str, allowed))} only"
         elif item.params[0] == ROI_NONE and item.position is not None:
-            yield False, f"PX4 reads param1 = 0 of {name} as: no region of interest; 3 means the place"
+            yield False, f"PX4 reads param1 = 0 of {name} as: no region of interest; 3 means the position"
     if command in PX4_NOT_FLOWN:
         yield True, f"PX4 takes {name} and then rejects the mission: {PX4_NOT_FLOWN[command]}"
     if command in PX4_VTOL:
@@ -226,13 +226,13 @@ def _px4_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator[tuple
 def _for_ardupilot(item: MissionItem, names: Mapping[int, str]) -> tuple[MissionItem | None, list[str]]:
     name = _name(item.command, names)
     if item.command == SET_CAMERA_MODE:
-        text = "which an ArduPilot does not take, is left out: what follows has lower numbers on the vehicle"
+        text = "which an ArduPilot does not take, is left out: the following items have lower numbers on the vehicle"
         return None, [f"{name}, {text}"]
     if item.command == DO_SET_ROI_LOCATION and item.frame in GLOBAL_FRAMES:
-        text = f"{name} becomes {_name(DO_SET_ROI, names)}, which means the same and every ArduPilot takes"
+        text = f"{name} becomes {_name(DO_SET_ROI, names)}: the same, and every ArduPilot takes it"
         return replace(item, command=DO_SET_ROI, params=(float(ROI_LOCATION), 0.0, 0.0, 0.0)), [text]
     if item.command == DO_SET_ROI_NONE:
-        text = f"{name} becomes {_name(DO_SET_ROI, names)} of no place, which means the same and every ArduPilot takes"
+        text = f"{name} becomes {_name(DO_SET_ROI, names)} without a position: the same, and every ArduPilot takes it"
         return MissionItem(DO_SET_ROI, GLOBAL, autocontinue=item.autocontinue), [text]
     if item.command in ARDUPILOT_HERE and UNSET_INT in (item.x, item.y):
         item = replace(item, x=0, y=0)
@@ -253,8 +253,8 @@ def _ardupilot_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator
     if item.frame not in ARDUPILOT_FRAMES:
         yield True, f"ArduPilot takes {name} in frames 0 (AMSL), 3 (above home) and 10 (above terrain) only"
     elif item.frame == MISSION_FRAME and item.command in ARDUPILOT_PLACED - ARDUPILOT_ANY_HEIGHT - {DO_SET_ROI, 16, 82}:
-        yield True, f"ArduPilot takes the altitude of {name} in frame 2 for one above sea level, and no position"
-    elif UNSET_INT in (item.x, item.y) and item.command not in (16, 82):  # of waypoints it is said in any case
+        yield True, f"ArduPilot reads the altitude of {name} in frame 2 as AMSL, and no position"
+    elif UNSET_INT in (item.x, item.y) and item.command not in (16, 82):  # reported for waypoints in any case
         yield True, f"ArduPilot takes no {name} without a position"
     if item.z is not None and abs(item.z) >= MAX_ALTITUDE_M:
         yield True, f"ArduPilot takes no altitude of {item.z:g} m"
@@ -270,7 +270,7 @@ def _renumbered(item: MissionItem, numbers: list[int]) -> MissionItem:
 
 
 def _name(command: int, names: Mapping[int, str]) -> str:
-    """A command's name as plans' editors show it."""
+    """A command's name as editors of plans show it."""
     return names.get(command, f"command {command}").removeprefix("MAV_CMD_")
 
 

@@ -1,4 +1,4 @@
-"""Which format a plan file is in: by its content when read, by its name when written."""
+"""Selects the format of a plan file: by its content when read, by its name when written."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from skygcs.core.mission.wpl import HEADER, read_wpl, write_wpl
 from skygcs.errors import PlanFileError
 
 MAX_FILE_BYTES = 32 * 2**20
-"""65535 items of a .plan are 25 MB with QGroundControl's indentation."""
+"""A .plan with 65535 items has 25 MB with QGroundControl's indentation."""
 
 Format = Literal["plan", "wpl"]
 
@@ -21,7 +21,7 @@ SUFFIXES: dict[str, Format] = {".plan": "plan", ".waypoints": "wpl", ".txt": "wp
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """A plan as read; ``notes`` say what in the file became something else."""
+    """A plan as read; ``notes``: what was converted."""
 
     plan: MissionPlan
     format: Format
@@ -48,17 +48,17 @@ def read_plan(content: bytes, source: str) -> Imported:
 
 
 def format_of(name: str) -> Format:
-    """The format that a file of that name has. Raises PlanFileError."""
+    """The format of a file with that name. Raises PlanFileError."""
     for suffix, kind in SUFFIXES.items():
         if name.lower().endswith(suffix):
             return kind
-    raise PlanFileError(name, "", f"must end in {', '.join(SUFFIXES)}: that says in which format it is written")
+    raise PlanFileError(name, "", f"must end in {', '.join(SUFFIXES)}, which selects its format")
 
 
 def write_plan(plan: MissionPlan, name: str, only: MissionType | None = None) -> str:
-    """The text of a plan file of that name, of one of its lists if ``only`` says which.
+    """The text of a plan file with that name; with ``only`` of that list.
 
-    Raises PlanFileError for a plan that the format cannot hold; says what to do.
+    Raises PlanFileError for a plan that the format cannot hold, with what to do.
     """
     if only is not None:
         plan = MissionPlan(home=plan.home, settings=plan.settings).with_items(only, plan.items(only))

@@ -1,8 +1,8 @@
 """One item of a mission, a fence or a rally list, as MISSION_ITEM_INT carries it.
 
-What cannot travel is not in an item: numbers are rounded to the float32 of the wire, positions to its integers, and the
-two names MAVLink has for each global frame are one. So an item that was uploaded, downloaded, written to a file and
-read again compares equal to itself.
+An item holds only values that can be sent: numbers are rounded to the float32 of the wire, positions to its integers,
+and the two names that MAVLink has for each global frame become one. So an item that was uploaded, downloaded, written
+to a file and read again compares equal to the original.
 
 Protocol: https://mavlink.io/en/services/mission.html
 """
@@ -17,16 +17,16 @@ from enum import IntEnum
 from typing import Any
 
 UNSET_INT = 2**31 - 1
-"""x or y of a global frame that is not set: the integer form of NaN (PX4 reads it so)."""
+"""x or y of a global frame that is not set: the integer form of NaN in PX4."""
 
 MAX_ITEMS = 65535
 """MISSION_COUNT.count and seq are uint16."""
 
 GLOBAL, MISSION_FRAME, RELATIVE_ALT, TERRAIN_ALT = 0, 2, 3, 10
-"""MAV_FRAME values that missions are made of."""
+"""MAV_FRAME values used in missions."""
 
 _ONE_NAME = {5: GLOBAL, 6: RELATIVE_ALT, 11: TERRAIN_ALT}
-"""The ..._INT frames mean the same in MISSION_ITEM_INT, and both autopilots take either."""
+"""The ..._INT frames mean the same in MISSION_ITEM_INT, and both autopilots accept either."""
 
 GLOBAL_FRAMES = frozenset({GLOBAL, RELATIVE_ALT, TERRAIN_ALT})
 LOCAL_FRAMES = frozenset({1, 4, 7, 8, 9, 12, 20, 21})
@@ -57,7 +57,7 @@ class MissionItem:
     """``params`` are param1 to param4 and ``z`` is param7; None is not set, NaN on the wire. ``x`` and ``y`` are as on
     the wire: degrees * 1e7 in a global frame (`UNSET_INT`: not set), metres * 1e4 in a local one, else plain integers.
 
-    Raises ValueError for what MISSION_ITEM_INT cannot carry; says which field.
+    Raises ValueError naming the field that MISSION_ITEM_INT cannot carry.
     """
 
     command: int
@@ -83,7 +83,7 @@ class MissionItem:
 
     @classmethod
     def from_params(cls, command: int, frame: int, params: tuple[float | None, ...], autocontinue: bool) -> MissionItem:
-        """An item from the seven numbers that files hold: x and y in degrees, metres or plain. Raises ValueError."""
+        """An item from the seven numbers in files: x and y in degrees, metres or plain. Raises ValueError."""
         p1, p2, p3, p4, p5, p6, p7 = params
         frame = _ONE_NAME.get(frame, frame)
         x, y = wire_int(frame, p5, "param5"), wire_int(frame, p6, "param6")
@@ -117,25 +117,26 @@ class MissionItem:
 
     @property
     def seven(self) -> tuple[float | None, ...]:
-        """The seven numbers that files hold, in their shortest form; the inverse of `from_params`."""
+        """The seven numbers for a file, in their shortest form; the inverse of `from_params`."""
         p1, p2, p3, p4, z = (None if value is None else shortest(value) for value in (*self.params, self.z))
         return p1, p2, p3, p4, file_number(self.frame, self.x), file_number(self.frame, self.y), z
 
     @property
     def position(self) -> tuple[float, float] | None:
-        """(lat_deg, lon_deg); None without one. 0, 0 is none: ArduPilot takes it for "where the vehicle is then"."""
+        """(lat_deg, lon_deg), or None. 0, 0 is not a position: ArduPilot reads it as the vehicle's own position
+        then."""
         if self.frame not in GLOBAL_FRAMES or UNSET_INT in (self.x, self.y) or (self.x, self.y) == (0, 0):
             return None
         return self.x / 1e7, self.y / 1e7
 
     @property
     def moves(self) -> bool:
-        """Whether it is a NAV command: one that the vehicle flies, not does."""
+        """True for a NAV command, which moves the vehicle."""
         return self.command < NAV_LAST
 
 
 def float32(value: float | None, name: str) -> float | None:
-    """What remains of a number on the wire; None for NaN. Raises ValueError for what is not finite there."""
+    """The number after rounding to float32; None for NaN. Raises ValueError if it is not finite then."""
     if value is None or math.isnan(value):
         return None
     try:
@@ -148,7 +149,7 @@ def float32(value: float | None, name: str) -> float | None:
 
 
 def shortest(value: float) -> float:
-    """The float with the fewest digits that is the same float32: 0.1, not 0.10000000149011612; for files."""
+    """The float with the fewest digits for the same float32: 0.1, not 0.10000000149011612; for files."""
     for digits in range(6, 10):
         text = f"{value:.{digits}g}"
         if float32(float(text), "") == value:
@@ -157,7 +158,7 @@ def shortest(value: float) -> float:
 
 
 def wire_int(frame: int, value: float | None, name: str) -> int:
-    """x or y of MISSION_ITEM_INT for a number as files hold it. Raises ValueError."""
+    """x or y of MISSION_ITEM_INT for a number from a file. Raises ValueError."""
     if value is None or math.isnan(value):
         return UNSET_INT if frame in GLOBAL_FRAMES else 0
     scaled = value * _scale(frame)

@@ -1,8 +1,8 @@
-"""What a plan file holds: a mission, a fence, rally points and the home they were planned from.
+"""A plan: a mission, a fence, rally points and the home they were planned from.
 
-Items are numbered from 1, as QGroundControl and Mission Planner show them, and a DO_JUMP names that number. On the wire
-it is another matter: an ArduPilot keeps its home as item 0, so that its sequence numbers are ours; a PX4 has no such
-item, and both sequence numbers and jump targets are one less there (`to_wire`, `from_wire`).
+Items are numbered from 1, as QGroundControl and Mission Planner show them, and a DO_JUMP names that number. The wire
+differs: an ArduPilot has its home as item 0, so its sequence numbers equal ours; a PX4 has no such item, and its
+sequence numbers and jump targets are lower by one (`to_wire`, `from_wire`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ PLACELESS = frozenset(
     {20, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 187, 197, 203, 205, 206, 211, 218, 222, 223, 530, 531, 532}
     | {600, 601, 2000, 2001, 2500, 2501, 3000}
 )
-"""Commands without a place. Their frame means nothing to an ArduPilot, which keeps none and reports frame 0 for them; a
-PX4 takes them in MAV_FRAME_MISSION only, which Mission Planner's files do not have."""
+"""Commands without a position. An ArduPilot ignores their frame and reports frame 0; a PX4 accepts them in
+MAV_FRAME_MISSION only, which Mission Planner's files do not use."""
 
 
 ALTITUDE_GRID_M = 0.011
@@ -26,7 +26,7 @@ ALTITUDE_GRID_M = 0.011
 
 @dataclass(frozen=True, slots=True)
 class PlannedHome:
-    """Where the plan begins; its altitude is AMSL."""
+    """Home of the plan; its altitude is AMSL."""
 
     lat_deg: float
     lon_deg: float
@@ -41,7 +41,7 @@ class PlannedHome:
 
 @dataclass(frozen=True, slots=True)
 class PlanSettings:
-    """What a .plan says of the vehicle it was made for; kept for the file, not used. Speeds in m/s."""
+    """The vehicle for which a .plan was made; kept for writing the file, not used. Speeds in m/s."""
 
     firmware_type: int = 0
     vehicle_type: int = 2
@@ -64,7 +64,7 @@ class MissionPlan:
     settings: PlanSettings = DEFAULT_SETTINGS
 
     def holds(self) -> tuple[MissionType, ...]:
-        """Which of the three lists are not empty."""
+        """The lists that are not empty."""
         counts = {
             MissionType.MISSION: len(self.mission),
             MissionType.FENCE: len(fence_items(self.fence)),
@@ -83,7 +83,7 @@ class MissionPlan:
                 return self.rally
 
     def with_items(self, kind: MissionType, items: tuple[MissionItem, ...]) -> MissionPlan:
-        """The same plan with another list. Raises ValueError for a fence whose items do not make one."""
+        """The plan with one list replaced. Raises ValueError if fence items do not form a fence."""
         match kind:
             case MissionType.MISSION:
                 return replace(self, mission=items)
@@ -94,14 +94,14 @@ class MissionPlan:
 
 
 def same_item(sent: MissionItem, kept: MissionItem) -> bool:
-    """Whether a vehicle that says it holds ``kept`` holds what was sent, as far as can be seen: it may drop parameters
-    that it has no use for."""
+    """True if the list ``kept`` that a vehicle reports matches what was sent; it may drop parameters that it does not
+    use."""
     near = abs((sent.z or 0.0) - (kept.z or 0.0)) <= ALTITUDE_GRID_M
     return (sent.command, sent.x, sent.y) == (kept.command, kept.x, kept.y) and near
 
 
 def same_start(sent: tuple[MissionItem, ...], kept: tuple[MissionItem, ...]) -> int:
-    """How many items from the first on are the same."""
+    """Number of equal items from the first on."""
     pairs = enumerate(zip(sent, kept, strict=False))
     return next((n for n, (a, b) in pairs if not same_item(a, b)), min(len(sent), len(kept)))
 
@@ -117,10 +117,10 @@ def shifted_jumps(items: tuple[MissionItem, ...], by: int) -> tuple[MissionItem,
 
 
 def to_wire(items: tuple[MissionItem, ...], home_item: MissionItem | None) -> tuple[MissionItem, ...]:
-    """The items of a *mission* as they are sent: behind ``home_item`` to an ArduPilot, without (None) to a PX4.
+    """The items of a *mission* as they are sent: after ``home_item`` to an ArduPilot, without it (None) to a PX4.
 
-    Fence and rally lists travel as they are. An ArduPilot keeps a 0 for a number that is not set, and refuses many
-    items that have one; a PX4 gets commands without a place in the one frame that it takes them in.
+    Fence and rally lists are sent as they are. For ArduPilot numbers that are not set become 0, because it refuses many
+    items with NaN; for PX4 commands without a position get the one frame in which it accepts them.
     """
     if home_item is not None:
         return (home_item, *map(_all_set, items))
@@ -128,7 +128,7 @@ def to_wire(items: tuple[MissionItem, ...], home_item: MissionItem | None) -> tu
 
 
 def from_wire(items: tuple[MissionItem, ...], *, first_is_home: bool) -> tuple[MissionItem, ...]:
-    """The inverse of `to_wire` for what was downloaded, as far as the vehicle kept it."""
+    """The inverse of `to_wire` for downloaded items, as far as the vehicle kept them."""
     if first_is_home:
         return tuple(map(_without_place, items[1:]))
     return shifted_jumps(items, 1)

@@ -1,8 +1,8 @@
 """QGroundControl's JSON: .plan files, and the .mission files of its older versions.
 
-Complex items (survey, corridor scan, fixed-wing and VTOL landing, structure scan) become the simple items that they
-stand for: of the others those are stored in the file, a structure scan's are computed (`structure`). Written files hold
-simple items only, so what a plan knew of polygons and cameras is not in a converted one.
+Complex items (survey, corridor scan, fixed-wing and VTOL landing, structure scan) are replaced by their simple items:
+those of a structure scan are computed (`structure`), those of the others are stored in the file. Written files contain
+simple items only, so a converted plan has lost its polygons and cameras.
 
 Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/plan.html
 """
@@ -24,18 +24,18 @@ from skygcs.errors import PlanFileError
 PLAN_VERSION = 1
 MISSION_VERSION = 2
 OLD_MISSION_VERSIONS = (1, 2)
-"""Version 1 says "1.0", as text, and has a whole item for its home."""
+"""Version 1 has the text "1.0", and a whole item as its home."""
 
 GROUP_VERSIONS = (1, 2)
 """Version of the fence and rally sections: version 1 had one polygon without a kind."""
 
 COMPLEX_VERSIONS = {"survey": (2, 3, 4, 5), "CorridorScan": (1, 2)}
-"""Versions of complex items whose stored items are known to be the whole of what they fly (QGroundControl 3.4 to 5)."""
+"""Versions of complex items whose stored items are known to be complete (QGroundControl 3.4 to 5)."""
 
 
 @dataclass(slots=True)
 class _File:
-    """What is being read: gives errors their place and collects what the user should know."""
+    """The state of reading a file: the location for errors, and notes for the user."""
 
     source: str
     notes: list[str] = field(default_factory=list)
@@ -51,7 +51,7 @@ class _File:
             raise self.error(where, f"must be a number, not {_short(value)}")
         try:
             number = float(value)
-        except OverflowError:  # JSON's integers have no end
+        except OverflowError:  # JSON's integers have no limit
             number = math.inf
         if math.isinf(number):
             raise self.error(where, "is not a finite number")
@@ -125,7 +125,7 @@ def _plan(file: _File, root: dict[str, Any]) -> MissionPlan:
 
 
 def _old_mission(file: _File, root: dict[str, Any]) -> MissionPlan:
-    """A .mission file: the mission section alone."""
+    """A .mission file: a .plan's mission only."""
     if "items" not in root:
         raise file.error("", "is JSON, and neither a QGroundControl plan nor a mission: it has no items")
     said = {**root, "version": _old_version(root["version"])} if "version" in root else root
@@ -140,7 +140,7 @@ def _old_mission(file: _File, root: dict[str, Any]) -> MissionPlan:
 
 
 def _old_version(value: Any) -> Any:
-    """A version that is written as text ("1.0") as the number that it names; anything else as it is."""
+    """A version written as text ("1.0") as a number; anything else unchanged."""
     try:
         return float(value) if isinstance(value, str) and len(value) <= 8 else value
     except ValueError:
@@ -193,13 +193,13 @@ def _number_of(file: _File, table: dict[str, Any], where: str, numbered: list[tu
 
 
 def _check_numbers(file: _File, numbered: list[tuple[int, int]], jumps: bool) -> None:
-    """Numbers that are no sequence do no harm if nothing uses them: a note. A DO_JUMP names one of them, and which item
-    it means is not known then."""
+    """Numbers out of sequence are only noted if nothing uses them. If a DO_JUMP names one, its target is not known and
+    the plan is refused."""
     ids = [number for number, _ in numbered]
     if any(b <= a for a, b in itertools.pairwise(ids)):
         if jumps:
             raise file.error("", "the items' numbers (doJumpId) are out of order, and a DO_JUMP names one of them")
-        file.notes.append("the items' numbers (doJumpId) are out of order; they were numbered again")
+        file.notes.append("the items' numbers (doJumpId) are out of order; the items were renumbered")
         return
     for number, counted in numbered:
         if number == counted:
@@ -212,7 +212,7 @@ def _check_numbers(file: _File, numbered: list[tuple[int, int]], jumps: bool) ->
         file.notes.append(
             f"item {counted} has the number (doJumpId) {number}"
             + (", as if one were missing before it" if number > counted else "")
-            + "; the items were numbered again"
+            + "; the items were renumbered"
         )
         return
 
@@ -224,7 +224,7 @@ def _simple(file: _File, table: dict[str, Any], where: str) -> MissionItem:
     frame = file.whole(table["frame"], f"{where}: frame")
     seven = _seven(file, table, where)
     if frame == 2 and any(v is not None and v != round(v) for v in seven[4:6]):
-        file.notes.append(f"{where}: in frame MISSION param5 and param6 travel as whole numbers; they were rounded")
+        file.notes.append(f"{where}: in frame MISSION param5 and param6 are sent as whole numbers; they were rounded")
     try:
         return MissionItem.from_params(
             file.whole(table["command"], f"{where}: command"),
@@ -237,7 +237,7 @@ def _simple(file: _File, table: dict[str, Any], where: str) -> MissionItem:
 
 
 def _seven(file: _File, table: dict[str, Any], where: str) -> tuple[float | None, ...]:
-    """params has all seven; the older form has four, or param1 to param4, and a coordinate."""
+    """``params`` has all seven; the older form has four (or param1 to param4) and a coordinate."""
     if "coordinate" in table:
         first = table["params"] if "params" in table else [table.get(f"param{n}", 0) for n in range(1, 5)]
         values = [
@@ -264,7 +264,7 @@ def _complex(
     version, known = table.get("version"), COMPLEX_VERSIONS.get(str(kind))
     if known is not None and (version not in known or isinstance(version, bool)):
         text = f"{where}: {kind} of the unknown version {_short(version)}, only {', '.join(map(str, known))} are known"
-        file.notes.append(f"{text}; its stored items are taken as they are: look at them")
+        file.notes.append(f"{text}; its stored items are taken as they are: check them")
     items = []
     for n, entry in enumerate(stored, before + 1):
         inner = file.table(entry, f"item {n}")
@@ -357,8 +357,8 @@ def _rally(file: _File, section: dict[str, Any]) -> tuple[MissionItem, ...]:
 
 
 def write_qgc(plan: MissionPlan) -> str:
-    """The plan as a .plan file. Raises ValueError naming a rally point whose height is not above home: the format has
-    no other."""
+    """The plan as a .plan file. Raises ValueError naming a rally point whose height is not above home, which the format
+    requires."""
     for n, item in enumerate(plan.rally, 1):
         if item.frame != RELATIVE_ALT:
             raise ValueError(f"rally point {n} is in frame {item.frame}; a .plan holds heights above home only")

@@ -1,9 +1,9 @@
 """The waypoints of QGroundControl's structure scan.
 
-A plan stores a survey's and a corridor's waypoints; of a structure scan it stores only what they are computed from: the
-outline, the distance from it, the layers. The pattern is that of QGroundControl (StructureScanComplexItem, file version
-3): in to the entrance, the camera turned towards the structure, round the outline once per layer with the camera
-triggering, the camera turned back, out again.
+For surveys and corridors a plan stores the waypoints; for a structure scan it stores the outline, the distance from it
+and the layers, from which the waypoints are computed. The pattern is that of QGroundControl (StructureScanComplexItem,
+file version 3): fly to the entrance, turn the camera towards the structure, fly along the outline once per layer with
+the camera triggering, turn the camera back, leave.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ Point = tuple[float, float]
 
 TRIGGER_DISTANCE, ROI_NEXT_WAYPOINT, ROI_NONE = 206, 196, 197
 YAW_TO_STRUCTURE_DEG = 90.0
-"""The outline is flown clockwise, the structure lies to the right."""
+"""The outline is flown clockwise, with the structure to the right."""
 
 MAX_LAYERS = 1000
-"""More than any structure needs; a bound for a file that says 1e9."""
+"""More than any structure needs; a bound for files with values such as 1e9."""
 
 PARALLEL = 1e-9
-"""Sine of the angle below which two edges are one line."""
+"""Sine of the angle below which two edges count as one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class StructureScan:
 
 
 def structure_items(scan: StructureScan) -> tuple[MissionItem, ...]:
-    """The scan's items. Raises ValueError for what is not an outline and for more than MAX_LAYERS."""
+    """The scan's items. Raises ValueError for an impossible outline and for more than MAX_LAYERS."""
     if not 0 < scan.layers <= MAX_LAYERS:
         raise ValueError(f"{scan.layers} layers are not between 1 and {MAX_LAYERS}")
     path = offset_outline(scan.outline, scan.distance_m)
@@ -66,7 +66,7 @@ def structure_items(scan: StructureScan) -> tuple[MissionItem, ...]:
 def offset_outline(outline: Sequence[Point], distance_m: float) -> tuple[Point, ...]:
     """The polygon moved outwards by a distance, clockwise, beginning with the outline's first corner.
 
-    Plane geometry about that corner. Raises ValueError for fewer than three corners or none that make an area.
+    Plane geometry around that corner. Raises ValueError for fewer than three corners, or corners without an area.
     """
     if len(outline) < 3:
         raise ValueError(f"the outline has {len(outline)} corners, not three or more")
@@ -77,7 +77,7 @@ def offset_outline(outline: Sequence[Point], distance_m: float) -> tuple[Point, 
     twice_area = sum(ax * by - bx * ay for (ax, ay), (bx, by) in zip(corners, [*corners[1:], corners[0]], strict=True))
     if abs(twice_area) < 1e-3:
         raise ValueError("the outline's corners lie in one line")
-    if twice_area > 0:  # counter-clockwise: outwards would be inwards
+    if twice_area > 0:  # counter-clockwise: reversed, or outwards would be inwards
         corners = [corners[0], *corners[:0:-1]]
     moved = [
         _moved(corners[n - 1], corners[n], corners[(n + 1) % len(corners)], distance_m) for n in range(len(corners))
@@ -86,7 +86,7 @@ def offset_outline(outline: Sequence[Point], distance_m: float) -> tuple[Point, 
 
 
 def _moved(before: Point, corner: Point, after: Point, distance_m: float) -> Point:
-    """Where the two edges at a corner meet when both are moved to the left of their (clockwise) direction."""
+    """The intersection of the two edges at a corner after both are moved to the left of their (clockwise) direction."""
     ux, uy = _unit(before, corner)
     vx, vy = _unit(corner, after)
     cross = ux * vy - uy * vx

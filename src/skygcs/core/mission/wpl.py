@@ -1,9 +1,8 @@
 """QGC WPL 110: the text files of Mission Planner, MAVProxy and old QGroundControls (.waypoints, .txt, .mission).
 
-A header line, then one item a line: seq, current, frame, command, param1 to param4, x, y, z, autocontinue, separated by
-blanks. Line 0 is home by convention (a waypoint in frame 0); a file of another program may begin with a real item.
-DO_JUMP names the seq of its line. Mission Planner writes fences and rally points in the same form, each into a file of
-its own.
+A header line, then one item per line: seq, current, frame, command, param1 to param4, x, y, z, autocontinue, separated
+by blanks. Line 0 is home by convention (a waypoint in frame 0); some programs begin with a real item. DO_JUMP names the
+seq of its target. Mission Planner writes fences and rally points in the same form, each into its own file.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ def read_wpl(text: str, source: str) -> MissionPlan:
 
 
 def write_wpl(plan: MissionPlan, kind: MissionType) -> str:
-    """One of the plan's lists, behind home (zeros where there is none: every reader takes the first line for home)."""
+    """One list of the plan, after home (zeros if there is none: every reader takes the first line for home)."""
     home = plan.home or PlannedHome(0.0, 0.0, 0.0)
     place = (home.lat_deg, home.lon_deg, home.alt_amsl_m)
     rows = [_row(0, 1, GLOBAL, NAV_WAYPOINT, (0.0, 0.0, 0.0, 0.0, *place), True)]
@@ -96,7 +95,7 @@ def _check_numbers(lines: list[_Line], source: str) -> None:
         if line.seq > expected:
             raise PlanFileError(source, f"line {line.number}", f"item {expected} is missing: this is item {line.seq}")
         if line.seq < expected:
-            raise PlanFileError(source, f"line {line.number}", f"item {line.seq} comes again or out of order")
+            raise PlanFileError(source, f"line {line.number}", f"item {line.seq} is repeated or out of order")
 
 
 def _is_home(line: _Line) -> bool:

@@ -1,4 +1,4 @@
-"""Two sets of parameters compared, and what applying a file to a vehicle would do. Pure."""
+"""Compares two sets of parameters, and plans the changes by which a file is applied to a vehicle. Pure."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from skygcs.core.params.names import Sort, other_name, sort_of, turns_on
 from skygcs.core.params.param_file import Entry, ParamFile, Rounding
 
 SLACK_ERROR = 1e-6
-"""Relative: a value that lies just between two roundings counts for both, as a decimal has no exact binary form."""
+"""Relative tolerance: a value just between two roundings matches both, as a decimal has no exact binary form."""
 
 THIRD_PARTY_RATIO = 0.2
-"""A file of which more than this a vehicle does not know is of another firmware or type of vehicle."""
+"""If the vehicle does not know more than this share of a file, the file is of another firmware or vehicle type."""
 
 FRAME_NAMES = ("FRAME_CLASS", "SYS_AUTOSTART", "MAV_TYPE", "CA_AIRFRAME")
-"""What kind of airframe it is: a file that differs here is most likely of another vehicle."""
+"""Parameters of the airframe's type: a file that differs here is most likely of another vehicle."""
 
 DEFAULT_SORTS: tuple[Sort, ...] = ("settings",)
-"""What a file is applied for; the rest belongs to one vehicle alone."""
+"""The sorts that are applied; others belong to one vehicle only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A parameter that two sets do not agree on; a side that has none of it is None.
+    """A parameter in which two sets differ; None for a set that does not have it.
 
-    ``other`` is its name in the second set, if that is another one.
+    ``other``: its name in the second set, if that differs.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One parameter to be set: by the vehicle's own name for it, from what to what (None: not known)."""
+    """One parameter to set: the vehicle's own name for it, old value (None: not known) and new value."""
 
     name: str
     value: Value
@@ -55,10 +55,10 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class ApplyPlan:
-    """What applying a file would do, in this order.
+    """The changes of applying a file, in this order.
 
-    ``skipped``: names and why they are left alone. ``unknown``: the vehicle has no such parameter. ``problems``: values
-    its types cannot hold. ``warnings``: signs that the file is of another vehicle.
+    ``skipped``: names and why they are not applied. ``unknown``: the vehicle has no such parameter. ``problems``:
+    values that the vehicle's types cannot hold. ``warnings``: signs that the file is of another vehicle.
     """
 
     changes: tuple[Change, ...]
@@ -68,12 +68,12 @@ class ApplyPlan:
     problems: tuple[str, ...]
     warnings: tuple[str, ...]
     rounding: Rounding = "exact"
-    """Rounding of the file's values: what differs by less counts as the same."""
+    """Rounding of the file's values: smaller differences do not count."""
 
 
 def equal(first: Value, second: Value, slack: float = 0.0) -> bool:
-    """Whether two values are one to a vehicle, which holds 32-bit floats: exactly, but for ``slack``, by which a
-    file's writer is known to have rounded (`Entry.slack`). Whole numbers are compared exactly."""
+    """True if two values are the same 32-bit float, or differ by at most ``slack``, by which a file's writer is known
+    to have rounded (`Entry.slack`). Whole numbers are compared exactly."""
     if first == second:
         return True
     if isinstance(first, int) and isinstance(second, int):
@@ -86,7 +86,7 @@ def equal(first: Value, second: Value, slack: float = 0.0) -> bool:
 
 
 def diff(first: Iterable[Entry], second: Iterable[Entry]) -> list[Difference]:
-    """Where two sets differ, by name; a parameter of two generations is one."""
+    """The differences of two sets, by name; a parameter's names in two generations are one."""
     left, right = {e.name: e for e in first}, {e.name: e for e in second}
     found = []
     matched: set[str] = set()
@@ -113,10 +113,11 @@ def plan(
     stack: str,
     include: Collection[Sort] = DEFAULT_SORTS,
 ) -> ApplyPlan:
-    """What applying ``file`` to a vehicle that holds ``held`` would do. ``stack``: px4, ardupilot or generic.
+    """The changes of applying ``file`` to a vehicle with the parameters ``held``. ``stack``: px4, ardupilot or generic.
 
-    ``include``: sorts of parameters to apply (`sort_of`). Switches of features come first, as a vehicle may show what
-    they switch only then; the system id comes last, as nothing reaches the vehicle by its old one afterwards.
+    ``include``: sorts of parameters to apply (`sort_of`). Switches of features come first, because a vehicle may show a
+    feature's parameters only then; the system id comes last, because the vehicle does not answer to the old one
+    afterwards.
     """
     changes: list[Change] = []
     skipped: list[tuple[str, str]] = []

@@ -1,4 +1,4 @@
-"""What the names of parameters show: two generations of one, and which belong to one vehicle alone."""
+"""Facts in parameter names: the same parameter in two generations, and parameters of one vehicle only."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from typing import Literal
 
 Sort = Literal["settings", "calibration", "statistics", "identity"]
-"""settings: what one wants alike on all vehicles of a type; the others are of one airframe, or of its past."""
+"""settings: equal on all vehicles of a type; the other sorts belong to one airframe, or to its history."""
 
 SORTS: tuple[Sort, ...] = ("settings", "calibration", "statistics", "identity")
 
@@ -15,7 +15,7 @@ _RENAMED = {
     "SYSID_MYGCS": "MAV_GCS_SYSID",
     "TELEM_DELAY": "MAV_TELEM_DELAY",
 }
-"""ArduPilot up to 4.6, and from 4.7 on, with values of the same meaning (others changed their units as well)."""
+"""Names in ArduPilot up to 4.6, and from 4.7 on, with the same meaning (others also changed their units)."""
 
 _STREAMS = ("RAW_SENS", "EXT_STAT", "RC_CHAN", "RAW_CTRL", "POSITION", "EXTRA1", "EXTRA2", "EXTRA3", "PARAMS", "ADSB")
 """SR0_EXTRA1, the first port's stream, is MAV1_EXTRA1 from 4.7 on."""
@@ -36,7 +36,7 @@ _SORTS = tuple((sort, re.compile(pattern)) for sort, pattern in _PATTERNS)
 
 
 def other_name(name: str) -> str | None:
-    """The same parameter's name in the other generation of ArduPilot; None if it has but one."""
+    """The parameter's name in the other generation of ArduPilot; None if it has only one."""
     if (match := _OLDER.fullmatch(name)) is not None:
         return f"MAV{int(match[1]) + 1}_{match[2]}"
     if (match := _NEWER.fullmatch(name)) is not None and match[1] != "0":
@@ -47,10 +47,10 @@ def other_name(name: str) -> str | None:
 
 
 def sort_of(name: str) -> Sort:
-    """What kind of thing a parameter holds, by its name."""
+    """The sort of a parameter, by its name."""
     return next((sort for sort, pattern in _SORTS if pattern.fullmatch(name)), "settings")
 
 
 def turns_on(name: str) -> bool:
-    """Whether it switches a feature whose own parameters a vehicle may show only then (ArduPilot)."""
+    """True if it enables a feature whose own parameters ArduPilot shows only then."""
     return name.endswith(("_ENABLE", "_ENABLED"))

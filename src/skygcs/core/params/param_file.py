@@ -1,15 +1,15 @@
 """Parameter files: QGroundControl's .params, and the .param / .parm of Mission Planner, MAVProxy and ArduPilot.
 
     QGroundControl   1<TAB>1<TAB>MPC_THR_HOVER<TAB>0.500000000000000000<TAB>9     vehicle, component, name, value, type
-    the others       WPNAV_SPEED,500   or   WPNAV_SPEED 500   or with tabs, with or without "# why" behind it
+    the others       WPNAV_SPEED,500   or   WPNAV_SPEED 500   or with tabs, with or without "# why" after it
 
-Which it is shows in the first parameter, not in the name of the file. Comments and their places are kept: a file under
-version control can be written again.
+The format is found from the first parameter, not from the file's name. Comments keep their places, so that a file under
+version control can be rewritten.
 
-Some writers round. MAVProxy and pymavlink write `%f`, which makes 0.000123 of 0.00012345; Mission Planner writes seven
-significant digits, where a 32-bit float can need nine; QGroundControl writes 18 decimals, which is exact but for values
-below 1e-9. Which writer it was shows in the digits of the whole file (`Rounding`); only then a value of the file stands
-for all that would have been rounded to it (`Entry.slack`). Everything else is the number that is written.
+Some writers round. MAVProxy and pymavlink write `%f`, which turns 0.00012345 into 0.000123; Mission Planner writes
+seven significant digits, but a 32-bit float may need nine; QGroundControl writes 18 decimals, which is exact except for
+values below 1e-9. The digits of the whole file show the writer (`Rounding`). Only then does a value of the file match
+all values that are rounded to it (`Entry.slack`); otherwise it is the number that is written.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from skygcs.errors import ConfigError
 Kind = Literal["qgc", "plain"]
 
 Rounding = Literal["exact", "6 decimals", "7 digits", "18 decimals"]
-"""How the writer of a file rounds values that are no whole numbers."""
+"""How the writer of a file rounds values that are not whole numbers."""
 
 MAX_CHARS = 4_000_000
 """Most entries of one file: fifty times the largest set there is."""
 
 MAX_PROBLEMS = 20
-"""Told at once; a file of another kind has one in every line."""
+"""Problems reported at once; a file of another kind has one in each line."""
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?", re.ASCII)
 _HEX = re.compile(r"0[xX][0-9a-fA-F]{1,8}", re.ASCII)
@@ -56,15 +56,15 @@ MAVPROXY_DECIMALS = 6
 """`%f` of pymavlink's mavparm.py, with which MAVProxy writes, too."""
 
 MISSION_PLANNER_DIGITS = 7
-"""Significant ones: .NET's default for a float, which Mission Planner reads a parameter as. Trailing zeros are cut."""
+"""Significant digits: .NET's default for a float, the type of parameters in Mission Planner, without trailing zeros."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One line with a parameter. ``type``, ``sysid`` and ``compid`` are what a QGroundControl file says, else None.
+    """One line with a parameter. ``type``, ``sysid`` and ``compid`` come from a QGroundControl file, else None.
 
     ``slack``: half a unit of the digit that the file's writer rounds to; 0 if it is not known to round.
-    ``comment`` stands behind the value, ``above`` are comment lines before it, both as they were written.
+    ``comment`` follows the value, ``above`` are comment lines before it, both as they were written.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class ParamFile:
-    """A file's contents. ``separator`` of a plain file: "," or " ". ``header``: what stands before the first entry."""
+    """A file's contents. ``separator`` of a plain file: "," or " ". ``header``: the lines before the first entry."""
 
     kind: Kind
     entries: tuple[Entry, ...]
@@ -91,17 +91,17 @@ class ParamFile:
 
     @property
     def about(self) -> dict[str, str]:
-        """Stack, Vehicle, Version, Git Revision, as far as the header says them."""
+        """Stack, Vehicle, Version, Git Revision, as far as the header has them."""
         return {m[1]: m[2].strip() for line in self.header if (m := _HEAD.match(line)) is not None}
 
     @property
     def sysids(self) -> frozenset[int]:
-        """Vehicles it says it is of; none where it does not say."""
+        """Vehicles named in the file; empty if it names none."""
         named = {int(m[1]) for line in self.header if (m := _FOR_VEHICLE.match(line)) is not None}
         return frozenset(named | {e.sysid for e in self.entries if e.sysid is not None})
 
     def of_component(self, compid: int) -> tuple[Entry, ...]:
-        """The entries for one component; those of a file that names none are for any."""
+        """The entries for one component; if a file names no component, they are for any."""
         return tuple(e for e in self.entries if e.compid in (None, compid))
 
 
@@ -130,7 +130,7 @@ class _Reader:
         self.problems: list[str] = []
         self.entries: list[Entry] = []
         self._texts: list[str] = []
-        """What was written for the value of each entry."""
+        """The text of each entry's value."""
         self._kind: Kind | None = None
         self._separator = ","
         self._comments: list[str] = []
@@ -138,7 +138,7 @@ class _Reader:
         self._seen: dict[tuple[int | None, int | None, str], Entry] = {}
 
     def take(self, number: int, line: str) -> None:
-        """One line. Raises ValueError with what is wrong with it."""
+        """Parse one line. Raises ValueError with the problem."""
         if not line or line.startswith("#"):
             self._comments.append(line)
             return
@@ -167,7 +167,9 @@ class _Reader:
 
     def result(self) -> ParamFile:
         assert self._kind is not None
-        own = any(_FOR_VEHICLE.match(line) for line in self._header)  # ours: as many digits as a float needs
+        own = any(
+            _FOR_VEHICLE.match(line) for line in self._header
+        )  # a file of skygcs: as many digits as a float needs
         rounding: Rounding = "exact" if own and self._kind == "plain" else _rounding(self._kind, self._texts)
         entries = tuple(
             replace(entry, slack=_slack(rounding, entry.value, text))
@@ -183,7 +185,7 @@ class _Reader:
         _check_name(name)
         value = _number(written)
         if rest and not rest.startswith(("#", "@READONLY")):
-            raise ValueError(f"{_clip(rest)} stands behind the value; a comment begins with #")
+            raise ValueError(f"{_clip(rest)} follows the value; a comment begins with #")
         if not self.entries and not self._seen:
             self._separator = "," if "," in line[: line.index(written, len(name))] else " "
         return Entry(name, value, comment=rest, line=number), written
@@ -195,10 +197,10 @@ def _qgc_entry(number: int, line: str) -> tuple[Entry, str]:
         raise ValueError(f"has {len(words)} columns instead of 5 (vehicle, component, name, value, type)")
     vehicle, component, name, written, kind = (w.strip() for w in words)
     if not (vehicle.isdigit() and component.isdigit() and int(vehicle) < 256 and int(component) < 256):
-        raise ValueError(f"vehicle {_clip(vehicle)} or component {_clip(component)} is no number from 0 to 255")
+        raise ValueError(f"vehicle {_clip(vehicle)} or component {_clip(component)} is not a number from 0 to 255")
     _check_name(name)
     if not kind.isdigit() or not 1 <= int(kind) <= ParamType.REAL64:
-        raise ValueError(f"{name}: type {_clip(kind)} is no MAV_PARAM_TYPE (6 is a whole number, 9 a float)")
+        raise ValueError(f"{name}: type {_clip(kind)} is not a MAV_PARAM_TYPE (6 is a whole number, 9 a float)")
     type_ = ParamType(int(kind))
     value = _number(written)
     if not type_.integer:
@@ -214,7 +216,7 @@ def _qgc_entry(number: int, line: str) -> tuple[Entry, str]:
 def _check_name(name: str) -> None:
     if not is_name(name):
         long = f", at most {NAME_CHARS}" if len(name) > NAME_CHARS else ""
-        raise ValueError(f"{_clip(name)} is no parameter's name (letters, digits and _{long})")
+        raise ValueError(f"{_clip(name)} is not a parameter name (letters, digits and _{long})")
 
 
 def _number(text: str) -> Value:
@@ -222,7 +224,7 @@ def _number(text: str) -> Value:
     if _HEX.fullmatch(text):
         return int(text, 16)
     if not _NUMBER.fullmatch(text):
-        raise ValueError(f"{_clip(text)} is no number")
+        raise ValueError(f"{_clip(text)} is not a number")
     if not any(c in text for c in ".eE"):
         return int(text)
     value = float(text)
@@ -234,7 +236,7 @@ def _number(text: str) -> Value:
 
 
 def _rounding(kind: Kind, texts: Iterable[str]) -> Rounding:
-    """How the writer of a file with these values rounds, as far as its digits show it beyond doubt."""
+    """How the writer of a file with these values rounds, if its digits show that beyond doubt."""
     floats = [text for text in texts if any(c in text for c in ".eE") and not _HEX.fullmatch(text)]
     decimals = {-1 if "e" in text.lower() else len(text.partition(".")[2]) for text in floats}
     if decimals == {QGC_DECIMALS} and kind == "qgc":
@@ -269,7 +271,7 @@ def _clip(text: str) -> str:
 
 
 def write(file: ParamFile) -> str:
-    """The file's text; `parse` makes the same of it again."""
+    """The file's text; `parse` is the inverse."""
     lines = list(file.header)
     for entry in file.entries:
         lines += entry.above
@@ -295,7 +297,7 @@ def _qgc_value(value: Value) -> str:
 
 
 def _plain_line(entry: Entry, separator: str) -> str:
-    text = repr(entry.value)  # the shortest that is read as the same number; a float has a point or an exponent
+    text = repr(entry.value)  # the shortest text that reads as the same number; a float has a point or an exponent
     line = f"{entry.name:<{NAME_CHARS}} {text}" if separator == " " else f"{entry.name},{text}"
     return f"{line}  {entry.comment}" if entry.comment else line
 
@@ -303,9 +305,9 @@ def _plain_line(entry: Entry, separator: str) -> str:
 def of_vehicle(
     params: Iterable[Param], kind: Kind, *, sysid: int, compid: int, about: dict[str, str], separator: str = ","
 ) -> ParamFile:
-    """A file of what a vehicle holds. ``about``: Stack, Vehicle and Version for the header. Sorted by name.
+    """A file of a vehicle's parameters, sorted by name. ``about``: Stack, Vehicle and Version for the header.
 
-    A value that is no finite number has no place in a file and is left out.
+    A value that is not finite cannot be written and is left out.
     """
     header = [f"# Onboard parameters for Vehicle {sysid}", "#", *(f"# {k}: {v}" for k, v in about.items()), "#"]
     if kind == "qgc":
@@ -319,5 +321,5 @@ def of_vehicle(
 
 
 def _shortest(value: Value) -> Value:
-    """A 32-bit float as people write it: 0.1, which the vehicle rounds to what it holds."""
+    """The shortest text of a 32-bit float, such as 0.1; read again it gives the same float."""
     return value if isinstance(value, int) else float(short_float(value))

@@ -73,7 +73,7 @@ def found(
         (MissionItem(601, 2, (5.0, 1.0, 0.0, 0.0)), "ERROR mission item 2: jumps to tag 5, which no item has"),
         (MissionItem(16, 3, x=950000000, y=10, z=20.0), "ERROR mission item 2: 95.0, 1e-06 is not a position on earth"),
         (MissionItem(16, 2, z=20.0), "ERROR mission item 2: is a waypoint in frame MISSION"),
-        (MissionItem(16, 3, z=20.0), "warning mission item 2: is at 0, 0: an ArduPilot takes that"),
+        (MissionItem(16, 3, z=20.0), "warning mission item 2: is at 0, 0: for an ArduPilot"),
     ],
 )
 def test_each_fault_is_told_with_its_item(item: MissionItem, said: str) -> None:
@@ -100,7 +100,7 @@ def test_distance_is_measured_from_the_vehicle_else_home_else_the_first_place() 
     assert found(TAKEOFF, far, vehicle=at(3000, 10)) == ["ERROR mission item 1: is 2,992 m from the vehicle, "
                                                          "over the limit of 1,000 m"]  # fmt: skip
     assert "from home" in found(TAKEOFF, far)[0]
-    assert "from the first place of the mission" in found(TAKEOFF, far, home=None)[0]
+    assert "from the first position of the mission" in found(TAKEOFF, far, home=None)[0]
     assert found(TAKEOFF, far, limits=CheckLimits(max_distance_m=4000.0)) == []
 
 
@@ -142,7 +142,7 @@ def test_a_repeated_corner_is_only_a_warning() -> None:
     closed = square(50, True)
     told = found(fence=FencePlan((replace(closed, corners=(*closed.corners, closed.corners[0])),)))
     assert told == ["warning fence: polygon 1 (items 1 to 5): the last corner repeats the first one; "
-                    "a polygon is closed without it"]  # fmt: skip
+                    "a polygon is closed automatically"]  # fmt: skip
 
 
 def test_an_item_against_the_fence_is_an_error_and_a_way_through_it_a_warning() -> None:
@@ -152,7 +152,7 @@ def test_an_item_against_the_fence_is_an_error_and_a_way_through_it_a_warning() 
     )
     assert found(TAKEOFF, waypoint(55, 0), fence=fence) == ["ERROR mission item 2: is inside the exclusion circle 1"]
     assert found(TAKEOFF, waypoint(80, 0), fence=fence) == [
-        "warning mission item 2: the way to it leads through the exclusion circle 1"
+        "warning mission item 2: the path to it leads through the exclusion circle 1"
     ]
     assert found(TAKEOFF, waypoint(0, 80), fence=fence) == []
 
@@ -180,7 +180,7 @@ def test_a_way_that_leaves_a_concave_fence_is_seen() -> None:
     fence = FencePlan((FencePolygon(True, tuple(at(e, n) for e, n in horseshoe)),))
     away = replace(TAKEOFF, x=waypoint(-40, 40).x, y=waypoint(-40, 40).y)
     told = found(away, waypoint(40, 40), fence=fence, home=None)
-    assert told == ["warning mission item 2: the way to it leaves the inclusion polygon 1"]
+    assert told == ["warning mission item 2: the path to it leaves the inclusion polygon 1"]
 
 
 @given(st.floats(-150, 150), st.floats(-150, 150))

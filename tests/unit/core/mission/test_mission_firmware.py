@@ -92,9 +92,9 @@ WAYPOINT = item(16, 0, 0, 0, None, LAT, LON + 0.0005, 20)
 @pytest.mark.parametrize(
     ("family", "given", "becomes", "said"),
     [
-        ("px4", item(20, 0, 0, 0, 0, LAT, LON, 20), item(20, frame=2), "the place of NAV_RETURN_TO_LAUNCH"),
+        ("px4", item(20, 0, 0, 0, 0, LAT, LON, 20), item(20, frame=2), "the position of NAV_RETURN_TO_LAUNCH"),
         ("px4", item(20), item(20, frame=2), None),
-        ("px4", item(20, 0, 0, 0, 0, 5, 7, 0, frame=2), item(20, frame=2), "the place of NAV_RETURN_TO_LAUNCH"),
+        ("px4", item(20, 0, 0, 0, 0, 5, 7, 0, frame=2), item(20, frame=2), "the position of NAV_RETURN_TO_LAUNCH"),
         ("px4", item(178, 1, 5, -1), item(178, 1, 5, -1, frame=2), None),
         ("px4", item(1000, 1, 2, 3, 4, 16, 0, 1), item(1000, 1, 2, 3, 4, 16, 0, 1, frame=2), None),
         ("px4", item(187, 1, 0, 0, 0, 0.5), item(187, 1, 0, 0, 0, 0.5), None),
@@ -104,7 +104,7 @@ WAYPOINT = item(16, 0, 0, 0, None, LAT, LON + 0.0005, 20)
         ("px4", item(530, 0, 0), item(530, frame=2), None),
         ("ardupilot", item(530, 0, 0, frame=2), None, "SET_CAMERA_MODE, which an ArduPilot does not take"),
         ("ardupilot", item(195, 1, 0, 0, 0, LAT, LON, 5), item(201, 3, 0, 0, 0, LAT, LON, 5), "becomes DO_SET_ROI"),
-        ("ardupilot", item(197, frame=2), item(201, frame=0), "becomes DO_SET_ROI of no place"),
+        ("ardupilot", item(197, frame=2), item(201, frame=0), "becomes DO_SET_ROI without a position"),
         ("ardupilot", item(21, 0, 0, 0, None, None, None, None), item(21, 0, 0, 0, None, 0, 0, 0), None),
         ("ardupilot", item(20, 0, 0, 0, 0, LAT, LON, 20), item(20, 0, 0, 0, 0, LAT, LON, 20), None),
     ],
@@ -123,10 +123,10 @@ def test_conversion(family: Family, given: MissionItem, becomes: MissionItem | N
         ("px4", item(531, 1, 1), "PX4 takes no SET_CAMERA_ZOOM"),
         ("px4", item(16, 0, 0, 0, 0, LAT, LON, 9, frame=10), "PX4 takes no item in frame 10"),
         ("px4", item(21, 0, 0, 0, 0, 1, 1, 0, frame=1), "PX4 takes no item in frame 1"),
-        ("px4", item(22, 0, 0, 0, 0, 47, 8, 50, frame=2), "PX4 takes NAV_TAKEOFF with a place only"),
+        ("px4", item(22, 0, 0, 0, 0, 47, 8, 50, frame=2), "PX4 takes NAV_TAKEOFF with a position only"),
         ("px4", item(22, 0, 0, 0, None, 0, 0, 20), "has no position (0, 0): a PX4 flies there"),
         ("px4", item(21, 0, 0, 0, None, None, None, 0), "has no position"),
-        ("px4", item(179, 0, 0, 0, 0, LAT, LON, 400, frame=0), "with param1 = 1 (where it is then) only"),
+        ("px4", item(179, 0, 0, 0, 0, LAT, LON, 400, frame=0), "with param1 = 1 (its position then) only"),
         ("px4", item(187, 1, 0, 0, 0, 0.5), "with whole numbers in param5 and param6 only"),
         ("px4", item(201, 1, 0, 0, 0, LAT, LON, 5), "with param1 0 or 3 only"),
         ("px4", item(112, 5), "and then rejects the mission: use NAV_DELAY"),
@@ -134,7 +134,7 @@ def test_conversion(family: Family, given: MissionItem, becomes: MissionItem | N
         ("ardupilot", item(214, 5), "ArduPilot takes no DO_SET_CAM_TRIGG_INTERVAL"),
         ("ardupilot", item(196, frame=2), "ArduPilot takes no DO_SET_ROI_WPNEXT_OFFSET"),
         ("ardupilot", item(17, 0, 0, 0, 0, 1, 1, 5, frame=1), "in frames 0 (AMSL)"),
-        ("ardupilot", item(22, 0, 0, 0, 0, 47, 8, 50, frame=2), "for one above sea level"),
+        ("ardupilot", item(22, 0, 0, 0, 0, 47, 8, 50, frame=2), "in frame 2 as AMSL"),
         ("ardupilot", item(201, 3, 0, 0, 0, None, None, 5), "without a position"),
         ("ardupilot", item(31, 0, 0, 0, 0, LAT, LON, None), "whose altitude is not set"),
         ("ardupilot", item(21, 0, 0, 0, 0, LAT, LON, 90000), "no altitude of 90000 m"),
@@ -216,14 +216,14 @@ def test_jumps_name_the_same_item_after_some_were_left_out(dropped: list[bool], 
 def test_changes_of_a_kind_are_one_line() -> None:
     many = tuple(item(20, 0, 0, 0, 0, LAT, LON, 20) for _ in range(12))
     (line,) = grouped(for_firmware(many, "px4", NAMES).changes)
-    assert line.startswith("items 1, 2, 3, 4, 5, 6, 7, 8 and 4 more: the place of NAV_RETURN_TO_LAUNCH")
+    assert line.startswith("items 1, 2, 3, 4, 5, 6, 7, 8 and 4 more: the position of NAV_RETURN_TO_LAUNCH")
     assert grouped(for_firmware(many[:2], "px4", NAMES).changes)[0].startswith("items 1 and 2: ")
     assert grouped(()) == []
 
 
 def test_events_by_which_a_px4_rejects_a_mission() -> None:
     """The ids are those that a PX4 1.16.1 sent for such missions."""
-    assert px4_events.rejection(33440290) == "the take-off is not the first item with a place"
+    assert px4_events.rejection(33440290) == "the take-off is not the first item with a position"
     assert px4_events.rejection(25552931) == "a command that it does not fly"
     assert px4_events.rejection(1) is None and px4_events.rejection(0) is None
     ids = [px4_events.event_id(name) for name in px4_events.REASONS]

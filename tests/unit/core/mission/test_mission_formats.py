@@ -164,7 +164,7 @@ def test_all_items_of_a_fence_are_read_and_their_counts_are_theirs(name: str) ->
         (wpl(HOME_ROW, version="120"), "line 1: version 120"),
         (wpl(HOME_ROW, "1 0 3 16 0 0 0 0 43.78 -79.46"), "line 3: 10 columns, not 12"),
         (wpl(HOME_ROW, "2 0 3 16 0 0 0 0 43.78 -79.46 10 1"), "line 3: item 1 is missing"),
-        (wpl(HOME_ROW, "0 0 3 16 0 0 0 0 43.78 -79.46 10 1"), "line 3: item 0 comes again"),
+        (wpl(HOME_ROW, "0 0 3 16 0 0 0 0 43.78 -79.46 10 1"), "line 3: item 0 is repeated"),
         (wpl(HOME_ROW, "1 0 3 16 x 0 0 0 43.78 -79.46 10 1"), "line 3: could not convert"),
         (wpl(HOME_ROW, "1 0 3 16 inf 0 0 0 43.78 -79.46 10 1"), "line 3: param1 = inf is infinite"),
         (wpl(HOME_ROW, "1 0 3 16 0 0 0 0 1e300 -79.46 10 1"), "line 3: "),
@@ -338,7 +338,7 @@ def test_a_first_waypoint_that_looks_like_home_stays_an_item() -> None:
 def test_numbers_that_are_no_sequence_are_counted_again_where_no_jump_uses_them() -> None:
     imported = read_plan(plan_file(item_entry(1), item_entry(1)), "a.plan")
     assert len(imported.plan.mission) == 2
-    assert "numbered again" in imported.notes[0]
+    assert "renumbered" in imported.notes[0]
 
 
 def test_a_gap_in_the_numbers_is_a_note_where_no_jump_uses_them() -> None:

@@ -53,16 +53,16 @@ def test_what_a_vehicle_packs_comes_out(values: dict[str, tuple[ParamType, float
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"", "0 bytes are no file"),
+        (b"", "0 bytes are not a file"),
         (b"\x1d\x67\x00\x00\x00\x00", "begins with 0x671d"),
-        (struct.pack("<HHH", 0x671B, 2, 1), "holds 2 of 1"),
+        (struct.pack("<HHH", 0x671B, 2, 1), "has 2 of 1"),
         (struct.pack("<HHH", 0x671B, 1, 1), "ends after 0 of 1"),
         (struct.pack("<HHH", 0x671B, 1, 1) + b"\x04\x00A\x00\x00", "ends after 0 of 1"),
         (struct.pack("<HHH", 0x671B, 1, 1) + b"\x07\x00A\x00", "unknown type 7"),
-        (struct.pack("<HHH", 0x671B, 1, 1) + b"\x01\x03A\x00", "no name"),
-        (struct.pack("<HHH", 0x671B, 1, 1) + b"\x01\x00?\x00", "no name"),
-        (struct.pack("<HHH", 0x671B, 2, 2) + b"\x01\x00A\x00" * 2, "A is in it twice"),
-        (struct.pack("<HHH", 0x671B, 1, 1) + b"\x01\x00A\x00\x01", "goes on after its 1"),
+        (struct.pack("<HHH", 0x671B, 1, 1) + b"\x01\x03A\x00", "impossible name"),
+        (struct.pack("<HHH", 0x671B, 1, 1) + b"\x01\x00?\x00", "impossible name"),
+        (struct.pack("<HHH", 0x671B, 2, 2) + b"\x01\x00A\x00" * 2, "it contains A twice"),
+        (struct.pack("<HHH", 0x671B, 1, 1) + b"\x01\x00A\x00\x01", "bytes after its 1"),
     ],
 )
 def test_what_is_no_such_file_is_told(data: bytes, words: str) -> None:
