@@ -72,7 +72,7 @@ async def test_a_full_disk_is_told_once_and_control_goes_on(tmp_path: Path, monk
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(15)
         told = [t for t in gcs.texts(0.0, "warning") if "traced" in t]
-        assert told == ["its control is traced no more: No space left on device"]
+        assert told == ["its control trace has ended: No space left on device"]
         assert len(written) == 101 and gcs.control()["recording"] is None
         assert gcs.control()["state"] == "flying"
         assert gcs.place() == pytest.approx((start[0] + 3.0, start[1], start[2]), abs=0.4)
@@ -85,5 +85,5 @@ async def test_a_log_directory_that_cannot_be_written_is_told_and_control_begins
         await gcs("control.record", targets="v1", on=True)
         await gcs.fly("velocity")
         (told,) = gcs.texts(0.0, "warning")
-        assert told.startswith("its control is traced no more")
+        assert told.startswith("its control trace has ended")
         assert gcs.control()["state"] == "flying"

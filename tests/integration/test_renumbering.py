@@ -129,7 +129,7 @@ async def test_an_id_that_is_taken_or_none_is_refused(tmp_path: Path) -> None:
             2: "system id 2 is taken: echo has it",
             9: "system id 9 is spare's in the fleet file",
             240: "it is skygcs' own",
-            250: "something with that id is heard",
+            250: "a system with that id is heard",
         }
         for sysid, why in refused.items():
             told = await renumber(gcs, "papa", sysid)
@@ -163,7 +163,9 @@ async def test_one_that_does_not_restart_says_what_to_do_and_is_found_when_someb
         papa.command = denying  # type: ignore[method-assign]
         told = await renumber(gcs, "papa", 22)
         assert told["result"] == "denied", told
-        assert told["message"].startswith("MAV_SYS_ID is 22 in it: until it restarts it is system 1, and it does not (")
+        assert told["message"].startswith(
+            "its MAV_SYS_ID is 22 now: until it restarts it is system 1, and it does not "
+        )
         assert "switch it off and on" in told["message"] and "param set papa MAV_SYS_ID=1" in told["message"]
         assert ids(gcs) == {"papa": 1, "echo": 2}
         gcs.cut = True
@@ -191,7 +193,7 @@ async def test_one_that_never_returns_is_told_and_can_be_forgotten(tmp_path: Pat
         assert not outcomes["papa"]["ok"], "the ghost"
         told = (await gcs("vehicles.forget", targets="all"))["outcomes"]
         assert told["papa"]["ok"] and told["papa"]["message"].startswith("papa (system 1) is forgotten, last heard ")
-        assert told["echo"]["result"] == "refused" and "it is heard, " in told["echo"]["message"]
+        assert told["echo"]["result"] == "refused" and "it was heard " in told["echo"]["message"]
         assert ids(gcs) == {"echo": 2}
 
 

@@ -116,7 +116,7 @@ async def test_a_recorded_vehicle_is_marked_and_takes_no_orders_until_it_is_hear
             daemon.message_sender.send("PARAM_REQUEST_LIST", {}, "2")
             raise AssertionError("it was sent")
         except RefusedError as error:
-            assert "in a recording only" in str(error)
+            assert "only in a recording" in str(error)
         assert [f for f in got(daemon, "radio")[before:] if f.name != "HEARTBEAT"] == []
 
         peer(daemon, "radio").send(heartbeat(2, seq=9))

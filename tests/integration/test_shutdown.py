@@ -121,7 +121,7 @@ async def test_what_cannot_be_reached_is_kept_and_told_at_the_next_start(tmp_pat
         assert outcome["ok"], outcome
         assert held(sim) == before
         assert entries(tmp_path) == [] and (await gcs("undo.list"))["changes"] == []
-        with pytest.raises(RefusedError, match="nothing of id"):
+        with pytest.raises(RefusedError, match="no change with id"):
             await gcs("undo.run", id=change["id"])
 
 

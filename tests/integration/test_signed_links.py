@@ -361,7 +361,7 @@ async def test_a_vehicle_gets_a_key_and_signs(tmp_path: Path) -> None:
         # unsigned orders do nothing any more, nor does an unsigned off: the link has no key
         off = await gcs.call("signing.off", targets="1")
         assert off["outcomes"]["v1"]["result"] == "timeout"
-        assert "a link only that signs" in off["outcomes"]["v1"]["message"]
+        assert "only over a link that signs" in off["outcomes"]["v1"]["message"]
         events = json.dumps(list(daemon.event_log.recent))
         assert "SETUP_SIGNING" not in seen
     logs = b"".join(p.read_bytes() for p in (tmp_path / "logs").iterdir())
@@ -407,7 +407,7 @@ async def test_a_key_in_use_is_changed_and_forgotten_over_the_link_that_has_it(t
             assert off["v1"].ok and off["v1"].message == "it no longer signs"
         assert (await daemon.signing_setup.setup("1", path))["v1"].ok
         told = await daemon.signing_setup.setup("1", other)
-        assert told["v1"].ok and "drops what it sends" in told["v1"].message
+        assert told["v1"].ok and "drops the vehicle's frames" in told["v1"].message
         assert counts(daemon, "sim")["bad_signature"] > 0
 
 
@@ -432,7 +432,7 @@ async def test_no_key_while_armed_or_where_others_hear(tmp_path: Path) -> None:
         )
         assert "v2 on the same link" in told["v1"].message
         assert "armed" in told["v7"].message
-        assert "radio: a radio, heard by everyone in range" in told["v8"].message
+        assert "radio: a radio, received by everyone in range" in told["v8"].message
         assert (await daemon.signing_setup.setup("1,2", path, force=True))["v2"].ok
         assert not any(raw[7] | raw[8] << 8 == 256 for raw in wire(daemon).received + wire(daemon, "bench").received)
 

@@ -327,7 +327,7 @@ class FakeUndo:
 
     def drop(self, id: str) -> None:
         if id not in [c["id"] for c in self.changes]:
-            raise RefusedError(f"nothing of id {id!r} waits to be undone")
+            raise RefusedError(f"no change with id {id!r} waits to be undone")
         self.asked.append(("drop", id, False))
         self.changes = [c for c in self.changes if c["id"] != id]
 

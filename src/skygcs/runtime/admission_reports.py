@@ -1,4 +1,4 @@
-"""Reports, once, which third-party traffic a radio does not carry: in the log, to subscribers, and to its sender."""
+"""Reports, once each, third-party traffic that a radio does not carry: in the log, to subscribers and to its sender."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LOG_BYTES = 10e6
 """Size of a short flight's log, for the example in the text."""
 
 TEXT_BYTES = 50
-"""Length of a STATUSTEXT of one part."""
+"""Length of a STATUSTEXT without chunks."""
 
 WARNING, INFO = 4, 6
 """MAV_SEVERITY."""
@@ -39,7 +39,7 @@ class AdmissionReports:
         self._on_event = on_event
 
     def tick(self, now: float) -> None:
-        """Report what was judged since the last call."""
+        """Report the admission decisions since the last call."""
         for channel in tuple(self._hub.channels.values()):
             air = channel.air
             if air is None:
@@ -71,13 +71,13 @@ class AdmissionReports:
         match note.kind:
             case "streams":
                 return (
-                    f"asks {target} for streams ({name}): not sent, for this radio plans what vehicles stream; "
+                    f"asks {target} for streams ({name}): not sent, as skygcs plans the streams of this radio; "
                     f'change their streams in the fleet file or by skygcs-cli interval, or set {key}.streams = "allow"'
                 )
             case "logs":
                 rate = _down_bytes_per_s(air)
                 return (
-                    f"asks {target} for logs ({name}): not sent, for at the {rate:.0f} B/s that one vehicle can send, "
+                    f"asks {target} for logs ({name}): not sent; at the {rate:.0f} B/s that one vehicle can send, "
                     f"10 MB take {LOG_BYTES / rate / 3600:.1f} h; fetch it by cable or from the card, or set "
                     f'{key}.logs = "allow"'
                 )
@@ -109,10 +109,10 @@ class AdmissionReports:
                 )
 
     def _answer(self, clients: list[Channel], note: Note, name: str) -> None:
-        """A short text on the client's own channel; not where a client sees nothing but its vehicle.
+        """Send a short text on the client's own channel, unless the client sees only its vehicle there.
 
-        It comes from the vehicle that was meant, as a component with our id: QGroundControl shows no text of a system
-        that is no vehicle. (MAVProxy shows an autopilot's alone, and we do not pretend to be one.)
+        It is sent as a component with our id in the addressed vehicle's system: QGroundControl shows texts of vehicles
+        only. (MAVProxy shows only those of autopilots, and we do not pretend to be one.)
         """
         info = self._dialect.by_name.get("STATUSTEXT")
         if info is None:
@@ -146,7 +146,7 @@ class AdmissionReports:
 
 
 def _down_bytes_per_s(air: AirBudget) -> float:
-    """What one vehicle can send at most: its timeslot, or half of the serial rate."""
+    """Upper limit of one vehicle's rate: its timeslot, or half of the serial rate."""
     rates = air.pacer.rates
     round_s = rates.round_s(air.pacer.vehicles)
     serial = rates.baud / BITS_PER_BYTE * HALF_DUPLEX_SHARE

@@ -1,4 +1,4 @@
-"""The message rates of the vehicles behind each radio: planned, requested, measured, and reported with its quality."""
+"""The message rates of the vehicles behind each radio: planned, requested, measured; and the radio's quality."""
 
 from __future__ import annotations
 
@@ -32,14 +32,15 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.runtime.vehicle_services import OnEvent
 
 WAITING_AT_ONCE = 3
-"""Requests that wait in a radio's queue at most: what is asked next is decided late, by what has come until then."""
+"""Most requests in a radio's queue: the next request is chosen late, from the newest measurements."""
 
 RETRY_ROUNDS, ANSWER_S = 1.5, 0.2
-"""Before a command is repeated: it waits for the ground's turn and its answer for the vehicle's, a round each at most
-and one together on average. Sooner, half of all commands would go out twice on a large network."""
+"""Time before a command is repeated, in rounds: the command waits for the ground's turn and its answer for the
+vehicle's, at most a round each, together one on average. With less, half of all commands would be sent twice on a large
+network."""
 
 GONE_AFTER_S = 20.0
-"""A vehicle silent for so long leaves the plan, and the others get its part; a shorter silence changes nothing."""
+"""A vehicle silent for this time leaves the plan, and the others get its share."""
 
 LOSS_POOR, LOSS_FAIR = 0.25, 0.10
 """Loss of one vehicle's frames over half a minute: reported above the former, and again below the latter."""
@@ -57,23 +58,23 @@ class _Radio:
         self.downlink = Downlink()
         self.demands: dict[int, RateDemand] = {}
         self.budget: tuple[float, float] = (0.0, 0.0)
-        """Bytes/s down: of all vehicles, and of one (its timeslot)."""
+        """Downlink bytes/s: of all vehicles, and of one (its timeslot)."""
         self.planned: dict[int, dict[str, float]] = {}
         self.turn = 0
         self.unsettled_at = float("-inf")
-        """When something was still asked of a vehicle last: losses of before say nothing of the plan."""
+        """When the last request was pending: losses before that do not count against the plan."""
         self.poor: set[str] = set()
-        """What was reported as poor: "txbuf", "signal", or a vehicle's name."""
+        """Reported as poor: "txbuf", "signal", or a vehicle's name."""
         self.hinted: set[int] = set()
 
 
 class AirPlanner:
-    """`tick` once a second, `step` some ten times: requests of all vehicles in turn. Vehicles are keyed
-    sysid << 8 | compid."""
+    """Call `tick` once a second and `step`, which sends requests for the vehicles in turn, some ten times a second.
+    Vehicles are keyed sysid << 8 | compid."""
 
     def __init__(self, hub: Hub, fleet: Fleet, watch: LinkWatch, dialect: Dialect, on_event: OnEvent) -> None:
         self.selected: set[int] = set()
-        """Vehicles that an operator looks at."""
+        """Vehicles that an operator has selected."""
         self._hub = hub
         self._fleet = fleet
         self._watch = watch
@@ -82,7 +83,7 @@ class AirPlanner:
         self._radios: dict[int, _Radio] = {}
 
     def tick(self, now: float) -> None:
-        """Refit where something changed, and look at how each radio fares."""
+        """Plan anew after changes, and assess each radio."""
         channels = {n: c for n, c in self._hub.channels.items() if c.air is not None}
         self._radios = {n: r for n, r in self._radios.items() if n in channels}
         planned: set[int] = set()
@@ -96,11 +97,11 @@ class AirPlanner:
             self._judge(radio, members, now)
         for key, actor in self._fleet.vehicles.items():
             if key not in planned and actor.streams.planned and not self._is_silent(actor, now):
-                actor.streams.plan(None, self._bytes)  # it is reached another way now
+                actor.streams.plan(None, self._bytes)  # it is reached over another channel now
                 actor.commands.set_min_retry(0.0)
 
     def step(self, now: float) -> None:
-        """Have vehicles asked for what they do not send yet, as long as few requests wait."""
+        """Send requests for planned rates that vehicles do not have yet, while few requests wait."""
         for number, radio in self._radios.items():
             keys = list(radio.planned)
             for offset in range(len(keys)):
@@ -112,7 +113,7 @@ class AirPlanner:
                     break
 
     def select(self, keys: set[int]) -> None:
-        """These vehicles get more from now on, and no others."""
+        """Give these vehicles, and no others, higher rates from now on."""
         self.selected = keys
 
     def status(self, now: float) -> list[dict[str, Any]]:
@@ -168,7 +169,7 @@ class AirPlanner:
         return serial * (pacer.rates.duty_cycle if round_s is None else 1.0), slot * radio.downlink.factor
 
     def _demand(self, radio: _Radio, key: int, actor: VehicleActor) -> RateDemand | None:
-        """None: it is to be asked for nothing (``streams = {}``), and nothing of it is turned off either."""
+        """None: nothing is requested of it (``streams = {}``), and nothing is turned off."""
         config = radio.channel.config
         assert isinstance(config, SerialLinkConfig | SimulatedLinkConfig)
         rates = actor.config.streams if config.stream_profile == "custom" else profile_rates(config.stream_profile)
@@ -193,10 +194,10 @@ class AirPlanner:
         return sum(losses) / len(losses) if losses else None
 
     def _judge(self, radio: _Radio, members: Mapping[int, VehicleActor], now: float) -> None:
-        """Report what has become poor, once, and when it is fair again."""
+        """Report each loss of quality once, and its end."""
         report = radio.air.pacer.last if radio.air.pacer.fresh(now) else None
         if report is not None:
-            text = f"its transmit buffer is {1 - report.txbuf_free:.0%} full: the air does not take what is sent"
+            text = f"its transmit buffer is {1 - report.txbuf_free:.0%} full: the radio cannot send as much as it gets"
             self._report(radio, "txbuf", report.txbuf_free < TXBUF_POOR, report.txbuf_free > TXBUF_FAIR, text, None)
         margins = [f.margin_db for key in members if (f := self._watch.of(key, now).get(radio.channel.link.name))]
         known = [margin for margin in margins if margin is not None]
@@ -223,7 +224,7 @@ class AirPlanner:
             self._on_event(Event("link_recovered", name, sysid, f"radio {link}: {fine}", data))
 
     def _hint(self, radio: _Radio, key: int, actor: VehicleActor) -> None:
-        """What a vehicle will not stop by request, a person has to stop in its parameters."""
+        """Report streams that a vehicle does not stop on request; its parameters have to be changed."""
         unresponsive = actor.streams.controller.unresponsive() if key not in radio.hinted else []
         if not unresponsive:
             return
@@ -233,9 +234,9 @@ class AirPlanner:
         how = (
             "lower its port's SRx_ parameters"
             if actor.vehicle.family == "ardupilot"
-            else "set its port's profile to Minimal (MAV_0_MODE = 7) and its rate down (MAV_0_RATE)"
+            else "set its port's profile to Minimal (MAV_0_MODE = 7) and lower its rate (MAV_0_RATE)"
         )
-        text = f"goes on streaming what it was asked to stop ({names}; {wasted:.0f} B/s of the radio): {how}"
+        text = f"still streams messages that it was requested to stop ({names}; {wasted:.0f} B/s of the radio): {how}"
         self._on_event(Event("warning", actor.name, actor.sysid, text, {"link": radio.channel.link.name}))
 
     def _status_of(self, radio: _Radio, now: float) -> dict[str, Any]:

@@ -1,10 +1,9 @@
 """Commands in flight to one vehicle: the asyncio side of `CommandProtocol`, with one timer for all of them.
 
-At most one command of an id is in flight per vehicle, because a COMMAND_ACK names nothing but the id; the next one of
-the same id waits for its turn. If the one before has left acks outstanding (repeats, or a timeout), the next is held
-back for `LATE_ACK_S` after the last transmission, or until those acks came (and always for `ECHO_ACK_S`): a late ack
-must not pass for the new command's. An emergency does not wait; its outcome rests on the vehicle's state rather than
-on an ack.
+At most one command of an id is in flight per vehicle, because a COMMAND_ACK contains only the id; the next one with the
+same id waits. If the previous one has acks outstanding (repeats, or a timeout), the next waits until they have come or
+for `LATE_ACK_S` after the last transmission (and always for `ECHO_ACK_S`), so that a late ack is not taken for the new
+command's. An emergency does not wait; its outcome is decided by the vehicle's state, not by an ack.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from skygcs.runtime.deadline_timer import DeadlineTimer
 
 
 class SendFn(Protocol):
-    """How a message of ours leaves: over the best link to the target, or ``everywhere`` over each that leads to it."""
+    """Sends a message of ours: over the best link to the target, or with ``everywhere`` over each that leads to it."""
 
     def __call__(
         self,
@@ -44,21 +43,22 @@ class SendFn(Protocol):
         everywhere: bool = False,
         key: Hashable | None = None,
     ) -> bool:
-        """Sysid 0 is every vehicle; whether it was taken. With a ``key`` it replaces what still waits under it."""
+        """True if a link took it. Sysid 0 is every vehicle. With a ``key`` it replaces a message waiting under that
+        key."""
         ...
 
 
 LATE_ACK_S = 1.5
-"""Two rounds of a nine-node multipoint radio at 64 kbit/s; later than that an ack is not expected any more."""
+"""Two rounds of a nine-node multipoint radio at 64 kbit/s; no ack is expected after that."""
 
 ECHO_ACK_S = 0.05
-"""PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): a late second one must not pass for the next
-command's. Where a radio parts the two by more, the mode in the heartbeat decides, as for every mode."""
+"""PX4 acknowledges DO_SET_MODE twice, 8 to 15 ms apart (own capture): the second must not be taken for the next
+command's. If a radio delays it more, the mode in the heartbeat decides, as for every change of mode."""
 
 SUPERSEDED = "a newer order took its place"
 
 MAX_WAITING = 8
-"""Commands of one id waiting for their turn; further ones are refused."""
+"""Most commands of one id that wait; further ones are refused."""
 
 Check = Callable[[], bool]
 Follower = tuple[str, Mapping[str, Any]]
@@ -66,7 +66,7 @@ Follower = tuple[str, Mapping[str, Any]]
 
 
 class BroadcastCommand:
-    """A broadcast frame that carries one command to many vehicles at once: their exchanges begin without sending."""
+    """A broadcast frame that carries one command to many vehicles: each vehicle's client starts without sending."""
 
     def __init__(self, spec: CommandSpec) -> None:
         self.spec = spec
@@ -74,7 +74,7 @@ class BroadcastCommand:
 
 
 class _Line:
-    """One command id: what is in flight, what waits, and which acks may still come late."""
+    """One command id: the command in flight, those that wait, and the acks that may still come late."""
 
     __slots__ = ("ended_at", "late", "lock", "quiet_until", "quieted", "waiting")
 
@@ -111,7 +111,7 @@ class _Running:
         self.protocol = protocol
         self.done = done
         self.priority = priority
-        # a state that is there already says nothing about this command
+        # a state that is present already proves nothing about this command
         self.satisfied = None if request.satisfied is not None and request.satisfied() else request.satisfied
         self.not_taken = 0
 
@@ -128,7 +128,7 @@ class CommandClient:
         loop: asyncio.AbstractEventLoop,
         why_silent: Callable[[], str] = lambda: "",
     ) -> None:
-        """``why_silent``: why the vehicle may not answer, beside the link: the end of a sentence, or nothing."""
+        """``why_silent``: another reason than the link for missing answers: the end of a sentence, or nothing."""
         self.target = target
         self.own = own
         self._broadcast: BroadcastCommand | None = None
@@ -145,12 +145,12 @@ class CommandClient:
 
     @property
     def busy(self) -> bool:
-        """Whether frames have to be shown to `wake`."""
+        """True if frames have to be shown to `wake`."""
         return bool(self._watches)
 
     @property
     def watches(self) -> list[Any]:
-        """What `busy` is about; always the same list."""
+        """The commands that `busy` refers to; always the same list."""
         return self._watches
 
     @property
@@ -171,15 +171,15 @@ class CommandClient:
         wanted: Check | None = None,
         with_repeats: Follower | None = None,
     ) -> Outcome:
-        """Send it and wait for its outcome. ``satisfied``: true once the state shows what is wanted, so that a lost ack
-        does not matter. Cancelling forgets the command; what was sent cannot be unsent.
+        """Send it and wait for its outcome. ``satisfied``: True once the state shows the effect, so that a lost ack
+        does not matter. Cancelling drops the command; transmissions cannot be undone.
 
-        The first transmission takes the best link, repeats take every one that leads to the vehicle: the best may be
-        the very one that loses them. ``everywhere``: the first one as well. ``wanted``: it moves the vehicle, and a
-        newer order may take its place (`supersede`); asked when its turn has come. An emergency's turn is at once.
-        ``with_repeats``: a message that goes out right after each repeat, the same ways (`Step.with_repeats`).
+        The first transmission uses the best link, repeats use every link that leads to the vehicle: the best may be
+        the one that loses them. ``everywhere``: the first one, too. ``wanted``: given for a command that moves the
+        vehicle, which a newer order may replace (`supersede`); called when its turn has come. An emergency is sent at
+        once. ``with_repeats``: a message sent right after each repeat, over the same links (`Step.with_repeats`).
         """
-        # what cannot be packed is refused
+        # refuse what cannot be packed
         if spec.message not in self._dialect.by_name or "COMMAND_ACK" not in self._dialect.by_name:
             return Outcome(False, "refused", f"dialect {self._dialect.name} has no {spec.message} or no COMMAND_ACK")
         try:
@@ -188,7 +188,7 @@ class CommandClient:
             return Outcome(False, "refused", f"refused: {error}")
         request = _Request(spec, satisfied, on_report, everywhere or emergency, wanted is not None, with_repeats)
         line = self._lines.setdefault(spec.command, _Line())
-        # an emergency takes the place of a command of its kind
+        # an emergency replaces a command of its kind
         if emergency:
             self.stop(spec.command, "cancelled", "an emergency order took its place")
             return await self._protocol(line, request, Priority.EMERGENCY, EMERGENCY_TIMERS_S)
@@ -203,7 +203,7 @@ class CommandClient:
         try:
             ending = self._running.get(spec.command)
             if ending is not None and ending.done.done():
-                await asyncio.sleep(0)  # let a superseded emergency leave: its outstanding acks have to be counted
+                await asyncio.sleep(0)  # let a superseded emergency end: its outstanding acks have to be counted
             await self._quiet(line)
             if spec.command in self._running:
                 return Outcome(False, "refused", "an emergency order of the same kind is under way")
@@ -215,20 +215,20 @@ class CommandClient:
             line.lock.release()
 
     def set_min_retry(self, min_retry_s: float) -> None:
-        """Repeat nothing but an emergency sooner: a radio whose rounds are long takes that long to bring an answer."""
+        """Shortest retry interval, except of an emergency: on a radio with long rounds an answer takes that long."""
         self._min_retry_s = min_retry_s
 
     def expect_broadcast(self, broadcast: BroadcastCommand) -> None:
-        """This broadcast carries the next command of its kind, until `end_broadcast`."""
+        """Until `end_broadcast`, this broadcast replaces the first transmission of the next command of its kind."""
         self._broadcast = broadcast
 
     def end_broadcast(self, broadcast: BroadcastCommand | None) -> None:
-        """Send every command to the vehicle itself again, unless a later broadcast is expected."""
+        """Send commands to the vehicle itself again, unless a later broadcast is expected."""
         if self._broadcast is broadcast:
             self._broadcast = None
 
     async def until(self, met: Check, timeout_s: float) -> bool:
-        """Wait until a state is seen; whether it was within the time."""
+        """Wait for a state; True if it was seen within the time."""
         if met():
             return True
         future: asyncio.Future[bool] = self._loop.create_future()
@@ -256,8 +256,8 @@ class CommandClient:
         return self._send(info, addressed, sysid, compid, priority, key=key)
 
     def _address(self, info: MessageInfo) -> dict[str, int]:
-        """The fields that address a message, as far as it has them; kept, because every setpoint
-        asks (0.4 us instead of 0.9 for all of `transmit`)."""
+        """The target fields that a message has; cached, because every setpoint needs them (0.4 us instead of 0.9 for
+        all of `transmit`)."""
         address = self._addresses.get(info.msgid)
         if address is None:
             target = dict(zip(("target_system", "target_component"), self.target, strict=True))
@@ -266,13 +266,13 @@ class CommandClient:
         return address
 
     def expect_stray_ack(self, command: int, now: float) -> None:
-        """A command of this id is sent without waiting for its ack: it must not pass for one of ours."""
+        """Note a command that is sent without waiting for its ack, which must not be taken for another's."""
         line = self._lines.setdefault(command, _Line())
         line.late += 1
         line.quiet_until = now + LATE_ACK_S
 
     def on_ack(self, ack: Ack, now: float) -> None:
-        """A COMMAND_ACK of this vehicle, whomever it answers."""
+        """A COMMAND_ACK of this vehicle, to any station."""
         if not ack.is_for(*self.own):
             return
         running = self._running.get(ack.command)
@@ -302,7 +302,7 @@ class CommandClient:
             self.stop(command, result, message)
 
     def supersede(self, specs: Collection[CommandSpec]) -> None:
-        """A newer order moves the vehicle: older ones are not repeated any more. One of the very same commands goes on,
+        """A newer order moves the vehicle: older commands are not repeated any more. One with equal fields goes on,
         and so does one that was run without ``wanted``."""
         for command, running in list(self._running.items()):
             if running.request.moving and running.protocol.spec not in specs:
@@ -396,7 +396,7 @@ class CommandClient:
             if protocol.deadline is None or now < protocol.deadline:
                 continue
             if running.satisfied is not None and running.satisfied():
-                # its ack was lost, or a repeat was refused because the first transmission had worked already
+                # its ack was lost, or a repeat was refused because the first transmission had been carried out
                 self._apply(running, protocol.stop(now, "accepted", "done, though no acknowledgement came"))
             else:
                 self._apply(running, protocol.on_timer(now))

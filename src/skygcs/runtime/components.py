@@ -1,7 +1,7 @@
-"""Every component that is no vehicle's autopilot: what it says, its texts as events, and the few orders it takes.
+"""All components that are not autopilots: their messages, their texts as events, and the few orders they take.
 
-A vehicle is its system. The autopilot has an actor (`vehicle_actor`), whose state is its own; the other components of
-its system are here, heard before it or after it, and also those of systems without any autopilot.
+A vehicle is a system with an autopilot. The autopilot has an actor (`vehicle_actor`) with a state of its own; the other
+components of its system are here, and also those of systems without an autopilot.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ MAX_COMPONENTS = 1024
 """Components kept of all systems; 64 messages of some 600 bytes each are 40 MB at the very most."""
 
 GIVES_WAY_S = 60.0
-"""One that was silent for so long gives its place to a new one where all are taken."""
+"""In a full table a component that was silent for this time is replaced by a new one."""
 
 SILENT_S = 5.0
-"""Longer silence and it is not asked for anything, as a vehicle without heartbeats is not."""
+"""After this silence no orders are sent to it, as to a vehicle without heartbeats."""
 
 RATE_PERIOD_S = 1.0
 
 ANSWER_S = 2.0
-"""For a message that was asked for, after the command was accepted."""
+"""Time for a requested message after the command was accepted."""
 
 
 class Components:
-    """By sysid << 8 | compid. ``vehicle_of(sysid)`` is the name of the vehicle to which a system belongs, or None;
-    ``vehicles_of(sysid)`` are the autopilots of it."""
+    """Keyed sysid << 8 | compid. ``vehicle_of(sysid)``: the name of the vehicle to which a system belongs, or None;
+    ``vehicles_of(sysid)``: its autopilots."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class Components:
         vehicles_of: Callable[[int], list[Vehicle]],
     ) -> None:
         self.not_kept = 0
-        """Frames of components for which there was no place."""
+        """Frames of components that found no place in the table."""
         self._services = services
         self._decoder = decoder
         self._on_event = services.on_event
@@ -71,7 +71,7 @@ class Components:
         return key in self._by_key
 
     def on_frame(self, key: int, frame: Frame, now: float) -> None:
-        """One frame of a component that is no vehicle. Never raises."""
+        """One frame of a component that is not an autopilot. Never raises."""
         actor = self._by_key.get(key) or self._meet(key, frame, now)
         if actor is None:
             self.not_kept += 1
@@ -85,12 +85,12 @@ class Components:
         """The state update for frames like this one (see `Fleet.state_update_only`)."""
         actor = self._by_key.get(key)
         if actor is None:
-            return None  # each is counted, or finds a place that has become free
+            return None  # each frame is counted, or takes a place that has become free
         slot = actor.component.state_update(frame.msgid)
         return None if slot is None else StateUpdate(slot, actor.watches)
 
     def tick(self, now: float) -> None:
-        """Once to ten times a second."""
+        """Call once to ten times a second."""
         period_s = None
         if self._sampled_at is None:
             self._sampled_at = now
@@ -102,7 +102,7 @@ class Components:
                 self._publish(actor, texts)
 
     def forget(self, key: int) -> None:
-        """It is an autopilot after all, or of a recording. Unknown keys are ignored."""
+        """Remove a component that turned out to be an autopilot or part of a recording. Unknown keys are ignored."""
         actor = self._by_key.pop(key, None)
         if actor is not None:
             siblings = self._systems[actor.sysid]
@@ -113,7 +113,7 @@ class Components:
             self._services.links.forget_flows()
 
     def forget_system(self, sysid: int) -> None:
-        """Forget all of one system."""
+        """Drop all components of one system."""
         for compid in list(self._systems.get(sysid, ())):
             self.forget(sysid << 8 | compid)
 
@@ -174,7 +174,7 @@ class Components:
             self._on_event(Event("statustext", vehicle, actor.sysid, f"{actor.name}: {text.text}", data))
 
     def new_command_client(self, sysid: int, compid: int) -> CommandClient:
-        """For the first order to a component; from now on acknowledgements are waited for."""
+        """Note the first order to a component: from now on acknowledgements are read."""
         self._services.links.forget_flows()
         services = self._services
         return CommandClient((sysid, compid), services.own, services.dialect, services.send, services.loop)
@@ -188,7 +188,7 @@ class Components:
 
 
 class ComponentActor:
-    """One component, and the orders it takes: the coroutines. They never raise for what it or skygcs refuses."""
+    """One component and its orders, the coroutines, which do not raise for refusals by it or by skygcs."""
 
     def __init__(
         self,
@@ -220,12 +220,12 @@ class ComponentActor:
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """A group means vehicles."""
+        """Components belong to no group."""
         return ()
 
     @property
     def commands(self) -> CommandClient:
-        """Made for the first order."""
+        """Created for the first order."""
         if self._commands is None:
             self._commands = self._table.new_command_client(self.sysid, self.compid)
         return self._commands
@@ -236,7 +236,7 @@ class ComponentActor:
         return None if self._commands is None else self._commands.watches
 
     def after(self, frame: Frame, now: float) -> None:
-        """Whoever waits for something of it is given a frame that was noted just now."""
+        """Pass a frame that was noted just now to the orders that wait for it."""
         commands = self._commands
         if commands is None:
             return
@@ -246,7 +246,7 @@ class ComponentActor:
             commands.wake()
 
     def latest(self, message: str | int) -> dict[str, Any] | None:
-        """As `LiveVehicle.latest`, of this component alone."""
+        """The last message of one type of this component; see `VehicleActor.latest`."""
         msgid, _ = orders.find_message(self._dialect, message)
         slot = self.component.slots.get(msgid)
         return None if slot is None else reading_of(slot, self._loop.time(), self.sysid, self.compid)
@@ -271,15 +271,15 @@ class ComponentActor:
         return await self._run("command", plan)
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
-        """0 turns it off, None goes back to the component's own rate."""
+        """Set a message rate; 0 turns it off, None restores the component's own rate."""
         return await self._run("interval", lambda: orders.interval_plan(self._dialect, message, rate_hz))
 
     async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
-        """REQUEST_DATA_STREAM; nothing acknowledges it."""
+        """REQUEST_DATA_STREAM, which has no acknowledgement."""
         return await self._run("stream", lambda: orders.stream_plan(self._dialect, stream, rate_hz))
 
     async def request_message(self, message: str | int) -> Outcome:
-        """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
+        """Request one message; the outcome is ok once it has come (read it with `latest`)."""
         try:
             msgid, name = orders.find_message(self._dialect, message)
         except RefusedError as error:
@@ -302,7 +302,7 @@ class ComponentActor:
         """Carry out a plan of one step."""
         silent_s = self._loop.time() - self.component.heard_at()
         if silent_s > SILENT_S:
-            return Outcome.refused(f"nothing was heard of it for {silent_s:.0f} s")
+            return Outcome.refused(f"nothing was heard from it for {silent_s:.0f} s")
         (step,) = plan.steps
         if step.message is not None:
             if not self.commands.transmit(*step.message):

@@ -11,10 +11,10 @@ LATE_S = 0.005
 """A tick this long after its deadline is counted as late: a quarter of a period at 50 Hz."""
 
 KEPT = 500
-"""Lateness of so many ticks is kept for percentiles: ten seconds at 50 Hz."""
+"""Number of ticks whose lateness is kept for percentiles: ten seconds at 50 Hz."""
 
 SPREAD_S = 0.05
-"""Over which clocks that are started together are spread: a period at 20 Hz, in which fifty vehicles have 1 ms each."""
+"""Time over which clocks started together are spread: a period at 20 Hz, in which fifty vehicles have 1 ms each."""
 
 
 class ControlClock:
@@ -50,14 +50,14 @@ class ControlClock:
         return self._handle is not None
 
     def start(self) -> None:
-        """The first tick comes at once, or ``phase`` later. Without effect while it runs."""
+        """Start; the first tick comes at once, or ``phase`` later. Without effect while it runs."""
         if self._handle is None:
             self._pace_s = self._period_s()
             self._due = self._loop.time() + self._phase * min(self._pace_s, SPREAD_S)
             self._handle = self._loop.call_at(self._due, self._run)
 
     def stop(self) -> None:
-        """No tick from now on. Idempotent."""
+        """Stop ticking. Idempotent."""
         if self._handle is not None:
             self._handle.cancel()
             self._handle = None
@@ -87,12 +87,12 @@ class ControlClock:
         try:
             self._tick(now)
         finally:
-            if self._handle is handle:  # it was not stopped, nor begun anew
+            if self._handle is handle:  # it was neither stopped nor restarted
                 self._handle = self._loop.call_at(self._next(now), self._run)
 
     def _next(self, now: float) -> float:
-        """The next deadline after ``now``; those that have passed are skipped. A slower pace holds from then on, a
-        faster one at once: its first tick is not to wait for the old one."""
+        """The next deadline after ``now``; deadlines that have passed are skipped. A longer period holds from the next
+        tick on, a shorter one at once."""
         before_s, self._pace_s = self._pace_s, self._period_s()
         self._due += before_s
         if self._due <= now:

@@ -18,14 +18,14 @@ from skygcs.runtime.fleet import Fleet
 from skygcs.runtime.hub import Hub
 
 RATE_S = 10.0
-"""The rate is measured over this time: a base's slowest messages come about that often."""
+"""Time over which the rate is measured: about the period of a base's slowest messages."""
 
 MAX_RECENT = 1024
-"""Messages of which the rate is made: a hundred a second is more than any base sends."""
+"""Messages kept for the rate; no base sends a hundred a second."""
 
 
 class CorrectionFeed:
-    """One stream of RTCM at a time, in the pieces in which it comes."""
+    """One RTCM stream at a time, in pieces of any length."""
 
     def __init__(self, hub: Hub, fleet: Fleet, clock: Callable[[], float]) -> None:
         self._hub = hub
@@ -43,8 +43,8 @@ class CorrectionFeed:
         self._recent: deque[tuple[float, int]] = deque(maxlen=MAX_RECENT)
 
     def send(self, source: str, data: bytes, *, end: bool = False) -> dict[str, Any]:
-        """The next piece of the stream of ``source`` (``end``: the last one); what became of the messages that it
-        completed. Raises RefusedError while the stream of another one comes, and without GPS_RTCM_DATA in the dialect.
+        """Take the next piece of the stream of ``source`` (``end``: the last one); returns the result for the messages
+        it completed. Raises RefusedError while another source streams, and without GPS_RTCM_DATA in the dialect.
         """
         now = self._clock()
         self._follow(source, now)
@@ -72,7 +72,7 @@ class CorrectionFeed:
         }
 
     def status(self) -> dict[str, Any]:
-        """What was sent since the daemon began, what each radio made of it, and what fix each vehicle has."""
+        """Messages sent since the daemon's start, those that each radio carried, and the fix of each vehicle."""
         now = self._clock()
         while self._recent and self._recent[0][0] < now - RATE_S:
             self._recent.popleft()
@@ -101,7 +101,7 @@ class CorrectionFeed:
         }
 
     def _follow(self, source: str, now: float) -> None:
-        """Pieces of two streams make no stream, and two bases no position."""
+        """Refuse a second stream: pieces of two streams cannot be joined, and receivers follow one base."""
         if self._info is None:
             raise RefusedError(
                 f"the dialect {self._hub.dialect.name} has no GPS_RTCM_DATA: choose one that includes common.xml"
@@ -117,7 +117,7 @@ class CorrectionFeed:
         self._offered_at = now
 
     def _spread(self, message: bytes) -> bool:
-        """Whether every fragment was taken by some link."""
+        """True if every fragment was taken by some link."""
         assert self._info is not None
         self._sequence += 1
         taken = True
@@ -135,7 +135,7 @@ class CorrectionFeed:
             self._types[type_] = [count + 1, total + size, now]
 
     def _fixes(self, now: float) -> list[dict[str, Any]]:
-        """By vehicle; None where no GPS_RAW_INT has come."""
+        """Fix by vehicle; None without GPS_RAW_INT."""
         fixes = []
         for _, actor in sorted(self._fleet.vehicles.items()):
             gps = actor.state(now)["gps"] or {}

@@ -6,14 +6,14 @@ import asyncio
 from collections.abc import Callable
 
 EARLY_S = 0.001
-"""uvloop's clock has whole milliseconds and rounds a delay to them: a timer may fire half of one before its time."""
+"""uvloop's clock has whole milliseconds and rounds delays: a timer may fire up to half a millisecond early."""
 
 
 class DeadlineTimer:
-    """Calls ``ring()`` once at the time it is `set` for, or later, never before. Whoever has several deadlines sets it
-    for the earliest, whenever one of them may have changed, and anew after each ring.
+    """Calls ``ring()`` once at the time it is `set` for, or later, never before. An owner of several deadlines sets it
+    to the earliest whenever one of them may have changed, and after each ring.
 
-    The time is kept here: uvloop returns a plain Handle, which has no ``when``, for a time that is due or nearly so.
+    The time is kept here because uvloop returns a plain Handle without ``when`` for a time that is almost due.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, ring: Callable[[], None]) -> None:
@@ -24,11 +24,11 @@ class DeadlineTimer:
 
     @property
     def due(self) -> float | None:
-        """When it rings next; None: it does not."""
+        """When it rings next; None: not set."""
         return self._due
 
     def set(self, due: float | None) -> None:
-        """For this loop time instead of any other; None: for none."""
+        """Set it to this loop time; None: do not ring."""
         if due == self._due:
             return
         if self._timer is not None:
@@ -41,7 +41,7 @@ class DeadlineTimer:
     def _rang(self) -> None:
         due = self._due
         if due is not None and self._loop.time() < due:
-            # not at once again: the loop would turn without a rest until its clock has moved on
+            # not at once: the loop would spin until its clock has advanced
             self._timer = self._loop.call_later(EARLY_S, self._rang)
             return
         self._timer = self._due = None

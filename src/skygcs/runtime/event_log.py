@@ -1,4 +1,4 @@
-"""Every event of the daemon: limited in rate, logged, kept for a while, and given to subscribers."""
+"""The daemon's events: limited in rate, logged, kept for a while, and passed to subscribers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MAX_EVENTS = 1000
 """Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
 
 QUIET_KINDS = frozenset({"statustext", "command", "route"})
-"""Kinds logged at level debug: they are no changes of the daemon's own state."""
+"""Kinds logged at level debug, because they are not changes of the daemon's own state."""
 
 WARNING_KINDS = frozenset({"warning", "fault", "undo", "uplink_lost"})
 
@@ -27,7 +27,7 @@ log = structlog.get_logger("skygcs")
 
 
 class EventLog:
-    """`publish` each event, `tick` some times a second, `flush` at the end."""
+    """Call `publish` for each event, `tick` a few times a second and `flush` at the end."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self.recent: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
@@ -37,13 +37,13 @@ class EventLog:
         self._watchers: list[Watcher] = []
 
     def publish(self, event: Event) -> None:
-        """Act on it, then log it unless too many of its kind came (`EventLimiter`)."""
+        """Call the handlers, then log the event unless too many of its kind came (`EventLimiter`)."""
         for handler in self._handlers.get(event.kind, ()):
             handler(event)
         self._log_all(self._limiter.offer(event, self._now()))
 
     def on(self, kind: str, handler: Handler) -> None:
-        """Call ``handler`` with every event of this kind, also with those that are not logged."""
+        """Call ``handler`` with every event of this kind, also if it is not logged."""
         self._handlers[kind].append(handler)
 
     def subscribe(self, watcher: Watcher) -> Callable[[], None]:
@@ -69,7 +69,7 @@ class EventLog:
             self._log(event)
 
     def _log(self, event: Event) -> None:
-        """Log it, keep it, give it to subscribers. A subscriber that fails is removed."""
+        """Log the event, keep it, pass it to subscribers. A subscriber that fails is removed."""
         record = {
             "time_unix_s": round(time.time(), 3),
             "kind": event.kind,
@@ -90,6 +90,6 @@ class EventLog:
 
 
 def _is_warning(event: Event) -> bool:
-    """True for what a person should look at although the daemon goes on: a link that is down (not one that has come to
-    its end), an internal fault, a warning."""
+    """True for events that the user should check although the daemon goes on: a link that is down (not one that has
+    reached its end), an internal fault, a warning."""
     return event.kind in WARNING_KINDS or (event.kind == "link_down" and not event.data.get("finished"))

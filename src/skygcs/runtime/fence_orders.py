@@ -1,8 +1,8 @@
-"""The fence of a vehicle's parameters: set, read, and tested on foot.
+"""The fence of a vehicle's parameters: set it, read it, and test it on foot.
 
-The test (as in the UTIAS report, section 2.2.1): a small fence is set, a person carries the vehicle out of it, and what
-it says and does is recorded. What it held before is put back whatever happens: also when the test is
-cancelled or the caller goes.
+The test (as in the UTIAS report, section 2.2.1): a small fence is set, a person carries the vehicle out of it, and the
+vehicle's texts and reactions are recorded. The old parameters are restored in any case, also when the test is cancelled
+or its client disconnects.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from skygcs.runtime.vehicle_services import VehicleServices
 
 LOOK_S = 0.25
 ASK_S = 1.0
-"""FENCE_STATUS is asked for once a second: a person on foot does not get far in that time."""
+"""FENCE_STATUS is requested once a second; a person walks a metre or two in that time."""
 
 AFTER_S = 12.0
-"""From the first sign of a breach: a PX4 holds for COM_FAIL_ACT_T (5 s) before it acts, for a pilot to take over."""
+"""Time after the first sign of a breach: a PX4 holds for COM_FAIL_ACT_T (5 s) before it acts."""
 
 STATUS_S = 3.0
 
 FINISH_S = 1.0
-"""For the parameter under way when a test is cancelled: two round trips of a nine-node radio."""
+"""Time for the parameter in transfer when a test is cancelled: two round trips of a nine-node radio."""
 
 SIGNS_MAX = 20
 
@@ -58,7 +58,7 @@ class FenceOutcome:
 
 @dataclass(slots=True)
 class _Walk:
-    """A test under way: where it began, and what was seen."""
+    """A test in progress: where it began, and what was observed."""
 
     began: float
     mode: str
@@ -78,7 +78,7 @@ class _Walk:
 
 
 class VehicleFence:
-    """One per vehicle. ``request`` asks the vehicle for one message. Tests are reported as events."""
+    """One per vehicle. ``request`` requests one message of the vehicle. Tests are reported as events."""
 
     def __init__(
         self,
@@ -101,23 +101,23 @@ class VehicleFence:
         """Outcome of the last test."""
         self._walk: _Walk | None = None
         self._endings: set[asyncio.Task[Outcome]] = set()
-        """Tests that put back what was there; a task without a reference may be discarded."""
+        """Tests that restore parameters; a task without a reference may be discarded."""
         self._last_text: str | None = None
 
     @property
     def testing(self) -> bool:
-        """Whether a test is under way, its end included."""
+        """True while a test is in progress, its undo included."""
         return self._testing
 
     async def wind_down(self) -> None:
-        """End the test under way; until its fence is put back, or is known not to be."""
+        """End the test in progress; returns when its fence is restored, or is known not to be."""
         if self._tester is not None:
             self._tester.cancel()
             await asyncio.wait({self._tester})
         await self.ended()
 
     async def ended(self) -> None:
-        """Until no test is being ended any more."""
+        """Wait until no test is being ended any more."""
         if self._endings:
             await asyncio.wait(set(self._endings))
 
@@ -126,10 +126,10 @@ class VehicleFence:
         if fence_params.reports_breach(text):
             self._last_text = text
             if self._walk is not None:
-                self._walk.sign(f'it says "{text}"', self._loop.time())
+                self._walk.sign(f'it reports "{text}"', self._loop.time())
 
     async def set(self, *, radius_m: float | None, height_m: float | None, action: str | None) -> FenceOutcome:
-        """Set what is not None and read all of it back."""
+        """Set the arguments that are not None, and read all of the fence back."""
         if self._testing:
             return FenceOutcome(_UNDER_TEST)
         held = await self._held()
@@ -170,7 +170,7 @@ class VehicleFence:
         return FenceOutcome(Outcome(True, "accepted", f"the fence is {settings}{where}"), status)
 
     async def test(self, *, radius_m: float, action: str, timeout_s: float) -> FenceOutcome:
-        """The walk. Ok: it reported the breach, and did what its fence demands if it was armed."""
+        """The whole test. Ok if the vehicle reported the breach and, if armed, acted as its fence demands."""
         if self._testing:
             return FenceOutcome(_UNDER_TEST)
         self._testing, self._ended_with = True, None
@@ -213,7 +213,7 @@ class VehicleFence:
             "radius_m": radius_m,
             "action": action,
             "before": dict(held),
-            "state": "running: the parameters under 'before' are to be put back",
+            "state": "running: the parameters under 'before' are to be restored",
         }
         try:
             path = self._write(None, record)
@@ -310,7 +310,7 @@ class VehicleFence:
                 message += f" (its note {change.id} in {self._journal.folder} cannot be removed: {error.strerror})"
         else:
             self._journal.left_over(change)
-            message += f"; THE FENCE IS NOT AS BEFORE ({failed.message}): skygcs-cli undo run {change.id} puts it back"
+            message += f"; THE FENCE IS NOT AS BEFORE ({failed.message}): skygcs-cli undo run {change.id} restores it"
         ok = outcome.ok and failed is None
         ended = Outcome(
             ok, outcome.result if ok or not outcome.ok else "failed", message, elapsed_s=self._loop.time() - walk.began
@@ -346,7 +346,7 @@ class VehicleFence:
     # -- parameters and messages
 
     async def _held(self) -> dict[str, float] | Outcome:
-        """What it holds of its fence's parameters; the outcome to return where that cannot be read."""
+        """The present fence parameters; or the outcome to return if one cannot be read."""
         try:
             require_connected(self._vehicle, self._loop.time())
             names = fence_params.names_of(self._vehicle)
@@ -362,7 +362,7 @@ class VehicleFence:
         return held
 
     async def _put(self, values: Mapping[str, float]) -> Outcome | None:
-        """Set these in order; the outcome to return if not all of them were taken."""
+        """Set these in order; returns the outcome if not all of them were accepted."""
         outcomes = await self._params.set(values)
         wrong = [outcome for outcome in outcomes.values() if not outcome.ok]
         if not wrong:
@@ -370,7 +370,8 @@ class VehicleFence:
         return Outcome(False, "failed", "; ".join(f"{o.name}: {o.message}" for o in wrong))
 
     async def _put_back(self, values: Mapping[str, float]) -> Outcome | None:
-        """What switches the fence first, then all others at the same time: a daemon that ends has little of it."""
+        """First the parameter that switches the fence, then all others at the same time: a daemon that ends has little
+        time."""
         first = {name: value for name, value in list(values.items())[:1] if name == "FENCE_ENABLE"}
         failed = await self._put(first) if first else None
         rest = [self._put({name: value}) for name, value in values.items() if name not in first]
@@ -379,8 +380,8 @@ class VehicleFence:
         return Outcome(False, "failed", wrong) if wrong else None
 
     async def _put_whole(self, values: Mapping[str, float]) -> Outcome | None:
-        """As `_put`; when cancelled it lets the parameter under way be finished first: an answer to it that comes later
-        could be taken for one to the undo, which would have to wait for that."""
+        """`_put` which, when cancelled, first finishes the parameter in transfer: a late answer to it could be taken
+        for an answer to the undo."""
         for name, value in values.items():
             setting = self._loop.create_task(self._put({name: value}), name=f"{self._vehicle.name} {name}")
             try:

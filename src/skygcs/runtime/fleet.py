@@ -1,4 +1,4 @@
-"""All vehicles: added when their heartbeats come, named by the fleet file, ordered one, some or all at once."""
+"""The fleet: adds vehicles by their heartbeats, names them by the fleet file, and gives orders to one, some or all."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ MAX_VEHICLES = 300
 """... which leaves room for vehicles of other links. One that the fleet file names always has its place."""
 
 Order = Callable[..., Coroutine[Any, Any, Any]]
-"""An order is named by the method of VehicleActor that carries it out: `VehicleActor.arm`. It returns an Outcome, those
-of the fence a FenceOutcome."""
+"""An order is the method of VehicleActor that carries it out: `VehicleActor.arm`. It returns an Outcome; orders of the
+fence return a FenceOutcome."""
 
 COMPONENT_ORDERS: Mapping[Order, Order] = {
     VehicleActor.command: ComponentActor.command,
@@ -52,15 +52,15 @@ COMPONENT_ORDERS: Mapping[Order, Order] = {
     VehicleActor.set_message_interval: ComponentActor.set_message_interval,
     VehicleActor.request_stream: ComponentActor.request_stream,
 }
-"""Orders that components other than autopilots take, too, and how."""
+"""Orders that components other than autopilots take, too, and their methods."""
 
 BROADCAST: Mapping[Order, Callable[[Vehicle, float], Plan]] = {
     VehicleActor.land: orders.land,
     VehicleActor.rtl: orders.rtl,
 }
-"""Orders for all vehicles that may go out as one frame, with what plans them. A broadcast also reaches vehicles never
-heard here: it must be safe for any of them. A disarming would drop one that flies, and a mode has another number
-on another type."""
+"""Orders for all vehicles that may be sent as one frame, with the functions that plan them. A broadcast also reaches
+vehicles that were never heard here and must be safe for them. A disarming would drop a flying vehicle, and a mode has
+different numbers on different vehicle types."""
 
 KEPT = frozenset[Order](
     {VehicleActor.land, VehicleActor.rtl, VehicleActor.hold, VehicleActor.stop, VehicleActor.disarm}
@@ -72,7 +72,7 @@ MAX_KEPT = 64
 
 
 MAYBE_FLYING_S = 1800.0
-"""A vehicle that was lost armed may still fly for so long; hardly a battery lasts longer."""
+"""A vehicle that was lost while armed may still fly for this time; few batteries last longer."""
 
 
 class Expected(NamedTuple):
@@ -86,7 +86,7 @@ class Expected(NamedTuple):
 
 
 Actor = VehicleActor | ComponentActor
-"""Whatever takes orders."""
+"""A vehicle or component, which takes orders."""
 
 
 class Fleet:
@@ -104,8 +104,8 @@ class Fleet:
         param_cache: ParamCache | None = None,
         probes: bool = False,
     ) -> None:
-        """``send``: `Hub.send`. ``links``: `LinkView`; None: no link is narrow. ``param_cache``: where parameters are
-        kept; None: nowhere. ``probes``: whether vehicles are asked now and then if they hear us."""
+        """``send``: `Hub.send`. ``links``: `LinkView`; None: no link is narrow. ``param_cache``: the store of
+        parameters; None: no store. ``probes``: True if the uplinks are probed."""
         self.config = config
         self.vehicles: dict[int, VehicleActor] = {}
         self.refused_vehicles = 0
@@ -167,7 +167,7 @@ class Fleet:
         return None if discovers(frame) else self.components.state_update(key, frame)
 
     def tick(self, now: float) -> None:
-        """Every vehicle's turn, whatever becomes of another's; the first exception is raised after the last turn."""
+        """Call `tick` of every vehicle, even if one fails; the first exception is raised at the end."""
         fault: Exception | None = None
         for actor in self.vehicles.values():
             try:
@@ -179,8 +179,8 @@ class Fleet:
             raise fault
 
     async def wind_down(self, timeout_s: float) -> None:
-        """The daemon ends: take no order but those that end a flight, cancel what undoes itself, and give it so long to
-        be undone. What is not stays in the journal."""
+        """The daemon ends: accept only orders that end a flight, cancel orders that undo themselves, and wait this long
+        for the undo. Changes that are not undone stay in the journal."""
         self._ending = True
         tasks = {
             self._loop.create_task(actor.wind_down(), name=f"{actor.name} undo") for actor in self.vehicles.values()
@@ -195,7 +195,7 @@ class Fleet:
                 self._on_event(Event("fault", None, None, text, {}))
 
     async def ended(self, timeout_s: float) -> None:
-        """After `close`: until what could not be undone has been noted."""
+        """After `close`: wait until the changes that could not be undone have been noted."""
         tasks = {self._loop.create_task(actor.fence.ended()) for actor in self.vehicles.values()}
         if tasks:
             _, late = await asyncio.wait(tasks, timeout=timeout_s)
@@ -210,8 +210,8 @@ class Fleet:
         self._kept.close()
 
     def set_duplicate(self, key: int, where: str | None) -> None:
-        """Where two autopilots send as ``key`` (sysid << 8 | compid), met or not yet: most orders to it are refused.
-        None: only one does (any more)."""
+        """Note where two autopilots send as ``key`` (sysid << 8 | compid), known or not: most orders to it are refused.
+        None: only one is left."""
         if where is None:
             self._duplicates.pop(key, None)
         elif key in self._duplicates or len(self._duplicates) < MAX_VEHICLES:
@@ -221,20 +221,19 @@ class Fleet:
             actor.set_duplicate(where)
 
     def known(self, key: int) -> Known | None:
-        """The last frames of a live vehicle, to compare with those of another channel; None: there is
-        no such vehicle."""
+        """The last frames of a live vehicle, to compare with those of another channel; None without such a vehicle."""
         actor = self.vehicles.get(key)
         return None if actor is None or actor.vehicle.replayed else actor.vehicle.last_frames(KNOWN_BY)
 
     def replaced(self, key: int) -> None:
-        """Another vehicle has taken the place of this one, or the same has restarted and is heard elsewhere."""
+        """Another vehicle has replaced this one, or it has restarted and is heard on another channel."""
         actor = self.vehicles.get(key)
         if actor is not None:
             actor.restarted("another vehicle, or this one restarted, is heard over another channel", self._loop.time())
 
     def source_changed(self, key: int) -> None:
-        """``key`` is heard in a recording only from now on, or on the air after all (`VehicleLinks.is_replayed`). What
-        was known of it is from another time and place: it is forgotten, and its next heartbeat adds it anew."""
+        """``key`` is heard only in a recording from now on, or live after all (`VehicleLinks.is_replayed`). Its state
+        is of another time and place: it is dropped, and its next heartbeat adds it anew."""
         self.components.forget(key)
         if key in self.vehicles:
             self._drop(key)
@@ -244,13 +243,13 @@ class Fleet:
         return targets.select(expression, self.vehicles.values())
 
     def resolve_any(self, expression: str | int | Sequence[str | int]) -> list[Actor]:
-        """As `resolve`; "7/191" and "alpha/191" may also be components that are no vehicles. Raises TargetError."""
+        """`resolve` with components: "7/191" and "alpha/191" may also name components. Raises TargetError."""
         vehicles: list[Actor] = [*self.vehicles.values()]
         return targets.select_any(expression, vehicles, [*self.components.all()])
 
     def sources(self, expression: str | int | Sequence[str | int]) -> set[int]:
-        """The sources (sysid << 8 | compid) of a target expression; component 0 stands for a whole system, which is
-        what a vehicle's name or system id means. Raises TargetError."""
+        """The sources (sysid << 8 | compid) of a target expression; a vehicle's name or system id gives component 0,
+        the whole system. Raises TargetError."""
         named = [
             part for part in targets.parts_of(expression) if not targets.names_component(part, self.vehicles.values())
         ]
@@ -259,8 +258,8 @@ class Fleet:
         return keys | {actor.sysid << 8 for actor in whole if self._is_first(actor)}
 
     def latest(self, target: str | int, message: str | int) -> dict[str, Any] | None:
-        """The last one of a message: a vehicle's autopilot's, else the newest of its system's other components; or
-        that of one component. None if none has come. Raises TargetError, RefusedError."""
+        """The last frame of a message: of a vehicle's autopilot, else the newest of its system's other components; or
+        of the named component. None if none has come. Raises TargetError, RefusedError."""
         found = self.resolve_any(target)
         if len(found) != 1:
             names = ", ".join(actor.name for actor in found[:10])
@@ -273,16 +272,16 @@ class Fleet:
         return min(others, key=lambda r: float(r["age_s"]), default=None)
 
     def names_of(self, sysid: int, compid: int) -> tuple[str | None, str]:
-        """The vehicle to whose system a source belongs, if any, and its own name: "alpha" for an autopilot, "alpha/191"
-        for another component, "7/191" without a vehicle."""
+        """The vehicle of a source's system, or None, and the source's name: "alpha" for an autopilot, "alpha/191" for
+        another component, "7/191" without a vehicle."""
         actor = self.vehicles.get(sysid << 8 | compid)
         if actor is not None:
             return actor.name, actor.name
         return self._name_of_system(sysid), self.components.name_of(sysid, compid)
 
     def components_status(self) -> list[dict[str, Any]]:
-        """Every component of every system that was heard, ours excepted: as in a vehicle's state, with its system id
-        and the vehicle to which it belongs."""
+        """All components of all systems that were heard, except ours: as in a vehicle's state, with system id and
+        vehicle."""
         now = self._loop.time()
         sysids = {key >> 8 for key in self.vehicles} | {actor.sysid for actor in self.components.all()}
         return [
@@ -292,9 +291,9 @@ class Fleet:
         ]
 
     def forget(self, expression: str | int | Sequence[str | int], *, force: bool = False) -> dict[str, Outcome]:
-        """Forget vehicles that are gone: they are in no "all" any more, and the next heartbeat finds each anew.
+        """Forget vehicles that are gone: "all" does not include them any more, and a new heartbeat adds them again.
 
-        Refused without ``force`` for one that is connected, or that was lost armed and may still fly. Routes to it
+        Refused without ``force`` for one that is connected, or was lost while armed and may still fly. Routes to it
         expire by themselves. Raises TargetError.
         """
         return {actor.name: self._forget(actor, force=force) for actor in self.resolve(expression)}
@@ -305,7 +304,7 @@ class Fleet:
         ago = f"{silence_s:.0f} s" if silence_s < 120 else f"{silence_s / 60:.0f} min"
         refusal = None
         if actor.vehicle.connected:
-            refusal = f"it is heard, {ago} ago; {orders.FORCE_HINT}: its next heartbeat finds it anew"
+            refusal = f"it was heard {ago} ago; {orders.FORCE_HINT}: its next heartbeat adds it again"
         elif actor.vehicle.armed and silence_s < MAYBE_FLYING_S:
             refusal = f"it was lost armed {ago} ago and may still fly; {orders.FORCE_HINT}"
         if refusal is not None and not force:
@@ -318,19 +317,19 @@ class Fleet:
         return Outcome(True, "accepted", text)
 
     def expect(self, sysid: int, expected: Expected | None) -> None:
-        """A known vehicle will come back under this system id and keep its name; None: no longer."""
+        """Expect a known vehicle to return under this system id and keep its name; None: no longer."""
         if expected is None:
             self._expected.pop(sysid, None)
         else:
             self._expected[sysid] = expected
 
     def expect_when_lost(self, sysid: int) -> None:
-        """Take what comes under this system id for the expected vehicle only once that is no longer heard."""
+        """Take frames with this system id for the expected vehicle only once that is no longer heard."""
         if (expected := self._expected.get(sysid)) is not None:
             self._expected[sysid] = expected._replace(when_lost=True)
 
     def configured_name(self, sysid: int) -> str | None:
-        """The vehicle to which the fleet file gives this system id, after any `Renumbering`."""
+        """The vehicle with this system id in the fleet file, after any `Renumbering`."""
         config = self._configs.get(sysid)
         return None if config is None else config.name
 
@@ -366,7 +365,7 @@ class Fleet:
     async def push_origin(
         self, expression: str | int | Sequence[str | int], *, home: bool = False, force: bool = False
     ) -> dict[str, Outcome]:
-        """Send each vehicle the origin; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
+        """Send the origin to each vehicle; see `VehicleActor.push_origin`. Raises RefusedError, TargetError."""
         if self.origin is None:
             raise RefusedError("there is no origin to send; set one first")
         return await self.command_all(expression, VehicleActor.push_origin, self.origin, home=home, force=force)
@@ -374,12 +373,12 @@ class Fleet:
     async def command_all(
         self, expression: str | int | Sequence[str | int], order: Order, /, *args: Any, **arguments: Any
     ) -> dict[str, Outcome]:
-        """Give one order (`VehicleActor.arm`) to every vehicle meant, at once; the outcome of each by name.
+        """Give one order (`VehicleActor.arm`) to every target vehicle at once; returns the outcomes by name.
 
-        Raises TargetError before anything is sent. An order for all that one frame can carry goes out as a broadcast;
-        each vehicle's answer is still collected, and one that did not answer is sent its own. When the caller is
-        cancelled, the orders of `KEPT` go on, all others end. Raises RefusedError for a stop that has to be confirmed
-        and is not (``confirm``, see `core.vehicle.stop`), and for a disarming of a duplicate system id that is not.
+        Raises TargetError before anything is sent. An order to all vehicles that fits in one frame is broadcast; each
+        vehicle's answer is still awaited, and a vehicle that does not answer gets its own frame. When the caller is
+        cancelled, the orders of `KEPT` go on, all others end. Raises RefusedError for a stop, or a disarming of a
+        duplicate system id, without the confirmation it needs (``confirm``, see `core.vehicle.stop`).
         """
         name = order.__name__
         if self._ending and order not in KEPT:
@@ -396,13 +395,12 @@ class Fleet:
         return await asyncio.shield(self._kept.start(work, f"{name} {', '.join(a.name for a in actors)}"[:100]))
 
     def setpoint(self, expression: str | int | Sequence[str | int], /, **setpoint: Any) -> dict[str, Outcome]:
-        """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError.
-
-        Several vehicles are not sent to one place by it: each of them flies by its own stream.
+        """One setpoint to each of the vehicles; see `VehicleActor.setpoint`. Raises TargetError, and RefusedError for
+        one position for several vehicles.
         """
         actors = self.resolve(expression)
         if len(actors) > 1 and setpoint.get("pos_enu_m") is not None:
-            one_place = "several vehicles were sent to one place; send each its own setpoint"
+            one_place = "several vehicles were sent to one position; send each its own setpoint"
             return {actor.name: Outcome(False, "refused", f"refused: {one_place}") for actor in actors}
         return {actor.name: actor.setpoint(**setpoint) for actor in actors}
 
@@ -426,7 +424,7 @@ class Fleet:
         return {actor.name: actor.preflight.status() for actor in self.resolve(expression)}
 
     def flown(self) -> list[VehicleActor]:
-        """The vehicles that are flown by setpoints, or about to be."""
+        """The vehicles that are controlled by setpoints, or about to be."""
         return [actor for actor in self.vehicles.values() if actor.offboard.controller.active]
 
     def flown_vehicles(self) -> list[Vehicle]:
@@ -450,7 +448,7 @@ class Fleet:
                     call = self._guarded(actor, order, args, {**arguments, **own})
                     tasks[actor] = group.create_task(call, name=f"{order.__name__} {actor.name}")
                 if broadcast is not None:
-                    await asyncio.sleep(0)  # every task has begun its exchange now: no answer can come too early
+                    await asyncio.sleep(0)  # every task waits for its answer now: none can come too early
                     self._broadcast(broadcast)
         finally:
             for vehicle in vehicles:
@@ -459,7 +457,7 @@ class Fleet:
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
     async def _guarded(self, actor: Actor, order: Order, args: tuple[Any, ...], arguments: dict[str, Any]) -> Outcome:
-        """A fault of ours in the order to one vehicle ends with that vehicle."""
+        """Contain an internal fault in the order to one vehicle."""
         try:
             method = order if isinstance(actor, VehicleActor) else COMPONENT_ORDERS[order]
             outcome: Outcome = await method(actor, *args, **arguments)
@@ -473,11 +471,10 @@ class Fleet:
     def _formation(
         self, actors: list[VehicleActor], arguments: dict[str, Any]
     ) -> tuple[dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str]]:
-        """Where each of several vehicles goes that are sent to one place, and why some do not go at all.
+        """The targets of several vehicles that are sent to one position, and the refusals of those that cannot fly.
 
-        They keep their places relative to each other, the middle of them goes to the given place. The middle is that
-        of the vehicles that can go now: a position that is not fresh would move the others'. ``same_place`` sends all
-        to the same point.
+        They keep their positions relative to each other; their mean goes to the given position. Only vehicles that can
+        fly now count for the mean: an old position would shift the others. ``same_place`` sends all to the same point.
         """
         if arguments.pop("same_place", False) or len(actors) < 2:
             return {}, {}
@@ -493,11 +490,11 @@ class Fleet:
                 staying[actor] = str(error)
                 continue
             own_amsl_m = here[actor][2] if height_m is None else home_amsl_m + height_m
-            # horizontally all move by the same offset and keep their distances; in the fleet's frame up is one height
+            # all move by the same horizontal offset and keep their distances; with enu_m all get one height
             ends[actor] = (*here[actor][:2], own_amsl_m if enu_m is None else 0.0)
         close = None if arguments.get("force") else too_close(ends)
         if close is not None:
-            text = f"{close[0].name} and {close[1].name} would end {close[2]:.1f} m apart at about one height"
+            text = f"{close[0].name} and {close[1].name} would end {close[2]:.1f} m apart at about the same height"
             text += "; move them apart first, or insist with same_place (--same-place) or force (--force)"
             return {}, staying | dict.fromkeys(ends, text)
         places: dict[VehicleActor, dict[str, Any]] = {}
@@ -507,22 +504,22 @@ class Fleet:
                 x_m, y_m, _ = world_from_enu((east_m, north_m, 0.0), self.origin)
                 places[actor] = {"enu_m": [enu_m[0] + x_m, enu_m[1] + y_m, enu_m[2]]}
             elif lat_deg is not None and lon_deg is not None and is_place(lat_deg, lon_deg):
-                # what is no place is left as it is: every vehicle refuses it with the reason
+                # an impossible position stays as it is: every vehicle refuses it with the reason
                 lat, lon = moved(lat_deg, lon_deg, (east_m, north_m))
                 places[actor] = {"lat_deg": lat, "lon_deg": lon}
         return places, staying
 
     def _broadcast_command(self, actors: list[VehicleActor], order: Order) -> BroadcastCommand | None:
-        """A broadcast, if all vehicles are meant, none refuses, all would be sent the same, and no other vehicle hears.
+        """A broadcast if all vehicles are targets, none refuses, all get the same frame, and no other vehicle hears it.
 
-        ArduPilot acts on it. PX4 does not: it takes commands for its own system id only (MavlinkReceiver,
-        evaluate_target_ok), and is sent its own at once.
+        ArduPilot acts on it. PX4 does not: it accepts commands for its own system id only (MavlinkReceiver,
+        evaluate_target_ok), and gets its own frame at once.
         """
         hearers = [a for a in actors if a.vehicle.family == "ardupilot"]
         if order not in BROADCAST or len(hearers) < 2 or not self._links.may_broadcast():
             return None
         if len(actors) != len(self.vehicles) or self.refused_vehicles:
-            return None  # an autopilot was met that is not meant
+            return None  # an autopilot was heard that is not a target
         specs: set[CommandSpec] = set()
         for actor in actors:
             plan = actor.plan(BROADCAST[order])
@@ -542,7 +539,7 @@ class Fleet:
         self._send(info, broadcast.spec.values(0, 0, 0), 0, 0, Priority.COMMAND)
 
     def _discover(self, key: int, frame: Frame, channel_label: str, now: float) -> None:
-        # is there room for it?
+        # check the limits
         if not self._has_place(frame.sysid, channel_label):
             self.refused_vehicles += 1
             if self.refused_vehicles == 1:
@@ -591,7 +588,7 @@ class Fleet:
             self._on_event(Event("conflict", config.name, frame.sysid, text, data))
 
     def _first(self, sysid: int) -> VehicleActor | None:
-        """The vehicle that stands for a system: that of the lowest component id."""
+        """The vehicle of a system: its autopilot with the lowest component id."""
         keys = self._of_system.get(sysid)
         return self.vehicles[min(keys)] if keys else None
 
@@ -619,7 +616,7 @@ class Fleet:
         return [(text, c.compid) for c in self.components.of_system(key >> 8) for text in c.component.texts]
 
     def _has_place(self, sysid: int, link: str) -> bool:
-        """Whether a vehicle that was not met before may be kept. The one that was lost first gives way, if any was."""
+        """True if there is room for a new vehicle; if necessary the vehicle that was lost first is removed."""
         if sysid in self._configs and not any(key >> 8 == sysid for key in self.vehicles):
             return True
         unnamed = [key for key in self.vehicles if key >> 8 not in self._configs]
@@ -629,17 +626,17 @@ class Fleet:
         return len(self.vehicles) < MAX_VEHICLES or self._drop_lost(unnamed)
 
     def _drop_lost(self, keys: list[int]) -> bool:
-        """Forget one of these vehicles that is lost, a disarmed one before an armed one. False if all are heard."""
+        """Forget one lost vehicle of these, a disarmed one before an armed one. False if all are heard."""
         lost = [key for key in keys if not self.vehicles[key].vehicle.connected]
         if not lost:
             return False
         actor = self._drop(min(lost, key=lambda key: bool(self.vehicles[key].vehicle.armed)))
-        text = f"{actor.name}, which is lost, gives its place among {MAX_VEHICLES} vehicles to another"
+        text = f"{actor.name}, which is lost, is forgotten to make room for another of {MAX_VEHICLES} vehicles"
         self._on_event(Event("vehicle_lost", actor.name, actor.sysid, text, {"forgotten": True}))
         return True
 
     def _replace_expected(self, heartbeat: Frame, link: str, now: float) -> None:
-        """If this is a vehicle that was given this system id, the entry of its old one goes and its name stays."""
+        """If this is a vehicle that was given a new system id, remove the entry of the old id; the name stays."""
         expected = self._expected.get(heartbeat.sysid)
         if expected is None or now > expected.until or link != expected.link:
             return
@@ -667,7 +664,7 @@ class Fleet:
         return actor
 
     def _config_of(self, sysid: int, compid: int) -> VehicleConfig:
-        """Names are unique: a second autopilot of one system gets its component id behind the name."""
+        """Names are unique: a second autopilot of one system gets its component id after the name."""
         config = self._configs.get(sysid) or self.config.default_vehicle(sysid)
         taken = {actor.name for actor in self.vehicles.values()}
         if config.name in taken:

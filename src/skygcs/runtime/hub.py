@@ -1,7 +1,7 @@
-"""Where every frame passes: link -> router -> links, recorder, vehicles. Synchronous, in that order, no queue between.
+"""Passes every frame from its link to the router, then to links, recorder and vehicles: synchronous, without a queue.
 
-The hub is the links' host. It owns the table of open channels and our own outgoing messages; what a frame means for
-routing is decided in `core.routing`, what it means for a vehicle in the fleet.
+The hub is the links' host. It owns the table of open channels and our own outgoing messages. `core.routing` decides
+where a frame goes, the fleet updates the state of its vehicle.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ _Entry = tuple[set[int] | None, set[int] | None, FrameObserver]
 
 
 class FrameObservers:
-    """``on_change()`` is called whenever what is watched changes."""
+    """``on_change()`` is called whenever the set of observed messages changes."""
 
     def __init__(self, on_change: Callable[[], None]) -> None:
         self.msgids: frozenset[int] | None = frozenset()
-        """Messages that some observer wants; None: all. To be checked before `show`: most frames are not observed."""
+        """Messages that some observer wants; None: all. Checked before `show`, because most frames are not observed."""
         self._entries: list[_Entry] = []
         self._on_change = on_change
 
@@ -72,7 +72,7 @@ class FrameObservers:
         return any((m is None or msgid in m) and (k is None or _has(k, key)) for m, k, _ in self._entries)
 
     def show(self, frame: Frame, channel: Channel, key: int, now: float) -> None:
-        """Give it to each observer that wants it."""
+        """Pass a frame to each observer that wants it."""
         for msgids, keys, observer in tuple(self._entries):
             if (msgids is None or frame.msgid in msgids) and (keys is None or _has(keys, key)):
                 observer(frame, channel, now)
@@ -95,7 +95,7 @@ def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int
 
     def msgid(name: MessageName) -> int:
         if isinstance(name, int) or name.isdecimal():
-            return int(name)  # an id the dialect does not have may be filtered, too
+            return int(name)  # ids that the dialect does not have may be filtered, too
         return dialect.find(name).msgid
 
     def msgids(names: tuple[MessageName, ...]) -> frozenset[int]:
@@ -138,34 +138,34 @@ def channel_policy(config: LinkConfig, dialect: Dialect, vehicles: frozenset[int
 
 
 OTHER_SOURCES = -1
-"""Key under which one channel's further sources are counted together once its table is full."""
+"""Key under which a channel's further sources are counted together once its table is full."""
 
 MAX_CLOSED_CHANNELS = 256
 """Closed channels whose counters per source are kept, in case the radio is plugged in again or the peer comes back."""
 
 MAX_CLOSED_SOURCES = 2048
-"""Sources of them all together, 300 bytes each: programs that come and go beside a large fleet do not add up."""
+"""Sources of all closed channels together, 300 bytes each: programs that come and go must not accumulate."""
 
 MAX_REPLAYED = 4096
-"""Sources of recordings that are kept apart from live ones; as many as there may be routes."""
+"""Sources of recordings, kept apart from live ones; as many as there may be routes."""
 
 MAX_NEGATIVE_CACHE = 16384
-"""Sources and messages that have no flow. When it is full it is cleared, and each is checked again."""
+"""Size of the negative cache: sources and messages without a flow. A full cache is cleared and filled again."""
 
 MAX_CHANNEL_ID = (1 << 24) - 1
-"""The greatest id the fast path's memory of duplicates has room for; after it, ids of closed channels are used again.
-A peer that keeps changing its address gets there in hours."""
+"""Largest channel id in the fast path's table of duplicates; after it, ids of closed channels are reused. A peer that
+keeps changing its address reaches it in hours."""
 
 WHOLE_DATAGRAM_BYTES = 1472
-"""Frames that came in one datagram are sent on in one up to this size, what one Ethernet packet carries."""
+"""Frames of one datagram are forwarded in one up to this size, the payload of an Ethernet packet."""
 
 _DROPPED = (RoutingVerdict.DUPLICATE, RoutingVerdict.CONFLICT, RoutingVerdict.FILTERED_IN, RoutingVerdict.OUT_OF_BOUNDS)
 
 
 class Hub:
-    """The links' host: routes every frame, records it, and gives it to the fleet.
+    """The links' host: routes every frame, records it, and passes it to the fleet.
 
-    Without `connect` it is a router and nothing else.
+    Without `connect` it only routes.
     """
 
     def __init__(
@@ -191,11 +191,11 @@ class Hub:
         self.router.on_change = self.forget_flows
         self._negative_cache: set[int] = set()
         self._renumbering: dict[int, SysidTranslator] = {}
-        """By channel id: what is sent there is changed on the way."""
+        """By channel id: translators of the frames sent there."""
         self.channels: dict[int, Channel] = {}
         self.faults = 0
         self.replayed: set[int] = set()
-        """Sources (sysid<<8|compid) that were heard in a recording only: they take no orders."""
+        """Sources (sysid<<8|compid) that exist only in a recording: they take no orders."""
         self._config = config
         self.dialect = dialect
         self._loop = loop
@@ -213,8 +213,8 @@ class Hub:
         self._observers = FrameObservers(self.forget_flows)
 
     def connect(self, fleet: Fleet | None, reports: RouteReports) -> None:
-        """Give the vehicles' frames to the fleet (None: to nothing), and the router's notes to ``reports``. To be
-        called once, before links open."""
+        """Connect the fleet, which gets the vehicles' frames (None: no fleet), and ``reports``, which gets the
+        router's notes. Call it once, before links open."""
         self._reports = reports
         self._fleet = fleet
         if fleet is not None:
@@ -228,16 +228,16 @@ class Hub:
         return FrameParser(self.dialect, pass_bad_crc=self._config.daemon.bad_crc == "pass")
 
     def attach(self, channel: Channel) -> None:
-        """The channel may be routed to from now on; gives it its id."""
+        """Add an open channel to the routes and set its id."""
         channel.id = self._free_id()
         self.channels[channel.id] = channel
         closed = self._closed_channels.pop((channel.link.name, channel.peer), None)
         if closed is not None:
             for stats in closed.values():
-                stats.resume()  # what was sent while the channel was closed is not a loss of the link
+                stats.resume()  # frames sent while the channel was closed are not losses of the link
             channel.sources = closed
         sysids = frozenset(s for s in self._config.bound_sysids(channel.config).values() if s is not None)
-        if channel.config.vehicles:  # which the fleet file's checks have found: an endpoint without any raises
+        if channel.config.vehicles:  # the fleet file's checks have found them: an endpoint without any raises
             channel.translator = SysidTranslator(sysids, channel.config.translated_sysid)
             if channel.translator.renumbers:
                 self._renumbering[channel.id] = channel.translator
@@ -249,7 +249,7 @@ class Hub:
             self._loop.call_soon(self._greet, channel, self._heartbeat)
 
     def _free_id(self) -> int:
-        """The id after the last one that no open channel has."""
+        """The next id that no open channel has."""
         while True:
             found, self._next_id = self._next_id, self._next_id % MAX_CHANNEL_ID + 1
             if found not in self.channels:
@@ -260,7 +260,7 @@ class Hub:
             self._send_on((channel.id,), heartbeat, Priority.HEARTBEAT, "heartbeat")
 
     def detach(self, channel: Channel, reason: str) -> None:
-        """The channel is gone, with its routes. Idempotent."""
+        """Remove a closed channel and its routes. Idempotent."""
         if self.channels.pop(channel.id, None) is not None:
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
@@ -271,11 +271,11 @@ class Hub:
                 kept -= len(closed.pop(next(iter(closed))))
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
-        """Every frame comes through here. Hot: no decoding, no await, no log; a fault behind one frame ends with it."""
+        """Handle the frames of one read. Hot: no decoding, no await, no log; a fault is contained in its frame."""
         frames = self._accepted(channel, frames, now)
         if not frames:
             return
-        # what is the same for all of them
+        # values that are the same for all frames
         decide, state_sources = self.router.decide, self.router.state_sources
         channels, channel_id, sources, label = self.channels, channel.id, channel.sources, channel.link.name
         on_vehicle_frame = None if self._fleet is None else self._fleet.on_frame
@@ -293,7 +293,7 @@ class Hub:
                 stats = self._new_source(channel, key, frame)
             stats.on_frame(frame.seq, size, now)
             if frame.msgid == SETUP_SIGNING:
-                self._on_key(frame.sysid, channel)  # a key is not forwarded, recorded or shown (the signing guide)
+                self._on_key(frame.sysid, channel)  # keys are not forwarded, recorded or shown (signing guide)
                 continue
             try:
                 # route and forward
@@ -312,7 +312,7 @@ class Hub:
                     together.append((frame, decision.destinations))
                 if decision.verdict in _DROPPED:
                     continue
-                # record, give to the fleet and to observers, and open a flow for the next ones
+                # record, pass to the fleet and to observers, and open a flow for the next frames
                 if record is not None:
                     record(raw, unix_us)
                 if counts and frame.info is not None and on_vehicle_frame is not None and (shown is None or shown(key)):
@@ -332,9 +332,9 @@ class Hub:
             self._drain_notes()
 
     def _accepted(self, channel: Channel, frames: list[Frame], now: float) -> list[Frame]:
-        """The frames of an open channel that its signing rule admits, with the ids that we use."""
+        """The frames that an open channel's signing rule admits, with system ids translated to ours."""
         if channel.id not in self.channels:
-            return []  # a callback that was under way when the channel closed
+            return []  # a callback that was pending when the channel closed
         if channel.signing is not None:
             frames = channel.signing.admit(channel, frames)
             if not frames:
@@ -343,12 +343,12 @@ class Hub:
             frames = channel.translator.inward(frames)
         channel.last_rx_at = now
         if self.fast_path is not None and self.fast_path.records_waiting:
-            self.after_fast_path()  # what came earlier is recorded first
+            self.after_fast_path()  # earlier frames are recorded first
         return frames
 
     def _counts(self, channel: Channel, frame: Frame, verdict: RoutingVerdict, now: float) -> bool:
-        """Whether a frame of a vehicle that is heard on several channels counts for its state. A copy that does is
-        shown here: the frame that came first did not count."""
+        """True if a frame of a vehicle that is heard on several channels counts for its state. A duplicate that counts
+        is shown here, because the frame that came first did not count."""
         copy = verdict is RoutingVerdict.DUPLICATE
         if verdict in _DROPPED and not copy:
             return False
@@ -358,7 +358,7 @@ class Hub:
         return counts
 
     def _send_together(self, frames: list[tuple[Frame, tuple[int, ...]]]) -> None:
-        """What came in one datagram: on in one, to channels that take it, if all of it goes the same way."""
+        """Forward the frames of one datagram in one datagram, if all of them go to the same channels."""
         channels = self.channels
         destinations = frames[0][1]
         data = b"".join([frame.raw for frame, _ in frames])
@@ -379,7 +379,7 @@ class Hub:
                     target.send(frame.raw if target.air is None else frame)
 
     def _send_as_shown(self, channel_id: int, frames: list[Frame]) -> None:
-        """To a program that knows its vehicle under another id: frames of one datagram, or one."""
+        """Send to a program that knows its vehicle under another id: the frames of one datagram, or one frame."""
         channel, endpoint = self.channels[channel_id], self._renumbering[channel_id]
         shown = [raw for frame in frames if (raw := endpoint.outward(frame)) is not None]
         if len(shown) > 1:
@@ -390,7 +390,7 @@ class Hub:
     # -- the compiled fast path
 
     def after_fast_path(self) -> None:
-        """Count and record the fast path's frames since the last call; call it before reading channels or sources."""
+        """Count and record the fast path's frames since the last call. Call it before reading channels or sources."""
         if self.fast_path is None:
             return
         forwarded, local, records, count = self.fast_path.take()
@@ -411,7 +411,7 @@ class Hub:
         """Open a flow for further frames like this one, if no rule has to be applied to them."""
         mark = channel.id << 40 | key << 24 | frame.msgid
         if mark in self._negative_cache or frame.target()[0] or channel.signing is not None:
-            return  # with a signing key each frame's stamp has to be looked at
+            return  # with a signing key each frame's stamp has to be checked
         path = self._path_of(channel, frame, key, stats)
         if path is not None:
             channel.add_flow(frame, path)
@@ -425,7 +425,7 @@ class Hub:
         if self._observers.watch(frame.msgid, key):
             return None
         if any(d in self._renumbering for d in entry.destinations):
-            return None  # each frame has to be changed on its way there
+            return None  # each frame has to be translated
         outs = tuple(out for d in entry.destinations if (out := self.channels[d].out) is not None)
         if len(outs) != len(entry.destinations):
             return None
@@ -441,14 +441,14 @@ class Hub:
         return ForwardingPath(outs, stats, entry.heard, update, steady=frame.payload)
 
     def _on_heartbeats(self, again: Callable[[float], None], now: float) -> None:
-        """Heartbeats like the last one came on the fast path."""
+        """Heartbeats equal to the last one came on the fast path."""
         try:
             again(now)
         except Exception as error:
             self.fault(error)
 
     def _shown_of(self, channel: Channel) -> Callable[[int], bool] | None:
-        """Which sources of this channel are shown to the fleet; None: all, and no source is known from a recording."""
+        """The sources of this channel that are shown to the fleet; None: all, and no recording is played."""
         if channel.config.type == "replay":
             return self._shown_replayed
         if not self.replayed:
@@ -473,21 +473,21 @@ class Hub:
             self._fleet.source_changed(key)
 
     def _shown_echo(self, key: int) -> bool:
-        """A ground station may hand back what it was shown of a recording."""
+        """A ground station may send back frames of a recording that it was shown."""
         return key not in self.replayed
 
     def on_sent(self, channel: Channel, message: OwnMessage, raw: bytes) -> None:
-        """A message of ours was written; recorded once however many channels it goes to."""
+        """Record a message of ours, once for all channels it was written to."""
         if self._record is not None and not message.recorded:
             message.recorded = True
             if self.fast_path is not None and self.fast_path.records_waiting:
                 self.after_fast_path()
             self._record(raw, time.time_ns() // 1000)
 
-    # -- what servers ask about new peers
+    # -- admission of new peers
 
     def carries_autopilot(self, channel: Channel) -> bool:
-        """Whether an autopilot is heard on this channel."""
+        """True if an autopilot is heard on this channel."""
         return bool(self.router.autopilots_on(channel.id))
 
     def vouches_for(self, config: LinkConfig, frames: list[Frame]) -> bool:
@@ -495,7 +495,7 @@ class Hub:
         return self._signing is None or config.signing is None or self._signing.vouches_for(config.name, frames)
 
     def on_event(self, event: Event) -> None:
-        """A link has something to report."""
+        """Publish an event of a link."""
         self._on_event(event)
 
     # -- our own messages
@@ -514,42 +514,44 @@ class Hub:
     ) -> bool:
         """Send a message of ours to one system (or, with sysid 0, to every link that may carry vehicles).
 
-        ``everywhere`` takes every channel on which it was heard, as emergencies do. False if that id was not
+        ``everywhere``: on every channel on which it was heard, as for emergencies. False if that id was not
         heard lately or every link refused. Raises ValueError as `pack` does.
         """
         ids = self.channels_to(sysid, compid, everywhere=everywhere or priority is Priority.EMERGENCY)
         return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, key)
 
     def channels_to(self, sysid: int, compid: int, *, everywhere: bool = False) -> tuple[int, ...]:
-        """Ids of the channels that a message of ours for this system takes now; sysid 0: for all vehicles."""
+        """Ids of the channels that a message of ours to this system is sent on; sysid 0: to all vehicles."""
         ids = self.router.route_own(sysid, compid, self._loop.time(), everywhere=everywhere)
         if sysid == 0:
             ids = tuple(i for i in ids if self.channels[i].config.role != "gcs")
         return ids
 
     def send_heartbeat(self, info: MessageInfo, values: Mapping[str, Any]) -> None:
-        """Our heartbeat, on every channel that is not bound to vehicles, whatever its role; one that opens later is
-        greeted with the newest."""
+        """Send our heartbeat on every channel that is not bound to vehicles, whatever its role; a channel that opens
+        later gets the newest one at once."""
         message = self._heartbeat = OwnMessage(info, info.pack(values), *self._own)
         self._send_on(tuple(self.channels), message, Priority.HEARTBEAT, "heartbeat")
 
     def send_on(self, ids: Iterable[int], info: MessageInfo, values: Mapping[str, Any], priority: Priority) -> bool:
-        """A message of ours to exactly these channels; False if none of them took it. Never to a bound one."""
+        """Send a message of ours to exactly these channels, except bound ones; False if none took it."""
         return self._send_on(ids, OwnMessage(info, info.pack(values), *self._own), priority, None)
 
     def channels_of_link(self, link: str) -> tuple[int, ...]:
-        """Ids of the channels that are open on one link."""
+        """Ids of a link's open channels."""
         return tuple(c.id for c in self.channels.values() if c.link.name == link)
 
     def _send_on(self, ids: Iterable[int], message: OwnMessage, priority: Priority, key: Hashable | None) -> bool:
         sent = False
         for channel_id in ids:
             channel = self.channels.get(channel_id)
-            if channel is not None and channel.translator is None:  # a program bound to vehicles gets nothing of ours
+            if (
+                channel is not None and channel.translator is None
+            ):  # a program bound to vehicles gets no messages of ours
                 sent |= channel.send(message, priority, key)
         return sent
 
-    # -- watchers
+    # -- observers
 
     def add_observer(self, msgids: set[int] | None, keys: set[int] | None, tap: FrameObserver) -> Callable[[], None]:
         """Have every accepted frame of these ids and sources (None: all) handed to ``tap``; returns how to stop it."""
@@ -558,8 +560,8 @@ class Hub:
     # -- status
 
     def link_quality(self, key: int) -> dict[str, Any]:
-        """Loss and rate of a source (sysid << 8 | compid), by link. If one link has several peers, those of the peer
-        that supplies its state."""
+        """Loss and rate of a source (sysid << 8 | compid), by link; on a link with several peers of the peer that
+        supplies its state."""
         found = {}
         for channel_id in self.router.channels_of(key):
             channel = self.channels[channel_id]
@@ -626,8 +628,8 @@ class Hub:
                 self.restart_source(vehicle.key)
 
     def restart_source(self, key: int) -> None:
-        """A system rebooted: its sequence numbers start anew on every channel."""
-        self.after_fast_path()  # which would overwrite them with what it has gathered
+        """A system rebooted: its sequence numbers restart on every channel."""
+        self.after_fast_path()  # it would overwrite them with its own counters
         for channel in self.channels.values():
             stats = channel.sources.get(key)
             if stats is not None:
@@ -645,7 +647,8 @@ class Hub:
         return stats
 
     def _drop_source(self, channel: Channel, frame: Frame) -> bool:
-        """Whether an autopilot finds a place in a full table: that of the source, no autopilot, silent for longest."""
+        """Make room for an autopilot in a full table: replace the other source that was silent for longest. True if
+        done."""
         if frame.msgid != HEARTBEAT or not discovers(frame):
             return False
         autopilots = self.router.autopilots_on(channel.id)
@@ -653,7 +656,7 @@ class Hub:
         if not others:
             return False
         del channel.sources[min(others, key=lambda key: channel.sources[key].last_at)]
-        self.forget_flows()  # one may count for it
+        self.forget_flows()  # a flow may count for it
         return True
 
     def _on_key(self, sysid: int, channel: Channel) -> None:
@@ -668,7 +671,7 @@ class Hub:
                 self._reports.on_note(note, self.channels.get(note.channel_id), self.channels.get(note.present_id))
 
     def fault(self, error: Exception) -> None:
-        """An exception behind a frame or a tick is our bug: counted, reported once per kind, never into the loop."""
+        """Contain an exception in a frame or a tick, which is our bug: count it, and report it once per kind."""
         self.faults += 1
         kind = f"{type(error).__name__}: {error}"[:200]
         if kind not in self._fault_kinds and len(self._fault_kinds) < 64:

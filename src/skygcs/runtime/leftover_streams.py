@@ -1,4 +1,4 @@
-"""Puts back what programs that are gone had vehicles stream, on links whose streams no radio's plan sees to."""
+"""Restores stream rates that disconnected programs had requested, on links without a radio's stream plan."""
 
 from __future__ import annotations
 
@@ -24,14 +24,15 @@ from skygcs.runtime.vehicle_services import OnEvent
 WATCHED = frozenset({REQUEST_DATA_STREAM, COMMAND_INT, COMMAND_LONG})
 
 SETTLE_S = 8.0
-"""After a request what comes is measured anew: rates are smoothed over some seconds."""
+"""Time after a request until rates are measured again: they are smoothed over some seconds."""
 
 ATTEMPTS = 3
-"""Then it is left as it is, and reported: the vehicle may not obey, or another program's request did not pass here."""
+"""Attempts, after which the stream is left as it is and reported: the vehicle may not follow requests, or another
+program requested the rate over a link that skygcs does not see."""
 
 NOTED_PER_S = 1000
-"""Requests, one for each vehicle that they are addressed to: ten for each of a hundred vehicles. More are a flood; what
-a program asks for again later is noted then."""
+"""Noted requests, one per addressed vehicle: ten for each of a hundred vehicles. More are a flood; a program's later
+request is noted again."""
 
 _COMMAND = struct.Struct("<2f20xH")
 """param1, param2 and command of COMMAND_LONG and COMMAND_INT."""
@@ -42,7 +43,7 @@ _DATA_STREAM = struct.Struct("<H2xB")
 
 @dataclass(slots=True)
 class _Task:
-    """One stream of one vehicle on its way back."""
+    """One stream of one vehicle that is being restored."""
 
     leftover: Leftover
     attempts: int = 0
@@ -50,11 +51,11 @@ class _Task:
 
 
 class LeftoverStreams:
-    """`on_frame` is a tap of the WATCHED messages; `tick` once a second.
+    """`on_frame` observes the WATCHED messages; call `tick` once a second.
 
-    A program is gone when its channel is closed, or when nothing came from it for ``gone_after_s``, the time after
-    which routing forgets it as well. Nothing is sent to a vehicle that is flown by setpoints, whose streams a radio's
-    plan sees to, or that is asked for nothing (``streams = {}``); nor about a stream that a connected program wants.
+    A program is gone when its channel is closed, or when nothing came from it for ``gone_after_s``, after which routing
+    forgets it as well. No request is sent to a vehicle that is controlled by setpoints, that is in a radio's stream
+    plan, or that has ``streams = {}``; nor for a stream that a connected program requested.
     """
 
     def __init__(self, hub: Hub, fleet: Fleet, dialect: Dialect, gone_after_s: float, on_event: OnEvent) -> None:
@@ -69,7 +70,7 @@ class LeftoverStreams:
         self._noted = TokenBucket(NOTED_PER_S, NOTED_PER_S)
 
     def on_frame(self, frame: Frame, channel: Channel, now: float) -> None:
-        """A message of another program that may ask for streams."""
+        """Note a message of another program that may request streams."""
         stream = self._stream(frame)
         if stream is None or channel.config.type == "replay":
             return
@@ -80,12 +81,12 @@ class LeftoverStreams:
                 self._requests.not_counted += 1
                 return
             if not self._is_kept(actor) or (stream.group is not None and actor.vehicle.family != "ardupilot"):
-                continue  # PX4 does nothing with a request for a group
+                continue  # PX4 ignores requests for stream groups
             self._requests.on_request(key, program, stream, partial(_rates, actor))
             self._tasks.get(key, {}).pop(stream, None)
 
     def _addressed(self, system: int, component: int) -> list[tuple[int, VehicleActor]]:
-        """The vehicles of these ids, of which 0 is any."""
+        """The vehicles with these ids; 0 is any."""
         vehicles = self._fleet.vehicles
         if system and component:
             actor = vehicles.get(system << 8 | component)
@@ -103,7 +104,7 @@ class LeftoverStreams:
             self._tasks.pop(vehicle.key, None)
 
     def tick(self, now: float) -> None:
-        """Find programs that are gone, and request what is to be restored."""
+        """Find programs that are gone, and request the rates to restore."""
         self._now = now
         for key, leftovers in self._requests.left_behind(self._is_connected).items():
             tasks = self._tasks.setdefault(key, {})
@@ -121,7 +122,7 @@ class LeftoverStreams:
     # -- the inside
 
     def _is_kept(self, actor: VehicleActor) -> bool:
-        """Whether its streams are seen to here."""
+        """True if this module restores its streams."""
         return not actor.vehicle.replayed and not actor.streams.planned and bool(actor.config.streams)
 
     def _is_connected(self, program: Program) -> bool:
@@ -130,7 +131,7 @@ class LeftoverStreams:
         if channel is None:
             return False
         stats = channel.sources.get(key)
-        # one that is not counted by itself, in a full table, is taken for connected
+        # in a full table a source is not counted by itself: it is taken for connected
         return (
             channel.link.config.type.startswith("tcp")
             or stats is None
@@ -147,7 +148,7 @@ class LeftoverStreams:
             requests = [r for r in requests if r.stream.message is None or not actor.streams.is_left(r.stream.message)]
             if not requests or task.attempts >= ATTEMPTS:
                 del tasks[stream]
-                if requests and stream.group is not None:  # a message's default may be another rate than before
+                if requests and stream.group is not None:  # a message's default rate may have changed
                     self._report(actor, stream)
                 continue
             task.attempts += 1
@@ -173,11 +174,11 @@ class LeftoverStreams:
 
     def _report(self, actor: VehicleActor, stream: Stream) -> None:
         what = stream.message or f"its stream group {stream.group}"
-        text = f"goes on sending {what} as a program that is gone had asked for, though it was asked to stop"
+        text = f"still sends {what} at the rate that a program, now gone, had requested, although told to stop"
         self._on_event(Event("warning", actor.name, actor.sysid, text, {"stream": what}))
 
     def _stream(self, frame: Frame) -> Stream | None:
-        """What the frame asks for; None: for no stream."""
+        """The stream that the frame requests; None: none."""
         payload = frame.payload.ljust(32, b"\0")
         if frame.msgid == REQUEST_DATA_STREAM:
             return Stream(_DATA_STREAM.unpack_from(payload)[1], None)

@@ -1,4 +1,4 @@
-"""What the links leave to each vehicle, and how well each vehicle is heard: losses, signal, bytes left to setpoints."""
+"""Quality of the links per vehicle: losses, signal, and the bytes per second available for setpoints."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ UNKNOWN = 255
 """UINT8_MAX: invalid or unknown (common.xml)."""
 
 SETPOINT_SHARE = 0.25
-"""Share of a serial link's bytes per second for the setpoints of all vehicles behind it. A half-duplex radio shares its
-air between both directions: half of it is the fleet's telemetry (field-notes 10.2), commands and ground stations have
-the rest. At 57600 baud 1440 B/s: 28 attitude setpoints of 51 B a second, or 25 beside five pings, for one vehicle or
-divided among several."""
+"""Share of a serial link's bytes per second for the setpoints of all vehicles behind it. A half-duplex radio shares the
+air between both directions: half of it is used by the fleet's telemetry (field-notes 10.2), the rest by commands and
+ground stations. At 57600 baud 1440 B/s: 28 attitude setpoints of 51 B a second, or 25 beside five pings, for one
+vehicle or several together."""
 
 BUDGET_SHARE = 0.5
-"""Share of a radio's uplink, where that is known better than from the serial rate: its timeslots, its own reports.
-Without them it is the same number, for half of the serial rate is the uplink."""
+"""Share of a radio's uplink if that is known from its timeslots or its own reports. Without them `SETPOINT_SHARE` gives
+the same rate, because the uplink is half of the serial rate."""
 
 SIGNED_SHARE = FRAME_BYTES["SET_ATTITUDE_TARGET"] / (FRAME_BYTES["SET_ATTITUDE_TARGET"] + SIGNATURE_BYTES)
-"""What is left where each frame ends in a signature."""
+"""Share left for the frame itself if each frame carries a signature."""
 
 BITS_PER_BYTE = 10
 """8N1: start bit, eight, stop bit."""
@@ -48,7 +48,7 @@ GUIDED_MIN_HZ = 1.0
 """ArduPilot stops 3 s after the last position or velocity (field-notes 10.5): two may be lost."""
 
 STREAMED = "SET_POSITION_TARGET_LOCAL_NED"
-"""The longest of the setpoints, as long as SET_POSITION_TARGET_GLOBAL_INT."""
+"""The longest setpoint, with the length of SET_POSITION_TARGET_GLOBAL_INT."""
 
 
 @dataclass(slots=True)
@@ -58,7 +58,8 @@ class _Radio:
 
 
 class LinkWatch:
-    """`tick` once a second; `on_radio` for every RADIO_STATUS. Never more entries than the hub has sources."""
+    """Call `tick` once a second and `on_radio` for every RADIO_STATUS. It has at most as many entries as the hub
+    sources."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -89,8 +90,8 @@ class LinkWatch:
             self._radios[channel.id] = _Radio(min(margins), now)
 
     def of(self, key: int, now: float) -> dict[str, LinkFacts]:
-        """By link, how a vehicle (sysid << 8 | compid) is heard; if one link has several peers, the one that supplies
-        its state."""
+        """By link, how well a vehicle (sysid << 8 | compid) is heard; on a link with several peers by the one that
+        supplies its state."""
         facts: dict[str, LinkFacts] = {}
         for channel_id in self._hub.router.channels_of(key):
             link = self._hub.channels[channel_id].link.name
@@ -106,7 +107,7 @@ class LinkWatch:
 
 
 class LinkView:
-    """What the fleet asks about the links (`vehicle_services.VehicleLinks`)."""
+    """The fleet's view of the links; implements `vehicle_services.VehicleLinks`."""
 
     def __init__(self, hub: Hub, links: LinkTable, watch: LinkWatch) -> None:
         self._hub = hub
@@ -118,7 +119,7 @@ class LinkView:
         return self._watch.of(key, now)
 
     def is_replayed(self, key: int) -> bool:
-        """True if this source (sysid << 8 | compid) is heard in a recording only."""
+        """True if this source (sysid << 8 | compid) exists only in a recording."""
         return key in self._hub.replayed
 
     def forget_flows(self) -> None:
@@ -126,7 +127,7 @@ class LinkView:
         self._hub.forget_flows()
 
     def may_broadcast(self) -> bool:
-        """False if a link drops the frames of some sources: a vehicle that is dropped there would still hear us."""
+        """False if a link drops frames of some sources: a vehicle whose frames are dropped would still hear us."""
         return not any(
             link.enabled
             and (link.allow_src_sys_in or link.block_src_sys_in or link.allow_src_comp_in or link.block_src_comp_in)
@@ -134,17 +135,19 @@ class LinkView:
         )
 
     def why_silent(self, vehicle: Vehicle) -> str:
-        """Why a vehicle may not answer although it is heard: the end of a sentence, or ""."""
+        """Why a vehicle that is heard may not answer: the end of a sentence, or ""."""
         slot = vehicle.slots.get(HEARTBEAT)
         links = [self._hub.channels[i].config for i in self._hub.channels_to(vehicle.sysid, vehicle.compid)]
         return why_silent(None if slot is None else slot.frame, links)
 
     def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
-        """Why no stream of setpoints can be kept up to this vehicle over the radio it is behind; None if it can."""
+        """Why this vehicle's radio cannot carry a stream of setpoints; None if it can."""
         px4 = vehicle.family == "px4"
         least_hz = OFFBOARD_MIN_HZ if px4 else GUIDED_MIN_HZ
         needed = least_hz * FRAME_BYTES[STREAMED]
-        instead = "; send it places instead (skygcs-cli goto), fly fewer by setpoints, or raise the radio's air speed"
+        instead = (
+            "; use goto instead (skygcs-cli goto), fly fewer vehicles by setpoints, or raise the radio's air speed"
+        )
         for channel_id in self._hub.channels_to(vehicle.sysid, vehicle.compid):
             # only radios are narrow
             air = self._hub.channels[channel_id].air

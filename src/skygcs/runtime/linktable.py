@@ -36,8 +36,7 @@ class _Entry:
 class LinkTable:
     """`start` once, then `add`, `change` and `remove`, then `close`.
 
-    A change is carried through to its end even if its caller is cancelled meanwhile: half of one would leave
-    a link closed.
+    A change is completed even if its caller is cancelled meanwhile: an incomplete one would leave a link closed.
     """
 
     def __init__(
@@ -68,7 +67,7 @@ class LinkTable:
 
     @property
     def configs(self) -> dict[str, LinkConfig]:
-        """Every link as it is configured now, those switched off as well."""
+        """The present configuration of all links, including those switched off."""
         return {name: entry.config for name, entry in self._entries.items()}
 
     def open_names(self) -> list[str]:
@@ -76,14 +75,14 @@ class LinkTable:
         return [n for n, e in self._entries.items() if e.supervisor is not None and e.supervisor.state == "up"]
 
     def start(self, group: asyncio.TaskGroup) -> None:
-        """Open the links of the fleet file; from now on links run in this group."""
+        """Open the links of the fleet file; links run in this task group."""
         self._group = group
         for name, config in self._fleet_config.links.items():
             self._enter(name, config)
         self._warn(self.configs)
 
     async def close(self) -> None:
-        """Close all links, after the change that is under way; no further change is taken."""
+        """Close all links, after the change in progress; further changes are refused."""
         async with self._lock:
             self._group = None
             for name in list(self._entries):
@@ -179,14 +178,14 @@ class LinkTable:
         entry = self._entries[name]
         if entry.task is not None:
             entry.task.cancel()
-            await asyncio.wait({entry.task})  # which, unlike awaiting it, does not swallow a cancellation of our own
+            await asyncio.wait({entry.task})  # unlike an await of the task, this does not swallow our own cancellation
 
     def _warn(self, which: Mapping[str, LinkConfig]) -> None:
         for name, text in link_warnings(self._current()).items():
             if name in which:
                 self._on_event(Event("warning", None, None, f"links.{name}: {text}", {"link": name}))
 
-    # -- what a person asks
+    # -- status
 
     def status(self) -> list[dict[str, Any]]:
         """Every link with its state, counters and channels; ``vehicles`` where it is bound to some; ``warning`` where

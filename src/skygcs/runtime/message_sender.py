@@ -1,6 +1,6 @@
-"""Sends any message of the dialect for a client: to which vehicles, over which links, and with which checks.
+"""Sends any message of the dialect for a client: selects vehicles and links, and checks the message.
 
-It goes out behind orders (priority PROTOCOL), so that a stream of such messages holds up none of them.
+Messages have a lower priority than orders (PROTOCOL), so that a stream of them does not delay orders.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "
 
 
 def target_fields(info: MessageInfo) -> tuple[str | None, str | None]:
-    """Names of the fields that say which system and component a message is for ("target" in MANUAL_CONTROL)."""
+    """Names of the fields for the target system and component of a message ("target" in MANUAL_CONTROL)."""
     at = {f.offset: f.name for f in info.fields}
     system, component = info.target_system_offset, info.target_component_offset
     return (None if system == ABSENT else at[system]), (None if component == ABSENT else at[component])
 
 
 class MessageSender:
-    """`send` for the RPC's messages.send."""
+    """`send` serves the RPC method messages.send."""
 
     def __init__(self, hub: Hub, fleet: Fleet, links: LinkTable, now: Callable[[], float]) -> None:
         self._hub = hub
@@ -46,10 +46,10 @@ class MessageSender:
         *,
         force: bool = False,
     ) -> dict[str, Any]:
-        """Send it to the vehicles of ``target``, with their ids filled in; or to all on ``link``; or where its own
-        target field says (0: everyone). One without a target field and given none goes to every link with vehicles.
+        """Send it to the vehicles of ``target``, with their ids filled in; or to all on ``link``; or to its own target
+        field (0: everyone). Without target, link and target field it goes to every link with vehicles.
 
-        What would pass the checks of an order (`core.vehicle.unguarded`) is refused unless ``force``.
+        A message that would bypass the checks of an order (`core.vehicle.unguarded`) is refused unless ``force``.
 
         The answer's "sent" counts transmissions; "note" names other vehicles that hear it, too. Raises KeyError
         (no such message), ValueError (bad field), TargetError, LinkError (no such link) or RefusedError.
@@ -80,7 +80,7 @@ class MessageSender:
         return self._to_field(info, fields)
 
     def _refuse_flown(self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None) -> None:
-        """Two streams of setpoints to one vehicle would tear it to and fro."""
+        """Refuse setpoints to a vehicle that skygcs controls: it would follow two streams in turn."""
         system, _ = target_fields(info)
         sysid = int(fields.get(system or "", 0) or 0)
         meant = None if target is None else {actor.sysid for actor in self._fleet.resolve_any(target)}
@@ -93,7 +93,8 @@ class MessageSender:
     def _require_guarded(
         self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
     ) -> None:
-        """Raises RefusedError for what would fly a vehicle, or stop its motors, past the checks of an order."""
+        """Raises RefusedError for a message that would move a vehicle, or stop its motors, without an order's
+        checks."""
         route = unguarded_message(info.name, fields, self._hub.dialect.enums.get("MAV_CMD", {}))
         if route is None:
             return
@@ -104,13 +105,13 @@ class MessageSender:
     def _reached(
         self, info: MessageInfo, fields: Mapping[str, Any], target: str | list[str] | None, link: str | None
     ) -> list[Vehicle]:
-        """The vehicles that will take a message for their own."""
+        """The vehicles that will accept the message."""
         system, _ = target_fields(info)
         live = {key: actor for key, actor in self._fleet.vehicles.items() if not actor.vehicle.replayed}
         channels: set[int] | None = None if link is None else set(self._hub.channels_of_link(link))
         if target is not None:
             meant = self._fleet.resolve_any(target)
-            if system is not None:  # an autopilot may take what is for a component that it does not know
+            if system is not None:  # an autopilot may accept messages to a component id that it does not know
                 sysids = sorted({actor.sysid for actor in meant})
                 return [vehicle for sysid in sysids for vehicle in self._fleet.vehicles_of(sysid)]
             channels = {route for actor in meant for route in self._hub.channels_to(actor.sysid, actor.compid)}
@@ -123,7 +124,7 @@ class MessageSender:
         ]
 
     def _to_field(self, info: MessageInfo, fields: Mapping[str, Any]) -> dict[str, Any]:
-        """Where the message's own target fields say; to all without such fields."""
+        """Send by the message's own target fields; without such fields to all."""
         system, component = target_fields(info)
         sysid = int(fields.get(system, 0) or 0) if system is not None else 0
         compid = int(fields.get(component, 0) or 0) if component is not None else 0
@@ -144,7 +145,7 @@ class MessageSender:
             note = None
             given = int(fields.get(system, 0) or 0)
             if given and any(given != sysid for sysid, _ in meant):
-                raise RefusedError(f"{system}={given} says another target than {target}; leave one of them out")
+                raise RefusedError(f"{system}={given} and the target {target} differ; leave one of them out")
             for sysid, compid in meant:
                 addressed = {**fields, system: sysid}
                 if component is not None:
@@ -171,7 +172,7 @@ class MessageSender:
 
     def _why_not(self, *sysids: int) -> str:
         if sysids and all(any(key >> 8 == sysid for key in self._hub.replayed) for sysid in sysids):
-            return "its target is heard in a recording only"
+            return "its target exists only in a recording"
         return "no link on which its target was heard"
 
     @staticmethod

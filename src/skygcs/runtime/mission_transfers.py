@@ -1,6 +1,6 @@
-"""Missions, fences and rally points of one vehicle in transfer: the asyncio side of the mission exchanges.
+"""Transfers of missions, fences and rally points of one vehicle: the asyncio side of the mission protocol.
 
-One exchange at a time: an autopilot has one place for a transfer, whatever its type. The next one waits for its turn.
+One transfer at a time: an autopilot handles one, whatever its type. The next one waits.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ NEEDED = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_R
 """Messages without which a dialect cannot carry a mission."""
 
 MESSAGES = frozenset({40, MISSION_CURRENT, 44, MISSION_ITEM_REACHED, 47, 51, 73, EVENT_ID})
-"""Ids of what `on_frame` wants to see."""
+"""Ids of the messages that `on_frame` needs."""
 
 REPORT_STEP = 10
-"""Percent between two reports of progress: a report per item would be two hundred events."""
+"""Step of the progress reports in percent: a report per item would be two hundred events."""
 
 MAX_WAITING = 4
 
 MAX_CHANGES = 5
-"""Kinds of changes to a mission that are named in the outcome of its upload."""
+"""Kinds of changes to a mission that the outcome of its upload names."""
 
 STATES = {1: "no mission", 2: "not started", 3: "active", 4: "paused", 5: "complete"}
 """MISSION_STATE."""
@@ -76,11 +76,11 @@ class Missions:
         on_event: Callable[[Event], None],
     ) -> None:
         self.opaque_ids: dict[MissionType, int] = {}
-        """The vehicle's own numbers for its lists, as last heard."""
+        """The vehicle's own list ids, as last heard."""
         self.counts: dict[MissionType, int] = {}
-        """Items of each list as last sent or read, without home."""
+        """Number of items in each list as last sent or read, without home."""
         self.last: dict[MissionType, MissionOutcome] = {}
-        """How the last transfer of each list ended."""
+        """Outcome of the last transfer of each list."""
         self._vehicle = vehicle
         self._commands = commands
         self._dialect = dialect
@@ -102,7 +102,7 @@ class Missions:
         self._reached: int | None = None
 
     async def upload(self, kind: MissionType, items: tuple[MissionItem, ...]) -> MissionOutcome:
-        """``items`` as on the wire (`mission_orders.on_wire`); none of them clears the list."""
+        """Upload ``items`` as on the wire (`mission_orders.on_wire`); an empty list clears the vehicle's list."""
         if not items:
             return await self.clear(kind)
         home_first = kind is MissionType.MISSION and keeps_home(self._vehicle)
@@ -123,7 +123,7 @@ class Missions:
         return outcome
 
     async def _feasible(self, outcome: MissionOutcome) -> MissionOutcome:
-        """A PX4 takes a mission and then looks whether it can be flown; only an event or a text says that it cannot."""
+        """A PX4 accepts a mission and checks it afterwards; only an event or a text reports that it is rejected."""
         await asyncio.sleep(SETTLE_S)
         if not self._rejections:
             return outcome
@@ -132,7 +132,7 @@ class Missions:
         return replace(outcome, ok=False, result="denied", message=message)
 
     async def download(self, kind: MissionType) -> MissionOutcome:
-        """Its ``items`` are as on the wire."""
+        """Download one list; its ``items`` are as on the wire."""
         outcome = await self._run(MissionDownload(kind), f"{kind.word} download")
         if outcome.items is not None:
             home = kind is MissionType.MISSION and keeps_home(self._vehicle) and bool(outcome.items)
@@ -147,7 +147,7 @@ class Missions:
         return outcome
 
     async def bring(self, plan: MissionPlan, kinds: Collection[MissionType], *, limit_m: float, force: bool) -> Outcome:
-        """Check these lists of a plan and upload them, fence first; stops at the first that is not taken."""
+        """Check these lists of a plan and upload them, fence first; stops at the first that is not accepted."""
         kinds = _ordered(kinds)
         try:
             require_uploadable(
@@ -171,7 +171,7 @@ class Missions:
         return await self._each(kinds, self.clear)
 
     async def fetch(self, kinds: Collection[MissionType]) -> tuple[Outcome, MissionPlan]:
-        """Download these lists; the plan holds those that came, and an ArduPilot's home."""
+        """Download these lists; the plan contains those that came, and an ArduPilot's home."""
         plan = MissionPlan()
         vehicle = self._vehicle
 
@@ -195,7 +195,7 @@ class Missions:
     async def _each(
         self, kinds: tuple[MissionType, ...], transfer: Callable[[MissionType], Awaitable[MissionOutcome]]
     ) -> Outcome:
-        """One transfer after the other, as one outcome that says how far it came."""
+        """Run one transfer after the other; one outcome states how far they came."""
         if self._vehicle.duplicate:
             return duplicate_refusal(self._vehicle)
         texts: list[str] = []
@@ -214,7 +214,7 @@ class Missions:
         return Outcome(True, "accepted", "; ".join(texts), sent, self._loop.time() - began)
 
     def status(self) -> dict[str, Any]:
-        """What the vehicle reports of its mission, and the transfer in progress."""
+        """The mission state that the vehicle reports, and the transfer in progress."""
         transfer = None
         if self._running is not None:
             protocol, _, what = self._running
@@ -230,7 +230,7 @@ class Missions:
         }
 
     def on_frame(self, frame: Frame, now: float) -> None:
-        """One of MESSAGES, of this vehicle, whomever it is for."""
+        """A frame of this vehicle with one of MESSAGES, to any station."""
         if frame.msgid == MISSION_CURRENT:
             self._on_current(frame)
         elif frame.msgid == MISSION_ITEM_REACHED:
@@ -242,7 +242,7 @@ class Missions:
             self._on_answer(frame, now)
 
     def on_text(self, text: str) -> None:
-        """A status text of this vehicle: it may say why something is refused."""
+        """A status text of this vehicle, which may be the reason of a refusal."""
         if "mission rejected" in text.lower():
             self._rejections.append(text)
         if self._running is not None:
@@ -377,5 +377,5 @@ def _change_texts(changes: tuple[Change, ...]) -> list[str]:
 
 
 def _ordered(kinds: Collection[MissionType]) -> tuple[MissionType, ...]:
-    """Fence, rally points, mission: what protects comes first."""
+    """Fence, rally points, mission: the protecting lists first."""
     return tuple(kind for kind in (MissionType.FENCE, MissionType.RALLY, MissionType.MISSION) if kind in kinds)

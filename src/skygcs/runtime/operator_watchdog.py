@@ -1,5 +1,5 @@
-"""Watches that an operator is there: when no ground station and no client was active for so long, vehicles that are
-flown by setpoints are ordered to hold, land or return (`core.control.deadman`)."""
+"""Operator watchdog: when no ground station and no client was active for a time, vehicles that are controlled by
+setpoints are ordered to hold, land or return (`core.control.deadman`)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ GCS_TYPE = 6
 """MAV_TYPE_GCS in a HEARTBEAT."""
 
 ACTIONS: Mapping[str, Order] = {"hold": VehicleActor.hold, "land": VehicleActor.land, "rtl": VehicleActor.rtl}
-"""What `Fired.action` orders."""
+"""The order of each `Fired.action`."""
 
 
 class OperatorWatchdog:
-    """`on_client` with every request of an RPC client, `on_heartbeat` with every heartbeat, `tick` now and then."""
+    """Call `on_client` for every request of an RPC client, `on_heartbeat` for every heartbeat, and `tick` once a
+    second."""
 
     def __init__(
         self, dead_man: DeadMan, fleet: Fleet, loop: asyncio.AbstractEventLoop, on_event: Callable[[Event], None]
@@ -42,7 +43,7 @@ class OperatorWatchdog:
         self._dead_man.alive("a client of the socket", self._loop.time())
 
     def on_frame(self, frame: Frame, channel: Channel, now: float) -> None:
-        """A heartbeat from any link; the operator of a recording watches nothing."""
+        """A heartbeat from any link; those of a recording do not count."""
         if channel.config.type != "replay":
             self.on_heartbeat(frame, now)
 
@@ -52,7 +53,7 @@ class OperatorWatchdog:
             self._dead_man.alive(f"ground station {frame.sysid}/{frame.compid}", now)
 
     def tick(self, now: float) -> None:
-        """Begin to count when control begins, and act when the silence has become too long."""
+        """Start the timer when control begins, and act when the silence is too long."""
         if not self.watching:
             return
         flown = frozenset(actor.name for actor in self._fleet.flown())

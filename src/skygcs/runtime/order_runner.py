@@ -1,8 +1,8 @@
 """Runs one vehicle's orders: from the request to the one Outcome that is returned and reported as an event.
 
-An order is planned (`core.vehicle.orders`), then its plan is executed step by step. No order raises for what the
-vehicle or skygcs refuses. One that is cancelled is reported, too. The runner knows which order is the newest that moves
-the vehicle: a newer one takes the place of an older one.
+An order is planned (`core.vehicle.orders`), then its plan is executed step by step. Refusals by the vehicle or by
+skygcs are outcomes, not exceptions; so is a cancellation. The runner counts the orders that move the vehicle: a newer
+one replaces an older one in progress.
 """
 
 from __future__ import annotations
@@ -25,54 +25,54 @@ from skygcs.runtime.command_client import SUPERSEDED, CommandClient
 MOVING = frozenset(
     {"mode", "disarm", "takeoff", "land", "rtl", "hold", "goto", "reboot", "stop", "control", "release", "mission"}
 )
-"""Orders that take the place of the one in progress."""
+"""Orders that replace the one in progress."""
 
 EVERYWHERE = frozenset({"land", "rtl", "hold", "disarm"})
-"""Orders that end a flight: they go out over every link to the vehicle from the first transmission on."""
+"""Orders that end a flight: already the first transmission goes over every link to the vehicle."""
 
 RETRY_S = 1.0
-"""ArduPilot's estimator converges in some ten seconds after start; asking once a second costs 90 B/s of the link."""
+"""ArduPilot's estimator converges some ten seconds after the start; one attempt a second costs 90 B/s of the link."""
 
 RESEND_S = 0.5
-"""A message whose answer is awaited is sent again after this long: more than a round trip of a busy radio would take
-all its capacity for repeats, and the answer is awaited for a few seconds only."""
+"""Time before a message whose answer is awaited is sent again. Faster repeats would fill a busy radio, whose round trip
+is about as long; slower ones would be too few, because the answer is awaited for a few seconds only."""
 
 FINAL = frozenset({"refused", "unsupported", "lost", "cancelled"})
-"""Outcomes that another try a second later would only repeat."""
+"""Outcomes that an attempt a second later would repeat."""
 
 REFUSALS = frozenset({"temporarily_rejected", "denied", "unsupported", "failed"})
-"""Answers of a vehicle that refuses."""
+"""Outcomes of a refusal by the vehicle."""
 
 UNHEARD = frozenset({"timeout", "lost"})
-"""Outcomes of an order that did not reach the vehicle, or that it took and does not show."""
+"""Outcomes of an order that did not reach the vehicle, or whose effect the vehicle does not show."""
 
 Planner = Callable[[float], Plan]
-"""What an order means now (the loop's time). Raises RefusedError, and NotReadyError if it may be possible soon."""
+"""Plans an order at this loop time. Raises RefusedError, and NotReadyError if the order may be possible soon."""
 
 Attempt = Callable[[Planner], Coroutine[Any, Any, Outcome]]
 """Plans and executes."""
 
 
 class _PlanInProgress:
-    """A plan that is being executed: the steps to come, the one in progress, whether it is to end early."""
+    """A plan in execution: the remaining steps, the one in progress, and whether it is to end early."""
 
     __slots__ = ("end_requested", "number", "plan", "queue", "step")
 
     def __init__(self, plan: Plan, number: int) -> None:
         self.plan = plan
         self.number = number
-        """Value of `OrderRunner.number` when it began; another value now: a newer order moves the vehicle."""
+        """Value of `OrderRunner.number` at its start; if that has changed, a newer order moves the vehicle."""
         self.queue = list(plan.steps)
         self.step: Step | None = None
         self.end_requested = False
 
     def ended(self) -> bool:
-        """A call, because the type checker takes an attribute for unchanged across an await."""
+        """A method, because the type checker assumes that an attribute does not change during an await."""
         return self.end_requested
 
 
 class OrderRunner:
-    """The orders of one vehicle. ``number`` counts those that moved it."""
+    """The orders of one vehicle. ``number`` counts those that move it."""
 
     def __init__(
         self,
@@ -102,8 +102,8 @@ class OrderRunner:
         return await self.track(order, self.attempt(planner))
 
     async def retry(self, order: str, planner: Planner, wait_s: float) -> Outcome:
-        """As `run`, again and again until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle
-        names a reason that time does not cure; the outcome then says what does."""
+        """`run`, repeated until the vehicle accepts, ``wait_s`` is over, a newer order came, or the vehicle gives a
+        reason that does not pass with time; the outcome then states what to do."""
         return await self.track(order, self._tries(order, planner, wait_s))
 
     async def track(self, order: str, work: Coroutine[Any, Any, Outcome]) -> Outcome:
@@ -112,7 +112,7 @@ class OrderRunner:
         try:
             outcome = await work
         except asyncio.CancelledError:
-            text = "cancelled: the client that gave it is gone; what was sent already cannot be unsent"
+            text = "cancelled: the client that gave it is gone; what was sent already cannot be undone"
             self.finish(order, Outcome(False, "cancelled", text, elapsed_s=self._loop.time() - started))
             raise
         return self.finish(order, outcome)
@@ -217,9 +217,9 @@ class OrderRunner:
             outcome = await self._persist(step, plan, run)
             # ended by its caller or by the shutdown meanwhile
             if run.ended() and number == self.number:
-                done += [step] if outcome.attempts else []  # what was sent may have been taken
+                done += [step] if outcome.attempts else []  # the vehicle may have accepted the transmission
                 return await self._ended(run, done, max(attempts, outcome.attempts), started)
-            attempts = max(attempts, outcome.attempts)  # steps are no repeats of each other
+            attempts = max(attempts, outcome.attempts)  # steps are not repeats of each other
             texts += [t for t in outcome.status_texts if t not in texts]
             # an alternative, or a step that may fail
             if outcome.result == "unsupported" and step.instead:
@@ -251,7 +251,7 @@ class OrderRunner:
         return Outcome(False, "cancelled", f"cancelled before {rest}{undone}", attempts, self._loop.time() - started)
 
     async def _persist(self, step: Step, plan: Plan, run: _PlanInProgress) -> Outcome:
-        """Execute one step, again and again if the plan persists: if nothing answers, perhaps nothing was heard."""
+        """Execute one step; if the plan persists, repeat it while no answer comes, as it may not have been received."""
         started, attempts = self._loop.time(), 0
         while True:
             outcome = await self._step(step, plan, run)
@@ -294,7 +294,7 @@ class OrderRunner:
         return replace(outcome, ok=False, result="timeout", message=f"timeout: accepted, but {unmet}")
 
     async def _message_step(self, step: Step, number: int) -> Outcome:
-        """A message has no acknowledgement: it is sent again until its answer has come or the time is over."""
+        """Send a message, which has no acknowledgement, until its answer has come or the time is over."""
         assert step.message is not None
         name, values = step.message
         if name not in self._dialect.by_name:
@@ -334,7 +334,7 @@ class OrderRunner:
         return added
 
     async def _tries(self, order: str, planner: Planner, wait_s: float) -> Outcome:
-        """The attempts of `retry`, until one of them is the last."""
+        """The attempts of `retry`."""
         started = self._loop.time()
         attempts = 0
         while True:
@@ -342,16 +342,16 @@ class OrderRunner:
             outcome = await self.attempt(planner)
             attempts += outcome.attempts
             outcome = replace(outcome, attempts=attempts, elapsed_s=self._loop.time() - started)
-            # a reason that a person has to cure
+            # a reason that the operator has to remove
             todo = None if outcome.ok else todo_for(outcome.status_texts, self._vehicle.name)
             if todo is not None:
                 return replace(outcome, message=f"{outcome.message}; {todo}")
-            # the last try: accepted, refused for good, superseded, or out of time
+            # the last attempt: accepted, refused for good, superseded, or out of time
             superseded = self.number > before + (order in MOVING)
             over = superseded or tried_at + RETRY_S > started + wait_s
             if over or outcome.ok or outcome.result in FINAL:
                 return outcome
-            # wait for the next try
+            # wait for the next attempt
             before = self.number
             await asyncio.sleep(max(0.0, tried_at + RETRY_S - self._loop.time()))
             if self.number != before:
@@ -362,7 +362,7 @@ class OrderRunner:
         return self._vehicle.duplicate and not (plan.emergency or plan.despite_duplicate)
 
     def _explained(self, outcome: Outcome, step: Step) -> Outcome:
-        """A refusal without a reason at least names what was asked."""
+        """A refusal without a reason at least names the refused step."""
         if outcome.result not in REFUSALS or outcome.status_texts:
             return outcome
         why = step.refused or f"{firmware_name(self._vehicle)} gave no reason ({step.name})"

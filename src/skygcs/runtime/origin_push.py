@@ -1,4 +1,4 @@
-"""Sends one vehicle the fleet's origin until it has it or is known not to take it."""
+"""Sends the fleet's origin to one vehicle until the vehicle reports it or is known to refuse it."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.order_runner import Attempt, Planner
 
 TRIES = 3
-"""SET_GPS_GLOBAL_ORIGIN has no acknowledgement: it may be lost while the question after it is not."""
+"""SET_GPS_GLOBAL_ORIGIN has no acknowledgement: it may be lost while the request after it arrives."""
 
 NO_USE = frozenset({"refused", "unsupported", "lost", "cancelled"})
-"""Outcomes that another try would not change."""
+"""Outcomes that another attempt would not change."""
 
 
 async def push_origin(
@@ -49,7 +49,7 @@ async def push_origin(
 
 
 def both(origin: Outcome, home: Outcome) -> Outcome:
-    """The outcome of sending the origin and of setting the home there: good if both are."""
+    """The outcome of sending the origin and of setting the home there: ok if both are."""
     worse = origin if not origin.ok else home
     return Outcome(
         origin.ok and home.ok,

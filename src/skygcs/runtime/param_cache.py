@@ -1,7 +1,7 @@
-"""Parameters of vehicles as they were read last, one file per vehicle, so that a reconnect transfers none.
+"""Keeps the parameters of vehicles on disk, one file per vehicle, so that a reconnect transfers none.
 
-A file that is missing, broken, of another format or of another firmware is no cache; one that cannot be written costs
-the next connect a list, not a flight.
+A file that is missing, broken, of another format or of another firmware is ignored; if a file cannot be written, the
+next connection reads the list again.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from skygcs.core.protocols.parameter_list import MAX_COUNT
 from skygcs.core.vehicle.vehicle import Vehicle
 
 FORMAT = 1
-"""Raised whenever the file changes shape: older ones are then never read."""
+"""Version of the file format; files of other versions are ignored."""
 
 MAX_FILES = 256
-"""One per vehicle of the largest fleet; the ones unused for longest are removed first."""
+"""Number of files: one per vehicle of the largest fleet; those unused for longest are removed first."""
 
 MAX_FILE_BYTES = 2_000_000
-"""Ten times the largest there is."""
+"""Largest file that is read: ten times the largest known."""
 
 
 @dataclass(frozen=True, slots=True)
 class CacheKey:
-    """Whose parameters: ``board`` is the autopilot's unique id, ``firmware`` its version and commit."""
+    """Key of a vehicle's parameters. ``board``: the autopilot's unique id; ``firmware``: its version and commit."""
 
     autopilot: str
     sysid: int
@@ -42,7 +42,8 @@ class CacheKey:
 
 @dataclass(frozen=True, slots=True)
 class CachedParams:
-    """What was read. ``hash`` is PX4's over them, None for an autopilot without one: then only their number speaks."""
+    """Stored parameters. ``hash``: PX4's hash over them; None for autopilots without one: then only their number is
+    checked."""
 
     params: tuple[Param, ...]
     hash: int | None
@@ -59,13 +60,13 @@ def default_cache_dir() -> Path | None:
 
 
 class ParamCache:
-    """``folder`` None: nothing is kept."""
+    """``folder`` None: nothing is stored."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
 
     def load(self, key: CacheKey) -> CachedParams | None:
-        """What was stored for this vehicle with this firmware."""
+        """The parameters stored for this vehicle with this firmware."""
         path = self._path(key)
         if path is None:
             return None
@@ -79,7 +80,7 @@ class ParamCache:
         return cached
 
     def store(self, key: CacheKey, cached: CachedParams) -> None:
-        """Whole or not at all: written beside and renamed."""
+        """Store atomically: written to a temporary file and renamed."""
         path = self._path(key)
         if path is None or len(cached.params) > MAX_COUNT:
             return
@@ -109,13 +110,13 @@ class ParamCache:
 
 
 def _encode(cached: CachedParams, key: CacheKey) -> dict[str, Any]:
-    """Floats as hexadecimal text: exact, and JSON has no NaN."""
+    """Floats as hexadecimal text, which is exact; JSON has no NaN."""
     params = [[p.name, int(p.type), p.value if isinstance(p.value, int) else p.value.hex()] for p in cached.params]
     return {"format": FORMAT, "firmware": key.firmware, "hash": cached.hash, "params": params}
 
 
 def _decode(table: dict[str, Any], key: CacheKey) -> CachedParams | None:
-    """Raises KeyError, TypeError or ValueError on a table of another shape."""
+    """Raises KeyError, TypeError or ValueError for an unexpected content."""
     if table["format"] != FORMAT or table["firmware"] != key.firmware:
         return None
     params = tuple(
@@ -129,10 +130,10 @@ def _decode(table: dict[str, Any], key: CacheKey) -> CachedParams | None:
 
 
 class ParamBook:
-    """``complete``: these are all. ``hash``: PX4's over them when they were read, None without one.
+    """Known parameters. ``complete``: the whole list. ``hash``: PX4's hash when they were read; None without one.
 
-    ``recalled``: they come from an earlier run, or from before the vehicle was lost: changes may not have been heard.
-    ``stale``: a value has changed since that hash was read, so it must not vouch for what is known now.
+    ``recalled``: they come from an earlier run, or from before the vehicle was lost: changes may have been missed.
+    ``stale``: a value has changed since the hash was read, so the hash does not confirm the present values.
     """
 
     def __init__(self, vehicle: Vehicle, dialect: Dialect, cache: ParamCache) -> None:
@@ -148,7 +149,7 @@ class ParamBook:
 
     @property
     def encoding(self) -> Encoding:
-        """How the vehicle sends whole numbers."""
+        """The encoding of whole numbers by the vehicle."""
         fields = self._version_fields()
         return encoding_of(self._vehicle.autopilot, None if fields is None else int(fields["capabilities"]))
 
@@ -166,7 +167,7 @@ class ParamBook:
             self._unsaved = self.stale = True
 
     def remember(self, params: tuple[Param, ...], hash_: int | None) -> None:
-        """A complete list has been read; ``hash_`` None: it has none, or it changed meanwhile."""
+        """A complete list has been read; ``hash_`` None: there is none, or it changed meanwhile."""
         self.params = {p.name: p for p in params}
         self.complete = self._unsaved = True
         self.recalled = False
@@ -174,16 +175,16 @@ class ParamBook:
         self.save()
 
     def vouched(self, hash_: int | None) -> None:
-        """This is the hash over what is known now; None: it is unknown."""
+        """Set the hash of the present values; None: not known."""
         self.hash = hash_
         self.stale = False
 
     def vouches(self, hash_: int | None) -> bool:
-        """True if a hash that the vehicle has just sent shows that the known values are those it holds."""
+        """True if a hash that the vehicle has just sent confirms the known values."""
         return self.complete and hash_ is not None and hash_ == self.hash and not self.stale
 
     def recall(self) -> None:
-        """Take what an earlier run has kept, if nothing is known yet."""
+        """Load the stored parameters if nothing is known yet."""
         key = None if self.complete else self._key()
         cached = None if key is None else self._cache.load(key)
         if cached is not None:
@@ -192,7 +193,7 @@ class ParamBook:
             self.vouched(cached.hash)
 
     def save(self) -> None:
-        """Keep what is known for the next run, as far as the vehicle will be able to vouch for it."""
+        """Store the parameters for the next run, if the vehicle will be able to confirm them."""
         key = self._key()
         if self._unsaved and self.complete and key is not None:
             self._unsaved = False
@@ -200,12 +201,12 @@ class ParamBook:
                 self._cache.store(key, CachedParams(tuple(self.params.values()), self.hash))
 
     def doubt(self) -> None:
-        """The vehicle was lost or has rebooted: what is known has to be vouched for anew."""
+        """The vehicle was lost or has rebooted: the known values need a new confirmation."""
         self.save()
         self.complete = False
 
     def _key(self) -> CacheKey | None:
-        """None while the vehicle has not said what firmware it runs."""
+        """The cache key; None while the vehicle's firmware is not known."""
         fields = self._version_fields()
         if fields is None:
             return None

@@ -1,11 +1,11 @@
 """Parameters of one vehicle: the asyncio side of `ParameterProtocol`, `ParamList` and `FileDownload`, with one timer.
 
-The actor owns one and hands it what the vehicle says (`on_frame`, `on_text`, `stop_all`). Nothing here asks by itself:
-a parameter goes over the link when it is requested, and a list only if it is not known already.
+The actor owns one and passes the vehicle's messages to it (`on_frame`, `on_text`, `stop_all`). Nothing is requested
+automatically: a parameter is transferred on request, and a list only if it is not known already.
 
-What is known of a list stays good as long as the vehicle vouches for it: PX4 by a hash over all values; ArduPilot,
-which has none, by its firmware and the number of parameters, which says nothing about values. Changes others make are
-heard here like our own, as the vehicle sends them to all.
+A known list stays valid as long as the vehicle confirms it: PX4 by a hash over all values; ArduPilot, which has no
+hash, by its firmware and the number of parameters, which does not confirm values. Changes by other stations are heard
+here like our own, because the vehicle sends them to all.
 """
 
 from __future__ import annotations
@@ -38,17 +38,18 @@ from skygcs.runtime.task_set import fault
 from skygcs.runtime.vehicle_services import VehicleServices
 
 GUESSED_BYTES = 12
-"""Bytes of a parameter: ArduPilot estimates with it the size that it reports when the file is opened."""
+"""Bytes per parameter in ArduPilot's estimate of the file's size, which it reports when the file is opened."""
 
 
 def offered(vehicle: Vehicle, dialect: Dialect, capabilities: int) -> bool:
-    """Whether the vehicle says that it serves files, and has this one."""
+    """True if the vehicle reports FTP, and has this file."""
     return vehicle.family == "ardupilot" and bool(capabilities & CAPABILITY_FTP) and MESSAGE in dialect.by_name
 
 
 def download(session: int, *, burst: bool, bytes_per_s: float | None, link_bytes_per_s: float) -> FileDownload:
-    """``link_bytes_per_s``: what the narrowest link in the way leaves, infinite where none is known to be thin. There
-    it comes at once, unless a rate below that of a narrow link is requested."""
+    """The download of the parameter file. ``link_bytes_per_s``: rate of the slowest link to the vehicle, infinite if
+    none is known to be slow. Then the file is read at full rate, unless a rate below that of a slow link is
+    requested."""
     wide = math.isinf(link_bytes_per_s) and (bytes_per_s is None or bytes_per_s >= BYTES_PER_S)
     return FileDownload(
         pck.PATH,
@@ -60,7 +61,7 @@ def download(session: int, *, burst: bool, bytes_per_s: float | None, link_bytes
 
 
 def progress_of(exchange: FileDownload, now: float) -> ListProgress:
-    """In parameters, as far as the vehicle's guess of the file's size goes."""
+    """Progress in parameters, from the vehicle's estimate of the file's size."""
     progress = exchange.progress(now)
     count = None if progress.size is None else progress.size // GUESSED_BYTES
     received = progress.received // GUESSED_BYTES
@@ -70,40 +71,40 @@ def progress_of(exchange: FileDownload, now: float) -> ListProgress:
 
 
 def params_of(outcome: FileOutcome, heard: Mapping[str, Param]) -> tuple[Param, ...]:
-    """All parameters; ``heard``: what the vehicle said while it was read, which is newer. Raises ValueError, for a
-    person, if they are not all there."""
+    """All parameters of the file; ``heard``: newer values that the vehicle sent during the download. Raises ValueError
+    with a message for the user if some are missing."""
     if not outcome.ok:
         raise ValueError(outcome.message)
     held = pck.decode(outcome.data)
     if not held.params or len(held.params) != held.total:
-        raise ValueError(f"it holds {len(held.params)} of {held.total} parameters")
+        raise ValueError(f"it contains {len(held.params)} of {held.total} parameters")
     return tuple(heard.get(p.name, p) for p in held.params)
 
 
 NEEDED = ("PARAM_VALUE", "PARAM_SET", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST")
 
 MAX_EXCHANGES = 16
-"""Single parameters asked for at the same time; further ones wait for their turn."""
+"""Single parameters requested at the same time; further ones wait."""
 
 LOCKS = 64
-"""One exchange of a name at a time; names share locks, so that their number is bounded."""
+"""One request per name at a time; names share locks, so that their number is bounded."""
 
 PROGRESS_EVERY_S = 1.0
 
 SETTLE_S = 0.5
-"""From the last parameter that was set until what was set is read once more: a PX4 puts some of them right itself
-(MPC_XY_CRUISE above MPC_XY_VEL_MAX), within a run of the module that they are of, some ms."""
+"""Time after the last set parameter until the set ones are read once more: a PX4 corrects some of them itself
+(MPC_XY_CRUISE above MPC_XY_VEL_MAX) when the module they belong to runs, some ms later."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """All parameters of a vehicle, or why not. ``source``: "vehicle", or "cache" if the vehicle vouched for what was
-    known.
+    """All parameters of a vehicle, or the reason why not. ``source``: "vehicle", or "cache" if the vehicle confirmed
+    the known ones.
 
-    ``vouched``: how sure that is: "read" (and whatever changed since was heard), "hash" (of all values), or "count"
-    (only their number and the firmware are what they were). ``sent``: messages it took.
+    ``vouched``: how they were confirmed: "read" (and later changes were heard), "hash" (of all values), or "count"
+    (only their number and the firmware are unchanged). ``sent``: number of messages sent.
     """
 
     ok: bool
@@ -118,12 +119,12 @@ class Loaded:
 
 
 class VehicleParams:
-    """See the head of the file. Outcomes report how everything ended; nothing raises for what the vehicle does."""
+    """Parameter transfers of one vehicle; see the module. Failures by the vehicle are outcomes, not exceptions."""
 
     def __init__(self, vehicle: Vehicle, services: VehicleServices) -> None:
         dialect = services.dialect
         self.progress: ListProgress | None = None
-        """Progress of the list that is being read."""
+        """Progress of the list in transfer."""
         self._vehicle = vehicle
         self._dialect = dialect
         self._services = services
@@ -138,17 +139,17 @@ class VehicleParams:
         self._error_id = -1 if error is None else error.msgid
         self._running: dict[ProtocolMachine, asyncio.Future[None]] = {}
         self._taken: dict[ProtocolMachine, int] = {}
-        """Messages of each that a link took."""
+        """Number of messages of each that were sent."""
         self._locks: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._quiet_until: dict[str, float] = {}
         self._slots = asyncio.Semaphore(MAX_EXCHANGES)
         self._hashless = False
-        """Whether it has said, by answering all else, that it has no hash."""
+        """True if it has no hash: it answered everything else."""
         self._count: int | None = None
         self._file_session = 0
         self._file_running = False
         self._changed: dict[str, Param] = {}
-        """What it has said while a file was read: newer than what is in it."""
+        """Values sent during a file's download: newer than those in the file."""
         self._loading: asyncio.Task[Loaded] | None = None
         self._waiting = 0
         self._closed = False
@@ -157,9 +158,9 @@ class VehicleParams:
         self._timer = DeadlineTimer(services.loop, self._on_timer)
         self._probe = 0
         self._texts: list[str] = []
-        """What a PX4 has said of its limits since the last `set` began: "Cruise speed has been constrained by …"."""
+        """PX4's texts about limits since the last `set` began: "Cruise speed has been constrained by …"."""
 
-    # -- what the vehicle says
+    # -- messages of the vehicle
 
     def on_frame(self, frame: Frame, now: float) -> None:
         """A frame of this vehicle of one of `messages`. Never raises."""
@@ -206,7 +207,7 @@ class VehicleParams:
         self._set_timer()
 
     def stop_all(self, result: str, message: str) -> int:
-        """End all that is under way; how many that were. After a reboot nothing that was known is vouched for."""
+        """End all transfers and return their number. After a reboot the known values need a new confirmation."""
         if result == "lost":
             self._book.doubt()
             self._hashless = False
@@ -219,11 +220,11 @@ class VehicleParams:
         return len(running)
 
     def cancel(self) -> int:
-        """Somebody wants it to stop; how many requests were under way. Safe at any moment."""
+        """Cancel the transfers on request and return their number. Safe at any moment."""
         return self.stop_all("cancelled", "cancelled")
 
     def stop_list(self) -> None:
-        """Give up the list that is being read, if there is one."""
+        """Cancel the list in transfer, if there is one."""
         if self._loading is not None:
             self._loading.cancel()
 
@@ -236,15 +237,15 @@ class VehicleParams:
             self._loading.cancel()
         self._timer.set(None)
 
-    # -- what people want
+    # -- requests
 
     async def get(self, name: str) -> ParamOutcome:
-        """One parameter, from the vehicle; by its other generation's name if it has only that."""
+        """Read one parameter from the vehicle; by its name in the other generation if the vehicle has only that."""
         return await self._either(name, lambda n: self._one(n))
 
     async def set(self, values: Mapping[str, Value], *, settle: bool = False) -> dict[str, ParamOutcome]:
-        """Set parameters one after another, each read back; the outcome of every one, also of those left out because it
-        was cancelled. ``settle``: what was changed is read once more at the end, as a vehicle may change it itself."""
+        """Set parameters one after another and read each back; returns an outcome for each, also for those not sent
+        after a cancellation. ``settle``: read the changed ones once more at the end, as a vehicle may correct them."""
         cancelled = self._cancelled
         hashed = self._book.complete and self._book.hash is not None
         vouched = hashed and self._book.vouches(await self._ask_hash())
@@ -268,7 +269,7 @@ class VehicleParams:
         return outcomes
 
     async def _settle(self, outcomes: dict[str, ParamOutcome]) -> None:
-        """Read what has been changed once more; an outcome says so if the vehicle holds another value now."""
+        """Read the changed parameters once more; an outcome states if the vehicle has another value now."""
         changed = [n for n, o in outcomes.items() if o.ok and o.param is not None and o.param != o.before]
         if not changed:
             return
@@ -281,14 +282,14 @@ class VehicleParams:
                 took, held = value_text(taken.param.value), value_text(now.param.value)
                 before = "" if taken.before is None else f" (it was {value_text(taken.before.value)})"
                 why = f": {'; '.join(self._texts)}" if self._texts else ""
-                message = f"it took {took} and then made it {held} itself{before}{why}"
+                message = f"it accepted {took} and then changed it to {held} itself{before}{why}"
                 outcomes[name] = replace(taken, ok=False, result="changed", message=message, param=now.param)
 
     async def load(
         self, *, refresh: bool = False, burst: bool = False, bytes_per_s: float | None = BYTES_PER_S
     ) -> Loaded:
-        """All parameters. One list at a time: further requests meanwhile wait for the same. It is cancelled when
-        no request waits for it any more."""
+        """Read all parameters. One list at a time: further requests wait for the same list. It is cancelled when no
+        request waits for it any more."""
         if self._loading is None:
             work = self._load(refresh=refresh, burst=burst, bytes_per_s=bytes_per_s)
             self._loading = self._loop.create_task(work, name=f"parameters of {self._vehicle.name}")
@@ -303,7 +304,7 @@ class VehicleParams:
                 self._loading = None
 
     async def vouched(self) -> Mapping[str, Param]:
-        """What is known of all parameters, if the vehicle says by its hash that it still holds; else nothing."""
+        """All known parameters if the vehicle confirms them by its hash; else nothing."""
         book = self._book
         book.recall()
         if not book.complete or book.hash is None or self._refusal() is not None:
@@ -311,7 +312,7 @@ class VehicleParams:
         return dict(book.params) if book.vouches(await self._ask_hash()) else {}
 
     def status(self) -> dict[str, Any]:
-        """JSON-able: what is known, and what is going on."""
+        """JSON-able: the known parameters and the transfers in progress."""
         progress = None if self.progress is None else _progress_data(self.progress)
         return {
             "known": len(self._book.params),
@@ -321,10 +322,10 @@ class VehicleParams:
             "under_way": len(self._running),
         }
 
-    # -- how
+    # -- transfers
 
     def _refusal(self) -> tuple[str, str] | None:
-        """Why nothing is to be asked of it now: the word of the outcome, and the text."""
+        """Why no request is sent to it now: the result word and the text of the outcome."""
         if self._closed:
             return "cancelled", "cancelled: skygcs is shutting down"
         if not self._able:
@@ -334,7 +335,7 @@ class VehicleParams:
         if self._vehicle.duplicate:
             text = f"two vehicles with system id {self._vehicle.sysid} are on the air; give one of them another"
             return "refused", f"refused: {text}"
-        return None if self._vehicle.connected else ("lost", "the vehicle is lost: nothing is heard of it")
+        return None if self._vehicle.connected else ("lost", "the vehicle is lost: nothing is heard from it")
 
     async def _either(self, name: str, run: Callable[[str], Coroutine[Any, Any, ParamOutcome]]) -> ParamOutcome:
         other = other_name(name)
@@ -374,7 +375,7 @@ class VehicleParams:
         return replace(protocol.outcome, message=protocol.outcome.message + why_silent)
 
     def _absent_of(self, name: str) -> int:
-        """How many parameters its complete list has, if none of them has this name; else 0."""
+        """Number of parameters in its complete list if none of them has this name; else 0."""
         self._book.recall()
         known = self._book.params
         return len(known) if self._book.complete and name not in known and name != HASH_NAME else 0
@@ -405,7 +406,7 @@ class VehicleParams:
         outcome = protocol.outcome
         assert outcome is not None
         if outcome.ok:
-            # what changed while it was read is good for now, but not confirmed by a hash
+            # values that changed during the transfer are valid, but not confirmed by a hash
             after = await self._ask_hash() if before is not None else None
             self._book.remember(outcome.params, after if after == before else None)
         why_silent = self._services.links.why_silent(self._vehicle) if outcome.result == "timeout" else ""
@@ -424,7 +425,7 @@ class VehicleParams:
         )
 
     async def _load_file(self, *, burst: bool, bytes_per_s: float | None) -> Loaded:
-        self._file_session = (self._file_session + 16) & 0xFF  # a download may need some
+        self._file_session = (self._file_session + 16) & 0xFF  # a download may need several attempts
         started, services = self._loop.time(), self._services
         link = services.links.setpoint_bytes_per_s(self._vehicle, services.flown())
         protocol = download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
@@ -451,7 +452,8 @@ class VehicleParams:
         return Loaded(True, "accepted", text, "vehicle", "read", params, count, outcome.sent, elapsed_s)
 
     async def _still_known(self, hash_now: int | None) -> bool:
-        """Whether what was read before, now or in an earlier run, is what the vehicle holds, as far as can be known."""
+        """True if the values read before, in this run or an earlier one, are those of the vehicle, as far as can be
+        known."""
         book = self._book
         book.recall()
         if not book.complete or self._vehicle.family == "px4":
@@ -473,7 +475,7 @@ class VehicleParams:
         return int(outcome.param.value) if outcome.ok and outcome.param is not None else None
 
     def _keep_quiet(self, name: str, until: float) -> None:
-        """No further exchange of this name before: answers to the last one may still come."""
+        """Wait before another request with this name: answers to the last one may still come."""
         now = self._loop.time()
         for past in [n for n, t in self._quiet_until.items() if t <= now]:
             del self._quiet_until[past]
@@ -481,7 +483,7 @@ class VehicleParams:
             self._quiet_until[name] = until
 
     async def _run(self, protocol: ParameterProtocol | ParamList | FileDownload) -> bool:
-        """Until it is done; whether no link took any of its messages."""
+        """Run it to its outcome; True if no link took any of its messages."""
         done: asyncio.Future[None] = self._loop.create_future()
         self._running[protocol] = done
         self._taken[protocol] = 0
@@ -544,7 +546,7 @@ class VehicleParams:
             self._report(action, line, _progress_data(progress) | {"state": "under_way"})
 
     def _report_set(self, outcomes: Mapping[str, ParamOutcome], wanted: int) -> None:
-        """What was set is worth a line, also when the client has disconnected meanwhile."""
+        """Report set parameters as an event, also if the client has disconnected meanwhile."""
         good = sum(o.ok for o in outcomes.values())
         if wanted == 1 and outcomes:
             ((name, outcome),) = outcomes.items()

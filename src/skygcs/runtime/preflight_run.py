@@ -1,7 +1,7 @@
-"""Preflight of one vehicle: asks for what the checks need, lets `core.preflight` judge, sets what would put it right.
+"""Preflight of one vehicle: requests the data of the checks, evaluates them by `core.preflight`, sets parameters.
 
-It also is the gate before the motors: with ``require_preflight`` an arming is refused unless the vehicle has passed
-since it started, and not too long ago.
+It also guards the arming: with ``require_preflight`` an arming is refused unless the vehicle has passed preflight since
+it started, and recently.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.vehicle_services import VehicleServices
 
 AT_ONCE = 8
-"""Parameters of one vehicle asked for at the same time: 8 x 45 B are 65 ms of 57600 baud; one it has not takes 7 s."""
+"""Parameters of one vehicle requested at the same time: 8 x 45 B are 65 ms of 57600 baud; a missing one takes 7 s."""
 
 VEHICLES_AT_ONCE = 3
-"""Vehicles examined at the same time: their questions share a radio, and each has some fifteen."""
+"""Vehicles examined at the same time: their requests, some fifteen each, share a radio."""
 
 SETTLE_S = 3.0
-"""From a parameter that was set until the vehicle's telemetry reflects it: it looks at its arming checks once
-a second, and SYS_STATUS comes every two."""
+"""Time until the vehicle's telemetry reflects a set parameter: it evaluates its arming checks once a second, and
+SYS_STATUS comes every two seconds."""
 
 Request = Callable[[str], Awaitable[Outcome]]
 Confirmed = Mapping[str, float] | None
@@ -46,7 +46,7 @@ Confirmed = Mapping[str, float] | None
 
 @dataclass(frozen=True, slots=True)
 class Examined:
-    """A report, when it was made (the loop's clock), what was set before it, and why what was to be set was not."""
+    """A report, its time (the loop's clock), the parameters set before it, and why others were not set."""
 
     report: Report
     at: float
@@ -55,7 +55,7 @@ class Examined:
 
 
 class Preflight:
-    """``request`` asks the vehicle for one message. ``configured``: whether the fleet file names it; None: the file
+    """``request`` requests one message of the vehicle. ``configured``: True if the fleet file names it; None: the file
     names no vehicle."""
 
     def __init__(
@@ -82,17 +82,18 @@ class Preflight:
         self._configured = configured
         self._valid_s = services.preflight_valid_s
         self.wall_clock = wall_clock
-        """The time of day in Unix seconds, against which the vehicle's clock is held."""
+        """The time of day in Unix seconds, with which the vehicle's clock is compared."""
         self._lock = asyncio.Lock()
         self._lives = 0
         self._absent: set[str] = set()
-        """Names that it does not have, without those that it must have, which a change of settings may make appear."""
+        """Names of parameters that it does not have, except required ones, which may appear after a change of
+        settings."""
         self._expectations = _expectations(config)
 
     async def run(self, *, fix: bool = False, confirmed: Confirmed = None) -> Examined:
-        """Examine it. With ``fix`` set the parameters that would put something right, and examine it again.
+        """Examine it. With ``fix`` set the parameters that correct a finding, and examine it again.
 
-        ``confirmed``: set these only, and only to these values, as a person has agreed to them.
+        ``confirmed``: set only these, and only to these values, because the user has confirmed them.
         """
         async with self._lock:
             examined = await self._examine({}, "")
@@ -100,19 +101,19 @@ class Preflight:
             if not fixes:
                 return examined
             if (why := why_not_idle(self.vehicle, self._loop.time())) is not None:
-                return await self._examine({}, f"{why}: parameters are not changed then")
+                return await self._examine({}, f"{why}: no parameters are changed then")
             fixed = await self._params.set({f.name: f.value for f in fixes})
             await asyncio.sleep(SETTLE_S)
             return await self._examine(fixed, "")
 
     def forget(self) -> None:
-        """The vehicle has rebooted: what was found is of another life."""
+        """The vehicle has rebooted: the findings are void."""
         self._lives += 1
         self._absent.clear()
         self.last = None
 
     def refusal(self, *, force: bool = False) -> str | None:
-        """Why it must not be armed now; None if it may. Nothing is asked of the vehicle."""
+        """Why it must not be armed now; None if it may. No request is sent."""
         if force or not self.required or self.vehicle.armed:
             return None
         state, name = self.state(), self.vehicle.name
@@ -125,10 +126,10 @@ class Preflight:
         if state == "expired":
             ago_min, limit_min = (self._loop.time() - self.last.at) / 60, self._valid_s / 60
             return f"its preflight was passed {ago_min:.0f} min ago (valid for {limit_min:g} min); {how}"
-        return f"preflight failed: {self.last.report.summary()}; put it right and {how}"
+        return f"preflight failed: {self.last.report.summary()}; correct that and {how}"
 
     def state(self) -> str:
-        """never, failed, passed, expired."""
+        """never, failed, passed or expired."""
         if self.last is None:
             return "never"
         if not self.last.report.ok:
@@ -136,7 +137,7 @@ class Preflight:
         return "passed" if self._loop.time() - self.last.at <= self._valid_s else "expired"
 
     def status(self) -> dict[str, Any]:
-        """JSON-able: the last report of this life, and whether it lets the vehicle arm."""
+        """JSON-able: the last report since the vehicle's start, and whether it permits arming."""
         last = self.last
         age_s = None if last is None else self._loop.time() - last.at
         return {
@@ -149,7 +150,7 @@ class Preflight:
         }
 
     async def _examine(self, fixed: Mapping[str, ParamOutcome], unfixed: str) -> Examined:
-        """The report counts as this life's only if the vehicle has not rebooted meanwhile."""
+        """Examine it; the report counts only if the vehicle has not rebooted meanwhile."""
         life = self._lives
         wanted = self._expectations
         asked: dict[str, Answer] = {}
@@ -173,8 +174,8 @@ class Preflight:
         )
 
     async def _ask_params(self, wanted: Expectations) -> dict[str, Answer]:
-        """Every parameter needed, by the name asked for, some at a time. What PX4 vouches for by its hash is not read
-        again."""
+        """Read the needed parameters, by their requested names, several at a time. Values that PX4 confirms by its hash
+        are not read again."""
         answers: dict[str, Answer] = {}
         known = await self._params.vouched()
         slots = asyncio.Semaphore(AT_ONCE)
@@ -199,7 +200,7 @@ class Preflight:
         return answers
 
     async def _ask_messages(self) -> None:
-        """Those that have not come lately, one after another; what does not come is reported by its check."""
+        """Request the messages that have not come lately, one after another; the check reports a missing one."""
         for message in needed_messages(self.vehicle.family):
             slot = self.vehicle.slot(message) if message in self._dialect.by_name else None
             if message in self._dialect.by_name and (slot is None or self._loop.time() - slot.at > FRESH_S):
@@ -208,7 +209,8 @@ class Preflight:
                 await self._request(message)
 
     def _unneeded(self, message: str) -> bool:
-        """True if this is known: a battery's charge is in SYS_STATUS, too, and the version does not change."""
+        """True if the message's data is known: a battery's charge is in SYS_STATUS, too; the version does not
+        change."""
         vehicle = self.vehicle
         if message == "BATTERY_STATUS":
             battery = vehicle.telemetry("battery")
@@ -239,7 +241,7 @@ class Unheard:
 
     def result(self) -> dict[str, Any]:
         text = "it is in the fleet file and has not been heard"
-        todo = "switch it on; check its radio and the link; or take it out of the file"
+        todo = "switch it on; check its radio and the link; or remove it from the file"
         finding = failed(text, todo).named("link", Severity.FAULT)
         report = Report((finding,))
         return {"sysid": self.sysid, "autopilot": "", "in_air": None, **report.as_dict(), "fixed": {}, "unfixed": ""}
@@ -251,7 +253,7 @@ async def examine_all(
     fix: bool = False,
     confirmed: Mapping[str, Mapping[str, float]] | None = None,
 ) -> dict[str, Any]:
-    """JSON-able, each by its name; see `Preflight.run`. ``confirmed``: by vehicle's name, then by parameter's."""
+    """JSON-able, by vehicle name; see `Preflight.run`. ``confirmed``: by vehicle name, then by parameter name."""
     slots = asyncio.Semaphore(VEHICLES_AT_ONCE)
 
     async def one(name: str, vehicle: Preflight | Unheard) -> dict[str, Any]:
@@ -267,7 +269,7 @@ async def examine_all(
 
 
 def result(examined: Examined, vehicle: Vehicle) -> dict[str, Any]:
-    """JSON-able: the report, and what was set before it."""
+    """JSON-able: the report, and the parameters set before it."""
     return {
         "sysid": vehicle.sysid,
         "autopilot": vehicle.family,
@@ -289,6 +291,6 @@ def _answer(outcome: ParamOutcome) -> Answer:
 
 
 def _agreed(fixes: tuple[Fix, ...], confirmed: Confirmed) -> tuple[Fix, ...]:
-    """In an order in which a vehicle shows them: switches of features first."""
+    """In the order in which a vehicle shows them: switches of features first."""
     agreed = [f for f in fixes if confirmed is None or confirmed.get(f.name) == f.value]
     return tuple(sorted(agreed, key=lambda f: not (turns_on(f.name) and f.value)))

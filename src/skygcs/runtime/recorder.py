@@ -1,12 +1,12 @@
 """Writes every frame, both directions, to tlogs that QGroundControl and Mission Planner read.
 
-`offer` only appends to memory; one writer thread takes whole pieces from there to the file. A thread and not the
-loop, because a write to a slow card can block for seconds when the kernel throttles dirty pages; one thread and no
-more, so that pieces keep their order. There is no fsync: bytes that `write` has taken are the kernel's and survive a
-kill -9; what a power cut may cost is the file system's matter.
+`offer` only appends to memory; one writer thread writes whole chunks to the file. A thread, because a write to a slow
+card can block for seconds when the kernel throttles dirty pages; only one thread, so that chunks keep their order.
+There is no fsync: written bytes belong to the kernel and survive a kill -9; losses at a power cut depend on the file
+system.
 
-A disk fault is a state, not an error: one event when it begins, one when it ends, a growing pause between attempts,
-and routing never waits. A file never holds a broken record but at its very end.
+A disk fault is a state, not an error: one event when it begins, one when it ends, a growing pause between attempts, and
+routing never waits. Only the last record of a file may be incomplete.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from skygcs.events import Event
 from skygcs.tlog.format import TIME_BYTES, encode_record
 
 FLUSH_PERIOD_S = 0.25
-"""How long a record waits in memory at most while the disk works; with the write it stays well below a second."""
+"""Longest time that a record waits in memory while the disk works; the write takes well below a second."""
 
 PIECE_BYTES = 65536
-"""One write. Above this a piece is closed and written at once: 11 s of a full 57600 baud radio, 30 ms of a flood."""
+"""Size of one write. A chunk of this size is written at once: 11 s of a full 57600 baud radio, 30 ms of a flood."""
 
 MAX_BUFFER_BYTES = 8 << 20
-"""Waiting for the disk; above this the newest are dropped and counted. 24 minutes of a full 57600 baud radio."""
+"""Most bytes that wait for the disk; further records are dropped and counted. 24 minutes of a full 57600 baud radio."""
 
 RETRY_FIRST_S = 1.0
 RETRY_MAX_S = 10.0
 """Pause between attempts while the disk fails, doubling between these."""
 
 CLOSE_TIMEOUT_S = 3.0
-"""A stuck disk may delay the end of the daemon by this much, not more."""
+"""A stuck disk delays the end of the daemon by at most this."""
 
 CLOCK_SET_US = 1_000_000
-"""A time that is older than the one before by less than this is of the same burst, or the clock was slewed; by more: it
-was set, and the file follows it."""
+"""A time that is older than the last one by less than this belongs to the same burst, or the clock was slewed. With a
+larger step the clock was set, and the file follows it."""
 
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 
@@ -53,7 +53,7 @@ OpenFile = Callable[[Path], io.FileIO]
 
 
 def _open_new(path: Path) -> io.FileIO:
-    """Unbuffered, only if there is no such file."""
+    """Open a new file, unbuffered; fails if it exists."""
     return io.FileIO(path, "xb")
 
 
@@ -66,7 +66,7 @@ class _Piece:
 
 
 class TlogFiles:
-    """The files of one daemon's life, on the writer's thread: opens, writes whole pieces, rotates, cuts off rests.
+    """The files of one run of the daemon, on the writer's thread: opens, writes whole chunks, rotates, truncates.
 
     Names begin with the UTC time of their first record, so that they sort, and end with a counter.
     """
@@ -84,7 +84,7 @@ class TlogFiles:
         self._number = 0
 
     def write(self, data: bytes | bytearray, now: float) -> None:
-        """All of ``data`` (whole records) or, raising OSError, nothing of it."""
+        """Write all of ``data`` (whole records); on OSError nothing of it is in the file."""
         if self._file is not None and self._is_over(len(data), now):
             self.close()
         file = self._file or self._open(data, now)
@@ -99,7 +99,7 @@ class TlogFiles:
         except OSError as error:
             self._cut(file, start)
             if error.errno not in _FULL:
-                self.close()  # another file may do: this one may be at its file system's limit, or its device gone
+                self.close()  # try another file: this one may be at its file system's limit, or its device gone
             raise
         self.size = start + len(data)
 
@@ -111,7 +111,7 @@ class TlogFiles:
                 file.close()
 
     def _is_over(self, coming: int, now: float) -> bool:
-        """Full, too old, or deleted under us (a cleaned-up folder would otherwise swallow everything)."""
+        """True if the file is full, too old, or was deleted (its records would be lost)."""
         assert self._file is not None
         if self.size and (self.size + coming > self._max_bytes or now - self._opened_at >= self._max_age_s):
             return True
@@ -126,7 +126,7 @@ class TlogFiles:
         try:
             begun = f"{datetime.fromtimestamp(unix_us / 1e6, UTC):%Y%m%dT%H%M%SZ}"
         except (ValueError, OverflowError, OSError):
-            begun = "00000000T000000Z"  # a clock that was never set; the counter keeps the order
+            begun = "00000000T000000Z"  # a clock that was never set: the counter keeps the order
         while True:
             path = self._folder / f"{begun}-{self._number + 1:04d}.tlog"
             try:
@@ -140,7 +140,7 @@ class TlogFiles:
             return file
 
     def _cut(self, file: io.FileIO, size: int) -> None:
-        """Take a partly written piece away again; if even that fails the file ends there and a new one is begun."""
+        """Remove a partly written chunk; if that fails, too, the file ends there and a new one is begun."""
         try:
             if size:
                 file.truncate(size)
@@ -149,7 +149,7 @@ class TlogFiles:
         except OSError:
             self.close()
             return
-        self.close()  # a first write that failed: leave no empty file behind at every attempt
+        self.close()  # the first write failed: leave no empty file at every attempt
         self._number -= 1
         self.count -= 1
         with contextlib.suppress(OSError):
@@ -159,7 +159,7 @@ class TlogFiles:
 
 
 class Recorder:
-    """Bounded memory in front of `TlogFiles`. `offer` any time; `run` writes; `close` writes the rest.
+    """Bounded memory before `TlogFiles`. `offer` takes records, `run` writes them, `close` writes the rest.
 
     All methods belong to the loop's thread. ``on_event`` gets kind "recorder" when recording stops and when it is back.
     """
@@ -198,10 +198,10 @@ class Recorder:
         self._retry_s = RETRY_FIRST_S
 
     def offer(self, raw: bytes, unix_us: int) -> None:
-        """Record one frame. Hot: never blocks, never raises; without room it is dropped and counted.
+        """Record one frame. Hot: never blocks, never raises; without room the frame is dropped and counted.
 
-        A time that is older than the record before by less than CLOCK_SET_US is that record's: an answer of ours is
-        offered between the frames of one datagram, which all have the time at which it came.
+        A time that is older than the last record's by less than CLOCK_SET_US becomes that record's time: an answer of
+        ours is recorded between the frames of one datagram, which all have the time of its arrival.
         """
         if unix_us >= 0 and 0 < self._newest_us - unix_us < CLOCK_SET_US:
             unix_us = self._newest_us
@@ -227,7 +227,7 @@ class Recorder:
             self._many.set()
 
     def offer_many(self, records: bytes, count: int) -> None:
-        """So many records, encoded and in order, as by `offer` one by one; without room for all, all are dropped."""
+        """`offer` for several encoded records in order; without room for all, all are dropped."""
         piece = self._piece
         if self._closed or self._buffered_bytes + len(records) > self._max_buffer_bytes:
             self._drop(count)
@@ -253,12 +253,13 @@ class Recorder:
                 await asyncio.sleep(self._retry_s)
                 self._retry_s = min(self._retry_s * 2, RETRY_MAX_S)
             self._flushing = loop.create_task(self._flush(), name="tlog flush")
-            await asyncio.shield(self._flushing)  # what the thread has begun is finished and counted
+            await asyncio.shield(self._flushing)  # let the thread finish its write, and count it
             if self._refused:
                 self._some.set()
 
     async def close(self) -> None:
-        """Write what waits and close the file. Idempotent. Never raises; waits CLOSE_TIMEOUT_S for a stuck disk."""
+        """Write the waiting records and close the file. Idempotent. Never raises; waits CLOSE_TIMEOUT_S for a stuck
+        disk."""
         if self._closed:
             return
         self._closed = True
@@ -276,7 +277,7 @@ class Recorder:
             self._report(f"recording ended with {waiting} records unwritten: {self._fault or 'the disk is stuck'}")
 
     def status(self) -> dict[str, Any]:
-        """JSON-able: where it writes, how much, what was lost, what is wrong."""
+        """JSON-able: file, records written and lost, and the present fault."""
         return {
             "state": "closed" if self._closed else "failing" if self._fault is not None else "recording",
             "folder": str(self._log_dir),
@@ -291,7 +292,7 @@ class Recorder:
         }
 
     async def _flush(self) -> None:
-        """Write all pieces that are there now, in order; on a fault keep the rest for the next time."""
+        """Write all present chunks in order; on a fault keep the rest for the next attempt."""
         loop = asyncio.get_running_loop()
         if self._piece.records:
             self._pieces.append(self._piece)
@@ -300,7 +301,7 @@ class Recorder:
             piece = self._pieces[0]
             try:
                 await loop.run_in_executor(self._executor, self._files.write, piece.data, loop.time())
-            except Exception as error:  # whatever the file does, routing and later attempts go on
+            except Exception as error:  # routing and later attempts go on in any case
                 self._refused = True
                 self._failed(getattr(error, "strerror", None) or str(error) or type(error).__name__)
                 return

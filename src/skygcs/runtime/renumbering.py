@@ -2,10 +2,11 @@
 
 When the new id takes effect differs (from the firmwares' sources): ArduPilot from 4.7 on copies MAV_SYSID at once
 (`GCS::update_send`), Plane, Rover and Tracker before it once a second, a Copter up to 4.6 reads
-SYSID_THISMAV when it starts (`GCS::init`), PX4 reads MAV_SYS_ID when its MAVLink module is made. So the parameter's own
-answer may come under either id, or be lost; what counts is the id that is heard.
+SYSID_THISMAV when it starts (`GCS::init`), PX4 reads MAV_SYS_ID when its MAVLink module starts. So the answer to the
+parameter may have either id, or be lost; the id that is heard afterwards decides.
 
-The vehicle keeps its name: the entry of the old id goes as soon as the vehicle is met under the new one (`Fleet`).
+The vehicle keeps its name: the entry of the old id is removed as soon as the vehicle is heard under the new one
+(`Fleet`).
 """
 
 from __future__ import annotations
@@ -39,14 +40,14 @@ RETURN_S = 60.0
 """A Pixhawk is back in 5 to 20 s, behind a multipoint radio a few seconds later."""
 
 STILL_S = 10.0
-"""Heartbeats of the old id so long after the restart was accepted: it did not restart, or came back as it was."""
+"""If heartbeats of the old id still come this long after the accepted restart, the id has not changed."""
 
 KEPT_S = 900.0
-"""A vehicle that has to be restarted by hand is expected for so long."""
+"""How long a vehicle that has to be restarted by hand is expected under the new id."""
 
 HEARD_S = 15.0
-"""A system that was heard less than this ago has its id; several heartbeats may be lost on a radio. The id that a
-vehicle has just left is free again after it."""
+"""An id that was heard less than this ago is taken; several heartbeats may be lost on a radio. The old id of a vehicle
+is free again after this time."""
 
 ALONE_S = 2.5
 """Two heartbeats: a second vehicle that still has the old id would have been heard by then."""
@@ -58,7 +59,8 @@ T = TypeVar("T")
 
 
 class Renumbering:
-    """`run` for the RPC's vehicles.renumber. One vehicle at a time. ``source``: the fleet file, for a person."""
+    """`run` serves the RPC method vehicles.renumber, one vehicle at a time. ``source``: the fleet file, for
+    messages."""
 
     def __init__(
         self, hub: Hub, fleet: Fleet, loop: asyncio.AbstractEventLoop, on_event: Callable[[Event], None], source: str
@@ -71,8 +73,8 @@ class Renumbering:
         self._busy: str | None = None
 
     async def run(self, target: str, sysid: int, *, force: bool = False) -> dict[str, Outcome]:
-        """Give it the id; the outcome by its name. ``force``: although the fleet file gives that id to a vehicle that
-        is not heard. Raises TargetError."""
+        """Give it the id; returns the outcome by its name. ``force``: even if the fleet file gives that id to a vehicle
+        that is not heard. Raises TargetError."""
         actor = self._fleet.find(target)
         name, before = actor.name, actor.sysid
         if sysid == before:
@@ -86,7 +88,7 @@ class Renumbering:
         try:
             outcome = await self._carry(actor, sysid)
         except asyncio.CancelledError:
-            text = f"cancelled amid it: it may come back as system {before} or {sysid}"
+            text = f"cancelled during the change: it may come back as system {before} or {sysid}"
             self._finish(name, before, sysid, Outcome(False, "cancelled", text))
             raise
         finally:
@@ -94,7 +96,7 @@ class Renumbering:
             self._fleet.expect_when_lost(sysid)
         return {name: self._finish(name, before, sysid, replace(outcome, elapsed_s=self._loop.time() - started))}
 
-    # -- before
+    # -- checks
 
     def _require_possible(self, actor: VehicleActor, sysid: int, *, force: bool) -> None:
         vehicle = actor.vehicle
@@ -105,7 +107,7 @@ class Renumbering:
             raise RefusedError(f"{self._busy} is being given another id: one at a time")
         require_connected(vehicle, now)
         if vehicle.family not in PARAMETERS:
-            raise RefusedError("it is neither a PX4 nor an ArduPilot: which of its parameters that is, is not known")
+            raise RefusedError("it is neither a PX4 nor an ArduPilot: its parameter for the system id is not known")
         if (why := why_not_idle(vehicle, now)) is not None:
             raise RefusedError(f"{why}; an id is changed on the ground, disarmed")
         if vehicle.duplicate:
@@ -121,7 +123,7 @@ class Renumbering:
             )
 
     def _owner(self, sysid: int) -> str | None:
-        """Text that names what has this id already; None: nothing known has."""
+        """Names the present user of this id, for a message; None: the id is free."""
         own = self._fleet.config.daemon.sysid
         if sysid == own:
             return "it is skygcs' own (daemon.sysid)"
@@ -130,11 +132,11 @@ class Renumbering:
                 lost = "" if actor.vehicle.connected else f", which is lost (skygcs-cli forget {actor.name})"
                 return f"{actor.name} has it{lost}"
             if actor.vehicle.gcs_sysid == sysid:
-                return f"{actor.name} takes it for its ground station's"
+                return f"{actor.name} expects its ground station under it"
         since = self._loop.time() - HEARD_S
         routes = any(at > since for source, _, _, at in self._hub.router.routes() if source == sysid)
         if routes or any(c.component.heard_at() > since for c in self._fleet.components.of_system(sysid)):
-            return "something with that id is heard (skygcs-cli components)"
+            return "a system with that id is heard (skygcs-cli components)"
         return None
 
     # -- the change
@@ -151,8 +153,8 @@ class Renumbering:
                 return Outcome(
                     False, outcome.result, f"{parameter} was not set, nothing has changed: {outcome.message}"
                 )
-            text = f"{outcome.message}: {parameter} may be {sysid} now, which shows when it restarts"
-            return Outcome(False, outcome.result, f"{text}; look with: param get {actor.name} {parameter}")
+            text = f"{outcome.message}: {parameter} may be {sysid} now; a restart shows it"
+            return Outcome(False, outcome.result, f"{text}; check with: param get {actor.name} {parameter}")
         if actor.vehicle.family == "ardupilot":
             await self._met(key, AT_ONCE_S)
         if key not in fleet.vehicles:
@@ -162,15 +164,17 @@ class Renumbering:
         return await self._verified(key, before, link, parameter)
 
     async def _restart(self, actor: VehicleActor, parameter: str, sysid: int) -> Outcome | None:
-        """Restart it and wait for it; None once it is met under the new id."""
+        """Restart it and wait for it; None once it is heard under the new id."""
         key, before = sysid << 8 | actor.compid, actor.sysid
         now = self._loop.time
         rebooted = await self._unless_met(key, actor.reboot())
-        kept = f"{parameter} is {sysid} in it: until it restarts it is system {before}"
+        kept = f"its {parameter} is {sysid} now: until it restarts it is system {before}"
         if rebooted is not None and not rebooted.ok and key not in self._fleet.vehicles:
             by_hand = "switch it off and on (a simulated one: stop and start it); it is then found under the new id"
             undo = f"to undo: param set {actor.name} {parameter}={before}"
-            return Outcome(False, rebooted.result, f"{kept}, and it does not ({rebooted.message}): {by_hand}; {undo}")
+            return Outcome(
+                False, rebooted.result, f"{kept}, and it does not restart ({rebooted.message}): {by_hand}; {undo}"
+            )
         began = now()
         while key not in self._fleet.vehicles:
             silence_s = actor.vehicle.silence_s(now()) or 0.0
@@ -178,7 +182,7 @@ class Renumbering:
                 return Outcome(
                     False,
                     "failed",
-                    f"it accepted to restart and is still heard as system {before}: look with param get {actor.name} "
+                    f"it accepted the restart and is still heard as system {before}: check with param get {actor.name} "
                     f"{parameter}, and restart it by hand",
                 )
             if now() - began > RETURN_S:
@@ -212,20 +216,20 @@ class Renumbering:
             return Outcome(False, held.result, text)
         value = None if held.param is None else held.param.value
         if value != sysid:
-            return Outcome(False, "failed", f"what is heard as system {sysid} has {parameter} {value}: not it")
+            return Outcome(
+                False, "failed", f"system {sysid}, which is heard now, has {parameter} {value}: it is another vehicle"
+            )
         await asyncio.sleep(ALONE_S)
         again = fleet.vehicles_of(before)
         if any(vehicle.connected for vehicle in again):
-            return Outcome(
-                False, "failed", f"system {sysid} is there, and system {before} is still heard: two vehicles"
-            )
+            return Outcome(False, "failed", f"system {sysid} is heard, and system {before} still is, too: two vehicles")
         note = self._file_note(new.name, before, sysid)
         return Outcome(
             True, "accepted", f"{new.name} is system {sysid} now, it was {before}; {held.name} read back{note}"
         )
 
     def _file_note(self, name: str, before: int, sysid: int) -> str:
-        """What to change in the fleet file, with its line; nothing if it does not name the vehicle."""
+        """The necessary change in the fleet file, with its line; empty if the file does not name the vehicle."""
         entry = self._fleet.config.vehicles.get(name)
         if entry is None or entry.sysid != before:
             return ""
@@ -243,7 +247,7 @@ class Renumbering:
     # -- waiting
 
     async def _unless_met(self, key: int, work: Awaitable[T]) -> T | None:
-        """What the work gives; None if the vehicle is met under ``key`` before."""
+        """The result of the work; None if the vehicle is heard under ``key`` before."""
         task = asyncio.ensure_future(work)
         try:
             while not task.done():

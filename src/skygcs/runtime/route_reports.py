@@ -1,4 +1,4 @@
-"""Reports as events what the router noticed: routes, conflicts, duplicate system ids, signing keys on the air."""
+"""Reports the router's notes as events: routes, conflicts, duplicate system ids, signing keys sent in clear."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _STATE_EVENT_KINDS = {
     "switched": "route",
     "replaced": "conflict",
 }
-"""The same for notes about the channels that carry a vehicle's state (`core.routing.state_source`)."""
+"""Kind of event by kind of note about the channels that carry a vehicle's state (`core.routing.state_source`)."""
 
 
 class RouteReports:
-    """`on_note` and `on_key` are called by the hub. Duplicate system ids are passed on to the fleet."""
+    """The hub calls `on_note` and `on_key`. Duplicate system ids are passed on to the fleet."""
 
     def __init__(self, fleet: Fleet, on_event: OnEvent, route_timeout_s: float) -> None:
         self._fleet = fleet
@@ -85,7 +85,7 @@ class RouteReports:
                 return (
                     f"{where} has no room for a route to {source}: more sources were heard there, or on its link, than "
                     f"the {MAX_CHANNEL_ROUTES} ({MAX_LINK_ROUTES}) that are kept; only autopilots find room, in place "
-                    "of others; other links are not affected; allow_from or signing keep strangers out"
+                    "of others; other links are not affected; allow_from or signing admits known senders only"
                 )
             case "crowded_over":
                 return f"{where}: the link has room for further routes again"
@@ -101,7 +101,7 @@ class RouteReports:
 
 
 def _named(channel: Channel | None) -> str:
-    """A channel for a person: its link and the peer's address."""
+    """A channel in messages: its link and the peer's address."""
     return "a closed channel" if channel is None else f"{channel.link.name} ({channel.peer})"
 
 

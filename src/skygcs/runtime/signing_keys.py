@@ -1,8 +1,7 @@
-"""Which link signs with which key: the keys in use, their time on disk, and reports of frames that are refused.
+"""The signing keys of the links, their clocks on disk, and reports of refused frames.
 
-One key has one clock, whatever the number of its links, and one table of streams, so that what was recorded on one link
-cannot be played on another. Links of one group carry copies of the same frames on purpose: each of them has a table of
-its own.
+A key has one clock for all its links, and one table of streams, so that frames recorded on one link cannot be replayed
+on another. Links of one group carry copies of the same frames on purpose: each of them has a table of its own.
 """
 
 from __future__ import annotations
@@ -44,8 +43,8 @@ from skygcs.links.base import Channel
 FORMAT = 1
 
 AFTER_CRASH_S = 60.0
-"""What may have been used since the last save. Saved is every 10 s or as soon as a clock jumps further; ArduPilot takes
-a minute, too."""
+"""Added to a loaded clock: stamps up to this far may have been used since the last save. Clocks are saved every 10 s,
+and at once after a larger jump; ArduPilot uses a minute, too."""
 
 MAX_FILE_BYTES = 4096
 
@@ -61,23 +60,23 @@ def default_state_dir() -> Path | None:
 
 
 class Kept(NamedTuple):
-    """What was kept of a key."""
+    """The saved clock of a key."""
 
     timestamp: int
-    """To go on from: later than any that was used."""
+    """The stamp to go on from, later than any that was used."""
     wall: int
-    """What this computer's clock showed then; 0 in files of before it was kept."""
+    """This computer's clock at that time; 0 in older files."""
 
 
 class SigningStore:
-    """One file per key, named by its id; it holds no key. ``problem`` says why the last access failed, or is empty."""
+    """One file per key, named by its id and without the key. ``problem``: why the last access failed, or empty."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
-        self.problem = "" if folder is not None else "there is no folder to keep the time of the keys in"
+        self.problem = "" if folder is not None else "there is no folder for the clocks of the keys"
 
     def load(self, key_id: str) -> Kept:
-        """What was kept of the key; zeros if nothing was."""
+        """The saved clock of a key; zeros without a file."""
         if self._folder is None:
             return Kept(0, 0)
         path = self._path(key_id)
@@ -97,7 +96,7 @@ class SigningStore:
         return Kept(min(max(timestamp, 0) + margin, MAX_TIMESTAMP), wall)
 
     def save(self, key_id: str, timestamp: int, *, wall: int, exact: bool) -> None:
-        """Keep it, whole or not at all; ``exact``: none later will be used before the next `load`."""
+        """Save it atomically; ``exact``: no later stamp will be used before the next `load`."""
         if self._folder is None:
             return
         path = self._path(key_id)
@@ -126,7 +125,7 @@ MAX_REPORTED = 64
 """Kinds of refused frames of one link (verdict and source) that are reported, each once; all are counted."""
 
 SAVE_EVERY_S = 10.0
-"""At the latest a clock is on disk after this time; the guide asks for once a minute."""
+"""Period of saving the clocks; the signing guide requires once a minute."""
 
 _KEPT_OUT = {
     SignatureVerdict.UNSIGNED: (
@@ -135,11 +134,11 @@ _KEPT_OUT = {
     ),
     SignatureVerdict.FORGED: ("is signed with another key than this link's, or was changed on its way"),
     SignatureVerdict.REPLAYED: (
-        "is not newer than the one before of its sender: a copy, a replay, or overtaken by a later one; links "
+        "is not newer than its sender's last one: a copy, a replay, or overtaken by a later one; links "
         "that carry the same vehicles belong in one group"
     ),
     SignatureVerdict.STALE: (
-        "is {behind_s:.0f} s older than what others signed: played from a recording, or its sender's clock is "
+        "is {behind_s:.0f} s older than others' signatures: played from a recording, or its sender's clock is "
         "behind and will follow ours as soon as it hears us"
     ),
     SignatureVerdict.AHEAD: (
@@ -168,7 +167,7 @@ class _Key:
 
 
 class LinkSigning:
-    """One link's key and rules, and what all of its channels have in common."""
+    """One link's key and rules, and the state that its channels share."""
 
     def __init__(self, config: LinkConfig, key: _Key, gate: Gate, wall: Callable[[], int]) -> None:
         assert config.signing is not None
@@ -218,8 +217,8 @@ class _ChannelSigning:
 
 
 def why_silent(heartbeat: Frame | None, links: Iterable[LinkConfig]) -> str:
-    """Why a vehicle with this newest heartbeat may not answer what goes to it over these links, as the end of a
-    sentence: it signs, and we do not. "" if that is not so."""
+    """Why a vehicle with this newest heartbeat may not answer over these links, as the end of a sentence: it signs, and
+    we do not. "" otherwise."""
     links = list(links)
     unsigned = [link.name for link in links if link.signing is None or not link.signing.sign_outgoing]
     if heartbeat is None or not heartbeat.signed or not unsigned or len(unsigned) < len(links):
@@ -232,7 +231,7 @@ def why_silent(heartbeat: Frame | None, links: Iterable[LinkConfig]) -> str:
 
 
 class Signing:
-    """`prepare` each link before it opens, `attach` each of its channels, `run` for as long as the daemon lives."""
+    """Call `prepare` for each link before it opens and `attach` for each channel; `run` runs as long as the daemon."""
 
     def __init__(
         self,
@@ -254,7 +253,7 @@ class Signing:
     # -- links
 
     def prepare(self, config: LinkConfig) -> None:
-        """Read the link's key. Raises KeyFileError; what was prepared for this name before stays then."""
+        """Read the link's key. Raises KeyFileError and then keeps the link's earlier key."""
         if config.signing is None or not config.enabled:
             self.forget(config.name)
             return
@@ -270,16 +269,16 @@ class Signing:
         self._links[config.name] = LinkSigning(config, key, gate, self._wall)
 
     def forget(self, name: str) -> None:
-        """The link is gone; its key's clock and streams stay, in case it comes back."""
+        """Remove a link; its key's clock and streams stay, in case it comes back."""
         self._links.pop(name, None)
 
     def attach(self, channel: Channel) -> None:
-        """The channel of a link with a key checks and signs from now on."""
+        """From now on the channel of a link with a key checks and signs."""
         if channel.config.signing is not None:
             channel.signing = _ChannelSigning(self._links[channel.link.name], self._refused)
 
     def key_of(self, secret: bytes) -> _Key:
-        """The key with its clock, which goes on from where it was on disk."""
+        """The key with its clock, which goes on from its saved state."""
         key = self._keys.get(secret)
         if key is None:
             clock = SigningClock(*self._store.load(key_id(secret)))
@@ -291,11 +290,11 @@ class Signing:
         return key
 
     def is_pinned(self, secret: bytes) -> bool:
-        """Whether the key's clock is further ahead of this computer's than anybody could move it now."""
+        """True if the key's clock is further ahead of this computer's than any received frame may move it now."""
         return self._ahead_s(self.key_of(secret)) > MAX_AHEAD_S
 
     def pinned_text(self, secret: bytes) -> str:
-        """What is wrong with a clock that `is_pinned`, and what to do."""
+        """The problem of a clock that `is_pinned`, and what to do."""
         key = self.key_of(secret)
         back_s = (key.clock.wall - self._wall()) / TICKS_PER_S
         back = (
@@ -308,7 +307,7 @@ class Signing:
         )
 
     def reset_clock(self, wanted: str) -> str:
-        """Set a key's clock back to this computer's, in memory and on disk; what is said of it. Raises RefusedError."""
+        """Set a key's clock back to this computer's, in memory and on disk; returns a message. Raises RefusedError."""
         key = next((key for key in self._keys.values() if key.id == wanted), None)
         if key is None:
             in_use = ", ".join(key.id for key in self._keys.values()) or "none"
@@ -334,7 +333,7 @@ class Signing:
         return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(self._unix_s()))
 
     def stamp(self, secret: bytes) -> int:
-        """A time for a vehicle that gets this key: not before any that was used with it."""
+        """A time for a vehicle that gets this key: later than all that were used with it."""
         return self.key_of(secret).clock.stamp(self._wall())
 
     def link_key(self, name: str) -> bytes | None:
@@ -344,7 +343,7 @@ class Signing:
 
     def vouches_for(self, name: str, frames: list[Frame]) -> bool:
         """True if an unknown peer that sends these frames may be admitted to the link: one of them is signed with its
-        key, or nothing has to be. No stream moves on by this."""
+        key, or the link needs no signature. The streams do not change."""
         link = self._links.get(name)
         if link is None or EVERY_MESSAGE in link.settings.accept_unsigned:
             return True
@@ -352,7 +351,7 @@ class Signing:
 
     @contextmanager
     def watching(self, on_refused: OnRefused) -> Iterator[None]:
-        """Hand every refused frame to ``on_refused`` meanwhile."""
+        """Pass every refused frame to ``on_refused`` in the meantime."""
         self._watchers.append(on_refused)
         try:
             yield
@@ -440,7 +439,7 @@ class Signing:
     # -- time on disk
 
     async def run(self) -> None:
-        """Keep the clocks on disk; at the end each of them as it then is."""
+        """Save the clocks regularly, and at the end exactly."""
         try:
             while True:
                 await asyncio.sleep(1.0)
@@ -457,10 +456,10 @@ class Signing:
             self._report_store()
 
     def _report_store(self) -> None:
-        """A clock that cannot be kept is reported once per reason."""
+        """A clock that cannot be saved is reported once per reason."""
         problem = self._store.problem
         if problem and problem != self._store_failed:
-            text = f"{problem}: after a restart with a wrong system clock, vehicles may take our messages for old ones"
+            text = f"{problem}: after a restart with a wrong system clock, vehicles may reject our messages as old"
             self._on_event(Event("warning", None, None, f"signing: {text}", {}))
         self._store_failed = problem
 

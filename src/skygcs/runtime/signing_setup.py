@@ -1,7 +1,7 @@
-"""Giving vehicles a signing key, or taking it away: SETUP_SIGNING, and the proof in what they send afterwards.
+"""Gives vehicles a signing key, or removes it: sends SETUP_SIGNING and verifies it by the frames they send afterwards.
 
-The message has no acknowledgement and holds the key in clear. It goes out over one channel, is never recorded, and is
-refused where another receiver could hear it.
+The message has no acknowledgement and contains the key in clear. It is sent on one channel, never recorded, and refused
+if another receiver could hear it.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from skygcs.runtime.signing_keys import Signing
 
 TRIES = 3
 WAIT_S = 2.5
-"""After each transmission: two heartbeats, and the answer of a slow radio."""
+"""Wait after each transmission: two heartbeats, and the delay of a slow radio."""
 
 
 ONLY_DISARMED = "a key is changed on the ground, disarmed"
 
 RADIO_SOURCE = 51 << 8 | 68
-"""What a SiK or RFD900 radio reports as."""
+"""Component id of a SiK or RFD900 radio."""
 
 
 class SigningSetup:
-    """`setup` and `off` for the RPC; the outcome is reported to ``on_event``, without the key."""
+    """`setup` and `off` serve the RPC; outcomes are reported to ``on_event``, without the key."""
 
     def __init__(
         self,
@@ -67,11 +67,11 @@ class SigningSetup:
         return await self._send_key(targets, read_key(key_file), force=force)
 
     async def off(self, targets: str | list[str]) -> dict[str, Outcome]:
-        """Have the vehicles forget their key. Raises TargetError."""
+        """Remove the vehicles' key. Raises TargetError."""
         return await self._send_key(targets, None, force=False)
 
     def reset_clock(self, wanted: str, *, force: bool = False) -> str:
-        """See `Signing.reset_clock`. Raises RefusedError, too, while a vehicle may be in use, unless ``force``."""
+        """See `Signing.reset_clock`. Without ``force`` it also raises RefusedError while a vehicle may be in use."""
         now = self._loop.time()
         used = [a.name for a in self._fleet.vehicles.values() if a.vehicle.connected and why_not_idle(a.vehicle, now)]
         if used and not force:
@@ -112,7 +112,7 @@ class SigningSetup:
         return outcome
 
     def _channel_for(self, vehicle: Vehicle, *, with_key: bool, force: bool) -> Channel:
-        """The channel on which only this vehicle hears; with ``force`` the best one. Raises RefusedError naming others.
+        """The channel that only this vehicle receives; with ``force`` the best one. Raises RefusedError naming others.
 
         Removing a key reveals none, so any channel will do.
         """
@@ -130,15 +130,15 @@ class SigningSetup:
             return self._hub.channels[best]
         where = "; ".join(f"{channel.link.name}: {others}" for channel, others in heard_by.items())
         raise RefusedError(
-            f"the key would go out in clear where others can hear it ({where}); do it over a cable, or insist with "
+            f"the key would be sent in clear where others can receive it ({where}); use a cable, or insist with "
             "force (--force)"
         )
 
     def _others_on(self, channel: Channel, vehicle: Vehicle) -> str | None:
-        """Names what else can hear what is sent on a channel; None: nothing."""
+        """Names other receivers of a channel, for a message; None: there are none."""
         config = channel.config
         if config.role == "radio" or RADIO_SOURCE in channel.sources:
-            return "a radio, heard by everyone in range"
+            return "a radio, received by everyone in range"
         if isinstance(config, UdpServerLinkConfig | UdpClientLinkConfig | TcpServerLinkConfig | TcpClientLinkConfig):
             if not _is_this_machine(channel.peer):
                 return f"a network, on the way to {channel.peer}"
@@ -154,7 +154,7 @@ class SigningSetup:
         return f"{', '.join(others[:5])} on the same link" if others else None
 
     async def _send_until_shown(self, vehicle: Vehicle, key: bytes | None, channel: Channel) -> Outcome:
-        """Send it until what the vehicle sends shows that it was taken."""
+        """Send it until the vehicle's frames show that it was accepted."""
         info = self._hub.dialect.messages.get(SETUP_SIGNING)
         if info is None:
             return Outcome(False, "unsupported", f"the dialect {self._hub.dialect.name} has no SETUP_SIGNING")
@@ -162,7 +162,7 @@ class SigningSetup:
         shown = asyncio.Event()
         texts: list[str] = []
 
-        # what shows that it was taken
+        # the evidence that it was accepted
         def look(frame: Frame) -> None:
             if frame.sysid != vehicle.sysid or frame.compid != vehicle.compid:
                 return
@@ -172,7 +172,7 @@ class SigningSetup:
                 shown.set()
 
         values = {"target_system": vehicle.sysid, "target_component": vehicle.compid, "secret_key": [0] * KEY_BYTES}
-        # send, and look at what the vehicle signs
+        # send, and check the vehicle's signatures
         for number in range(1, TRIES + 1):
             if (why := why_not_idle(vehicle, self._loop.time())) is not None:
                 refusal = f"refused: {why}: {ONLY_DISARMED}"
@@ -181,7 +181,7 @@ class SigningSetup:
                 values |= {"secret_key": list(key), "initial_timestamp": self._signing.stamp(key)}
             shown.clear()
             if not self._hub.send_on((channel.id,), info, values, Priority.COMMAND):
-                return Outcome(False, "failed", f"{channel.link.name} did not take the message", number)
+                return Outcome(False, "failed", f"{channel.link.name} did not accept the message", number)
             remove = self._hub.add_observer(None, {vehicle.key}, lambda frame, _, now: look(frame))
             try:
                 with self._signing.watching(lambda frame, verdict: look(frame)):
@@ -197,19 +197,21 @@ class SigningSetup:
             return Outcome(True, "accepted", message, number, self._loop.time() - began, tuple(texts))
         # no answer
         if key is None:
-            why = "it still signs; it takes this from a link only that signs with its key (or, ArduPilot, over USB)"
+            why = "it still signs; it accepts this only over a link that signs with its key (or, ArduPilot, over USB)"
         else:
-            why = "nothing it sent was signed with this key; not every firmware can sign (PX4 1.16 cannot)"
-            why += ", and one that has another key takes a new one only from a link that signs with the old"
+            why = "none of its frames was signed with this key; not every firmware can sign (PX4 1.16 cannot)"
+            why += ", and a vehicle with another key accepts a new one only over a link that signs with the old one"
         return Outcome(False, "timeout", why, TRIES, self._loop.time() - began, tuple(texts))
 
     def _left(self, vehicle: Vehicle, key: bytes) -> str:
-        """What remains to be done on our side, on the links where the vehicle was heard."""
+        """What remains to be changed on our links to the vehicle."""
         heard = {c.link.name: c for c in self._hub.channels.values() if vehicle.key in c.sources}
         silent = [name for name in heard if self._signing.link_key(name) is None]
         other = [name for name in heard if self._signing.link_key(name) not in (None, key)]
-        todo = [f"{', '.join(silent)}: give the link the key, or it takes no orders over it"] if silent else []
-        todo += [f"{', '.join(other)}: the link has another key and drops what it sends"] if other else []
+        todo = (
+            [f"{', '.join(silent)}: give the link the key, or the vehicle accepts no orders over it"] if silent else []
+        )
+        todo += [f"{', '.join(other)}: the link has another key and drops the vehicle's frames"] if other else []
         return "".join(f"; {text} (links.NAME.signing.key_file)" for text in todo)
 
 

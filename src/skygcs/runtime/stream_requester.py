@@ -1,7 +1,7 @@
-"""Requests to one vehicle without an order: its version, its home, and the messages at the wanted rates.
+"""Requests to one vehicle without an order: its version, its home, and its messages at the wanted rates.
 
-Nothing here is urgent: single frames behind orders, that are not awaited, verified by what arrives, and sent again
-after a reboot. On a radio the air planner sets the rates and gives the turns; elsewhere the configured rates hold.
+Requests are not urgent: they are sent after orders and not awaited; the arriving messages verify them, and a reboot
+repeats them. On a radio the air planner sets rates and times; elsewhere the configured rates apply.
 """
 
 from __future__ import annotations
@@ -22,12 +22,13 @@ from skygcs.runtime.command_client import CommandClient
 GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL = 510, 511
 
 IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
-"""When, after it was met or rebooted, a vehicle is asked for what it does not stream: its version and its home."""
+"""Times after its first frame or its reboot at which a vehicle's version and home, which it does not stream, are
+requested."""
 
 IDENTIFY_WITH = ("AUTOPILOT_VERSION", "HOME_POSITION")
 
 ROUND_TRIPS = 20
-"""Kept, of the last requests that were acknowledged."""
+"""Acknowledgement times kept, of the last requests."""
 
 ANSWER_WITHIN_S = 5.0
 """An acknowledgement that arrives later belongs to another request."""
@@ -36,14 +37,15 @@ Send = Callable[[MessageInfo, Mapping[str, Any]], bool]
 
 
 class StreamRequester:
-    """One vehicle's. `tick` once to ten times a second; with a radio's plan, `ask` whenever it has the turn."""
+    """The requests to one vehicle. Call `tick` once to ten times a second; with a radio's plan, `ask` when it has its
+    turn."""
 
     def __init__(
         self, vehicle: Vehicle, commands: CommandClient, dialect: Dialect, rates_hz: Mapping[str, float]
     ) -> None:
-        """``rates_hz``: what is wanted where no radio's plan is in force."""
+        """``rates_hz``: the wanted rates where no radio's plan is in force."""
         self.position_hz: float | None = None
-        """What flight control needs; None: nothing (not flown by setpoints, or the autopilot closes the loops)."""
+        """The position rate for flight control; None: none (not controlled, or the autopilot closes the loops)."""
         self.controller = RateController()
         self._vehicle = vehicle
         self._commands = commands
@@ -62,26 +64,26 @@ class StreamRequester:
 
     @property
     def planned(self) -> bool:
-        """Whether a radio's plan sets its rates."""
+        """True if a radio's plan sets its rates."""
         return self.controller.planned
 
     @property
     def settled(self) -> bool:
-        """Whether a radio's plan has nothing more to request."""
+        """True if a radio's plan has nothing more to request."""
         return not self.planned or self.controller.settled
 
     def plan(self, rates_hz: Mapping[str, float] | None, frame_bytes: Mapping[str, int]) -> None:
-        """Set the rates of a radio's plan; None: it is in no plan any more, and the configured rates hold."""
+        """Set the rates of a radio's plan; None: it has left the plan, and the configured rates apply."""
         self._bytes = frame_bytes
         self.controller.plan(self._own_rates_hz if rates_hz is None else rates_hz, planned=rates_hz is not None)
 
     def want_position(self, rate_hz: float | None) -> bool:
-        """Flight control needs its position that often (None: no more). Whether the plan provides it."""
+        """Set the position rate for flight control (None: none). True if the plan provides it."""
         self.position_hz = rate_hz
         return self.planned
 
     def ask(self, now: float, send: Send) -> bool:
-        """Send the next request, if one is due; whether something was sent."""
+        """Send the next request if one is due; True if one was sent."""
         if not self._vehicle.connected or self._commands.in_flight(SET_MESSAGE_INTERVAL):
             return False
         counts = {slot.name: slot.count for slot in self._vehicle.slots.values()}
@@ -110,7 +112,7 @@ class StreamRequester:
                 self.ask(now, lambda info, values: self._commands.transmit(info.name, values, Priority.PROTOCOL))
 
     def restart(self, now: float) -> None:
-        """The vehicle rebooted: it has forgotten every request."""
+        """The vehicle rebooted: all requests have to be repeated."""
         self._identified = 0
         self._identify_from = now
         self._requested = None
@@ -121,7 +123,7 @@ class StreamRequester:
         self.controller.leave(message)
 
     def is_left(self, message: str) -> bool:
-        """Whether this message's rate is not requested: an operator set it, or the vehicle refused."""
+        """True if this message's rate is not requested: an operator set it, or the vehicle refused."""
         return self.controller.is_left(message)
 
     def on_ack(self, ack: Ack, now: float) -> None:
@@ -135,7 +137,7 @@ class StreamRequester:
         result = RESULT_NAMES.get(ack.result)
         if result == "unsupported":
             self.controller.old = True
-        # without a plan one request is under way at a time, so that it is known which one was refused
+        # without a plan one request is in flight at a time, so that a refusal is known to belong to it
         can_have_group = result == "unsupported" and self._vehicle.family == "ardupilot"
         if not self.planned and result in ("unsupported", "denied", "failed") and not can_have_group:
             self.controller.leave(message)
@@ -146,7 +148,7 @@ class StreamRequester:
         return ordered[len(ordered) // 2] if ordered else None
 
     def status(self) -> dict[str, dict[str, float]]:
-        """By message: planned and measured Hz, of all that is planned or arrives."""
+        """Planned and measured Hz of each message that is planned or arrives."""
         rates = {slot.name: slot.rate_hz for slot in self._vehicle.slots.values()}
         planned = self.controller.rates_hz
         names = sorted({*planned, *(n for n, hz in rates.items() if hz > 0)}, key=lambda n: (n != POSITION, n))
@@ -164,7 +166,7 @@ class StreamRequester:
     # -- the inside
 
     def _identify(self, now: float) -> None:
-        """Fire and forget, and never beside an order of that kind: its ack could pass for the order's."""
+        """Send a request unless an order with the same command is in flight: its ack could be taken for the order's."""
         if self._identify_from is None:
             self._identify_from = now
         if now - self._identify_from < IDENTIFY_AT_S[self._identified]:

@@ -12,8 +12,8 @@ T = TypeVar("T")
 
 
 class TaskSet:
-    """The tasks of one owner: each is kept until it is done, and a fault of ours in it is reported as an event, about
-    ``name`` and ``sysid`` if it concerns one vehicle. The owner bounds their number."""
+    """The tasks of one owner: each is referenced until it is done, and an internal fault in it is reported as an event,
+    with ``name`` and ``sysid`` if it concerns one vehicle. The owner bounds their number."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class TaskSet:
             await asyncio.wait(set(self._tasks))
 
     def close(self) -> None:
-        """Cancel those that are under way."""
+        """Cancel the running tasks."""
         for task in self._tasks:
             task.cancel()
 
@@ -55,7 +55,7 @@ class TaskSet:
 
 
 def fault(done: asyncio.Task[Any]) -> str | None:
-    """What went wrong inside skygcs in a task that is done; None: nothing, or it was cancelled."""
+    """The internal fault of a task that is done; None: none, or it was cancelled."""
     if done.cancelled() or (error := done.exception()) is None:
         return None
     return f"{done.get_name()} failed inside skygcs: {error!r}"

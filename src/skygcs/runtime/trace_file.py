@@ -1,4 +1,4 @@
-"""The trace of one vehicle's control on disk: a CSV file for each time it is flown, written as it flies."""
+"""The control trace of one vehicle on disk: one CSV file per engagement, written during the flight."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ FLUSH_S = 1.0
 """A crash loses at most this much."""
 
 LARGEST_BYTES = 500_000_000
-"""Three hours at 50 Hz (some 800 B a row); then the trace ends and says so."""
+"""Three hours at 50 Hz (some 800 B a row); then the trace ends with a warning."""
 
 
 class TraceFile:
-    """One file. Raises OSError from every method; the caller gives it up then."""
+    """One file. Every method raises OSError; the caller closes the file then."""
 
     def __init__(self, directory: Path, head: TraceHead) -> None:
         directory.mkdir(parents=True, exist_ok=True)
@@ -58,7 +58,7 @@ class TraceFile:
 
 
 class Recording:
-    """Traces what a pilot does, while a person wants it: a file from each `begin` to its `end`.
+    """Traces a controller's ticks while tracing is on: one file from each `begin` to its `end`.
 
     A disk that is full or gone ends the trace, is reported once, and never affects control.
     """
@@ -72,12 +72,12 @@ class Recording:
 
     @property
     def path(self) -> Path | None:
-        """Path of the file that is being written."""
+        """Path of the open file."""
         return None if self._file is None else self._file.path
 
     def record(self, on: bool) -> Path | None:
-        """From now on, also of what is flown later. The path of the file that is written, or was until now; None if
-        there is none yet."""
+        """Turn tracing on or off, also for later engagements. Returns the path of the open file, or of the last one;
+        None if there is none yet."""
         self._wanted = on
         if on and self._offboard.active:
             self.begin()
@@ -87,7 +87,7 @@ class Recording:
         return path
 
     def begin(self) -> None:
-        """Control has begun. Without effect while no trace is wanted, or one is being written."""
+        """Control has begun: open a file, if tracing is on and none is open."""
         if not self._wanted or self._file is not None or self._offboard.frame is None:
             return
         local_origin = self._offboard.frame.origin
@@ -102,7 +102,7 @@ class Recording:
         self._offboard.tracing = True
 
     def write(self, tick: Tick) -> None:
-        """What a tick carries for the trace, if it does."""
+        """Write a tick's row, if it has one."""
         if tick.row is None or self._file is None or tick.before is None or tick.after is None:
             return
         try:
@@ -111,7 +111,7 @@ class Recording:
             self._give_up(error)
 
     def end(self) -> None:
-        """Control has ended, or the trace is not wanted any more. Idempotent."""
+        """Control has ended, or tracing was turned off: close the file. Idempotent."""
         file, self._file, self._offboard.tracing = self._file, None, False
         if file is not None:
             try:
@@ -122,10 +122,10 @@ class Recording:
     def _give_up(self, error: OSError) -> None:
         file, self._file, self._offboard.tracing = self._file, None, False
         if file is not None:
-            with contextlib.suppress(OSError):  # what could not be written is reported below
+            with contextlib.suppress(OSError):  # errors are reported below
                 file.close()
         vehicle = self._offboard.vehicle
-        text = f"its control is traced no more: {error.strerror or error}"
+        text = f"its control trace has ended: {error.strerror or error}"
         self._on_event(Event("warning", vehicle.name, vehicle.sysid, text, {}))
 
 

@@ -1,8 +1,8 @@
-"""What skygcs has changed in a vehicle for a while and is to put back: on disk, from before the change until the undo.
+"""Journal of temporary changes to vehicles: on disk from before the change until its undo.
 
-One file per change in `log_dir`/undo, written whole before anything is sent, removed when the vehicle holds again what
-it held. What a daemon finds there at its start was left by one that was killed, or that could not reach the vehicle in
-time. It is reported and offered for undoing, and never undone by itself: something else may have been set since.
+One file per change in `log_dir`/undo, written before anything is sent, removed when the vehicle has its old values
+again. Files found at the start were left by a daemon that was killed, or that could not reach the vehicle in time. They
+are reported and offered for undo, never undone automatically: something else may have been set since.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from skygcs.errors import RefusedError
 FORMAT = 1
 
 MAX_ENTRIES = 256
-"""One per vehicle of a full fleet. Beyond that nothing is changed that would have to be put back."""
+"""One per vehicle of a full fleet. With more entries further temporary changes are refused."""
 
 MAX_FILE_BYTES = 64 * 1024
-"""Size of an entry, which holds a few parameters."""
+"""Largest size of an entry, which contains a few parameters."""
 
 MAX_PARAMETERS = 64
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Parameters of one vehicle that were ``before`` and are ``changed`` for the time of ``what``, in the order in
-    which they are put back. ``id`` names the entry."""
+    """Parameters of one vehicle with their values ``before``, which are ``changed`` for the time of ``what``, in the
+    order in which they are restored. ``id`` names the entry."""
 
     id: str
     vehicle: str
@@ -54,7 +54,7 @@ class Change:
 
 
 class UndoJournal:
-    """One per daemon. `left` is what an earlier life of it left, or this one could not undo."""
+    """One per daemon. `left` lists entries of an earlier run, and those that this run could not undo."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -76,7 +76,7 @@ class UndoJournal:
         before: Mapping[str, float],
         changed: Mapping[str, float],
     ) -> Change:
-        """Keep it on disk, before anything is changed. Raises RefusedError if that cannot be done."""
+        """Write it to disk, before anything is changed. Raises RefusedError if that fails."""
         self._number += 1
         stamp = time.strftime("%Y%m%d-%H%M%S", time.gmtime())
         change = Change(
@@ -97,22 +97,22 @@ class UndoJournal:
             self._write(change)
         except OSError as error:
             raise RefusedError(
-                f"what is to be undone cannot be kept in {self._folder}: {error.strerror or error}"
+                f"the undo journal cannot be written in {self._folder}: {error.strerror or error}"
             ) from None
         self._in_progress.add(change.id)
         return change
 
     def undone(self, change: Change) -> None:
-        """The vehicle holds again what it held. Raises OSError if the entry cannot be removed."""
+        """The vehicle has its old values again. Raises OSError if the entry cannot be removed."""
         self._in_progress.discard(change.id)
         self._path(change.id).unlink(missing_ok=True)
 
     def left_over(self, change: Change) -> None:
-        """It could not be undone now: it stays."""
+        """It could not be undone now: keep the entry."""
         self._in_progress.discard(change.id)
 
     def left(self) -> list[Change]:
-        """What waits to be undone, oldest first; not what is under way. Other files in the folder are `problems`."""
+        """The entries that wait for their undo, oldest first, without those in progress. Other files are `problems`."""
         self.problems = []
         found = []
         for path in self._files():
@@ -127,14 +127,14 @@ class UndoJournal:
         return sorted(found, key=lambda c: (c.began, c.id))
 
     def find(self, id: str) -> Change:
-        """Raises RefusedError for what is not there, or is under way."""
+        """One entry. Raises RefusedError if it does not exist or is in progress."""
         for change in self.left():
             if change.id == id:
                 return change
-        raise RefusedError(f"nothing of id {id[:80]!r} waits to be undone; skygcs-cli undo list shows what does")
+        raise RefusedError(f"no change with id {id[:80]!r} waits to be undone; skygcs-cli undo list shows them")
 
     def drop(self, change: Change) -> None:
-        """Forget it: it is not to be undone. Raises RefusedError if the file cannot be removed."""
+        """Remove an entry without an undo. Raises RefusedError if the file cannot be removed."""
         try:
             self._path(change.id).unlink(missing_ok=True)
         except OSError as error:
@@ -150,7 +150,7 @@ class UndoJournal:
         return self._folder / f"{id}.json"
 
     def _write(self, change: Change) -> None:
-        """Whole or not at all, and on the disk before this returns."""
+        """Write the file atomically; it is on the disk when this returns."""
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=self._folder, suffix=".tmp")  # of mode 0600
         try:
@@ -171,7 +171,7 @@ class UndoJournal:
 
 
 def _read(path: Path) -> Change:
-    """Raises OSError, and ValueError, KeyError or TypeError for what is no entry."""
+    """Read an entry. Raises OSError, and ValueError, KeyError or TypeError for an invalid one."""
     with path.open("rb") as file:
         table = json.loads(file.read(MAX_FILE_BYTES))
     if table["format"] != FORMAT:
@@ -194,5 +194,5 @@ def _read(path: Path) -> Change:
 def _numbers(table: Mapping[str, Any]) -> dict[str, float]:
     numbers = {str(name): float(value) for name, value in table.items()}
     if len(numbers) > MAX_PARAMETERS or not all(math.isfinite(v) and 0 < len(n) <= 16 for n, v in numbers.items()):
-        raise ValueError("it holds no parameters")
+        raise ValueError("it contains no parameters")
     return numbers

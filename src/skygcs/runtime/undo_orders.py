@@ -1,4 +1,4 @@
-"""Undoes on request what was left changed in a vehicle: see `UndoJournal`."""
+"""Undoes changes that were left in a vehicle, on request; see `UndoJournal`."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from skygcs.runtime.undo_journal import Change, UndoJournal
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 SAME = 1e-6
-"""Relative difference below which two values of a parameter are the same: it is a float of 24 bits on the wire."""
+"""Relative difference below which two values of a parameter are equal: it is a 32-bit float on the wire."""
 
 
 class UndoOrders:
-    """`left`, `run` and `drop` for the RPC. ``vehicles`` by sysid << 8 | compid."""
+    """`left`, `run` and `drop` serve the RPC. ``vehicles``: by sysid << 8 | compid."""
 
     def __init__(
         self,
@@ -35,30 +35,32 @@ class UndoOrders:
     def report(self) -> None:
         """One event for each change that was left, and one for files that cannot be read."""
         for change in self._journal.left():
-            text = f"{change}; skygcs-cli undo run {change.id} puts it back, undo drop forgets it"
+            text = f"{change}; skygcs-cli undo run {change.id} restores it, undo drop removes the entry"
             self._publish(change, text, {"id": change.id, "state": "left"})
         if problems := self._journal.problems:
-            text = f"{self._journal.folder}: {'; '.join(problems[:5])}; what they say is not undone"
+            text = f"{self._journal.folder}: {'; '.join(problems[:5])}; these files are not undone"
             self._on_event(Event("undo", None, None, text, {"state": "unreadable"}))
 
     def left(self) -> dict[str, Any]:
-        """JSON-able: what waits to be undone, and files that cannot be read."""
+        """JSON-able: entries that wait for their undo, and files that cannot be read."""
         changes = [change.as_dict() for change in self._journal.left()]
         return {"changes": changes, "problems": list(self._journal.problems)}
 
     def drop(self, id: str) -> None:
-        """Forget one. Raises RefusedError."""
+        """Remove an entry. Raises RefusedError."""
         change = self._journal.find(id)
         if id in self._running:
             raise RefusedError(f"{id} is being undone just now")
         self._journal.drop(change)
-        self._publish(change, f"{change.what} of {change.began} is not to be undone", {"id": id, "state": "dropped"})
+        self._publish(
+            change, f"{change.what} of {change.began}: entry removed, nothing is undone", {"id": id, "state": "dropped"}
+        )
 
     async def run(self, id: str, *, force: bool = False) -> Outcome:
-        """Put back what one of them changed, and read it back. Raises RefusedError for an id that is not there.
+        """Restore the values of one entry, and read them back. Raises RefusedError for an unknown id.
 
-        Refused to an armed vehicle, and where a parameter has neither the value of before nor that of the change,
-        unless ``force``: then another program has set it since.
+        Without ``force`` it is refused for an armed vehicle, and if a parameter has neither its old value nor that of
+        the change: another program has set it since.
         """
         change = self._journal.find(id)
         if id in self._running:
@@ -113,7 +115,7 @@ class UndoOrders:
         for actor in found:
             if actor.vehicle.family == change.autopilot:
                 return actor
-        raise RefusedError(f"system {change.sysid} is no {change.autopilot} now: another vehicle has its id")
+        raise RefusedError(f"system {change.sysid} is not a {change.autopilot} now: another vehicle has its id")
 
     def _publish(self, change: Change, text: str, data: dict[str, Any]) -> None:
         self._on_event(Event("undo", change.vehicle, change.sysid, text, data))

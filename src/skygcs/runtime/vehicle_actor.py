@@ -1,8 +1,8 @@
-"""One vehicle at run time: gives each frame to what waits for it, and runs its orders.
+"""One vehicle at run time: passes each frame to its protocols, and runs its orders.
 
-Every order returns one Outcome and never raises for what the vehicle or skygcs refuses. Orders are safe to cancel. A
-newer order that moves the vehicle takes the place of an older one that is still in progress: a takeoff that waits for
-its arming goes no further once a landing is ordered.
+Every order returns one Outcome; refusals by the vehicle or by skygcs are outcomes, not exceptions. Orders are safe to
+cancel. A newer order that moves the vehicle replaces an older one in progress: a takeoff that waits for its arming ends
+when a landing is ordered.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class VehicleActor:
     def __init__(
         self, vehicle: Vehicle, config: VehicleConfig, services: VehicleServices, *, configured: bool | None = None
     ) -> None:
-        """``configured``: whether the fleet file names it; None: the file names no vehicle."""
+        """``configured``: True if the fleet file names it; None: the file names no vehicle."""
         self.vehicle = vehicle
         self.config = config
         self.channel = ""
@@ -100,7 +100,7 @@ class VehicleActor:
             **dict.fromkeys(MISSION_MESSAGES, self.missions.on_frame),
             **dict.fromkeys(self.params.messages, self.params.on_frame),
         }
-        """Messages of which every single one is read, and by what."""
+        """Messages of which every frame is read, with their readers."""
 
     @property
     def name(self) -> str:
@@ -118,7 +118,7 @@ class VehicleActor:
     def groups(self) -> tuple[str, ...]:
         return self.vehicle.groups
 
-    # -- what is known of it
+    # -- state
 
     def state(self, now: float) -> dict[str, Any]:
         """Snapshot for people and programs (`core.vehicle.state`)."""
@@ -137,7 +137,7 @@ class VehicleActor:
         return state
 
     def control_state(self, now: float) -> dict[str, Any]:
-        """How it is flown, in the fleet's world frame."""
+        """Control by setpoints, in the fleet's world frame."""
         return shown(self.offboard.status(now), self.offboard.controller.frame, self.vehicle.origin)
 
     def describe(self, now: float) -> dict[str, Any]:
@@ -176,13 +176,13 @@ class VehicleActor:
             commands.wake()
 
     def state_update_only(self, frame: Frame, channel: str) -> StateUpdate | None:
-        """How the state is updated by frames like this one; None if each has to be given to `on_frame`."""
+        """The state update for frames like this one; None if each has to be given to `on_frame`."""
         if frame.msgid in self._read:
             return None
         if frame.msgid == HEARTBEAT:
             payload = frame.payload
             if not self.vehicle.is_last_heartbeat(payload):
-                return None  # from another sender: each has to be looked at
+                return None  # from another sender: each has to be read
 
             def again(now: float) -> None:
                 events = self.vehicle.on_heartbeat(payload, now)
@@ -206,25 +206,25 @@ class VehicleActor:
             self._probe(now)
 
     def set_duplicate(self, where: str | None) -> None:
-        """Another vehicle began to send with its ids, and where; None: it has stopped. State and flight by setpoints,
-        which use one channel, go on."""
+        """Note where another vehicle sends with its ids; None: it has stopped. State and control, which use one
+        channel, go on."""
         if where is not None:
             self.params.stop_all("refused", f"two vehicles with system id {self.sysid} are on the air: {where}")
 
     def set_origin(self, origin: Origin | None, generation: int) -> None:
-        """The fleet's world frame from now on, and its number; see `World`."""
+        """Set the fleet's world frame and its number; see `World`."""
         self.vehicle.origin = origin
         self.vehicle.origin_generation = generation
         self.offboard.origin_changed()
 
     def restarted(self, text: str, now: float) -> None:
-        """It has restarted, or another vehicle has taken its place: forget what was known of it."""
+        """It has restarted, or another vehicle has replaced it: drop its state."""
         self._publish(self.vehicle.restart(now, text), now)
 
     async def wind_down(self) -> None:
-        """The daemon ends: begin nothing that would have to be undone, and undo what has begun; wait until it is."""
+        """The daemon ends: begin nothing that needs an undo, and undo what has begun; wait until that is done."""
         if not self.offboard.controller.active:
-            self.offboard.release(SHUTDOWN)  # an entry that is still checking goes no further
+            self.offboard.release(SHUTDOWN)  # an engagement that is still in its checks ends
         self.missions.stop("cancelled", SHUTDOWN)
         self.params.stop_list()
         self._orders.wind_down()
@@ -239,10 +239,10 @@ class VehicleActor:
     # -- orders
 
     async def arm(self, *, force: bool = False, wait_s: float = 0.0) -> Outcome:
-        """With ``wait_s`` it is tried again every second until the vehicle accepts or the time is over, and not before
-        an ArduCopter has a position: in STABILIZE it would arm without, and then refuse to take off.
+        """Arm. With ``wait_s`` it is repeated every second until the vehicle accepts or the time is over, and sent only
+        when an ArduCopter has a position: in STABILIZE it would arm without one, and then refuse to take off.
 
-        ``force``: without the autopilot's checks, and without the preflight it may require here.
+        ``force``: without the autopilot's checks, and without a preflight required by the fleet file.
         """
 
         def planner(now: float) -> Plan:
@@ -254,7 +254,7 @@ class VehicleActor:
         return await self._orders.retry("arm", planner, wait_s)
 
     async def disarm(self, *, force: bool = False) -> Outcome:
-        """``force`` stops the motors even in the air, and even if the vehicle is lost: emergency priority."""
+        """Disarm. ``force`` stops the motors also in the air, and also of a lost vehicle, with emergency priority."""
         return await self._orders.run("disarm", lambda now: orders.disarm(self.vehicle, now, force=force))
 
     async def set_mode(self, name: str) -> Outcome:
@@ -263,10 +263,10 @@ class VehicleActor:
     async def takeoff(
         self, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
     ) -> Outcome:
-        """To a height above where it stands; None: the fleet file's takeoff_height_m. ``arm``: arms first.
+        """Take off to a height above the ground; None: the fleet file's takeoff_height_m. ``arm``: arms first.
 
-        ``wait_s`` as for `arm`: an ArduCopter takes neither GUIDED nor arming until it knows where it is. ``force``:
-        without the preflight it may require here; the autopilot still checks what it checks.
+        ``wait_s`` as for `arm`: an ArduCopter accepts GUIDED only with a position. ``force``: without a preflight
+        required by the fleet file; the autopilot's own checks stay.
         """
         height = self.config.takeoff_height_m if height_m is None else height_m
 
@@ -286,11 +286,12 @@ class VehicleActor:
         return await self._orders.run("hold", lambda now: orders.hold(self.vehicle, now))
 
     async def stop(self, action: Action) -> Outcome:
-        """Emergency stop; see `core.vehicle.stop`. The caller has to get a kill confirmed (`Fleet.command_all`)."""
+        """Emergency stop; see `core.vehicle.stop`. The caller checks the confirmation of a kill
+        (`Fleet.command_all`)."""
         return await self._orders.run("stop", lambda now: stopping.stop(self.vehicle, now, action))
 
     async def goto(self, **where: Unpack[orders.Where]) -> Outcome:
-        """See `orders.destination`. While it is flown by setpoints it is their reference that goes there."""
+        """Fly to a position; see `orders.destination`. Under control by setpoints the reference moves there."""
         limit_m = self.config.goto_limit_m
         if not self.offboard.flying:
             return await self._orders.run("goto", lambda now: orders.goto(self.vehicle, now, limit_m=limit_m, **where))
@@ -314,7 +315,8 @@ class VehicleActor:
         alt_amsl_m: float | None = None,
         force: bool = False,
     ) -> Outcome:
-        """Without arguments: where it is now. In the air, or farther than goto_limit_m, only with ``force``."""
+        """Set its home; without arguments at its position. In the air, or farther than goto_limit_m, only with
+        ``force``."""
         return await self._orders.run(
             "home",
             lambda now: orders.set_home(
@@ -329,7 +331,8 @@ class VehicleActor:
         )
 
     async def push_origin(self, origin: Origin, *, home: bool = False, force: bool = False) -> Outcome:
-        """Send the vehicle the origin, and with ``home`` make it its home. Armed only with ``force``."""
+        """Send the fleet's origin to the vehicle; with ``home`` also make it the home. When armed only with
+        ``force``."""
         return await self._orders.track("origin", self._push_origin(origin, home, force))
 
     async def _push_origin(self, origin: Origin, home: bool, force: bool) -> Outcome:
@@ -340,7 +343,8 @@ class VehicleActor:
         return both(sent, await self._orders.attempt(home_at(self.vehicle, origin, limit_m=limit_m, force=force)))
 
     async def set_message_interval(self, message: str | int, rate_hz: float | None) -> Outcome:
-        """0 turns it off, None goes back to the vehicle's own rate. From then on skygcs does not request this rate."""
+        """Set a message rate; 0 turns it off, None restores the vehicle's own rate. skygcs then requests no other
+        rate."""
         with contextlib.suppress(RefusedError):
             name = orders.find_message(self._dialect, message)[1]
             self.streams.leave(name)
@@ -349,13 +353,13 @@ class VehicleActor:
         )
 
     async def request_message(self, message: str | int) -> Outcome:
-        """Ask for one message; the outcome is ok once it has come (read it with `latest`)."""
+        """Request one message; the outcome is ok once it has come (read it with `latest`)."""
         return await self._orders.run(
             "request", lambda now: orders.request_message(self.vehicle, now, self._dialect, message)
         )
 
     async def request_stream(self, stream: int | str, rate_hz: float) -> Outcome:
-        """REQUEST_DATA_STREAM, the old way; nothing acknowledges it."""
+        """REQUEST_DATA_STREAM, the older message, which has no acknowledgement."""
         return await self._orders.run(
             "stream", lambda now: orders.request_stream(self.vehicle, now, self._dialect, stream, rate_hz)
         )
@@ -371,7 +375,7 @@ class VehicleActor:
         z: float | None = None,
         force: bool = False,
     ) -> Outcome:
-        """Any command; see `orders.command_plan`. One that passes the checks of an order only with ``force``."""
+        """Any command; see `orders.command_plan`. A command that bypasses an order's checks needs ``force``."""
 
         def planner(now: float) -> Plan:
             orders.require_connected(self.vehicle, now)
@@ -432,7 +436,7 @@ class VehicleActor:
         return await self._orders.run("mission", planner)
 
     async def resume_mission(self) -> Outcome:
-        """Go on with the current item; pausing is `hold`."""
+        """Go on with the current item; `hold` pauses a mission."""
         return await self._orders.run("mission", lambda now: mission_orders.resume(self.vehicle, now))
 
     async def set_mission_item(self, *, item: int) -> Outcome:
@@ -440,7 +444,7 @@ class VehicleActor:
         return await self._orders.run("mission item", lambda now: mission_orders.set_current(self.vehicle, now, item))
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
-        """Fly it by setpoints: "position", "velocity", "attitude" or "raw"; "off": no more, and hold."""
+        """Control it by setpoints: "position", "velocity", "attitude" or "raw"; "off": end control and hold."""
         if mode != "off":
             work = self.offboard.engage(ControlMode(mode), force=force)
             return await self._orders.track("control", work)
@@ -464,7 +468,7 @@ class VehicleActor:
         valid_s: float = 0.5,
         **raw: Any,
     ) -> Outcome:
-        """One setpoint of a stream in the fleet's world frame; made to be called 50 times a second. ``raw``: see
+        """One setpoint of a stream in the fleet's world frame; fast enough for 50 calls a second. ``raw``: see
         `raw_setpoint.raw_from_world`; also an acceleration alone."""
         origin = self.vehicle.origin
         if origin is None:
@@ -488,7 +492,7 @@ class VehicleActor:
         return self.offboard.gains()
 
     def plan(self, planner: Callable[[Vehicle, float], Plan]) -> Plan | None:
-        """What `orders.land` or `orders.rtl` would do now; None if it would be refused."""
+        """The plan of `orders.land` or `orders.rtl` now; None if it is refused."""
         if self.vehicle.duplicate:
             return None
         try:
@@ -497,7 +501,7 @@ class VehicleActor:
             return None
 
     def refuse(self, order: str, reason: str) -> Outcome:
-        """Refuse an order for a reason the fleet knows."""
+        """Report an order that the fleet refuses."""
         return self._orders.finish(order, Outcome.refused(reason))
 
     def _require_preflight(self, *, force: bool) -> None:
@@ -511,10 +515,10 @@ class VehicleActor:
         return replace(outcome, message=f"control is off; {outcome.message}")
 
     async def _request(self, message: str) -> Outcome:
-        """Ask for one message, without a report."""
+        """Request one message, without a report."""
         return await self._orders.attempt(lambda now: orders.request_message(self.vehicle, now, self._dialect, message))
 
-    # -- what frames and time lead to
+    # -- reactions to frames and time
 
     def _on_ack(self, frame: Frame, now: float) -> None:
         if self.vehicle.last_ack is not None:
@@ -524,7 +528,7 @@ class VehicleActor:
             self.streams.on_ack(self.vehicle.last_ack, now)
 
     def _probe(self, now: float) -> None:
-        """Send a probe (TIMESYNC) if one is due, and report whether earlier ones were answered."""
+        """Send an uplink probe (TIMESYNC) if one is due, and report the result of earlier ones."""
         uplink = self.uplink
         if uplink.unanswered >= FEWEST:
             last_frame_at = max((slot.at for slot in self.vehicle.slots.values()), default=-math.inf)
@@ -548,12 +552,12 @@ class VehicleActor:
         self.offboard.on_timesync(frame, now)
 
     def _on_uplink(self, change: Change | None) -> None:
-        """Report that the vehicle began or ceased to hear us."""
+        """Report that the uplink died or recovered."""
         if change is None:
             return
         if change == "lost":
             text = (
-                f"it does not hear us: no answer to {self.uplink.unanswered} questions, while its telemetry comes; "
+                f"it does not hear us: no answer to {self.uplink.unanswered} probes, while its telemetry comes; "
                 "orders do not reach it, and its failsafe for a lost ground station will act"
             )
         else:
@@ -561,7 +565,7 @@ class VehicleActor:
         self._services.on_event(Event(f"uplink_{change}", self.name, self.sysid, text, {}))
 
     def _publish(self, events: tuple[Event, ...], now: float) -> None:
-        """Act on events of the vehicle, then hand them on."""
+        """React to events of the vehicle, then publish them."""
         for event in events:
             if event.kind == "statustext":
                 for reader in (self.commands, self.missions, self.fence, self.params, self.offboard):
@@ -579,7 +583,7 @@ class VehicleActor:
             self._services.on_event(event)
 
     def _stop_protocols(self, text: str) -> None:
-        """End what waits for an answer that will not come."""
+        """End everything that waits for an answer that will not come."""
         self.commands.stop_all("lost", text)
         self.missions.stop("lost", text)
         self.params.stop_all("lost", text)

@@ -1,4 +1,4 @@
-"""What the actors of a fleet's vehicles share: the daemon's ids, clock and journal, and what is known of the links."""
+"""Dependencies shared by the actors of a fleet's vehicles: the daemon's ids, clock and journal, and the links."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class VehicleLinks(Protocol):
     """The links to a fleet's vehicles (`link_view.LinkView`). ``flown``: all vehicles that are flown by setpoints."""
 
     def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
-        """The rate that the links to this vehicle leave to setpoints for it; infinite where none is narrow."""
+        """The rate available for setpoints on the links to this vehicle; infinite if none is slow."""
         ...
 
     def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
-        """Why no stream of setpoints can be kept up to this vehicle; None if it can."""
+        """Why its radio cannot carry a stream of setpoints; None if it can."""
         ...
 
     def facts(self, key: int, now: float) -> Mapping[str, LinkFacts]:
@@ -36,7 +36,7 @@ class VehicleLinks(Protocol):
         ...
 
     def why_silent(self, vehicle: Vehicle) -> str:
-        """Why a vehicle may not answer although it is heard: the end of a sentence, or ""."""
+        """Why a vehicle that is heard may not answer: the end of a sentence, or ""."""
         ...
 
     def may_broadcast(self) -> bool:
@@ -44,16 +44,16 @@ class VehicleLinks(Protocol):
         ...
 
     def is_replayed(self, key: int) -> bool:
-        """True if this source is heard in a recording only."""
+        """True if this source exists only in a recording."""
         ...
 
     def forget_flows(self) -> None:
-        """Vehicles or components came or went: what was cached about how their frames are handled is out of date."""
+        """Vehicles or components were added or removed: cached flows are out of date."""
         ...
 
 
 class WideLinks:
-    """Links without limits, of which nothing is known."""
+    """Links without limits and without known properties."""
 
     def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
         return math.inf
@@ -79,7 +79,7 @@ class WideLinks:
 
 @dataclass(frozen=True, slots=True)
 class VehicleServices:
-    """Made once by the fleet and given to every actor."""
+    """Created once by the fleet and passed to every actor."""
 
     own: tuple[int, int]
     """Our system and component id."""
@@ -90,12 +90,12 @@ class VehicleServices:
     on_event: OnEvent
     links: VehicleLinks
     flown: Callable[[], Iterable[Vehicle]]
-    """All vehicles that are flown by setpoints, which share the links."""
+    """All vehicles that are controlled by setpoints, which share the links."""
     param_cache: ParamCache
     journal: UndoJournal
-    """Changes that are to be undone."""
+    """Journal of changes to undo."""
     log_dir: Path = Path("logs")
-    """For traces of control and records of fence tests."""
+    """Folder for control traces and records of fence tests."""
     preflight_valid_s: float = math.inf
     probes: bool = False
-    """Whether vehicles are asked now and then if they hear us."""
+    """True if uplinks are probed."""

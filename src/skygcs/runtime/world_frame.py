@@ -1,4 +1,4 @@
-"""The fleet's one world frame: how it is set, given to every vehicle, and counted."""
+"""The fleet's world frame: sets it, passes it to every vehicle, and counts its changes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from skygcs.runtime.vehicle_services import OnEvent
 class World:
     """``origin`` (None: there is no frame yet) and ``generation``, the count of its changes.
 
-    A change is one synchronous step: before the next frame is read or the next question answered, every vehicle has the
-    new origin, so no answer mixes two frames. Nothing is sent to any vehicle by it.
+    A change is one synchronous step: before the next frame is read or the next request answered, every vehicle object
+    has the new origin, so no answer mixes two frames. Nothing is sent to the vehicles.
     """
 
     def __init__(self, origin: Origin | None, actors: Mapping[int, VehicleActor], on_event: OnEvent) -> None:
@@ -27,14 +27,14 @@ class World:
         self._on_event = on_event
 
     def join(self, actor: VehicleActor) -> None:
-        """A vehicle that was just met gets the frame of all others."""
+        """Pass the frame to a new vehicle."""
         actor.set_origin(self.origin, self.generation)
 
     def set(self, origin: Origin | None, *, force: bool = False, source: str = "") -> None:
-        """Everything is expressed in this frame from now on. The same origin again changes nothing.
+        """Set the frame. Setting the same origin again has no effect.
 
-        Raises RefusedError for what can be no origin, and without ``force`` for one of another site. ``source`` is
-        named in the event: "alpha".
+        Raises RefusedError for an impossible origin, and without ``force`` for one of another site. The event names
+        ``source``: "alpha".
         """
         if origin is not None:
             origin = origins.checked(origin)
@@ -51,7 +51,7 @@ class World:
         self._on_event(Event("origin", None, None, _reported(old, origin, source), data))
 
     def set_from_vehicle(self, actor: VehicleActor, now: float, *, heading: bool = False, force: bool = False) -> None:
-        """The vehicle's place is the origin; with ``heading`` its nose points along x, else x stays as it is.
+        """Set the origin at the vehicle's position; with ``heading`` its nose is along x, else the x axis stays.
 
         Raises RefusedError.
         """
@@ -63,7 +63,7 @@ class World:
         self.set(origin, force=force, source=actor.name)
 
     def status(self) -> dict[str, Any]:
-        """For people and programs."""
+        """The frame for RPC and CLI."""
         return {"origin": as_dict(self.origin), "generation": self.generation}
 
 

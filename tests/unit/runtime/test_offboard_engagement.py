@@ -392,8 +392,8 @@ async def test_a_full_disk_ends_the_trace_and_not_the_flight(tmp_path: Path) -> 
         f.offboard.record(True)
         assert (await f.offboard.engage(ControlMode.VELOCITY)).ok
         await asyncio.sleep(1)
-        assert f.offboard.flying and f.offboard.recording is None and "traced no more" in f.texts()
-        assert f.texts().count("traced no more") == 1
+        assert f.offboard.flying and f.offboard.recording is None and "trace has ended" in f.texts()
+        assert f.texts().count("trace has ended") == 1
 
 
 async def test_somebody_elses_timesync_is_no_pong(tmp_path: Path) -> None:

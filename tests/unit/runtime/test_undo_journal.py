@@ -50,7 +50,7 @@ def test_a_disk_that_fails_refuses_the_change_and_leaves_nothing(
 
     journal = UndoJournal(tmp_path)
     monkeypatch.setattr(os, step, fails)
-    with pytest.raises(RefusedError, match=r"cannot be kept in .*: No space left on device"):
+    with pytest.raises(RefusedError, match=r"cannot be written in .*: No space left on device"):
         begin(journal)
     assert list(tmp_path.iterdir()) == [] and journal.left() == []
 

@@ -282,7 +282,7 @@ async def test_a_parameter_that_the_vehicle_changes_after_it_took_it_is_reported
     cruise = outcomes["MPC_XY_CRUISE"]
     assert (cruise.ok, cruise.result) == (False, "changed") and outcomes["MPC_XY_P"].ok
     assert cruise.message == (
-        "it took 12 and then made it 9 itself (it was 5): Cruise speed has been constrained by max speed"
+        "it accepted 12 and then changed it to 9 itself (it was 5): Cruise speed has been constrained by max speed"
     )
     assert cruise.param is not None and cruise.param.value == 9.0
     assert rig.events[-1].text == "1 of 2 parameters set"
