@@ -172,7 +172,7 @@ async def test_a_component_is_a_target_where_it_makes_sense(tmp_path: Path) -> N
         assert {e["data"]["compid"] for e in orders} == {191} and {e["vehicle"] for e in orders} == {"kite"}
         for method, more in (("vehicles.arm", {}), ("vehicles.goto", {"enu_m": [0, 0, 5]}), ("vehicles.reboot", {})):
             refused = await told(gcs, method, targets="7/191", **more)
-            assert refused["code"] == -32001 and "is no vehicle" in refused["message"], refused
+            assert refused["code"] == -32001 and "is not a vehicle" in refused["message"], refused
         missing = await told(gcs, "vehicles.command", targets="7/77", command="DO_SET_RELAY")
         assert missing["message"].endswith(
             "no component '7/77' was heard; heard of it: 7/1, 7/100, 7/154, 7/156, 7/191"

@@ -71,7 +71,7 @@ async def test_a_full_disk_is_told_once_and_control_goes_on(tmp_path: Path, monk
         start, since = gcs.place(), gcs.now
         await gcs.step(3.0, 0.0, 0.0)
         await asyncio.sleep(15)
-        told = [t for t in gcs.texts(0.0, "warning") if "traced" in t]
+        told = [t for t in gcs.texts(0.0, "warning") if "control trace" in t]
         assert told == ["its control trace has ended: No space left on device"]
         assert len(written) == 101 and gcs.control()["recording"] is None
         assert gcs.control()["state"] == "flying"

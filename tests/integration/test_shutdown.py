@@ -213,7 +213,7 @@ async def test_nothing_is_changed_that_could_not_be_noted(tmp_path: Path) -> Non
         folder.rmdir()
         folder.write_text("a file where the folder was")
         outcome = await gcs.outcome("fence.test", "v1")
-        assert outcome["result"] == "refused" and "cannot be kept" in outcome["message"]
+        assert outcome["result"] == "refused" and "cannot be written" in outcome["message"]
         assert held(gcs.sim("v1")) == before
 
 

@@ -155,7 +155,7 @@ class Facts:
     rebooted: bool = False
     """Its time since boot ran backwards since control began."""
     flies_disarmed: str | None = None
-    """The evidence that it flies although its heartbeat says disarmed; None: no evidence."""
+    """The evidence that it flies although its heartbeat shows it disarmed; None: no evidence."""
     two_senders: bool = False
     """Another vehicle sends with its ids on the same link: its state may be the other vehicle's."""
     attitude_refused: str | None = None
@@ -375,7 +375,7 @@ def _unsafe(config: GuardConfig, facts: Facts) -> Iterator[Refusal]:
     """Row 2."""
     if not facts.armed and facts.flies_disarmed is not None:
         # A heartbeat from another sender: without setpoints an ArduCopter in the air levels and drifts.
-        yield Refusal("disarmed_in_air", f"its heartbeat says disarmed, but {facts.flies_disarmed}")
+        yield Refusal("disarmed_in_air", f"its heartbeat shows it disarmed, but {facts.flies_disarmed}")
     if facts.two_senders:
         yield Refusal("two_senders", "two vehicles send with its ids on one link, so its state cannot be trusted")
     if facts.state_age_s is None:
