@@ -2,7 +2,7 @@
 
 A program writes one setpoint per line, as a JSON object or as a row of CSV:
 
-    {"pos": [1, 2, 5], "yaw_deg": 90}                 also "vel", "acc", "vehicle"
+    {"pos": [1, 2, 5], "yaw_deg": 90}                 also "vel", "acc", "yaw_rate_dps", "vehicle"
     {"vehicle": "bravo", "vel": [0.5, 0, 0]}
     x,y,z,yaw_deg                                     a header names the columns of the rows below it
     1,2,5,90
@@ -63,6 +63,15 @@ Yaw = Annotated[
     float | None,
     typer.Option("--yaw", metavar="DEG", help="From the frame's x axis, counter-clockwise.", parser=finite),
 ]
+YawRate = Annotated[
+    float | None,
+    typer.Option(
+        "--yaw-rate",
+        metavar="DPS",
+        help="Turn, degrees per second, counter-clockwise; without --yaw from where the nose is.",
+        parser=finite,
+    ),
+]
 Attitude = Annotated[
     Vector | None,
     typer.Option("--att", metavar="ROLL PITCH YAW", help="Raw: degrees; with --thrust.", show_default=False),
@@ -108,6 +117,7 @@ def setpoint(
     position: Position = None,
     velocity: Velocity = None,
     yaw: Yaw = None,
+    yaw_rate: YawRate = None,
     attitude: Attitude = None,
     quaternion: QuaternionOption = None,
     rates: BodyRates = None,
@@ -126,11 +136,11 @@ def setpoint(
     Under `control set alpha raw`: `--att 5 0 90 --thrust 0.5`, `--rates 10 0 0 --thrust 0.5`, `--acc 0.5 0 0`.
     """
     # the setpoint of the options, or standard input
-    given = _given(position, velocity, yaw, acceleration)
+    given = _given(position, velocity, yaw, yaw_rate, acceleration)
     given.update(_given_raw(attitude, quaternion, rates, thrust))
     if stdin and (given or duration_s is not None):
         raise typer.BadParameter(
-            "--stdin supplies the setpoints: give no --pos, --vel, --yaw, --for or raw setpoint with it"
+            "--stdin supplies the setpoints: give no --pos, --vel, --yaw, --yaw-rate, --for or raw setpoint with it"
         )
     if not stdin:
         try:
@@ -177,7 +187,11 @@ def _pace(rate_hz: float | None, valid_s: float | None, *, stdin: bool) -> tuple
 
 
 def _given(
-    position: Vector | None, velocity: Vector | None, yaw: float | None, acceleration: Vector | None
+    position: Vector | None,
+    velocity: Vector | None,
+    yaw: float | None,
+    yaw_rate: float | None,
+    acceleration: Vector | None,
 ) -> dict[str, Any]:
     """The options as parameters of control.setpoint. Raises BadParameter."""
     given: dict[str, Any] = {}
@@ -186,7 +200,10 @@ def _given(
     for option, parameter, vector in (("--pos", "pos_enu_m", position), ("--vel", "vel_enu_mps", velocity)):
         if vector is not None:
             given[parameter] = [parse_unset_number(value, option) for value in vector]
-    return given if yaw is None else {**given, "yaw_deg": yaw}
+    for parameter, value in ((YAW, yaw), (YAW_RATE, yaw_rate)):
+        if value is not None:
+            given[parameter] = value
+    return given
 
 
 def _given_raw(
@@ -246,17 +263,18 @@ VECTORS = {
 """By key in JSON: the parameter of control.setpoint, and the columns in CSV."""
 
 YAW = "yaw_deg"
+YAW_RATE = "yaw_rate_dps"
 VEHICLE = "vehicle"
 THRUST = "thrust"
 ANGLES = ("roll_deg", "pitch_deg", YAW)
 RATES = ("roll_rate", "pitch_rate", "yaw_rate")
 QUATERNION = ("qw", "qx", "qy", "qz")
-KEYS = (*VECTORS, YAW, "att", "rates", THRUST, VEHICLE)
+KEYS = (*VECTORS, YAW, YAW_RATE, "att", "rates", THRUST, VEHICLE)
 """Of a JSON line."""
 
 COLUMNS = (
     *(column for _, columns in VECTORS.values() for column in columns),
-    *(*ANGLES, *RATES, *QUATERNION, THRUST, VEHICLE),
+    *(*ANGLES, YAW_RATE, *RATES, *QUATERNION, THRUST, VEHICLE),
 )
 DEFAULT_COLUMNS = ("x", "y", "z", YAW)
 
@@ -328,10 +346,11 @@ def _from_json(line: str) -> tuple[str | None, dict[str, Any]]:
             if not (isinstance(value, list) and len(value) == 3 and all(x is None or _is_number(x) for x in value)):
                 raise LineError(f"{key}: must be a list of three numbers (null: not given)")
             setpoint[parameter] = [None if x is None else float(x) for x in value]
-    if given.get(YAW) is not None:
-        if not _is_number(given[YAW]):
-            raise LineError(f"{YAW}: must be a number")
-        setpoint[YAW] = float(given[YAW])
+    for key in (YAW, YAW_RATE):
+        if given.get(key) is not None:
+            if not _is_number(given[key]):
+                raise LineError(f"{key}: must be a number")
+            setpoint[key] = float(given[key])
     setpoint.update(_raw_from_json(given))
     vehicle = given.get(VEHICLE)
     if vehicle is not None and not isinstance(vehicle, str | int):
@@ -393,7 +412,7 @@ def _from_cells(line: str, cells: list[str], columns: tuple[str, ...] | None) ->
             if not all(name in values for name in of_raw):
                 raise LineError(f"{', '.join(of_raw)}: give all of them or none")
             setpoint[parameter] = [values[name] for name in of_raw]
-    setpoint.update({name: values[name] for name in (*ANGLES, THRUST) if name in values})
+    setpoint.update({name: values[name] for name in (*ANGLES, YAW_RATE, THRUST) if name in values})
     return vehicle, checked(setpoint)
 
 

@@ -77,6 +77,11 @@ class SetpointParams(TargetsParams):
     yaw_deg: Annotated[float, Field(ge=-360, le=360)] | None = Field(
         None, description="From the frame's x axis, counter-clockwise; without it the yaw stays."
     )
+    yaw_rate_dps: Annotated[float, Field(ge=-360, le=360)] | None = Field(
+        None,
+        description="Degrees per second, counter-clockwise: the yaw moves on with it. Without yaw_deg: from wherever "
+        "the nose is.",
+    )
     valid_s: Annotated[float, Field(ge=0.1, le=5)] = Field(
         0.5, description="When no newer setpoint has come by then, the vehicle stays where it is."
     )

@@ -30,6 +30,7 @@ from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.stream_rates import POSITION, intended_rate
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.vehicle import offboard_entry, orders
+from skygcs.core.vehicle.estimator_origin import ORIGIN_MESSAGE
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
@@ -419,6 +420,8 @@ class OffboardEngagement:
         assert origin is not None
         self._fence = _shared(self._settings.fence_at(origin))
         self.controller.engage(control_mode, self._fence)
+        if self._vehicle.family == "ardupilot" and self._vehicle.telemetry("ekf_origin") is None:
+            self._tasks.start(self._ask_origin(), "estimator origin")
         self.clock.start()
         self._trace.begin()
 
@@ -522,6 +525,13 @@ class OffboardEngagement:
         if not self._streams.want_position(None) and self._vehicle.connected and self._raised:
             self._raised, self._restored_at = False, self._loop.time()
             self._tasks.start(self._request_position(self._before_hz or None), "position rate")
+
+    async def _ask_origin(self) -> None:
+        """Ask where its estimator has its origin, which moving references need; without it they go without their
+        acceleration."""
+        await self._orders.attempt_in_control(
+            lambda now: orders.request_message(self._vehicle, now, self._services.dialect, ORIGIN_MESSAGE)
+        )
 
     async def _request_position(self, rate_hz: float | None) -> None:
         await self._request_rate(POSITION, rate_hz)

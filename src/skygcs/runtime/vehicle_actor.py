@@ -465,6 +465,7 @@ class VehicleActor:
         vel_enu_mps: Sequence[float | None] | None = None,
         acc_enu_mps2: Sequence[float] | None = None,
         yaw_deg: float | None = None,
+        yaw_rate_dps: float | None = None,
         valid_s: float = 0.5,
         **raw: Any,
     ) -> Outcome:
@@ -478,7 +479,7 @@ class VehicleActor:
             if no_place and (acc_enu_mps2 is not None or any(value is not None for value in raw.values())):
                 own = raw_from_world(origin, acc_enu_mps2=acc_enu_mps2, yaw_deg=yaw_deg, **raw)
                 return self.offboard.follow_raw(own, valid_s)
-            wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg)
+            wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg, yaw_rate_dps)
         except RefusedError as error:
             return Outcome.refused(str(error))
         return self.offboard.follow(wanted, valid_s)

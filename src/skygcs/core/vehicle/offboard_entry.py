@@ -147,6 +147,12 @@ def loss_refusal(vehicle: Vehicle) -> str | None:
     )
 
 
+def moves_setpoints_on(vehicle: Vehicle) -> bool:
+    """Whether the autopilot moves a position on by its velocity until the next setpoint comes. ArduCopter does
+    (AC_PosControl::input_pos_vel_accel_xy hands it on by a step in each run), PX4 holds it (trajectory_setpoint)."""
+    return vehicle.family == "ardupilot"
+
+
 def loss_timeout_s(vehicle: Vehicle) -> float:
     """How long it goes on with the last setpoint after they have ceased: its own parameter, or the firmware's default
     (ArduCopter 3 s, PX4 1 s)."""

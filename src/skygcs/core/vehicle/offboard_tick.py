@@ -32,6 +32,8 @@ class TickInput:
     """To predict over."""
     hold_s: float = 0.0
     """Until the next setpoint."""
+    lead_s: float = 0.0
+    """How much later than this tick the vehicle flies by its setpoint, on average."""
 
 
 @record

@@ -35,6 +35,7 @@ from skygcs.core.mavlink.type_masks import (
     Axes,
     position_target_mask,
 )
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.errors import RefusedError
 
 Message = tuple[str, dict[str, Any]]
@@ -57,6 +58,10 @@ MAX_ACCELERATION_MPS2 = 100.0
 
 MAX_BODY_RATE_RADPS = 35.0
 """2000 degrees/s, what the gyros of autopilots measure at most."""
+
+MAX_YAW_RATE_RADPS = math.tau
+"""A full turn per second. Neither autopilot turns faster than 3.5 rad/s by default (ArduCopter ATC_RATE_Y_MAX is free,
+PX4 MC_YAWRATE_MAX 200 deg/s)."""
 
 MAX_LOCAL_M = 100_000.0
 """Largest distance from the estimator's origin of a target in a flat frame."""
@@ -127,7 +132,7 @@ def body_rate_target(
 def acceleration_target(acc_enu_mps2: Sequence[float], yaw_enu_rad: float | None, boot_ms: int) -> Message:
     """SET_POSITION_TARGET_LOCAL_NED with an acceleration alone. Raises RefusedError."""
     acc = _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)
-    return _local(NOTHING, NOTHING, acc, yaw_enu_rad, boot_ms)
+    return _local(NOTHING, NOTHING, acc, (yaw_enu_rad, None), boot_ms)
 
 
 def velocity_target(
@@ -136,6 +141,7 @@ def velocity_target(
     boot_ms: int,
     *,
     acc_enu_mps2: Sequence[float] | None = None,
+    yaw_rate_enu_radps: float | None = None,
 ) -> Message:
     """SET_POSITION_TARGET_LOCAL_NED with a velocity over ground and, if given, an acceleration as feed-forward.
 
@@ -144,24 +150,27 @@ def velocity_target(
     """
     vel = _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
     acc = None if acc_enu_mps2 is None else _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)
-    return _local(NOTHING, vel, NOTHING if acc is None else acc, yaw_enu_rad, boot_ms)
+    return _local(NOTHING, vel, NOTHING if acc is None else acc, (yaw_enu_rad, yaw_rate_enu_radps), boot_ms)
 
 
 def position_target(
-    lat_deg: float,
-    lon_deg: float,
-    alt_amsl_m: float,
+    place: GeodeticPosition,
     yaw_enu_rad: float | None,
     boot_ms: int,
     family: Family,
     *,
     vel_enu_mps: Sequence[float] | None = None,
+    acc_enu_mps2: Sequence[float] | None = None,
+    yaw_rate_enu_radps: float | None = None,
 ) -> Message:
-    """SET_POSITION_TARGET_GLOBAL_INT: a geodetic position and, if given, the velocity to pass it with.
+    """SET_POSITION_TARGET_GLOBAL_INT: a geodetic position and, if given, the velocity and acceleration to pass it with.
 
     Raises RefusedError, also for a coordinate of exactly 0, which most likely was never filled in.
     """
     _require_known(family)
+    if family == "ardupilot" and acc_enu_mps2 is not None:
+        raise RefusedError("ArduPilot ignores an acceleration beside a global position")
+    lat_deg, lon_deg, alt_amsl_m = place.lat_deg, place.lon_deg, place.alt_amsl_m
     if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):  # also false for NaN
         raise RefusedError(
             f"{lat_deg:g}, {lon_deg:g} is not a position on earth (latitude -90..90, longitude -180..180)"
@@ -171,15 +180,23 @@ def position_target(
         raise RefusedError(f"{lat_deg:g}, {lon_deg:g} has a zero coordinate: most likely a value was never filled in")
     alt_m = _within("an altitude", alt_amsl_m, MAX_ALTITUDE_M)
     vel = None if vel_enu_mps is None else _vector("a velocity", vel_enu_mps, MAX_SPEED_MPS)
+    acc = None if acc_enu_mps2 is None else _vector("an acceleration", acc_enu_mps2, MAX_ACCELERATION_MPS2)
     values = {
         "time_boot_ms": boot_ms & UINT32,
         "coordinate_frame": FRAME_GLOBAL_INT,
-        "type_mask": position_target_mask(pos=ALL, vel=NONE if vel is None else ALL, yaw=yaw_enu_rad is not None),
+        "type_mask": position_target_mask(
+            pos=ALL,
+            vel=NONE if vel is None else ALL,
+            acc=NONE if acc is None else ALL,
+            yaw=yaw_enu_rad is not None,
+            yaw_rate=yaw_rate_enu_radps is not None,
+        ),
         "lat_int": lat_int,
         "lon_int": lon_int,
         "alt": alt_m,
         **({} if vel is None else _ned(("vx", "vy", "vz"), vel)),
-        **_yaw(yaw_enu_rad),
+        **({} if acc is None else _ned(("afx", "afy", "afz"), acc)),
+        **_yaw(yaw_enu_rad, yaw_rate_enu_radps),
     }
     return "SET_POSITION_TARGET_GLOBAL_INT", values
 
@@ -192,6 +209,7 @@ def position_target_local(
     *,
     vel_enu_mps: Sequence[float] | None = None,
     acc_enu_mps2: Sequence[float] | None = None,
+    yaw_rate_enu_radps: float | None = None,
 ) -> Message:
     """SET_POSITION_TARGET_LOCAL_NED: a point relative to the vehicle's *own* estimator origin, not the fleet's, and the
     velocity and acceleration to pass it with. Raises RefusedError."""
@@ -201,31 +219,7 @@ def position_target_local(
     _require_known(family)
     if family == "ardupilot" and acc_enu_mps2 is not None and vel_enu_mps is None:
         raise RefusedError("ArduPilot takes an acceleration with a position only if a velocity comes with both")
-    return _local(pos, vel, acc, yaw_enu_rad, boot_ms)
-
-
-def mixed_target(
-    pos_local_enu_m: Partial, vel_enu_mps: Partial, yaw_enu_rad: float | None, boot_ms: int, family: Family
-) -> Message:
-    """SET_POSITION_TARGET_LOCAL_NED with a position on some axes and a velocity on others, as across and up.
-
-    An axis may have both. Raises RefusedError if the autopilot would not follow it: ArduPilot ignores a position if one
-    of its axes is ignored.
-    """
-    _require_known(family)
-    groups = (("position", pos_local_enu_m, MAX_LOCAL_M), ("velocity", vel_enu_mps, MAX_SPEED_MPS))
-    for what, values, most in groups:
-        for value in values:
-            if value is not None:
-                _within(f"a {what}", value, most)
-        if (values[0] is None) != (values[1] is None):
-            raise RefusedError(f"east and north {what} must be given together")
-        if family == "ardupilot" and 0 < sum(v is None for v in values) < 3:
-            raise RefusedError(f"ArduPilot takes a {what} in all three directions or not at all")
-    for axis, pos, vel in zip(("east", "north", "up"), pos_local_enu_m, vel_enu_mps, strict=True):
-        if pos is None and vel is None:
-            raise RefusedError(f"{axis} has neither a position nor a velocity")
-    return _local(pos_local_enu_m, vel_enu_mps, NOTHING, yaw_enu_rad, boot_ms)
+    return _local(pos, vel, acc, (yaw_enu_rad, yaw_rate_enu_radps), boot_ms)
 
 
 def yaw_ned_rad(yaw_enu_rad: float) -> float:
@@ -238,17 +232,24 @@ def yaw_ned_rad(yaw_enu_rad: float) -> float:
     return wrapped
 
 
-def _local(pos: Partial, vel: Partial, acc: Partial, yaw_enu_rad: float | None, boot_ms: int) -> Message:
+def _local(
+    pos: Partial, vel: Partial, acc: Partial, yaw_and_rate: tuple[float | None, float | None], boot_ms: int
+) -> Message:
+    yaw_enu_rad, yaw_rate_enu_radps = yaw_and_rate
     values = {
         "time_boot_ms": boot_ms & UINT32,
         "coordinate_frame": FRAME_LOCAL_NED,
         "type_mask": position_target_mask(
-            pos=_given(pos), vel=_given(vel), acc=_given(acc), yaw=yaw_enu_rad is not None
+            pos=_given(pos),
+            vel=_given(vel),
+            acc=_given(acc),
+            yaw=yaw_enu_rad is not None,
+            yaw_rate=yaw_rate_enu_radps is not None,
         ),
         **_ned(("x", "y", "z"), pos),
         **_ned(("vx", "vy", "vz"), vel),
         **_ned(("afx", "afy", "afz"), acc),
-        **_yaw(yaw_enu_rad),
+        **_yaw(yaw_enu_rad, yaw_rate_enu_radps),
     }
     return "SET_POSITION_TARGET_LOCAL_NED", values
 
@@ -264,8 +265,11 @@ def _ned(names: tuple[str, str, str], enu: Partial) -> dict[str, float]:
     return {name: value for name, value in zip(names, ned, strict=True) if value is not None}
 
 
-def _yaw(yaw_enu_rad: float | None) -> dict[str, float]:
-    return {} if yaw_enu_rad is None else {"yaw": yaw_ned_rad(_finite("a yaw", yaw_enu_rad))}
+def _yaw(yaw_enu_rad: float | None, yaw_rate_enu_radps: float | None) -> dict[str, float]:
+    yaw = {} if yaw_enu_rad is None else {"yaw": yaw_ned_rad(_finite("a yaw", yaw_enu_rad))}
+    if yaw_rate_enu_radps is None:
+        return yaw
+    return {**yaw, "yaw_rate": -_within("a yaw rate", yaw_rate_enu_radps, MAX_YAW_RATE_RADPS)}
 
 
 def _vector(what: str, values: Sequence[float], most: float) -> Vector:

@@ -5,15 +5,22 @@ raw             none                         what the user's own controller asks
 attitude        position and velocity        SET_ATTITUDE_TARGET
 velocity        position                     SET_POSITION_TARGET_LOCAL_NED with a velocity, and an acceleration where
                                              the reference has one
-position        none                         SET_POSITION_TARGET_GLOBAL_INT; as velocity where an axis of the
-                                             reference follows a velocity
+position        none                         SET_POSITION_TARGET_GLOBAL_INT with the place the reference reaches
+                                             when the message takes effect, and while it moves with its velocity
+                                             and, to PX4, its acceleration; to ArduCopter, which takes that in its
+                                             local frame only, SET_POSITION_TARGET_LOCAL_NED once the origin of its
+                                             estimator is known. As velocity where no axis has a position.
+
+An axis that follows a velocity beside one that has a position is sent, in `position`, with the position that velocity
+has led to: to mix the two kinds in one message needs the vehicle's local frame on PX4, whose height may be reset, and
+is not possible on ArduCopter. No loop is closed here by it, so no delay makes it unstable.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from skygcs.core.control.cascade import Memory, Output, step, velocity_setpoint
+from skygcs.core.control.cascade import Memory, Output, Reference, step, velocity_setpoint
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import CONTROL_MODES, ControlMode
 from skygcs.core.control.pi import clip
@@ -21,6 +28,8 @@ from skygcs.core.control.trace import PredictionStep, TraceRow
 from skygcs.core.control.velocity_predictor import PredictorMemory, Timing, predicted_setpoint
 from skygcs.core.vehicle import setpoint
 from skygcs.core.vehicle.estimate_view import EstimateView
+from skygcs.core.vehicle.estimator_origin import EstimatorOrigin
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.offboard_entry import boosts_thrust
 from skygcs.core.vehicle.offboard_tick import IDLE, Message, Tick, TickInput
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
@@ -48,6 +57,12 @@ class SetpointGenerator:
         """Whether ticks carry a row for the trace."""
         self._vehicle = vehicle
         self._estimate_view = estimate_view
+        self._estimator_origin = EstimatorOrigin(vehicle)
+
+    def begin(self) -> None:
+        """A new flight by setpoints."""
+        self.forget()
+        self._estimator_origin.begin()
 
     def forget(self, memory: Memory = NOTHING) -> None:
         """Begin anew, with this memory: an integral of another time is no use, and the first error has no slope yet."""
@@ -65,7 +80,7 @@ class SetpointGenerator:
         row = self._row(control_mode, given)
         if control_mode is ATTITUDE:
             return self._attitude(law, given, row)
-        if control_mode is VELOCITY or given.reference.velocity_only_xy or given.reference.velocity_only_z:
+        if control_mode is VELOCITY or (given.reference.velocity_only_xy and given.reference.velocity_only_z):
             return self._velocity(law, given, row)
         return self._position(given, row)
 
@@ -116,12 +131,11 @@ class SetpointGenerator:
         velocity = None if given.estimate is None else velocity_setpoint(law, given.estimate, given.reference)
         if velocity is None:
             return IDLE
-        acceleration = given.reference.acc_enu_mps2
+        acceleration, (yaw, yaw_rate) = given.reference.acc_enu_mps2, _turn(given.reference)
         message = setpoint.velocity_target(
-            velocity,
-            given.reference.yaw_rad,
-            _boot_ms(given.at),
+            *(velocity, yaw, _boot_ms(given.at)),
             acc_enu_mps2=acceleration if any(acceleration) else None,
+            yaw_rate_enu_radps=yaw_rate,
         )
         row = None if row is None else row.with_velocity(velocity)
         return Tick(message, row=row, before=self.memory, after=self.memory)
@@ -135,8 +149,11 @@ class SetpointGenerator:
         found, self.predictor = predicted_setpoint(law, loop, before, estimate, given.reference, timing)
         if found is None:
             return IDLE
+        yaw, yaw_rate = _turn(given.reference)
         message = setpoint.velocity_target(
-            found.vel_enu_mps, given.reference.yaw_rad, _boot_ms(given.at), acc_enu_mps2=found.acc_enu_mps2
+            *(found.vel_enu_mps, yaw, _boot_ms(given.at)),
+            acc_enu_mps2=found.acc_enu_mps2,
+            yaw_rate_enu_radps=yaw_rate,
         )
         if row is None:
             return Tick(message, before=self.memory, after=self.memory)
@@ -145,15 +162,26 @@ class SetpointGenerator:
         return Tick(message, row=row, before=self.memory, after=self.memory, prediction=step_made)
 
     def _position(self, given: TickInput, row: TraceRow | None) -> Tick:
-        place = self._estimate_view.place_of(given.reference)
-        message = setpoint.position_target(
-            _beside_zero(place.lat_deg),
-            _beside_zero(place.lon_deg),
-            place.alt_amsl_m,
-            given.reference.yaw_rad,
-            _boot_ms(given.at),
-            self._vehicle.family,
-        )
+        reference, family = given.reference.ahead(given.lead_s), self._vehicle.family
+        place = self._estimate_view.place_of(reference)
+        yaw, yaw_rate = _turn(reference)
+        velocity = reference.vel_enu_mps if reference.moves else None
+        acceleration = reference.acc_enu_mps2 if reference.moves else None
+        local = self._estimator_origin.local_enu_m(place) if family == "ardupilot" and reference.moves else None
+        if local is not None:
+            message = setpoint.position_target_local(
+                *(local, yaw, _boot_ms(given.at), family),
+                vel_enu_mps=velocity,
+                acc_enu_mps2=acceleration,
+                yaw_rate_enu_radps=yaw_rate,
+            )
+        else:
+            message = setpoint.position_target(
+                *(_beside_zero(place), yaw, _boot_ms(given.at), family),
+                vel_enu_mps=velocity,
+                acc_enu_mps2=acceleration if family == "px4" else None,
+                yaw_rate_enu_radps=yaw_rate,
+            )
         return Tick(message, row=row, before=self.memory, after=self.memory)
 
     def _row(self, control_mode: ControlMode, given: TickInput) -> TraceRow | None:
@@ -171,7 +199,15 @@ def _boot_ms(at: float) -> int:
     return int(at * 1000) & 0xFFFFFFFF
 
 
-def _beside_zero(coordinate_deg: float) -> float:
+def _turn(reference: Reference) -> tuple[float | None, float | None]:
+    """Yaw and yaw rate as a message carries them: a rate of 0 is left out, and the yaw where a rate alone turns it."""
+    return None if reference.yaw_rate_only else reference.yaw_rad, reference.yaw_rate_radps or None
+
+
+def _beside_zero(place: GeodeticPosition) -> GeodeticPosition:
     """What would be sent as 0, which is taken for a coordinate nobody filled in (`setpoint.position_target`), is sent
     as the next: the equator and the first meridian are places like any other."""
-    return coordinate_deg if abs(coordinate_deg) >= LEAST_DEG else LEAST_DEG
+    if abs(place.lat_deg) >= LEAST_DEG and abs(place.lon_deg) >= LEAST_DEG:
+        return place
+    lat_deg, lon_deg = (c if abs(c) >= LEAST_DEG else LEAST_DEG for c in (place.lat_deg, place.lon_deg))
+    return GeodeticPosition(lat_deg, lon_deg, place.alt_amsl_m)

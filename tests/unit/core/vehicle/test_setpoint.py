@@ -13,6 +13,7 @@ from skygcs.core.control.cascade import Estimate, Memory, Reference, step
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.mavlink.frame import encode
 from skygcs.core.vehicle import setpoint
+from skygcs.core.vehicle.geodetic_position import GeodeticPosition
 from skygcs.core.vehicle.setpoint import Message
 from skygcs.errors import RefusedError
 from support.pymav import PymavPeer
@@ -91,12 +92,12 @@ def test_a_velocity_target_is_ned_and_nothing_but_velocity() -> None:
 
 @pytest.mark.parametrize("family", ["px4", "ardupilot"])
 def test_a_position_target_is_a_place_above_sea_level(family: Any) -> None:
-    m = read(setpoint.position_target(*HOME, math.pi / 2, 5, family))
+    m = read(setpoint.position_target(GeodeticPosition(*HOME), math.pi / 2, 5, family))
     assert (m.coordinate_frame, m.type_mask) == (5, 0x9F8)
     assert (m.lat_int, m.lon_int) == (round(HOME[0] * 1e7), round(HOME[1] * 1e7))
     assert m.alt == pytest.approx(HOME[2], abs=1e-4)
     assert m.yaw == pytest.approx(0), "north"
-    m = read(setpoint.position_target(*HOME, None, 5, family, vel_enu_mps=(1, 2, 3)))
+    m = read(setpoint.position_target(GeodeticPosition(*HOME), None, 5, family, vel_enu_mps=(1, 2, 3)))
     assert m.type_mask == 0xDC0
     assert (m.vx, m.vy, m.vz) == (2, 1, -3)
 
@@ -115,28 +116,6 @@ def test_a_local_position_may_bring_velocity_and_acceleration_along() -> None:
         setpoint.position_target_local((1, 2, 3), None, 5, "ardupilot", acc_enu_mps2=(0, 0, 1))
 
 
-def test_px4_takes_a_height_with_a_velocity_across_and_arducopter_does_not() -> None:
-    height, across = (None, None, 10.0), (1.0, 2.0, None)
-    m = read(setpoint.mixed_target(height, across, None, 0, "px4"))
-    assert (m.type_mask, m.z, m.vx, m.vy) == (0b1101_1110_0011, -10, 2, 1)
-    with pytest.raises(RefusedError, match="all three directions"):
-        setpoint.mixed_target(height, across, None, 0, "ardupilot")
-
-
-@pytest.mark.parametrize(
-    ("pos", "vel", "said"),
-    [
-        ((1.0, None, 1.0), (None, 1.0, None), "together"),
-        ((None, None, 1.0), (None, None, 1.0), "east has neither"),
-        ((1.0, 1.0, None), (None, None, None), "up has neither"),
-        ((1.0, 1.0, math.nan), (None, None, None), "nan"),
-    ],
-)
-def test_a_mixed_target_leaves_no_axis_to_chance(pos: Any, vel: Any, said: str) -> None:
-    with pytest.raises(RefusedError, match=said):
-        setpoint.mixed_target(pos, vel, None, 0, "px4")
-
-
 @given(st.floats(-50, 50))
 def test_yaw_is_the_compass_course_of_the_same_direction(yaw: float) -> None:
     ned = setpoint.yaw_ned_rad(yaw)
@@ -150,7 +129,7 @@ def test_any_place_that_is_one_comes_through_within_a_centimetre(
     lat: float, lon: float, alt: float, yaw: float | None, boot_ms: int
 ) -> None:
     assume(abs(lat) > 1e-6 and abs(lon) > 1e-6)
-    m = read(setpoint.position_target(lat, lon, alt, yaw, boot_ms, "px4"))
+    m = read(setpoint.position_target(GeodeticPosition(lat, lon, alt), yaw, boot_ms, "px4"))
     assert abs(m.lat_int / 1e7 - lat) <= 0.51e-7 and abs(m.lon_int / 1e7 - lon) <= 0.51e-7
     assert abs(m.alt - alt) < 1e-3
     assert m.type_mask == (0xDF8 if yaw is None else 0x9F8)
@@ -162,10 +141,12 @@ def test_whatever_numbers_come_it_is_a_finite_setpoint_or_a_refusal(
     a: float, b: float, c: float, yaw: float | None, vel: tuple[float, float, float]
 ) -> None:
     for make in (
-        lambda: setpoint.position_target(a, b, c, yaw, 0, "px4", vel_enu_mps=vel),
+        lambda: setpoint.position_target(GeodeticPosition(a, b, c), yaw, 0, "px4", vel_enu_mps=vel),
         lambda: setpoint.velocity_target((a, b, c), yaw, 0, acc_enu_mps2=vel),
         lambda: setpoint.position_target_local((a, b, c), yaw, 0, "px4", vel_enu_mps=vel),
-        lambda: setpoint.mixed_target((a, b, None), (None, None, c), yaw, 0, "px4"),
+        lambda: setpoint.position_target(
+            GeodeticPosition(a, b, c), None, 0, "px4", acc_enu_mps2=vel, yaw_rate_enu_radps=yaw
+        ),
         lambda: setpoint.attitude_target((a, b, c, vel[0]), vel[1], 0),
     ):
         try:
@@ -186,9 +167,9 @@ def test_whatever_numbers_come_it_is_a_finite_setpoint_or_a_refusal(
 )
 def test_places_nobody_can_mean_are_refused(lat: float, lon: float, alt: float) -> None:
     with pytest.raises(RefusedError):
-        setpoint.position_target(lat, lon, alt, None, 0, "ardupilot")
+        setpoint.position_target(GeodeticPosition(lat, lon, alt), None, 0, "ardupilot")
 
 
 def test_an_autopilot_nobody_knows_is_sent_no_position() -> None:
     with pytest.raises(RefusedError, match="PX4 and ArduPilot"):
-        setpoint.position_target(*HOME, None, 0, "generic")
+        setpoint.position_target(GeodeticPosition(*HOME), None, 0, "generic")
