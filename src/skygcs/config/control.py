@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from skygcs.config.tables import Model
+from skygcs.core.control.analysis import LEAST_DELAY_S, why_not_delay
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.gains import LARGEST_GAIN, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains, ControlConfig
 from skygcs.core.control.guard import GuardConfig
@@ -157,7 +158,20 @@ class ControlSettings(Model):
         rate_hz, least_hz = self.rate_hz or ATTITUDE_HZ, self.rate_min_hz or ATTITUDE_MIN_HZ
         if rate_hz < least_hz:
             found.append((("rate_hz",), f"{rate_hz:g} is below rate_min_hz ({least_hz:g}): attitude is never flown"))
-        return [*found, *self._predictor_problems()]
+        return [*(found or self._delay_problems()), *self._predictor_problems()]
+
+    def _delay_problems(self) -> list[tuple[tuple[str, ...], str]]:
+        """Gains that do not bear the delay with which they may be flown. A limit that is not set is lowered in flight
+        to what they bear (`OffboardEngagement`), unless that is less than links have. With a derivative gain no delay
+        margin is known."""
+        law = self.law()
+        if law.xy.vel_d or law.z.vel_d:
+            return []
+        why = why_not_delay(law, LEAST_DELAY_S if self.attitude_delay_s is None else self.attitude_delay_s)
+        if why is None:
+            return []
+        keys = ("attitude_delay_s", why[: why.index(":")], "hover_thrust")
+        return [((next((key for key in keys if getattr(self, key) is not None), "xy"),), why)]
 
     def _predictor_problems(self) -> list[tuple[tuple[str, ...], str]]:
         velocity_hz = self.velocity_hz or VELOCITY_HZ

@@ -20,9 +20,10 @@ from typing import Any
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.models import VehicleConfig
-from skygcs.core.control.analysis import why_not_delay
+from skygcs.core.control.analysis import LEAST_DELAY_S, bearable_delay_s, why_not_delay
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import FAST_PERIOD_S, PING_BYTES
+from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import BY_DELAY, ControlMode
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
@@ -88,6 +89,9 @@ FIRST_VERDICT_S = 1.0
 
 TIMESYNC = "TIMESYNC"
 
+SHORTEST_DELAY_S = 0.001
+"""Least limit of the guard."""
+
 GOLDEN_RATIO = 0.6180339887498949
 """Its multiples, without the whole turns, lie as far from each other as any number of them can: the ticks of a fleet
 that one order engages do not wait for each other."""
@@ -126,6 +130,10 @@ class OffboardEngagement:
         self._tasks = TaskSet(services.loop, services.on_event, vehicle.name, vehicle.sysid)
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
+        self._attitude_delay_s = settings.guard().attitude_delay_s
+        """As it is set; flown is what the gains bear of it."""
+        self._gains_forced = False
+        """Whether somebody insisted on gains that bear less."""
         self._law_changed = False
         self._hover_thrust_set = False
         self._followed_at = -math.inf
@@ -170,6 +178,7 @@ class OffboardEngagement:
                 self.release(SUPERSEDED)
             turn = self._next_turn()
             if self.controller.state is OffboardState.FLYING:
+                self._check_gains(control_mode, force=force)
                 return await self._change(control_mode, turn)
             # faster position, then the stream
             back_to = self._vehicle.custom_mode
@@ -178,7 +187,7 @@ class OffboardEngagement:
                 return _superseded(self._loop.time() - started)
             self._request_aids(control_mode)
             self._check_entry(self._loop.time())  # what was true before the wait may have changed
-            self._begin(control_mode)
+            self._begin(control_mode, force=force)
         except RefusedError as error:
             if not self.controller.active:
                 self._streams.want_position(None)
@@ -273,9 +282,12 @@ class OffboardEngagement:
             )
         except ConfigError as error:
             return Outcome.refused("; ".join(error.problems))
-        if not force and (why := why_not_delay(new, self.controller.config.guard.attitude_delay_s)) is not None:
+        why = why_not_delay(new, self.controller.config.guard.attitude_delay_s)
+        if why is not None and not force:
             return Outcome.refused(f"{why}; insist with force (--force)")
+        self._gains_forced = why is not None
         self.controller.change_law(new)
+        self._limit_delay()
         self._law_changed = True
         self._hover_thrust_set |= "hover_thrust" in changes
         return Outcome(True, "accepted", "gains changed")
@@ -331,6 +343,17 @@ class OffboardEngagement:
         left = bytes_per_s - PING_BYTES / FAST_PERIOD_S
         controller.fast_pings = left >= controller.config.rate_min_hz * frame_bytes
         controller.attitude_hz_allowed = (left if controller.fast_pings else bytes_per_s) / frame_bytes
+        self._limit_delay()
+
+    def _limit_delay(self) -> None:
+        """Have attitude flown with no more delay than the gains bear, on the vehicle's own hover thrust and at the rate
+        that the link leaves."""
+        bears_s = None if self._gains_forced else _bearable_delay_s(self._law_in_use())
+        limit_s = self._attitude_delay_s if bears_s is None else min(self._attitude_delay_s, bears_s)
+        self.controller.limit_attitude_delay(max(limit_s, SHORTEST_DELAY_S))
+
+    def _law_in_use(self) -> ControlConfig:
+        return replace(self.controller.config.law, period_s=1.0 / self.controller.attitude_hz)
 
     def status(self, now: float) -> dict[str, Any]:
         """The ``control`` part of the vehicle's state, still in the controller's local frame."""
@@ -391,14 +414,36 @@ class OffboardEngagement:
         if (note := offboard_entry.loss_note(self._vehicle)) is not None:
             self._publish("warning", note, {})
 
+    def _check_gains(self, control_mode: ControlMode, *, force: bool) -> None:
+        """Raises RefusedError if the gains bear less delay than any link has. Where it is less than the limit that is
+        set, attitude is flown up to what they bear, and a warning says so."""
+        if control_mode is not ControlMode.ATTITUDE or self._gains_forced:
+            return
+        law, wanted_s = self._law_in_use(), self._attitude_delay_s
+        bears_s = _bearable_delay_s(law)
+        if bears_s is None or bears_s >= wanted_s:
+            return
+        least_s = min(LEAST_DELAY_S, wanted_s)
+        if bears_s < least_s and not force:
+            raise RefusedError(f"{why_not_delay(law, least_s)}; or {orders.FORCE_HINT}")
+        self._gains_forced = bears_s < least_s
+        self._limit_delay()
+        if not self._gains_forced:
+            text = (
+                f"attitude is flown with up to {bears_s:g} s of delay instead of {wanted_s:g} s: the gains bear no "
+                f"more at its hover thrust of {law.hover_thrust:.3g} and {1 / law.period_s:.3g} setpoints a second"
+            )
+            self._publish("warning", text, {})
+
     # -- entry, and change of the control mode
 
     def _next_turn(self) -> int:
         self._turn += 1
         return self._turn
 
-    def _begin(self, control_mode: ControlMode) -> None:
-        """Start the stream of setpoints. Raises RefusedError if the vehicle's own hover thrust cannot be right."""
+    def _begin(self, control_mode: ControlMode, *, force: bool) -> None:
+        """Start the stream of setpoints. Raises RefusedError if the vehicle's own hover thrust cannot be right, or the
+        gains do not bear the delay with it."""
         # the control law, with gains that were changed before
         hover_thrust = offboard_entry.reported_hover_thrust(self._vehicle)
         try:
@@ -415,6 +460,7 @@ class OffboardEngagement:
             ) from None
         self.controller.config = config
         self.refresh_budget()
+        self._check_gains(control_mode, force=force)
         # the fence, the controller, its clock and its trace
         origin = self._vehicle.origin
         assert origin is not None
@@ -656,3 +702,7 @@ def _shared(value: Hashable) -> Any:
     """The first of several equal values: with a hundred vehicles it is then still in the CPU's caches when the next one
     ticks (measured there: 4 % of a tick)."""
     return value
+
+
+_bearable_delay_s = lru_cache(maxsize=256)(bearable_delay_s)
+"""0.2 ms, asked for every second by each vehicle under control."""

@@ -165,6 +165,19 @@ IMPOSSIBLE = [
     ("hover_thrust = 0.95", r"hover_thrust \(line 4\): .*do not rise.*"),
     ("attitude_delay_s = 0.8", r"attitude_delay_s \(line 4\): 0\.8 is above velocity_delay_s \(0\.5\).*"),
     ("velocity_delay_s = 0.05", r"velocity_delay_s \(line 4\): 0\.1 is above velocity_delay_s \(0\.05\).*"),
+    # gains against delay
+    (
+        "attitude_delay_s = 0.4",
+        r"attitude_delay_s \(line 4\): xy: these gains are unstable from 0\.507 s.* z: .* 0\.213",
+    ),
+    ("z = { vel_p = 1.5 }", r"z \(line 4\): z: these gains are unstable from 0\.04\d s of delay.* allow at most 0\.01"),
+    (
+        "z = { vel_p = 1.5 }\nattitude_delay_s = 0.4",
+        r"attitude_delay_s \(line 5\): xy: .*; z: these gains are unstable from 0\.04\d s of delay on",
+    ),
+    ("attitude_delay_s = 0.11", r"attitude_delay_s \(line 4\): z: .* allow at most 0\.101 s of delay, or divide"),
+    ("xy = { pos_p_per_s = 0 }", r"xy \(line 4\): xy: these gains are unstable without any delay"),
+    ("hover_thrust = 0.15", r"hover_thrust \(line 4\): z: these gains are unstable from 0\.07\d s"),
     ("stale_s = 3", r"stale_s \(line 4\): 3\.0 is above position_stale_s \(2\.0\).*"),
     ("return_after_s = 0.5", r"return_after_s \(line 4\): 0\.5 is not in 1\.\.3600"),
     ("vel_z_max_mps = 0.001", r"vel_z_max_mps \(line 4\): .*"),
@@ -185,6 +198,21 @@ def test_what_is_impossible_is_named_by_check_with_its_key_and_line(
     out = " ".join("".join(capsys.readouterr()).split())
     assert re.search(rf"vehicles\.a\.control\.{complaint}", out), out
     assert out.count("vehicles.a.control") == 1 or "x_m = [5" in text, out  # of that box its margin is wrong, too
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "attitude_delay_s = 0.1",
+        "hover_thrust = 0.3",  # attitude is flown with less delay than 0.1 s then
+        "rate_hz = 25",
+        "attitude_delay_s = 0.4\nxy = { pos_p_per_s = 0.55, vel_p = 0.046, vel_i = 0.0067 }\n"
+        "z = { pos_p_per_s = 0.25, vel_p = 0.075, vel_i = 0.00125 }",
+        "z = { vel_p = 1.5, vel_d = 0.01 }",  # whose margin nobody knows
+    ],
+)
+def test_gains_that_bear_the_delay_pass(tmp_path: Path, text: str) -> None:
+    assert loaded(tmp_path, f"{VEHICLE}[vehicles.a.control]\n{text}\n")
 
 
 def test_what_is_possible_only_together_is_possible(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.config.control import ControlSettings
 from skygcs.config.models import VehicleConfig
+from skygcs.core.control.analysis import bearable_delay_s
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin, geodetic_from_enu
@@ -266,6 +267,47 @@ async def test_the_hover_thrust_is_the_files_else_the_vehicles_else_the_seeds(tm
             f.hover_thrust = told
             assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
             assert f.offboard.gains()["hover_thrust"] == pytest.approx(wanted)
+
+
+async def test_attitude_is_flown_with_no_more_delay_than_the_gains_bear_on_this_vehicle(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        f.hover_thrust = 0.3
+        assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+        limit_s = f.offboard.controller.config.guard.attitude_delay_s
+        assert limit_s == bearable_delay_s(f.offboard.controller.config.law) and limit_s < 0.07
+        assert f"attitude is flown with up to {limit_s:g} s of delay instead of 0.1 s" in f.texts()
+        f.commands.rtt_s = 0.09
+        await asyncio.sleep(5)
+        assert f.offboard.controller.control_mode is ControlMode.VELOCITY and "(limit for attitude 0.06" in f.texts()
+        slower = {"vel_p": 0.1, "pos_p_per_s": 0.5, "vel_i": 0.005}
+        assert f.offboard.change_gains({"z": slower}).ok
+        assert f.offboard.controller.config.guard.attitude_delay_s == 0.1, "these bear it, and more is not allowed"
+
+
+async def test_gains_that_bear_no_link_on_this_vehicle_are_refused_at_entry_unless_forced(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        f.hover_thrust = 0.15
+        outcome = await f.offboard.engage(ControlMode.ATTITUDE)
+        assert outcome.result == "refused" and "z: these gains are unstable from 0.0" in outcome.message
+        assert "force" in outcome.message and f.offboard.controller.state is OffboardState.OFF
+        assert (await f.offboard.engage(ControlMode.POSITION)).ok
+        outcome = await f.offboard.engage(ControlMode.ATTITUDE)
+        assert outcome.result == "refused" and f.offboard.controller.wanted is ControlMode.POSITION
+        assert (await f.offboard.engage(ControlMode.ATTITUDE, force=True)).ok
+        assert f.offboard.controller.config.guard.attitude_delay_s == 0.1
+
+
+async def test_gains_that_somebody_insisted_on_are_flown_with_the_delay_that_is_set(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        stiff = {"z": {"vel_p": 1.5}}
+        refused = f.offboard.change_gains(stiff)
+        assert refused.result == "refused" and "--force" in refused.message
+        assert f.offboard.change_gains(stiff, force=True).ok
+        assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+        assert f.offboard.controller.config.guard.attitude_delay_s == 0.1
+        assert f.offboard.change_gains({"z": {"vel_p": 0.3}}).ok
+        f.offboard.refresh_budget()
+        assert f.offboard.controller.config.guard.attitude_delay_s == 0.1
 
 
 async def test_a_hover_thrust_that_cannot_be_flown_is_refused(tmp_path: Path) -> None:

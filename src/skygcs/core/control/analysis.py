@@ -29,6 +29,11 @@ Facts the functions below rest on, for a loop that is stable without delay (G Kv
   interval around the crossover, whose ends are the two gain margins.
 - With Kp/λ, Kv/λ, Ki/λ² the loop is L(λ s): the same motion, λ times slower. Phase and gain margins stay, every delay
   margin is multiplied by λ.
+
+What a real loop has beside its pure delay, and how `suggest` counts it: an output that is held until the next one and a
+state that is held until the next one delay by half a period each on average; an airframe that follows its attitude with
+a lag T multiplies L by 1/(1 + T s). That falls with ω too, so there is still one crossover, and the delay margin is its
+phase over its frequency, exactly.
 """
 
 from __future__ import annotations
@@ -41,6 +46,12 @@ from skygcs.core.control.gains import GRAVITY_MPS2, AxisGains, ControlConfig
 
 DEFAULT_RESERVE = 2.0
 """Delay margin over measured delay. An airframe's attitude takes 0.1 to 0.2 s to follow, which the model leaves out."""
+
+LEAST_DELAY_S = 0.05
+"""Attitude gains have to bear at least so much: states at 50 Hz are 0.02 s old, and a link has two ways."""
+
+AIRFRAME_LAG_S = 0.15
+"""Of the attitude behind what is asked of it: the upper half of what multirotors of 0.5 to 2 kg show."""
 
 SETTLED_WITHIN = 0.05
 """Share of the step around its end; the usual 5 % band."""
@@ -192,18 +203,53 @@ def slowed(gains: AxisGains, factor: float) -> AxisGains:
     return AxisGains(gains.pos_p_per_s / factor, gains.vel_p / factor, gains.vel_i / factor**2)
 
 
-def suggest(loop: Loop, delay_s: float, reserve: float = DEFAULT_RESERVE) -> Suggestion | None:
+def delay_margin_s(loop: Loop, lag_s: float = 0.0) -> float:
+    """The pure delay from which on the loop is unstable, on an airframe with this lag; 0 if it is without any."""
+    if not routh(loop).stable:
+        return 0.0
+
+    def beyond(w: float) -> bool:
+        return _magnitude(loop, w) < math.hypot(1.0, lag_s * w)
+
+    crossover = _bisect(beyond, *_bracket(beyond))
+    return max(0.0, _phase_margin(loop, crossover, 0.0) - math.atan(lag_s * crossover)) / crossover
+
+
+def suggest(
+    loop: Loop, delay_s: float, reserve: float = DEFAULT_RESERVE, *, held_s: float = 0.0, lag_s: float = 0.0
+) -> Suggestion | None:
     """The gains, slowed just so much that the delay margin is ``reserve`` times the delay; never made faster.
 
-    None for a loop that is unstable without delay: slowing does not help it. Raises ValueError for a reserve below 1.
+    ``held_s``: half the period of the outputs and half that of the states, which count as delay. ``lag_s``: of the
+    airframe. None for a loop that is unstable without delay: slowing does not help it. Raises ValueError for a reserve
+    below 1.
     """
     if reserve < 1:
         raise ValueError("a reserve below 1 would be unstable")
-    bearable = margins(loop)
-    if bearable is None:
+    bearable_s, wanted_s = delay_margin_s(loop), reserve * (delay_s + held_s)
+    if bearable_s == 0.0:
         return None
-    factor = max(1.0, reserve * delay_s / bearable.delay_margin_s)
+    factor = max(1.0, wanted_s / bearable_s)
+    if lag_s > 0:
+
+        def enough(factor: float) -> bool:
+            return delay_margin_s(Loop(slowed(loop.gains, factor), loop.plant_gain), lag_s) >= wanted_s
+
+        if not enough(factor):  # a lag leaves more of the margin the slower the loop is: it rises with the factor
+            low, high = factor, 2.0 * factor
+            while not enough(high):
+                low, high = high, 2.0 * high
+            factor = _bisect(enough, low, high)
     return Suggestion(factor, slowed(loop.gains, factor))
+
+
+def bearable_delay_s(config: ControlConfig, reserve: float = DEFAULT_RESERVE) -> float | None:
+    """The largest loop delay with which `why_not_delay` lets these gains be flown; None if it cannot be known."""
+    try:
+        found = [delay_margin_s(Loop(gains, GRAVITY_MPS2 / config.hover_thrust)) for gains in (config.xy, config.z)]
+    except ValueError:
+        return None
+    return max(0.0, math.floor((min(found) - config.period_s / 2) / reserve * 1000) / 1000)
 
 
 def why_not_delay(config: ControlConfig, delay_s: float, reserve: float = DEFAULT_RESERVE) -> str | None:
@@ -250,19 +296,24 @@ def _why_not_axis(axis: str, gains: AxisGains, config: ControlConfig, delay_s: f
 
 
 def step_response(
-    loop: Loop, *, delay_s: float = 0.0, duration_s: float = 20.0, period_s: float = CONTINUOUS_PERIOD_S
+    loop: Loop,
+    *,
+    delay_s: float = 0.0,
+    duration_s: float = 20.0,
+    period_s: float = CONTINUOUS_PERIOD_S,
+    lag_s: float = 0.0,
 ) -> StepResponse:
     """Simulate a step of the reference, the delay being on the way to the vehicle.
 
-    The law runs once per ``period_s`` and its output is held; between, the double integrator is solved exactly, for
-    delays that are no multiple of the period, too. Ends early if it diverges.
+    The law runs once per ``period_s`` and its output is held; between, the double integrator behind the airframe's lag
+    is solved exactly, for delays that are no multiple of the period, too. Ends early if it diverges.
     """
     (kp, kv, ki), g = _gains(loop), loop.plant_gain
     whole = int(delay_s / period_s)
     late = delay_s - whole * period_s  # in each period the older of two outputs still acts for so long
     early = period_s - late
     delayed = [0.0] * (whole + 2)
-    x = v = integral = 0.0
+    x = v = a = integral = 0.0
     positions = [x]
     for tick in range(math.ceil(duration_s / period_s)):
         error = kp * (1.0 - x) - v
@@ -270,14 +321,21 @@ def step_response(
         integral += ki * error * period_s
         older = g * delayed[(tick + 1) % (whole + 2)]
         newer = g * delayed[(tick + 2) % (whole + 2)]
-        x += v * late + 0.5 * older * late * late
-        v += older * late
-        x += v * early + 0.5 * newer * early * early
-        v += newer * early
+        for wanted, span_s in ((older, late), (newer, early)):
+            x, v, a = _moved(x, v, a, wanted, span_s, lag_s)
         positions.append(x)
         if abs(x) > DIVERGED:
             break
     return _described(period_s, positions)
+
+
+def _moved(x: float, v: float, a: float, wanted: float, span_s: float, lag_s: float) -> tuple[float, float, float]:
+    """Position, velocity and acceleration after a span with one wanted acceleration."""
+    if lag_s == 0:
+        return x + v * span_s + 0.5 * wanted * span_s * span_s, v + wanted * span_s, wanted
+    left, gone = a - wanted, -math.expm1(-span_s / lag_s)
+    moved = x + v * span_s + wanted * span_s * span_s / 2 + left * lag_s * (span_s - lag_s * gone)
+    return moved, v + wanted * span_s + left * lag_s * gone, wanted + left * (1 - gone)
 
 
 def _described(period_s: float, positions: list[float]) -> StepResponse:

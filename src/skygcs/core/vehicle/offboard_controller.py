@@ -240,6 +240,12 @@ class OffboardController:
             self._setpoints.move_integral_up(-learnt, law.thrust_max)
         self.config = replace(self.config, law=law)
 
+    def limit_attitude_delay(self, delay_s: float) -> None:
+        """The guard's largest delay for attitude from now on."""
+        if self.config.guard.attitude_delay_s != delay_s:
+            self.config = replace(self.config, guard=replace(self.config.guard, attitude_delay_s=delay_s))
+        self._guard.config = self.config.guard
+
     def fly_to(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> None:
         """Go to a point on earth and stay there; None keeps the yaw."""
         self._source.hold_at(place, yaw_enu_rad)
