@@ -289,8 +289,8 @@ class OffboardController:
         estimate = self._estimate_view.estimate()
         age_s = self._estimate_view.age_s(now)
         last.estimate, last.state_age_s = estimate, age_s
-        attitude = self.wanted is ATTITUDE and (self.state is ENGAGING or self.control_mode in (None, ATTITUDE))
-        self.delay.fast = attitude and self.fast_pings
+        by_attitude = self.wanted is ATTITUDE or self.wanted is RAW
+        self.delay.fast = by_attitude and self.fast_pings and self._guard.control_mode is self.wanted
         self._estimate_view.measure(age_s, now)
         if self.config.velocity_predictor:
             self._prediction.judge(self.config.law, 1.0 / self.config.velocity_hz, now)
