@@ -10,9 +10,9 @@ is junk. Every frame is known byte for byte, with who must get it and who may (`
 
 It runs in legs of ten seconds. At the end of each all that is under way has come, and what has not is lost: explained
 if the kernel had no room for a datagram (/proc/net/udp), or the daemon counted one that a socket did not take or a
-frame that it took for a copy in that leg, else a fault. A watchdog asks the daemon something every few seconds. Growth is the slope of a line through its
-resident memory after the warm-up. All in build/bench/soak.json and soak.png, and as a table. Exit code 1 if anything
-was missed; SOAK_SEED repeats a run.
+frame that it took for a copy in that leg, else a fault. A watchdog asks the daemon something every few seconds. Growth
+is the slope of a line through its resident memory after the warm-up. All in build/bench/soak.json and soak.png, and as
+a table. Exit code 1 if anything was missed; SOAK_SEED repeats a run.
 """
 
 from __future__ import annotations
