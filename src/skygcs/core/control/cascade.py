@@ -4,8 +4,8 @@
 
 Pure, and free of MAVLink: `step` takes what it remembers and returns what to remember. World frame ENU (x east,
 y north, z up). Yaw is 0 = east and counter-clockwise positive; compass yaw (NED) is pi/2 minus it. Attitudes are
-quaternions (w, x, y, z) that turn body vectors into world vectors, once FLU body in ENU world and once FRD body in NED
-world, the latter as autopilots take it. Body rates are no output: whoever sends the attitude tells the autopilot to
+quaternions (w, x, y, z) that rotate body vectors to world vectors, once FLU body in ENU world and once FRD body in NED
+world, the latter as autopilots take it. There are no body rates: the attitude's type mask makes the autopilot
 ignore them. Measured: 5 us a step (CPython 3.11, one core of a virtual machine).
 """
 
@@ -33,14 +33,14 @@ Quaternion = tuple[float, float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 LARGEST_INPUT = 1e6
-"""m, m/s, m/s², rad or s. Nothing a vehicle measures is larger (1000 km); what is, is refused like NaN."""
+"""m, m/s, m/s², rad or s. Larger values (1000 km) are impossible and refused like NaN."""
 
 _SQRT_HALF = math.sqrt(0.5)
 
 
 class _Judged:
-    """What numbers were found to be when they were put together: an estimate is looked at by the guard and by the law,
-    a reference stays for many steps."""
+    """Checks its numbers once, when it is created: the guard and the law both read an estimate, and a reference stays
+    for many steps."""
 
     __slots__ = ("usable",)
 
@@ -58,7 +58,7 @@ class _Judged:
 
 @record
 class Estimate(_Judged):
-    """Where the vehicle is and how it moves. How old that may be is the guard's business."""
+    """Position and velocity of the vehicle. The guard checks their age."""
 
     pos_enu_m: Vector
     vel_enu_mps: Vector
@@ -126,19 +126,19 @@ class Reference(_Judged):
 
 @record
 class Memory:
-    """What one step leaves to the next. A new one, ``Memory()``, forgets everything: integral 0."""
+    """State between two steps. A new one, ``Memory()``, has integral 0."""
 
     integral_enu: Vector = ZERO
-    """In normalised thrust: the steady push against wind (x, y) and a wrong hover thrust (z)."""
+    """In normalised thrust: the steady thrust against wind (x, y) and a wrong hover thrust (z)."""
     vel_error_enu_mps: Vector | None = None
-    """Of the last step; None before the first, whose error therefore has no slope yet."""
+    """Velocity error of the last step; None before the first step, which has no slope."""
     slope_enu_mps2: Vector = ZERO
     """Filtered change of the velocity error."""
 
 
 @record
 class Saturation:
-    """Which limits the step ran into, to tell an operator."""
+    """The limits that the step reached, for display."""
 
     velocity_xy: bool
     velocity_z: bool
@@ -160,7 +160,7 @@ class Saturation:
 
 @record
 class Output:
-    """What the vehicle shall do until the next step."""
+    """The output, valid until the next step."""
 
     attitude_ned_frd: Quaternion
     """(w, x, y, z) as SET_ATTITUDE_TARGET wants it; w is never negative."""
@@ -171,7 +171,7 @@ class Output:
     thrust_enu: Vector
     """Normalised thrust vector."""
     vel_setpoint_enu_mps: Vector
-    """What the position loop asked of the velocity loop."""
+    """Velocity setpoint, from the position loop to the velocity loop."""
     roll_frd_rad: float
     """Right side down positive."""
     pitch_frd_rad: float
@@ -182,11 +182,11 @@ class Output:
 def step(
     config: ControlConfig, memory: Memory, estimate: Estimate, reference: Reference, dt_s: float, *, following: bool
 ) -> tuple[Output | None, Memory]:
-    """One control step, ``dt_s`` (measured) after the last. ``following``: the autopilot obeys us (OFFBOARD, GUIDED).
+    """One control step, ``dt_s`` (measured) after the last. ``following``: the autopilot follows us (OFFBOARD, GUIDED).
 
-    Unless it follows, the integrators keep still: they would wind up against a vehicle somebody else flies.
-    A number that is NaN, infinite or above `LARGEST_INPUT` gives no output and leaves the memory as it was; what is
-    to be sent then is for the caller to decide. With any other input all of the output is finite and within the limits.
+    Otherwise the integrators are frozen: they would wind up while something else controls the vehicle. An input that is
+    NaN, infinite or above `LARGEST_INPUT` gives no output and leaves the memory unchanged; the caller decides what to
+    send. With any other input all output is finite and within the limits.
     """
     if not (reference.usable and estimate.usable and -LARGEST_INPUT <= dt_s <= LARGEST_INPUT):
         return None, memory
@@ -256,7 +256,7 @@ def ned_frd_from_enu_flu(attitude: Quaternion) -> Quaternion:
 
 
 def _output(thrust: Vector, yaw_rad: float, thrust_max: float, wanted: Vector, saturation: Saturation) -> Output:
-    """By position, as in `_saturation`: keywords would cost 0.7 us of the step's 5.5."""
+    """Positional arguments, as in `_saturation`: keywords would cost 0.7 us of the step's 5.5."""
     attitude, roll, pitch = attitude_from_thrust(thrust, yaw_rad)
     collective = math.hypot(*thrust)
     if collective > thrust_max:  # by rounding, a hair
@@ -294,7 +294,7 @@ def _velocity(config: ControlConfig, estimate: Estimate, reference: Reference) -
 
 def _slope(config: ControlConfig, memory: Memory, error: Vector, dt_s: float) -> Vector:
     before, slope = memory.vel_error_enu_mps, memory.slope_enu_mps2
-    if before is None:  # the first error is no change from anything; against 0 it would kick
+    if before is None:  # the first error has no predecessor; a difference from 0 would be a jump
         return ZERO
     weight = newest_weight(dt_s, config.derivative_cutoff_hz)
     return (
@@ -305,5 +305,5 @@ def _slope(config: ControlConfig, memory: Memory, error: Vector, dt_s: float) ->
 
 
 def _w_not_negative(w: float, x: float, y: float, z: float) -> Quaternion:
-    """A quaternion and its negative are the same attitude; of the two, the one logs and tests can compare."""
+    """A quaternion and its negative are the same attitude; return the one with w >= 0, so that values compare."""
     return (w, x, y, z) if w >= 0.0 else (-w, -x, -y, -z)

@@ -1,20 +1,19 @@
-"""The control fence: a box on earth that no setpoint leads out of, and out of which no setpoint is sent.
+"""The control fence: a fixed box. No setpoint leads out of it, and outside of it no setpoint is sent.
 
     where                                         the vehicle             the place it is sent to
     ───────────────────────────────────────────────────────────────────────────────────────────────
-    within walls and ceiling, over margin_m       fine                    fine
-    nearer than margin_m to a wall or the top     fine                    refused: overshoot and GPS noise
+    inside walls and ceiling, over margin_m       allowed                 allowed
+    nearer than margin_m to a wall or the top     allowed                 refused: overshoot and GPS noise
     beyond a wall or the top, or NaN              hold                    refused
-    up to margin_m below the floor                fine: height noise      refused
+    up to margin_m below the floor                allowed: height noise   refused
     further below                                 hold                    refused
 
-Out of the box the guard lets the autopilot hold, and nothing is computed any more that could carry the vehicle away.
-The way out is never shut: landing, returning and descending are the autopilot's own and do not pass this fence, which
-is no substitute for the autopilot's geofence. The floor is soft for the vehicle because down is where every flight
-ends, and heights are the worst of what GPS gives.
+Outside the box the guard orders a hold, and no setpoint can lead the vehicle further away. Landing, returning and
+descending are done by the autopilot and are not limited by this fence, which does not replace the autopilot's geofence.
+The floor is soft for the vehicle because every flight ends on the ground, and GPS heights are inaccurate.
 
-The box stands on earth, along the axes of the origin it was made with; a later change of the fleet's origin does not
-move it.
+The box is fixed on earth, along the axes of the origin it was created with; a later change of the fleet's origin does
+not move it.
 """
 
 from __future__ import annotations
@@ -28,12 +27,12 @@ from skygcs.errors import ConfigError
 Span = tuple[float, float]
 
 LARGEST_M = 100_000.0
-"""Of a box. Farther out "up" of the origin is no height any more (at 100 km, 785 m too high)."""
+"""Largest size of a box. Farther away "up" of the origin is not a height any more (785 m too high at 100 km)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fence:
-    """Box about ``origin`` along its axes; the default is 100 m square and 20 m high.
+    """Box around ``origin`` along its axes; by default 100 m square and 20 m high.
 
     Raises ConfigError, with every problem at once.
     """
@@ -60,12 +59,11 @@ class Fence:
         object.__setattr__(self, "_frame", EnuFrame(self.origin))  # frozen, and made of nothing but the origin
 
     def contains(self, lat_deg: float, lon_deg: float, alt_amsl_m: float, *, reference: bool = False) -> bool:
-        """Whether a vehicle may be there, or with ``reference`` be sent there."""
+        """True if a vehicle may be there; with ``reference``: may be sent there."""
         return self.why_not(lat_deg, lon_deg, alt_amsl_m, reference=reference) is None
 
     def holds(self, point_m: Vector) -> bool:
-        """Whether a vehicle may be there: of a place on earth, by its `geo.ecef`, what `contains` says. `why_not` tells
-        why not."""
+        """`contains` for a position by its `geo.ecef`; `why_not` gives the reason."""
         x_m, y_m, up_m = self._frame.from_ecef(point_m)
         (x_low, x_high), (y_low, y_high), (low, high) = self.x_m, self.y_m, self.up_m
         return x_low <= x_m <= x_high and y_low <= y_m <= y_high and low - self.margin_m <= up_m <= high
@@ -81,11 +79,11 @@ class Fence:
         free_xy: bool = False,
         free_z: bool = False,
     ) -> str | None:
-        """How far it is out, and of which side; None if it is not. Never raises, whatever the numbers.
+        """How far it is outside, and on which side; None if it is inside. Never raises.
 
-        ``what`` the text is to call it. A ``free`` axis follows a velocity, has no place there and is not looked at.
+        ``what``: its name in the text. A ``free`` axis follows a velocity, has no position and is not checked.
         """
-        what = what or ("the place to go to" if reference else "the vehicle")
+        what = what or ("the target position" if reference else "the vehicle")
         if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 360.0 and math.isfinite(alt_amsl_m)):
             return f"{what} ({lat_deg}, {lon_deg}, {alt_amsl_m} m) is not a position on earth"
         x_m, y_m, up_m = self._frame.from_geodetic(lat_deg, lon_deg, alt_amsl_m)

@@ -1,13 +1,12 @@
-"""The fleet's dead-man: when no operator and no client has shown life for so long, something is done about it, once.
+"""The fleet's dead-man timer: fires once when no operator and no client was active for a time.
 
-    silent              nobody ever alive, no control begun          never fires
-    watching            `alive` or `begin`, whichever came last       counts from there
+    silent              no activity yet, no control begun            never fires
+    watching            `alive` or `begin`                            counts from the later of the two
     watching, silent    for timeout_s                                 fires, once -> fired
     fired               `alive` or `begin`                            -> watching
 
-Silence without anybody ever counts from `begin`: control that the fleet file switches on without an operator is the
-case a dead-man is made for, and who configures one says by it that somebody is to be there. Off by default, because a
-fleet that flies by its own program may well have no operator.
+Without any activity the time counts from `begin`: control that the fleet file starts without an operator needs the
+timer most. Off by default, because a fleet that is flown by a program may have no operator.
 """
 
 from __future__ import annotations
@@ -22,31 +21,31 @@ DeadManAction = Literal["hold", "land", "rtl"]
 ACTIONS: tuple[DeadManAction, ...] = ("hold", "land", "rtl")
 
 SHORTEST_S, LONGEST_S = 2.0, 3600.0
-"""Heartbeats come once a second; of a shorter timeout a single lost one would be somebody's death."""
+"""Heartbeats come once a second; with a shorter timeout a single lost heartbeat would trigger the action."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fired:
-    """What is to be done now with every vehicle under control, and why."""
+    """The action for every vehicle under control, and its reason."""
 
     action: DeadManAction
     silent_s: float
     timeout_s: float
     last: str | None
-    """Who showed life last; None: nobody since control began."""
+    """The last active source; None: none since control began."""
 
     @property
     def reason(self) -> str:
-        """One sentence for an operator who comes back."""
+        """The reason in one sentence, for the operator."""
         who = f"no operator or client (last: {self.last})" if self.last else "no operator or client, ever,"
         return f"{who} for {self.silent_s:.1f} s (limit {self.timeout_s:g} s)"
 
 
 class DeadMan:
-    """One for the fleet. ``timeout_s`` None: off. Raises ConfigError.
+    """One per fleet. ``timeout_s`` None: off. Raises ConfigError.
 
-    Feed `alive` with every sign of life (a ground station's heartbeat, a client's request) and `begin` when control of
-    a vehicle begins; ask `check` now and then, once a second will do.
+    Call `alive` for every activity (a ground station's heartbeat, a client's request), `begin` when control of a
+    vehicle begins, and `check` about once a second.
     """
 
     __slots__ = ("_fired", "_last", "_since", "action", "timeout_s")
@@ -66,16 +65,16 @@ class DeadMan:
         self._fired = False
 
     def alive(self, source: str, now: float) -> None:
-        """Somebody showed life; ``source`` is told to the operator if it was the last time."""
+        """Note activity of ``source``, which the reason names if it was the last."""
         self._last = source
         self._watch(now)
 
     def begin(self, now: float) -> None:
-        """Control of a vehicle began: whoever ordered it, or the fleet file, starts the count anew."""
+        """Control of a vehicle began, by an order or by the fleet file: restart the timer."""
         self._watch(now)
 
     def check(self, now: float) -> Fired | None:
-        """What is to be done, the first time somebody asks after the silence has become too long."""
+        """The action, at the first call after the silence has become too long; else None."""
         if self.timeout_s is None or self._since is None or self._fired:
             return None
         silent_s = now - self._since

@@ -1,7 +1,7 @@
 """The velocity loop, axis by axis: PI with a filtered D, each limit and anti-windup next to its integrator.
 
-Errors are in m/s, everything that comes out is normalised thrust. A step of 0 s integrates nothing: that is how the
-caller freezes the integrators.
+Errors are in m/s, results in normalised thrust. A step of 0 s integrates nothing; the caller uses it to freeze the
+integrators.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from skygcs.core.control.record import record
 
 @record
 class Vertical:
-    """What the z axis asks for. ``at_max`` and ``at_min``: it asked for more, or less, than the limits allow."""
+    """Vertical thrust. ``at_max`` and ``at_min``: the demand was above, or below, the limits."""
 
     thrust: float
     integral: float
@@ -25,7 +25,7 @@ class Vertical:
 
 @record
 class Horizontal:
-    """What x and y ask for, cut to what the tilt limit and the vertical thrust leave."""
+    """Horizontal thrust, limited by the tilt limit and the vertical thrust."""
 
     thrust_x: float
     thrust_y: float
@@ -33,7 +33,7 @@ class Horizontal:
     integral_y: float
     limit: float
     cut: bool
-    """More than ``limit`` was asked for."""
+    """The demand was above ``limit``."""
     integral_at_bound: bool
 
 
@@ -43,12 +43,12 @@ def clip(value: float, bound: float) -> float:
 
 
 def within(value: float, low: float, high: float) -> float:
-    """The value, or the bound it is beyond. (``min(max(...))`` takes three times as long.)"""
+    """The value, limited to the bounds. (``min(max(...))`` takes three times as long.)"""
     return low if value < low else high if value > high else value
 
 
 def newest_weight(dt_s: float, cutoff_hz: float) -> float:
-    """Of the newest value in a first-order low pass that is asked every ``dt_s``."""
+    """Weight of the newest value in a first-order low pass with period ``dt_s``."""
     reach = math.tau * cutoff_hz * dt_s
     return reach / (1.0 + reach)
 
@@ -62,12 +62,12 @@ def filtered_slope(error: float, previous_error: float, slope: float, dt_s: floa
 def vertical(
     config: ControlConfig, error_mps: float, slope_mps2: float, integral: float, feedforward: float, dt_s: float
 ) -> Vertical:
-    """The z axis, asked first: it has priority. The thrust uses the integral as it was before this step."""
+    """The z axis, computed first: it has priority. The thrust uses the integral from before this step."""
     gains = config.z
     asked = feedforward + gains.vel_p * error_mps + integral + gains.vel_d * slope_mps2 + config.hover_thrust
     at_max = asked >= config.thrust_max
     at_min = asked <= config.thrust_min
-    # Anti-windup by stopping: an error that would push further into the limit is not integrated, one that leads out is.
+    # Anti-windup by clamping: an error that leads further into the limit is not integrated, one that leads out is.
     if not (at_max and error_mps >= 0.0) and not (at_min and error_mps <= 0.0):
         integral += gains.vel_i * error_mps * dt_s
     integral = clip(integral, config.thrust_max)
@@ -76,9 +76,9 @@ def vertical(
 
 
 def horizontal_limit(config: ControlConfig, thrust_z: float) -> float:
-    """Most horizontal thrust beside ``thrust_z``: within the tilt limit, and the vector within ``thrust_max``.
+    """Largest horizontal thrust beside ``thrust_z``: within the tilt limit, and the vector within ``thrust_max``.
 
-    0 where rounding puts ``thrust_z`` a hair above ``thrust_max``: the root of a negative number has no business here.
+    0 if ``thrust_z`` is slightly above ``thrust_max`` by rounding, which would give the root of a negative number.
     """
     square = config.thrust_max * config.thrust_max - thrust_z * thrust_z
     left = math.sqrt(square) if square > 0.0 else 0.0
@@ -105,7 +105,7 @@ def horizontal(
     scale = limit / norm if cut else 1.0
     thrust_x, thrust_y = asked_x * scale, asked_y * scale
 
-    # Anti-windup by tracking: what was cut off pulls the integral back (gain 2 / vel_p, as in the law this follows).
+    # Anti-windup by tracking: the part cut off reduces the integral (gain 2 / vel_p, as in the law this follows).
     # It pulls past zero while the cut lasts, so the bound below is needed even though this term is there.
     tracking = 2.0 / gains.vel_p
     integral_x = integral[0] + gains.vel_i * (error_mps[0] - (asked_x - thrust_x) * tracking) * dt_s

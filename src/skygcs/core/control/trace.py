@@ -1,16 +1,16 @@
-"""The trace: one vehicle's control at full rate as CSV, exact enough to run the law over it again (control-trace.md).
+"""The control trace of one vehicle: every tick as CSV, exact enough to run the law over it again (control-trace.md).
 
     # format = "skygcs control trace 2"          lines with # are remarks: a key and its value as JSON
     # vehicle = "alpha"
-    # anchor = {"lat_deg": …, "lon_deg": …, "alt_amsl_m": …}
-    t_s,dt_s,way,…                               the columns, once
-    # config = {…}                               holds from the next row on; again when the gains change
-    # memory = {…}                               what the next step began with, where that is not what the last one left
+    # local_origin = {"lat_deg": …, "lon_deg": …, "alt_amsl_m": …}
+    t_s,dt_s,control_mode,…                      the columns, once
+    # config = {…}                               valid from the next row on; repeated when the gains change
+    # memory = {…}                               the next step's memory, if it differs from what the last step returned
     0.0,0.02,attitude,…                          a row per tick; a cell without a value is empty
 
-Floats are written by `repr`, so that what is read is, bit for bit, what was written. Positions are ENU about the
-anchor, angles in radians, yaw 0 = east and counter-clockwise positive; the rest is as in skygcs.core.control.cascade.
-A line ends with a newline: a last one without is what a crash left, and is not counted.
+Floats are written by `repr`, so that reading gives the same bits. Positions are ENU relative to the local origin,
+angles in radians, yaw 0 = east and counter-clockwise positive; the rest is as in skygcs.core.control.cascade. A line
+ends with a newline: a last line without one was cut by a crash and is ignored.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ what a predictor remembers 64 setpoints of 7 numbers (some 10,000)."""
 
 @dataclass(frozen=True, slots=True)
 class TraceHead:
-    """What holds for a whole trace. The anchor is where its (0, 0, 0) is."""
+    """Data of the whole trace: the vehicle and its local origin, the position of (0, 0, 0)."""
 
     vehicle: str
     lat_deg: float
@@ -154,16 +154,16 @@ class TraceWriter:
 
 
 def encode_head(head: TraceHead) -> str:
-    """The remarks at the beginning and the line of columns."""
+    """The first remarks and the line of columns."""
     local_origin = {"lat_deg": head.lat_deg, "lon_deg": head.lon_deg, "alt_amsl_m": head.alt_amsl_m}
-    remarks = (("format", FORMAT), ("vehicle", head.vehicle), ("anchor", local_origin))
+    remarks = (("format", FORMAT), ("vehicle", head.vehicle), ("local_origin", local_origin))
     return "".join(_remark(key, value) for key, value in remarks) + ",".join(COLUMNS) + "\n"
 
 
 class Trace:
     """A trace being read: ``head`` is known, iterating gives the entries, once.
 
-    Iterating raises TraceError (line, reason) at the first line that is none of a trace.
+    Iterating raises TraceError (line, reason) at the first line that does not belong to a trace.
     """
 
     def __init__(self, head: TraceHead, numbered: Iterator[tuple[int, str]]) -> None:
@@ -291,11 +291,11 @@ def _head(number: int, remarks: dict[str, Any]) -> TraceHead:
     if remarks.get("format") not in FORMATS:
         raise TraceError(number, f"its format is {remarks.get('format')!r}; this skygcs reads {', '.join(FORMATS)}")
     try:
-        local_origin = remarks["anchor"]
+        local_origin = remarks["anchor" if "anchor" in remarks else "local_origin"]  # the former is the old name
         place = (float(local_origin["lat_deg"]), float(local_origin["lon_deg"]), float(local_origin["alt_amsl_m"]))
         return TraceHead(str(remarks["vehicle"]), *place)
     except (KeyError, TypeError, ValueError) as error:
-        raise TraceError(number, f"remarks 'vehicle' and 'anchor' are missing or wrong: {error}") from None
+        raise TraceError(number, f"remarks 'vehicle' and 'local_origin' are missing or wrong: {error}") from None
 
 
 def _config(number: int, value: Any) -> ControlConfig:

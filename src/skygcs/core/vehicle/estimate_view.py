@@ -1,8 +1,8 @@
-"""What a pilot sees of its vehicle: where it is about an anchor, how old that is, and what else it tells. Pure.
+"""The vehicle's estimate as the controller uses it: position and velocity in the local frame, their age, GPS, battery.
+Pure.
 
-The *anchor* is the place where control began; its frame is true ENU, whatever the fleet's world frame is. All of it is
-read from the vehicle's state when it is asked for, and worked out once for each message that came: it is asked for in
-every tick, 50 times a second.
+The *local origin* is the position where control began; its frame is true ENU, whatever the fleet's world frame is.
+Values are decoded from the vehicle's state once per message, because every tick, 50 a second, reads them.
 """
 
 from __future__ import annotations
@@ -21,36 +21,36 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
 GPS_FIX_3D = 3
-"""GPS_FIX_TYPE_3D_FIX; without it a position is a guess of the estimator that gets worse by the second."""
+"""GPS_FIX_TYPE_3D_FIX; without it the estimator's position drifts within seconds."""
 
 REPORT_FRESH_S = 10.0
-"""GPS and battery are told every two seconds; what is older says nothing about now."""
+"""GPS and battery are reported every two seconds; older values are not used."""
 
 ATTITUDE_FRESH_S = 3.0
-"""An attitude older than this is no longer asked whether it is a number: it may just not be streamed any more."""
+"""An attitude older than this is not checked for NaN: it may not be streamed any more."""
 
 JUDGE_S = 0.1
-"""How often what moves slowly is looked at anew: the percentile of a window of seconds, fix and battery."""
+"""Period of evaluating slow values: the percentile of a window of seconds, fix and battery."""
 
 LONGEST_S = 5.0
 """A state is not taken for the present beyond this age: by then the guard has ended control (`position_stale_s`)."""
 
 MAX_LAT_DEG = 90.0
-"""Beyond it a number is no latitude, though it would be some point."""
+"""Largest latitude; larger numbers are invalid."""
 
 _MESSAGES = ("GLOBAL_POSITION_INT", "ATTITUDE", "ATTITUDE_QUATERNION")
 
 
 class EstimateView:
-    """On one vehicle. `local_origin` it before anything is asked; `measure` once a tick; the loop's times."""
+    """One vehicle's. Call `set_local_origin` first, then `measure` once per tick; times are the loop's."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self.frame: EnuFrame | None = None
-        """The anchor's; None before the first `local_origin`."""
+        """The local frame; None before the first `set_local_origin`."""
         self.delay = _delay_meter()
         self.delay_p95_s: float | None = None
         self.fix_ok = True
-        """Unless its GPS says otherwise."""
+        """False if its GPS reports no fix."""
         self.battery_percent: float | None = None
         self._vehicle = vehicle
         self._fence: Fence | None = None
@@ -59,7 +59,7 @@ class EstimateView:
         self._position_id, self._attitude_id, self._quaternion_id = map(decoder.msgid_of, _MESSAGES)
         self._read_position, self._read_attitude = map(decoder.read.get, _MESSAGES[:2])
         self._reported: tuple[Frame | None, EnuFrame | None] = (None, None)
-        """What the estimate below was made of."""
+        """The frame that the estimate below was decoded from."""
         self._position: GlobalPosition | None = None
         self._estimate: Estimate | None = None
         self._point_m = ZERO
@@ -82,7 +82,7 @@ class EstimateView:
         self.delay, self.delay_p95_s, self._judged_at = _delay_meter(), None, -math.inf
 
     def measure(self, state_age_s: float | None, now: float) -> None:
-        """One tick's age of the state (`age_s`); every JUDGE_S, what moves slowly."""
+        """Note the age of the state (`age_s`) in a tick; every JUDGE_S also the slow values."""
         self.delay.on_tick(state_age_s, now)
         if self.delay.bound_s:  # the link got slow: not to wait for JUDGE_S
             self.delay_p95_s = self.delay.delay_p95_s
@@ -92,7 +92,7 @@ class EstimateView:
             self.fix_ok, self.battery_percent = self._reported_fix_ok(now), self._reported_battery_percent(now)
 
     def estimate(self) -> Estimate | None:
-        """Its position and velocity about the anchor, as last told; None without a position."""
+        """Its position and velocity in the local frame, as last reported; None without a position."""
         slot = self._vehicle.slots.get(self._position_id)
         frame = None if slot is None else slot.frame
         if slot is not None:
@@ -101,7 +101,7 @@ class EstimateView:
             self._reported = (frame, self.frame)
             self._position = self._estimate = None
             if frame is not None and self.frame is not None and self._read_position is not None:
-                # Not `telemetry`, which has more than is wanted here: 2.2 us against 5.5, for each position that comes.
+                # Not `telemetry`, which decodes more fields: 2.2 us instead of 5.5 for each position.
                 self._position = global_position(self._read_position(frame.payload))
                 lat_deg, lon_deg, alt_amsl_m, vel_enu_mps = self._position
                 if lat_deg is not None and lon_deg is not None:
@@ -110,11 +110,11 @@ class EstimateView:
         return self._estimate
 
     def age_s(self, now: float) -> float | None:
-        """How long ago what `estimate` gave last came; None if it gave none."""
+        """Age of the last `estimate`; None without one."""
         return None if self._estimate is None else now - self._at
 
     def present_place(self, now: float) -> Vector | None:
-        """Where it is by now, if it went on as it was last told; None without a position."""
+        """Its present position, extrapolated from the last report; None without a position."""
         estimate = self.estimate()
         if estimate is None or not estimate.usable:
             return None
@@ -164,7 +164,7 @@ class EstimateView:
         return fence.leads_out(*frame.to_geodetic(x, y, z), (way_x, way_y, way_z), margin=margin, what=what)
 
     def yaw_rad(self) -> float:
-        """Its present yaw (ENU); north unless it tells."""
+        """Its present yaw (ENU); north if it is not reported."""
         position = self._vehicle.telemetry("position")
         heading = None if position is None else position["heading_deg"]
         if heading is None:
@@ -173,7 +173,7 @@ class EstimateView:
         return math.radians(yaw_enu_from_heading_deg(heading))
 
     def attitude_is_finite(self, now: float) -> bool:
-        """What it tells of its attitude, if it tells, are numbers."""
+        """True unless its reported attitude contains NaN."""
         slots = self._vehicle.slots
         slot = slots.get(self._attitude_id)
         if slot is None or slot.frame is None or self._quaternion_id in slots or self._read_attitude is None:
@@ -182,24 +182,24 @@ class EstimateView:
             return True
         frame = slot.frame
         if self._attitude[0] is not frame:
-            # Only the angles, not the section with its quaternion: 0.6 us against 8, for each attitude that comes.
+            # Only the angles, not the telemetry group with its quaternion: 0.6 us instead of 8 for each attitude.
             self._attitude = (frame, finite_angles(self._read_attitude(frame.payload)))
         return self._attitude[1]
 
     def _whole_attitude_is_finite(self, now: float) -> bool:
-        """The same of a vehicle that tells it by two messages, or by the other one."""
+        """`attitude_is_finite` for a vehicle that reports two attitude messages, or the other one."""
         slot = self._vehicle.slot("ATTITUDE") or self._vehicle.slot("ATTITUDE_QUATERNION")
         if slot is None or now - slot.at > ATTITUDE_FRESH_S:
             return True
         return self._vehicle.telemetry("attitude") is not None
 
     def in_local_frame(self, place: GeodeticPosition) -> Vector:
-        """A point on earth, in the anchor's frame."""
-        assert self.frame is not None  # there is one since `local_origin`
+        """A geodetic position in the local frame."""
+        assert self.frame is not None  # set by `set_local_origin`
         return self.frame.from_geodetic(place.lat_deg, place.lon_deg, place.alt_amsl_m)
 
     def place_of(self, reference: Reference) -> GeodeticPosition:
-        """The reference as a point on earth."""
+        """The reference as a geodetic position."""
         known, place = self._place
         if place is None or known is not reference:
             assert self.frame is not None
@@ -208,7 +208,7 @@ class EstimateView:
         return place
 
     def breach(self) -> str | None:
-        """Why the vehicle, where `estimate` found it, is outside the fence; None: it is not."""
+        """Why the vehicle, at the position of `estimate`, is outside the fence; None: it is inside."""
         fence, position = self._fence, self._position
         if fence is None or position is None:
             return None
@@ -223,7 +223,7 @@ class EstimateView:
         return fence.why_not(lat_deg, lon_deg, alt_amsl_m)
 
     def reference_breach(self, reference: Reference) -> str | None:
-        """Why the place it is sent to is outside the fence; None: it is not.
+        """Why the reference is outside the fence; None: it is inside.
 
         References are taken with the fence's margin (`OffboardEngagement`); here the fence itself counts, so that a
         vehicle taken over near a wall may stay where it is.
@@ -235,7 +235,7 @@ class EstimateView:
         if place is not self._fenced[0]:
             why = fence.why_not(
                 *(place.lat_deg, place.lon_deg, place.alt_amsl_m),
-                what="the place to go to",
+                what="the target position",
                 free_xy=reference.velocity_only_xy,
                 free_z=reference.velocity_only_z,
             )
@@ -245,7 +245,7 @@ class EstimateView:
     def _reported_fix_ok(self, now: float) -> bool:
         gps, at = self._vehicle.message_cache.telemetry("gps")
         if gps is None or now - at > REPORT_FRESH_S:
-            return True  # its position, which is watched, comes from an estimator that knows
+            return True  # the estimator, whose position is checked, has a fix of its own
         return bool(gps["fix_type"] >= GPS_FIX_3D)
 
     def _reported_battery_percent(self, now: float) -> float | None:
@@ -254,5 +254,5 @@ class EstimateView:
 
 
 def _delay_meter() -> DelayMeter:
-    """Ages count from when the state came in: the loop has the way down as well as the way up."""
+    """Ages count from the reception of a state: the loop's delay includes the downlink and the uplink."""
     return DelayMeter(share=1.0)

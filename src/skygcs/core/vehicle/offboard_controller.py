@@ -1,15 +1,15 @@
-"""Flies one vehicle: what is sent to it in each tick, and when that ends. Pure.
+"""Controls one vehicle by setpoints: what is sent in each tick, and when control ends. Pure.
 
     state      what is sent                               what ends it
     --------   ----------------------------------------   ------------------------------------------------------------
     off        nothing                                    `engage` -> engaging
     engaging   setpoints "stay where you are", for the    `entered` (the autopilot obeys) -> flying; `release` -> off
                autopilot's entry
-    flying     setpoints of the way the guard allows      guard: hold -> held; guard: release, `release` -> off
+    flying     setpoints in the mode the guard allows     guard: hold -> held; guard: release, `release` -> off
     held       nothing: hold was ordered once             `engage` -> engaging; `release` -> off
 
-The law works in an *anchor* frame: true ENU about the place where control began. The fleet's world frame is turned into
-it where references come in, so a change of the fleet's origin moves no vehicle.
+The law works in a local frame: true ENU around the local origin, the position where control began. References are
+converted from the fleet's world frame when they come in, so a change of the fleet's origin moves no vehicle.
 A reference comes as a place to hold (`fly_to`) or as a stream of setpoints with a deadline each (`follow`), which moves
 on by its velocity and acceleration between them; when a stream's deadline passes, the vehicle stays where it comes to
 rest.
@@ -43,7 +43,7 @@ from skygcs.core.vehicle.velocity_prediction import VelocityPrediction
 from skygcs.events import Event
 
 LARGEST_DT_S = 1.0
-"""Told to the law as the longest pause between two steps; it clamps to 1.5 periods itself."""
+"""The longest pause between two steps that the law is given; it clamps to 1.5 periods itself."""
 
 
 LONGEST_LEAD_S = 1.0
@@ -81,7 +81,7 @@ class OffboardConfig:
 
 @dataclass(slots=True)
 class _Last:
-    """What the last tick saw and did, for whoever looks."""
+    """Input and output of the last tick, for display."""
 
     at: float = -math.inf
     estimate: Estimate | None = None
@@ -122,7 +122,7 @@ class OffboardController:
         self._velocity_ended = False
         """Reported; a program that goes on sending velocities is not answered with an event for each."""
 
-    # -- what a person asks
+    # -- orders
 
     @property
     def memory(self) -> Memory:
@@ -145,7 +145,7 @@ class OffboardController:
 
     @property
     def period_s(self) -> float:
-        """From one tick to the next, for the present way and the link's budget."""
+        """The period of ticks, for the present control mode and the link's budget."""
         control_mode = self.wanted if self.control_mode is None else self.control_mode
         if control_mode is ATTITUDE or control_mode is RAW:
             return 1.0 / self.attitude_hz
@@ -163,7 +163,7 @@ class OffboardController:
 
     @property
     def frame(self) -> EnuFrame | None:
-        """The anchor's; None before the first `engage`."""
+        """The local frame; None before the first `engage`."""
         return self._estimate_view.frame
 
     @property
@@ -178,7 +178,7 @@ class OffboardController:
 
     @property
     def reference(self) -> Reference | None:
-        """Where it shall be, in the anchor's frame; None while it is not told, or raw setpoints fly it."""
+        """The reference in the local frame; None without one, or with raw setpoints."""
         return self._source.reference if self.state is FLYING and self.control_mode is not RAW else None
 
     def engage(self, control_mode: ControlMode, fence: Fence | None) -> None:
@@ -209,7 +209,7 @@ class OffboardController:
             self._source.stop(self._last.at)
 
     def want(self, control_mode: ControlMode) -> None:
-        """Fly it another way from the next tick on, as far as the guard lets it; the reference stays."""
+        """Use another control mode from the next tick on, if the guard allows it; the reference stays."""
         if self.control_mode is RAW:
             self._source.stop(self._last.at)
         self._raw.end()
@@ -217,7 +217,7 @@ class OffboardController:
         self._guard.reset(control_mode)
 
     def release(self, reason: str) -> Tick:
-        """Send nothing from now on; whoever took over flies."""
+        """Send nothing from now on."""
         if self.state is OFF:
             return IDLE
         self.state, self.control_mode, self.reasons = OFF, None, (reason,)
@@ -226,7 +226,7 @@ class OffboardController:
         return Tick(events=(self._event(f"control ended: {reason}", "off"),))
 
     def why_not(self, control_mode: ControlMode, now: float) -> tuple[str, ...]:
-        """What stands against flying this way now; changes nothing. As of the last tick."""
+        """The reasons against this control mode at the last tick; changes nothing."""
         facts = replace(self._facts(self._last.estimate, self._last.state_age_s, now), engaging=True)
         return Guard(self.config.guard, control_mode).why_not(facts)
 
@@ -340,7 +340,7 @@ class OffboardController:
         return replace(sent, events=tuple(events)) if events else sent
 
     def status(self, now: float) -> dict[str, Any]:
-        """Everything in the anchor's frame."""
+        """The status, in the local frame."""
         last, output, reference = self._last, self._setpoints.output, self.reference
         error = None
         if reference is not None and last.estimate is not None and not reference.velocity_only_xy:
@@ -369,7 +369,7 @@ class OffboardController:
             "pitch_deg": None if attitude is None else math.degrees(attitude.pitch_frd_rad),
         }
 
-    # -- the inside
+    # -- internal
 
     def _prediction_status(self) -> dict[str, Any] | None:
         """None unless the fleet file chooses it."""

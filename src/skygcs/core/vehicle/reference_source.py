@@ -98,7 +98,7 @@ class ReferenceSource:
         self._hold(self.reference.pos_enu_m if position is None else position, yaw)
 
     def end_stream(self) -> None:
-        """The stream ends; the reference remains for whoever reads the status, at rest."""
+        """End the stream; the reference, at rest, remains in the status."""
         self._hold(self.reference.pos_enu_m, self.reference.yaw_rad)
 
     def expire(self, now: float) -> bool:

@@ -47,7 +47,7 @@ def test_keeps_vehicles_in_the_box_and_references_a_margin_inside_with_a_soft_fl
 def test_says_where_it_is_and_what_the_limit_is() -> None:
     assert FENCE.why_not(*at(51.24, 0, 5)) == "the vehicle is at x 51.2 m (limit -50..50 m, the fence)"
     assert FENCE.why_not(*at(0, -49, 5), reference=True) == (
-        "the place to go to is at y -49.0 m (limit -48..48 m, the fence less 2 m of margin)"
+        "the target position is at y -49.0 m (limit -48..48 m, the fence less 2 m of margin)"
     )
     assert FENCE.why_not(*at(0, 0, 5)) is None
 

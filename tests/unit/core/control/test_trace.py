@@ -123,7 +123,7 @@ def test_a_flight_runs_again_without_a_difference() -> None:
 
 def test_config_and_memory_are_written_only_where_they_change() -> None:
     remarks = [line.split(" ")[1] for line in flight() if line.startswith("#")]
-    assert remarks == ["format", "vehicle", "anchor", "config", "memory", "config", "memory"]
+    assert remarks == ["format", "vehicle", "local_origin", "config", "memory", "config", "memory"]
 
 
 def test_without_the_memory_it_began_with_the_law_answers_otherwise() -> None:
@@ -246,7 +246,7 @@ def test_anything_at_all_is_a_trace_or_a_trace_error(texts: list[str]) -> None:
         (["# format = 1\n"], "no line of columns"),
         (["a,b\n"], "not the columns"),
         ([",".join(COLUMNS) + "\n"], "format is None"),
-        (['# format = "skygcs control trace 1"\n', ",".join(COLUMNS) + "\n"], "'vehicle' and 'anchor'"),
+        (['# format = "skygcs control trace 1"\n', ",".join(COLUMNS) + "\n"], "'vehicle' and 'local_origin'"),
         ([f"# x{i} = 1\n" for i in range(100)], "too many remarks"),
         ([*encode_head(HEAD).splitlines(keepends=True), flight()[-1]], "before the remark 'config'"),
     ],
@@ -254,6 +254,12 @@ def test_anything_at_all_is_a_trace_or_a_trace_error(texts: list[str]) -> None:
 def test_a_file_that_is_no_trace_is_told_so(lines: list[str], reason: str) -> None:
     with pytest.raises(TraceError, match=reason):
         entries(lines)
+
+
+def test_the_local_origin_is_read_by_its_old_name_too() -> None:
+    lines = encode_head(HEAD).replace("# local_origin =", "# anchor =").splitlines(keepends=True)
+    assert lines != encode_head(HEAD).splitlines(keepends=True)
+    assert decode(lines).head == HEAD
 
 
 def test_names_of_limits_are_those_of_the_law() -> None:
