@@ -481,7 +481,7 @@ def test_a_reference_outside_the_fence_is_held() -> None:
     flight = Flight().fly(ControlMode.VELOCITY)
     flight.pilot.fly_to(place(70.0, 0.0, 10.0), None)
     tick = flight.tick()
-    assert tick.hold and "place to go to" in texts(tick)
+    assert tick.hold and "target position" in texts(tick)
 
 
 def test_the_fence_stands_on_earth_and_not_about_the_vehicle() -> None:
