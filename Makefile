@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test test-clients test-firmware check bench bench-control bench-radio soak fuzz clean format
+.PHONY: demo test test-clients test-firmware check bench bench-control bench-radio bench-plans soak fuzz clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
@@ -34,6 +34,9 @@ bench-control: $(STAMP)
 
 bench-radio: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.radio
+
+bench-plans: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m bench.plans
 
 soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=20 SOAK_RATE=2000 SOAK_SEED=1
 	PYTHONPATH=tests $(BIN)/python -m bench.soak

@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.plans.random_plans import judge
+from bench.plans.refusals import Case, cases, line
+from skygcs.core.plan.certify import certify, motions_of
+from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPlan
+from skygcs.core.plan.margins import MarginRule, Motion, Uncertainty
+from skygcs.core.plan.space_check import breaches
+from skygcs.core.trajectory import Piece, Trajectory, hover, motion_peaks
+from skygcs.errors import RefusedError, TrajectoryError
+
+RULE = MarginRule(fixed_m=2.5)
+
+
+@pytest.mark.parametrize("case", list(cases()), ids=lambda case: case.what)
+def test_what_must_be_refused_is_refused_with_its_pair(case: Case) -> None:
+    certified, reasons = case.judged()
+    if case.names:
+        assert not certified
+        assert all(any(name in reason for reason in reasons) for name in case.names), reasons
+    else:
+        assert certified, reasons
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_random_plans_agree_with_the_independent_checker(seed: int) -> None:
+    judged = judge(seed)
+    assert not judged.violation and not judged.loose, judged
+
+
+# --- margins ----------------------------------------------------------------------------------------------------------
+
+
+def test_every_term_of_a_margin_is_named() -> None:
+    rule = MarginRule(
+        Uncertainty(wingspan_m=1.0, position_error_m=0.5, tracking_error_m=0.25, delay_s=0.2, clock_error_s=0.05),
+        by_vehicle={"big": Uncertainty(wingspan_m=3.0)},
+    )
+    assert rule.terms("alpha") == {"half wingspan": 0.5, "position error": 0.5, "tracking error p99": 0.25}
+    timed = rule.terms("alpha", Motion(4.0, 2.0, 0.01))
+    assert timed["speed × (delay p99 + clock error)"] == pytest.approx(1.0)
+    assert timed["velocity jumps"] == pytest.approx(1.01)
+    assert rule.terms("big")["half wingspan"] == 1.5
+    plan = TimedPlan({"alpha": line((0, 0, 10), (40, 0, 10), 10.0), "big": hover((0.0, 30.0, 10.0), 10.0)})
+    closest = certify(plan, rule).closest
+    assert closest is not None
+    assert closest.margin_m == pytest.approx(sum(sum(terms.values()) for terms in closest.terms.values()))
+    assert closest.terms["alpha"]["velocity jumps"] == pytest.approx(4.0)  # 4 m/s from and to standing at 2 m/s²
+    json.dumps(certify(plan, rule).as_dict())
+
+
+@pytest.mark.parametrize("value", [math.nan, -1.0, 1e3])
+def test_uncertainties_that_are_none_are_refused(value: float) -> None:
+    with pytest.raises(RefusedError):
+        Uncertainty(wingspan_m=value)
+    with pytest.raises(RefusedError):
+        MarginRule(downwash_ratio=value)
+    with pytest.raises(RefusedError):
+        MarginRule(fixed_m=value if value != 1e3 else 1e4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(
+        st.builds(Piece, st.floats(0.2, 3.0), *[st.lists(st.floats(-5, 5), min_size=1, max_size=8).map(tuple)] * 3),
+        min_size=1,
+        max_size=3,
+    )
+)
+def test_speeds_for_the_margin_are_bounds_and_not_far_off(pieces: list[Piece]) -> None:
+    trajectory = Trajectory(pieces)
+    (motion,) = motions_of([trajectory])
+    peak = motion_peaks(trajectory).speed_mps
+    assert motion.speed_mps >= peak.at_least * (1 - 1e-9)
+    assert motion.speed_mps <= 1.3 * peak.at_most + 1e-3
+
+
+# --- phases and walls -------------------------------------------------------------------------------------------------
+
+
+def test_a_phase_is_judged_wherever_each_vehicle_is_on_its_leg() -> None:
+    """They would pass in time; one that is late would not."""
+    starts = {"a": (0.0, 0.0, 10.0), "b": (20.0, 0.0, 10.0)}
+    cross = PhasedPlan(starts, (Phase("cross", {"a": (20.0, 5.0, 10.0), "b": (20.0, 30.0, 10.0)}),))
+    certificate = certify(cross, RULE)
+    assert not certificate.certified
+    assert "a and b come within 0.000 m in phase cross, at (20.00, 5.00, 10.00)" in certificate.reasons()[0]
+    after = PhasedPlan(starts, (Phase("b", {"b": (20.0, 30.0, 10.0)}), Phase("a", {"a": (20.0, 5.0, 10.0)})))
+    assert certify(after, RULE).certified
+
+
+def test_all_pairs_that_are_too_close_in_a_phase_are_named() -> None:
+    starts = {f"v{i}": (2.0 * i, 0.0, 10.0) for i in range(4)}
+    certificate = certify(PhasedPlan(starts, (Phase("stay", {}),)), RULE)
+    assert [approach.vehicles for approach in certificate.too_close] == [("v0", "v1"), ("v1", "v2"), ("v2", "v3")]
+
+
+def test_a_vehicle_that_takes_part_cannot_stand() -> None:
+    plan = TimedPlan({"a": hover((0.0, 0.0, 10.0), 1.0)})
+    with pytest.raises(RefusedError, match="a takes part"):
+        certify(plan, RULE, FlightSpace(standing={"a": (0.0, 0.0, 0.0)}))
+
+
+def test_a_trajectory_that_jumps_is_refused() -> None:
+    jump = Trajectory([Piece(1.0, (0.0,), (0.0,), (10.0,)), Piece(1.0, (1.0,), (0.0,), (10.0,))])
+    with pytest.raises(TrajectoryError, match="piece 2: the position jumps by 1 m at 1 s"):
+        certify(TimedPlan({"a": jump}), RULE)
+
+
+@pytest.mark.parametrize(
+    ("space", "what"),
+    [
+        (FlightSpace(ceiling_m=16.24), "the ceiling"),
+        (FlightSpace(ceiling_m=16.26), None),
+        (FlightSpace(floor_m=10.01), "the floor"),
+        (FlightSpace(floor_m=10.0), None),
+        (FlightSpace(boxes=(((4.0, 1.2, 0.0), (6.0, 3.0, 30.0)),)), "box 1"),
+        (FlightSpace(boxes=(((4.0, 1.26, 0.0), (6.0, 3.0, 30.0)),)), None),
+        (FlightSpace(boxes=(((4.0, -1.0, 0.0), (6.0, 1.0, 30.0)),)), "box 1"),
+        (FlightSpace(fence=((-2, -2), (12, -2), (12, 2), (-2, 2))), None),
+        (FlightSpace(fence=((-2, -2), (12, -2), (12, 1.24), (-2, 1.24))), "the fence"),
+        (FlightSpace(fence=((20, -2), (32, -2), (32, 2), (20, 2))), "the fence"),
+    ],
+)
+def test_walls_are_kept_between_all_samples(space: FlightSpace, what: str | None) -> None:
+    """A hop from (0, 0) to (10, 0), 5 m up in the middle."""
+    hop = Trajectory([Piece(2.0, (0.0, 5.0), (0.0,), (10.0, 10.0, -5.0))])
+    certificate = certify(TimedPlan({"a": hop}), RULE, space)
+    assert [problem.what for problem in certificate.space] == ([] if what is None else [what])
+    assert certificate.certified == (what is None)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.floats(-8, 8), min_size=4, max_size=4).map(tuple),
+    st.lists(st.floats(-8, 8), min_size=4, max_size=4).map(tuple),
+    st.lists(st.tuples(st.floats(-15, 15), st.floats(-15, 15)), min_size=3, max_size=7).map(tuple),
+)
+def test_no_sample_is_beyond_a_fence_that_was_kept(east, north, fence) -> None:
+    trajectory = Trajectory([Piece(1.0, east, north, (10.0,))])
+    kept = not breaches([trajectory], [0.5], FlightSpace(fence=fence))
+    inside = [_distance_to(fence, trajectory.at(t).pos_enu_m[:2]) for t in np.linspace(0.0, 1.0, 101)]
+    if kept:
+        assert min(inside) >= 0.5 - 1e-9
+    else:
+        assert min(inside) < 0.5 + 0.5  # a sample near the breach
+
+
+def _distance_to(corners, point) -> float:
+    """Written anew: winding number, and distance from each side."""
+    x, y = point
+    turns, nearest = 0, math.inf
+    for (x1, y1), (x2, y2) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        length2 = (x2 - x1) ** 2 + (y2 - y1) ** 2
+        u = 0.0 if length2 == 0 else min(max(((x - x1) * (x2 - x1) + (y - y1) * (y2 - y1)) / length2, 0.0), 1.0)
+        nearest = min(nearest, math.hypot(x - x1 - u * (x2 - x1), y - y1 - u * (y2 - y1)))
+        side = (x2 - x1) * (y - y1) - (x - x1) * (y2 - y1)
+        if (y1 <= y < y2 and side > 0) or (y2 <= y < y1 and side < 0):
+            turns += 1
+    return nearest if turns % 2 else -nearest
