@@ -26,8 +26,8 @@ from skygcs.links.udp import UdpServerLink
 from skygcs.rpc.methods import METHODS
 from skygcs.sim.behaviours import CopterMode
 from skygcs.sim.kinematics import LocalFrame
-from skygcs.sim.vehicle import TICK_S
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
+from skygcs.sim.vehicle_state import TICK_S
 from support.pymav import PymavPeer
 from support.virtual_uvloop import VirtualUvloop
 

@@ -30,8 +30,9 @@ from skygcs.runtime.vehicle_actor import VehicleActor
 from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.conditions import CALM, Conditions
 from skygcs.sim.kinematics import LocalFrame
-from skygcs.sim.vehicle import TICK_S, SimVehicle
+from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
+from skygcs.sim.vehicle_state import TICK_S
 from support.pymav import PymavPeer
 from support.sim_pilot import int_param
 

@@ -24,8 +24,9 @@ from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.radio_fleet import RadioFleet
 from skygcs.sim.radio_status import SimRadio
 from skygcs.sim.rng import Rng
-from skygcs.sim.vehicle import TICK_S, SimVehicle
+from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import make_vehicles
+from skygcs.sim.vehicle_state import TICK_S
 
 SIM_DIALECT = "ardupilotmega"
 

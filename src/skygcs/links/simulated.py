@@ -28,8 +28,9 @@ from skygcs.sim.kinematics import LocalFrame
 from skygcs.sim.radio_fleet import RadioFleet
 from skygcs.sim.rng import Rng
 from skygcs.sim.tdm import GROUND, TdmConfig, TdmNetwork
-from skygcs.sim.vehicle import TICK_S, SimVehicle
+from skygcs.sim.vehicle import SimVehicle
 from skygcs.sim.vehicle_group import SimFleet, make_vehicles
+from skygcs.sim.vehicle_state import TICK_S
 
 SIM_DIALECT = "ardupilotmega"
 """The vehicles' dialect, whatever the daemon's is: it also has all the PX4 telemetry that is sent here."""

@@ -16,22 +16,23 @@ from typing import Any
 
 from skygcs.core.mavlink.modes import COPTER_AUTO_ARMABLE
 from skygcs.core.mission.item import MissionItem
-from skygcs.sim import copter_guided, copter_mission, failsafe
+from skygcs.sim import failsafe
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import COPTER, CopterMode, Reaction
 from skygcs.sim.command_message import Command
 from skygcs.sim.copter_files import FileServer
+from skygcs.sim.copter_guided import GuidedTargets
 from skygcs.sim.copter_lists import CopterLists
 from skygcs.sim.copter_mission import CopterRun
 from skygcs.sim.copter_position_control import CopterPositionControl
 from skygcs.sim.firmware_params import STREAM_GROUPS, copter_params
-from skygcs.sim.kinematics import Limits
+from skygcs.sim.kinematics import Home, Limits
 from skygcs.sim.legs import Descend, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
-from skygcs.sim.position_control import ControlGains, PositionTarget
+from skygcs.sim.position_control import ControlGains
 from skygcs.sim.position_targets import is_altitude, is_position, up_of
 from skygcs.sim.requests import common_command
-from skygcs.sim.vehicle import Home, SimVehicle
+from skygcs.sim.vehicle import SimVehicle
 
 FORCE = 21196
 """Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
@@ -62,6 +63,7 @@ _REACTION_MODES: Mapping[Reaction, CopterMode] = {
 class CopterVehicle(SimVehicle):
     """An ArduCopter quadrotor."""
 
+    run: CopterRun
     autopilot = m.MAV_AUTOPILOT_ARDUPILOTMEGA
     vtol_state = m.MAV_VTOL_STATE_MC
     firmware = COPTER
@@ -183,8 +185,8 @@ class CopterVehicle(SimVehicle):
         return present, enabled, not present or self.fence_breach == m.FENCE_BREACH_NONE
 
     def make_lists(self) -> tuple[CopterLists, CopterRun]:
-        run = CopterRun()
-        return CopterLists(lambda: run.changed(self), guided_item), run
+        self.run = run = CopterRun(self)
+        return CopterLists(lambda: run.changed(self), self.guided_waypoint), run
 
     # -- life
 
@@ -194,8 +196,7 @@ class CopterVehicle(SimVehicle):
         self.failsafe = False
         self.speed_mps = 0.0
         self.setpoint_at = now
-        self.velocity_target = False
-        self.velocity_wanted = PositionTarget()
+        self.guided = GuidedTargets()
         self._prearm_at = now + 3.0
         for stream, (param, _) in STREAM_GROUPS.items():
             self._set_group(stream, self.params[param], now)
@@ -222,7 +223,7 @@ class CopterVehicle(SimVehicle):
             self.taking_off = False
         if self.mode == CopterMode.AUTO and self.armed:
             self.run.step(self, now)
-        copter_guided.watch(self, now)
+        self.guided.watch(self, now, self.attitude_timeout_s)
         failsafe.watch(self, now)
         name, more_s = self.firmware.idle_disarm.simulated
         delay = self.params[name] + more_s
@@ -302,7 +303,7 @@ class CopterVehicle(SimVehicle):
         mode = CopterMode(number)
         reason = self.faults.refuse_mode
         if not reason and self.armed and mode == CopterMode.AUTO and mode != self.mode:
-            reason = copter_mission.why_not_auto(self)
+            reason = self.run.why_not_auto(self)
         rule = self.firmware.modes.simulated[mode]
         if not reason and self.armed and mode != self.mode and rule.position and not self.position_ok:
             reason = "requires position"
@@ -323,7 +324,7 @@ class CopterVehicle(SimVehicle):
         self.mode = mode
         self.failsafe = False
         self.taking_off = False
-        self.velocity_target = False
+        self.guided.forget()
         self.send_soon("HEARTBEAT")  # a mode change is told at once
         motion = self.estimated
         if mode == CopterMode.LAND:
@@ -357,7 +358,7 @@ class CopterVehicle(SimVehicle):
         self.try_mode(custom_mode, now)  # SET_MODE is not acknowledged
 
     def on_setpoint(self, name: str, fields: dict[str, Any], now: float) -> None:
-        copter_guided.take(self, name, fields, now)
+        self.guided.take(self, name, fields, now)
 
     # -- streams
 
@@ -411,9 +412,9 @@ class CopterVehicle(SimVehicle):
                 self._report_banner(now)
                 return m.MAV_RESULT_ACCEPTED
             case m.MAV_CMD_MISSION_START:
-                return copter_mission.start(self, now)
+                return self.run.start(now)
             case m.MAV_CMD_DO_SET_MISSION_CURRENT:
-                return copter_mission.set_current(self, c, now)
+                return self.run.on_set_current_command(self, c, now)
             case _:
                 return common_command(self, c, now)
 
@@ -471,7 +472,8 @@ class CopterVehicle(SimVehicle):
         if self.mode != CopterMode.GUIDED and not self.try_mode(CopterMode.GUIDED, now):
             return m.MAV_RESULT_FAILED
         if not self.landed:
-            self.taking_off = self.velocity_target = False
+            self.taking_off = False
+            self.guided.forget()
             self.plan.fly(GoTo(east, north, up))
         return m.MAV_RESULT_ACCEPTED
 
@@ -479,7 +481,7 @@ class CopterVehicle(SimVehicle):
         """Whether GUIDED takes a target there; without a fence, everywhere."""
         return self.breach(east_m, north_m, up_m) == ""
 
-    def guided_waypoint(self, item: MissionItem) -> bool:
+    def guided_waypoint(self, item: MissionItem, now: float) -> bool:
         """ModeAuto::do_guided: a waypoint outside a mission is a target, in GUIDED only; whether it is taken."""
         up = up_of(self, item.frame, item.z or 0.0)
         if self.mode != CopterMode.GUIDED or up is None or item.position is None:
@@ -488,7 +490,8 @@ class CopterVehicle(SimVehicle):
         if not self.inside_fence(east, north, up):
             return False
         if not self.landed:
-            self.taking_off = self.velocity_target = False
+            self.taking_off = False
+            self.guided.forget()
             self.plan.fly(GoTo(east, north, up))
         return True
 
@@ -517,8 +520,3 @@ class CopterVehicle(SimVehicle):
         self.home_fixed = True
         self.set_home(Home(*self.where.to_local(c.lat_deg, c.lon_deg), up))
         return m.MAV_RESULT_ACCEPTED
-
-
-def guided_item(v: SimVehicle, item: MissionItem, now: float) -> bool:
-    """See `CopterVehicle.guided_waypoint`."""
-    return isinstance(v, CopterVehicle) and v.guided_waypoint(item)

@@ -64,3 +64,12 @@ def from_int(fields: dict[str, Any], sender: tuple[int, int]) -> Command:
         frame=int(fields["frame"]),
         sender=sender,
     )
+
+
+@dataclass(slots=True)
+class Calibration:
+    """A running PREFLIGHT_CALIBRATION, who asked for it, and when it says next how far it is."""
+
+    sender: tuple[int, int]
+    began: float
+    next_report: float

@@ -10,14 +10,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from skygcs.core.mavlink.ftp_payload import MAX_DATA_BYTES, MESSAGE, Error, Op, Packet, decode, encode
 from skygcs.sim import protocol as m
 from skygcs.sim.param_table import Param
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_state import VehicleState
 
 Sender = tuple[int, int]
 
@@ -86,7 +83,7 @@ class FileServer:
         self._burst: _Burst | None = None
         self._waiting: list[tuple[Packet, Sender]] = []
 
-    def hear(self, v: SimVehicle, payload: bytes, sender: Sender, now: float) -> None:
+    def hear(self, v: VehicleState, payload: bytes, sender: Sender, now: float) -> None:
         """The message's payload field, as it came."""
         request = decode(b"\0\0\0" + payload)
         if request is None:
@@ -97,7 +94,7 @@ class FileServer:
             return
         self._handle(v, request, sender, now)
 
-    def step(self, v: SimVehicle, now: float) -> None:
+    def step(self, v: VehicleState, now: float) -> None:
         for _ in range(PACKETS_PER_TICK):
             if self._burst is None:
                 break
@@ -105,7 +102,7 @@ class FileServer:
         while self._burst is None and self._waiting:
             self._handle(v, *self._waiting.pop(0), now)
 
-    def _handle(self, v: SimVehicle, request: Packet, sender: Sender, now: float) -> None:
+    def _handle(self, v: VehicleState, request: Packet, sender: Sender, now: float) -> None:
         if self._last is not None:
             to, last = self._last
             if to == sender and last.session == request.session and (request.seq + 1) & 0xFFFF == last.seq:
@@ -115,7 +112,7 @@ class FileServer:
         if reply is not None:
             self._send(v, reply, sender, now)
 
-    def _answer(self, v: SimVehicle, request: Packet, sender: Sender, now: float) -> Packet | None:
+    def _answer(self, v: VehicleState, request: Packet, sender: Sender, now: float) -> Packet | None:
         other = request.session != self.session
         if request.opcode in (Op.TERMINATE_SESSION, Op.RESET_SESSIONS):
             if not other:
@@ -138,7 +135,7 @@ class FileServer:
             case _:
                 return _nak(request, Error.FAIL)
 
-    def _open(self, v: SimVehicle, request: Packet, now: float) -> Packet:
+    def _open(self, v: VehicleState, request: Packet, now: float) -> Packet:
         if self.session is not None and now - self._active_at <= SESSION_TIMEOUT_S:
             return _nak(request, Error.FAIL)
         if request.data != PATH:
@@ -146,7 +143,7 @@ class FileServer:
         self.session, self._read_bytes = request.session, 0
         return _ack(request, (GUESSED_BYTES * len(v.params)).to_bytes(4, "little"))
 
-    def _read(self, v: SimVehicle, request: Packet, offset: int) -> Packet:
+    def _read(self, v: VehicleState, request: Packet, offset: int) -> Packet:
         size = min(request.size or MAX_DATA_BYTES, MAX_DATA_BYTES)
         if self._read_bytes == 0:
             self._read_bytes = size
@@ -156,7 +153,7 @@ class FileServer:
         data = self._content[offset : offset + size]
         return replace(_ack(request, data), offset=offset) if data else _nak(request, Error.END_OF_FILE)
 
-    def _next_of_burst(self, v: SimVehicle, burst: _Burst, now: float) -> None:
+    def _next_of_burst(self, v: VehicleState, burst: _Burst, now: float) -> None:
         request = burst.request
         size = min(request.size or MAX_DATA_BYTES, MAX_DATA_BYTES)
         reply = self._read(v, request, request.offset + burst.sent * size)
@@ -166,7 +163,7 @@ class FileServer:
             self._burst = None
         self._send(v, replace(reply, seq=(request.seq + burst.sent) & 0xFFFF, burst_complete=last), burst.to, now)
 
-    def _send(self, v: SimVehicle, reply: Packet, to: Sender, now: float) -> None:
+    def _send(self, v: VehicleState, reply: Packet, to: Sender, now: float) -> None:
         self._last = (to, reply)
         self._active_at = now
         fields = {"target_system": to[0], "target_component": to[1], "payload": encode(reply)}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import cos, hypot
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skygcs.sim.attitude_targets import Refusal, copter_attitude
 from skygcs.sim.behaviours import CopterMode
@@ -15,9 +15,7 @@ from skygcs.sim.kinematics import approach_speed
 from skygcs.sim.legs import Follow
 from skygcs.sim.position_control import PositionTarget
 from skygcs.sim.position_targets import copter_target
-
-if TYPE_CHECKING:
-    from skygcs.sim.ardupilot import CopterVehicle
+from skygcs.sim.vehicle_state import VehicleState
 
 THRUST_AS_THRUST = 8
 """GUID_OPTIONS bit 3: SET_ATTITUDE_TARGET.thrust is thrust; without it, a climb rate."""
@@ -32,60 +30,66 @@ SHORTEST_TIMEOUT_S = 0.1
 """The firmware's lower bound of GUID_TIMEOUT."""
 
 
-def take(v: CopterVehicle, name: str, fields: dict[str, Any], now: float) -> None:
-    """A SET_ATTITUDE_TARGET or SET_POSITION_TARGET_*; nothing interrupts a take-off."""
-    if v.mode != CopterMode.GUIDED or v.taking_off:
-        return
-    setpoint: PositionTarget | AttitudeSetpoint | None
-    if name == "SET_ATTITUDE_TARGET":
-        target = _attitude(v, fields)
-        if isinstance(target, Refusal):
-            if target is Refusal.STOP:
-                _stop(v)
+class GuidedTargets:
+    """What an ArduCopter in GUIDED was told to follow last."""
+
+    def __init__(self) -> None:
+        self.velocity: PositionTarget | None = None
+        """The target as it came, if it is one without a position: the fence bounds it."""
+
+    def forget(self) -> None:
+        """Another mode, or a place to fly to, has come instead."""
+        self.velocity = None
+
+    def take(self, v: VehicleState, name: str, fields: dict[str, Any], now: float) -> None:
+        """A SET_ATTITUDE_TARGET or SET_POSITION_TARGET_*; nothing interrupts a take-off."""
+        if v.mode != CopterMode.GUIDED or v.taking_off:
             return
-        setpoint = target
-        lifts = (target.thrust or target.climb_mps) > 0.0
-    else:
-        position = copter_target(v, name, fields)
-        if isinstance(position, Refusal):
-            _stop(v)
-            return
-        setpoint = position
+        target: PositionTarget | AttitudeSetpoint | Refusal | None
         lifts = False  # from the ground only NAV_TAKEOFF or an attitude with a climb lifts it
-        if setpoint is not None and not _within_fence(v, setpoint):
+        if name == "SET_ATTITUDE_TARGET":
+            target = _attitude(v, fields)
+            lifts = isinstance(target, AttitudeSetpoint) and (target.thrust or target.climb_mps) > 0.0
+        else:
+            target = copter_target(v, name, fields)
+        if target is Refusal.STOP:
+            self._stop(v)
+        if target is None or isinstance(target, Refusal) or (v.landed and not lifts):
             return
-    if setpoint is None or (v.landed and not lifts):
-        return
-    v.setpoint_at = now
-    v.velocity_target = isinstance(setpoint, PositionTarget) and setpoint.pos_enu_m[0] is None
-    if v.velocity_target and isinstance(setpoint, PositionTarget):
-        v.velocity_wanted = setpoint
-        setpoint = _before_the_fence(v, setpoint)
-    v.plan.fly(Follow(setpoint))
+        if isinstance(target, PositionTarget) and not _within_fence(v, target):
+            return
+        v.setpoint_at = now
+        self.velocity = None
+        if isinstance(target, PositionTarget) and target.pos_enu_m[0] is None:
+            self.velocity = target
+            target = _before_the_fence(v, target)
+        v.plan.fly(Follow(target))
+
+    def watch(self, v: VehicleState, now: float, attitude_timeout_s: float | None) -> None:
+        """A target that nobody renews moves no more, an attitude ends level and without climb; a position stays.
+
+        Level is not still: it drifts with the wind until somebody or a failsafe changes the mode. An attitude lasts
+        ``attitude_timeout_s``; None: as long as a target.
+        """
+        if v.mode != CopterMode.GUIDED or not isinstance(v.plan.leg, Follow):
+            return
+        age, setpoint = now - v.setpoint_at, v.plan.leg.setpoint
+        longest = max(SHORTEST_TIMEOUT_S, v.params[v.firmware.setpoint_timeout.simulated])
+        if isinstance(setpoint, AttitudeSetpoint):
+            if age > (longest if attitude_timeout_s is None else attitude_timeout_s) and setpoint != LEVEL:
+                v.plan.fly(Follow(LEVEL))
+        elif age > longest:
+            if isinstance(v.position_control, CopterPositionControl):
+                v.position_control.cease()
+        elif self.velocity is not None and v.params["FENCE_ENABLE"]:
+            v.plan.fly(Follow(_before_the_fence(v, self.velocity)))
+
+    def _stop(self, v: VehicleState) -> None:
+        self.forget()
+        v.hold_here()
 
 
-def watch(v: CopterVehicle, now: float) -> None:
-    """A target that nobody renews moves no more, an attitude ends level and without climb; a position stays.
-
-    Level is not still: it drifts with the wind until somebody or a failsafe changes the mode.
-    """
-    if v.mode != CopterMode.GUIDED:
-        return
-    age, leg = now - v.setpoint_at, v.plan.leg
-    longest = max(SHORTEST_TIMEOUT_S, v.params[v.firmware.setpoint_timeout.simulated])
-    if isinstance(leg, Follow) and isinstance(leg.setpoint, PositionTarget) and age > longest:
-        if isinstance(v.position_control, CopterPositionControl):
-            v.position_control.cease()
-    elif v.velocity_target and v.params["FENCE_ENABLE"]:
-        v.plan.fly(Follow(_before_the_fence(v, v.velocity_wanted)))
-    elif isinstance(leg, Follow) and isinstance(leg.setpoint, AttitudeSetpoint):
-        if v.attitude_timeout_s is not None:
-            longest = v.attitude_timeout_s
-        if age > longest and leg.setpoint != LEVEL:
-            v.plan.fly(Follow(LEVEL))
-
-
-def _before_the_fence(v: CopterVehicle, setpoint: PositionTarget) -> PositionTarget:
+def _before_the_fence(v: VehicleState, setpoint: PositionTarget) -> PositionTarget:
     """A velocity that goes no faster towards the circle about home than it can still stop FENCE_MARGIN before it
     (AC_Avoid::adjust_velocity_circle_fence, bit 0 of AVOID_ENABLE)."""
     p, home, here = v.params, v.home, v.estimated
@@ -106,12 +110,7 @@ def _before_the_fence(v: CopterVehicle, setpoint: PositionTarget) -> PositionTar
     return replace(setpoint, vel_enu_mps=slower)
 
 
-def _stop(v: CopterVehicle) -> None:
-    v.velocity_target = False
-    v.hold_here()
-
-
-def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
+def _attitude(v: VehicleState, fields: dict[str, Any]) -> AttitudeSetpoint | Refusal:
     p = v.params
     return copter_attitude(
         fields,
@@ -123,6 +122,6 @@ def _attitude(v: CopterVehicle, fields: dict[str, Any]) -> AttitudeSetpoint | Re
     )
 
 
-def _within_fence(v: CopterVehicle, setpoint: PositionTarget) -> bool:
+def _within_fence(v: VehicleState, setpoint: PositionTarget) -> bool:
     east, north, up = setpoint.pos_enu_m
-    return east is None or north is None or up is None or v.inside_fence(east, north, up)
+    return east is None or north is None or up is None or v.breach(east, north, up) == ""

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from skygcs.core.mission.item import (
     DO_JUMP,
@@ -39,10 +38,17 @@ from skygcs.core.mission.item import (
 )
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import COPTER
-from skygcs.sim.mission_lists import Fields, Items, MissionLists, Sender, address, as_int_item, capacity_of, kind_of
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.mission_lists import (
+    Fields,
+    Items,
+    ListOwner,
+    MissionLists,
+    Sender,
+    address,
+    as_int_item,
+    capacity_of,
+    kind_of,
+)
 
 RULES = COPTER.mission.simulated
 ALTITUDE_STEP_M = COPTER.altitude_step_m.simulated
@@ -70,10 +76,8 @@ class Transfer:
 class CopterLists(MissionLists):
     """See the table at the top."""
 
-    def __init__(
-        self, on_new_mission: Callable[[], None], fly_to: Callable[[SimVehicle, MissionItem, float], bool]
-    ) -> None:
-        """``fly_to(vehicle, item, now)``: a target in GUIDED; whether it is taken."""
+    def __init__(self, on_new_mission: Callable[[], None], fly_to: Callable[[MissionItem, float], bool]) -> None:
+        """``fly_to(item, now)``: a target in GUIDED; whether it is taken."""
         super().__init__(on_new_mission)
         self._fly_to = fly_to
         self.capacity = capacity_of(RULES)
@@ -82,7 +86,7 @@ class CopterLists(MissionLists):
     def forget_transfers(self) -> None:
         self._uploads: dict[MissionType, Transfer] = {}
 
-    def hear(self, v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float) -> None:
+    def hear(self, v: ListOwner, name: str, fields: Fields, sender: Sender, now: float) -> None:
         kind = kind_of(fields)
         if kind is None:
             return
@@ -113,7 +117,7 @@ class CopterLists(MissionLists):
                 self.send_count(v, kind, sender, len(items))
                 self.acknowledge(v, kind, sender, m.MAV_MISSION_ERROR)
 
-    def step(self, v: SimVehicle, now: float) -> None:
+    def step(self, v: ListOwner, now: float) -> None:
         for kind, upload in list(self._uploads.items()):
             if now - upload.heard_at > RULES.give_up_s:
                 del self._uploads[kind]
@@ -122,7 +126,7 @@ class CopterLists(MissionLists):
             elif now - upload.asked_at > RULES.retry_s:
                 self._ask(v, kind, upload, now)
 
-    def _may_begin(self, v: SimVehicle, kind: MissionType, sender: Sender) -> bool:
+    def _may_begin(self, v: ListOwner, kind: MissionType, sender: Sender) -> bool:
         upload = self._uploads.get(kind)
         if upload is not None and upload.partner != sender:
             self.acknowledge(v, kind, sender, m.MAV_MISSION_DENIED)
@@ -130,7 +134,7 @@ class CopterLists(MissionLists):
         self._uploads.pop(kind, None)
         return True
 
-    def _begin(self, v: SimVehicle, kind: MissionType, count: int, sender: Sender, now: float) -> None:
+    def _begin(self, v: ListOwner, kind: MissionType, count: int, sender: Sender, now: float) -> None:
         if count > self.capacity[kind]:
             self.acknowledge(v, kind, sender, m.MAV_MISSION_NO_SPACE)
             v.tx.say(m.MAV_SEVERITY_WARNING, f"Only {self.capacity[kind]} items are supported")
@@ -147,7 +151,7 @@ class CopterLists(MissionLists):
         self._ask(v, kind, upload, now)
 
     def _on_any_item(
-        self, v: SimVehicle, kind: MissionType, name: str, fields: Fields, sender: Sender, now: float
+        self, v: ListOwner, kind: MissionType, name: str, fields: Fields, sender: Sender, now: float
     ) -> None:
         """GCS_MAVLINK::handle_mission_item: the float form is converted; current 2 is a target in GUIDED, current 3 a
         change of height, and neither is part of an upload."""
@@ -161,7 +165,7 @@ class CopterLists(MissionLists):
             return
         self._on_item(v, kind, fields, sender, now)
 
-    def _guided_item(self, v: SimVehicle, fields: Fields, now: float) -> int:
+    def _guided_item(self, v: ListOwner, fields: Fields, now: float) -> int:
         """MAV_MISSION_RESULT of an item for GUIDED."""
         try:
             item = MissionItem.from_fields(fields)
@@ -173,10 +177,10 @@ class CopterLists(MissionLists):
             return refusal
         if fields["current"] == CHANGE_HEIGHT:
             return m.MAV_MISSION_ACCEPTED  # Copter's handle_change_alt_request: only in GUIDED, answered the same
-        taken = item.command == NAV_WAYPOINT and item.position is not None and self._fly_to(v, item, now)
+        taken = item.command == NAV_WAYPOINT and item.position is not None and self._fly_to(item, now)
         return m.MAV_MISSION_ACCEPTED if taken else m.MAV_MISSION_ERROR
 
-    def _on_item(self, v: SimVehicle, kind: MissionType, fields: Fields, sender: Sender, now: float) -> None:
+    def _on_item(self, v: ListOwner, kind: MissionType, fields: Fields, sender: Sender, now: float) -> None:
         upload = self._uploads.get(kind)
         if upload is None:
             self.acknowledge(v, kind, sender, m.MAV_MISSION_ERROR)
@@ -215,7 +219,7 @@ class CopterLists(MissionLists):
             self.items[kind][at : at + 1] = [as_kept(item)]
         return m.MAV_MISSION_ACCEPTED
 
-    def _complete(self, v: SimVehicle, kind: MissionType, upload: Transfer) -> None:
+    def _complete(self, v: ListOwner, kind: MissionType, upload: Transfer) -> None:
         del self._uploads[kind]
         try:
             self.keep(kind, upload.fence if kind is MissionType.FENCE else self.items[kind])
@@ -226,18 +230,18 @@ class CopterLists(MissionLists):
         v.tx.say(m.MAV_SEVERITY_INFO, f"{word} received")
         self.acknowledge(v, kind, upload.partner, m.MAV_MISSION_ACCEPTED)
 
-    def _ask(self, v: SimVehicle, kind: MissionType, upload: Transfer, now: float) -> None:
+    def _ask(self, v: ListOwner, kind: MissionType, upload: Transfer, now: float) -> None:
         upload.asked_at = now
         fields = {**address(upload.partner), "seq": upload.seq, "mission_type": kind}
         v.tx.send("MISSION_REQUEST", fields)
 
-    def _on_wire(self, v: SimVehicle, kind: MissionType) -> Items:
+    def _on_wire(self, v: ListOwner, kind: MissionType) -> Items:
         if kind is not MissionType.MISSION or not self.mission:
             return self.items[kind]
         return [home_item(v), *self.mission]
 
 
-def home_item(v: SimVehicle) -> MissionItem:
+def home_item(v: ListOwner) -> MissionItem:
     """Item 0: where home is now."""
     home = v.home
     if home is None:

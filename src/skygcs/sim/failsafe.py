@@ -7,14 +7,11 @@ loses its estimate after a while; without a transmitter no pilot takes over.
 from __future__ import annotations
 
 from math import hypot
-from typing import TYPE_CHECKING
 
 from skygcs.sim import protocol as m
 from skygcs.sim.behaviours import Reaction
 from skygcs.sim.fence_shapes import within
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_state import VehicleState
 
 FENCE_HEIGHT = 1
 FENCE_CIRCLE = 2
@@ -30,66 +27,7 @@ PILOT_GOES_ON = 16
 a mode that is flown by a pilot."""
 
 
-class ConditionTimer:
-    """One condition and since when it holds."""
-
-    __slots__ = ("_since", "raised", "raised_at")
-
-    def __init__(self) -> None:
-        self._since: float | None = None
-        self.raised = False
-        self.raised_at: float | None = None
-        """When it went off last."""
-
-    def check(self, bad: bool, now: float, after_s: float = 0.0) -> bool:
-        """True at the one moment when it has been bad for ``after_s``."""
-        if not bad:
-            self._since = None
-            self.raised = False
-            return False
-        if self._since is None:
-            self._since = now
-        if self.raised or now - self._since < after_s:
-            return False
-        self.raised = True
-        self.raised_at = now
-        return True
-
-
-class Failsafes:
-    """The alarms of one vehicle; anew with every boot."""
-
-    __slots__ = (
-        "battery_critical",
-        "battery_emergency",
-        "battery_low",
-        "crash",
-        "fence",
-        "gcs",
-        "gcs_heard_at",
-        "position",
-        "setpoints",
-    )
-
-    def __init__(self) -> None:
-        self.position = ConditionTimer()
-        self.battery_low = ConditionTimer()
-        self.battery_critical = ConditionTimer()
-        self.battery_emergency = ConditionTimer()
-        self.gcs = ConditionTimer()
-        self.fence = ConditionTimer()
-        self.crash = ConditionTimer()
-        self.setpoints = ConditionTimer()
-        self.gcs_heard_at: float | None = None
-        """None: never; a vehicle that has never had a ground station does not miss it."""
-
-    def gcs_lost(self, now: float, timeout_s: float) -> bool:
-        """True at the moment the ground station has been silent for too long."""
-        heard = self.gcs_heard_at
-        return self.gcs.check(heard is not None and now - heard > timeout_s, now)
-
-
-def watch(v: SimVehicle, now: float) -> None:
+def watch(v: VehicleState, now: float) -> None:
     """One tick's look at everything."""
     firmware, alarms = v.firmware, v.failsafes
     silent = v.setpoints_expected and now - v.setpoint_at > v.params[firmware.setpoint_timeout.simulated]
@@ -104,7 +42,7 @@ def watch(v: SimVehicle, now: float) -> None:
     _watch_crash(v, now)
 
 
-def _watch_battery(v: SimVehicle, now: float) -> None:
+def _watch_battery(v: VehicleState, now: float) -> None:
     """The worst level that was newly reached counts."""
     firmware, alarms = v.firmware, v.failsafes
     low, critical, emergency = v.battery_levels()
@@ -119,7 +57,7 @@ def _watch_battery(v: SimVehicle, now: float) -> None:
             _react(v, reactions.of(v.params[reactions.param]), name, now, delayed=True)
 
 
-def _watch_gcs(v: SimVehicle, now: float) -> None:
+def _watch_gcs(v: VehicleState, now: float) -> None:
     firmware, alarms = v.firmware, v.failsafes
     reactions = firmware.gcs.simulated
     reaction = reactions.of(v.params[reactions.param])
@@ -140,7 +78,7 @@ def _watch_gcs(v: SimVehicle, now: float) -> None:
         v.say_gcs_is_back()
 
 
-def _watch_fence(v: SimVehicle, now: float) -> None:
+def _watch_fence(v: VehicleState, now: float) -> None:
     """ArduCopter knows of a breach on the ground, too; it acts on it only with the motors on, and there by switching
     them off."""
     breach = v.breach(*v.estimated.pos_enu_m)
@@ -157,7 +95,7 @@ def _watch_fence(v: SimVehicle, now: float) -> None:
     _react(v, reaction, f"fence {breach}", now, delayed=True)
 
 
-def _watch_crash(v: SimVehicle, now: float) -> None:
+def _watch_crash(v: VehicleState, now: float) -> None:
     lean_deg, error_deg, accel_mps2, time_s = v.firmware.crash.simulated
     if time_s <= 0.0:
         return
@@ -170,7 +108,7 @@ def _watch_crash(v: SimVehicle, now: float) -> None:
         v.switch_off("crash")
 
 
-def _react(v: SimVehicle, reaction: Reaction, reason: str, now: float, *, delayed: bool = False) -> None:
+def _react(v: VehicleState, reaction: Reaction, reason: str, now: float, *, delayed: bool = False) -> None:
     """Do it, or hold first (``delayed``, where the firmware does). ``reason`` is for its text; "": it has said it."""
     if not v.armed or reaction is Reaction.NONE:
         return
@@ -186,7 +124,7 @@ def _react(v: SimVehicle, reaction: Reaction, reason: str, now: float, *, delaye
     v.later(now + delay_s, lambda: v.carry_out(reaction, now + delay_s) if v.armed and v.failsafe else None)
 
 
-def outside(v: SimVehicle, east_m: float, north_m: float, up_m: float, *, radius_m: float, height_m: float) -> str:
+def outside(v: VehicleState, east_m: float, north_m: float, up_m: float, *, radius_m: float, height_m: float) -> str:
     """Which side of a cylinder about home this place is beyond: "distance", "height" or ""; a size of 0 is no bound."""
     home = v.home
     if home is None:
@@ -196,13 +134,13 @@ def outside(v: SimVehicle, east_m: float, north_m: float, up_m: float, *, radius
     return "height" if height_m > 0 and up_m - home.up_m > height_m else ""
 
 
-def copter_fence_present(v: SimVehicle) -> bool:
+def copter_fence_present(v: VehicleState) -> bool:
     """Whether a fence is set up, enabled or not (AC_Fence::present)."""
     polygon = FENCE_POLYGON if v.lists.fence else 0
     return bool(int(v.params["FENCE_TYPE"]) & (FENCE_HEIGHT | FENCE_CIRCLE | FENCE_FLOOR | polygon))
 
 
-def copter_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> str:
+def copter_breach(v: VehicleState, east_m: float, north_m: float, up_m: float) -> str:
     """ArduCopter: within all inclusions, and of the fences that FENCE_TYPE names."""
     p = v.params
     if not p["FENCE_ENABLE"]:
@@ -215,7 +153,7 @@ def copter_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> 
     return outside(v, east_m, north_m, up_m, radius_m=radius, height_m=height)
 
 
-def px4_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> str:
+def px4_breach(v: VehicleState, east_m: float, north_m: float, up_m: float) -> str:
     """PX4: within one of the inclusions."""
     p = v.params
     breach = outside(v, east_m, north_m, up_m, radius_m=p["GF_MAX_HOR_DIST"], height_m=p["GF_MAX_VER_DIST"])
@@ -224,7 +162,7 @@ def px4_breach(v: SimVehicle, east_m: float, north_m: float, up_m: float) -> str
     return breach
 
 
-def _report_breach(v: SimVehicle, breach: str) -> None:
+def _report_breach(v: VehicleState, breach: str) -> None:
     """Keep in mind, for telemetry, which side of its fence it is beyond."""
     kind = m.FENCE_BREACH_NONE
     if breach:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from skygcs.sim.body import AccelerationSetpoint, AttitudeSetpoint
 from skygcs.sim.kinematics import Limits, Setpoint
 from skygcs.sim.position_control import PositionTarget
 from skygcs.sim.quad import Quad
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_state import VehicleState
 
 FLYING_ABOVE_M = 0.15
 """Higher than this is taken off."""
 
 
-def step(v: SimVehicle, now: float, dt_s: float) -> None:
+def step(v: VehicleState, now: float, dt_s: float) -> None:
     """Move on by one tick of ``dt_s`` that ends at ``now``."""
     motion = v.motion
     if v.landed and not v.armed and motion.on_ground:  # most of a fleet most of the time
@@ -39,7 +36,7 @@ def step(v: SimVehicle, now: float, dt_s: float) -> None:
     _watch_ground(v, now)
 
 
-def _watch_ground(v: SimVehicle, now: float) -> None:
+def _watch_ground(v: VehicleState, now: float) -> None:
     """Taken off when it is clear of the ground, landed when it has lain there for a while. Disarmed it is landed for
     both firmwares, wherever it is (MulticopterLandDetector::_get_landed_state; Copter::update_land_detector)."""
     if not v.armed:
@@ -63,7 +60,7 @@ def _watch_ground(v: SimVehicle, now: float) -> None:
 
 
 def _as_flown(
-    v: SimVehicle, setpoint: Setpoint | PositionTarget | AttitudeSetpoint | None, limits: Limits, dt_s: float
+    v: VehicleState, setpoint: Setpoint | PositionTarget | AttitudeSetpoint | None, limits: Limits, dt_s: float
 ) -> Setpoint | AttitudeSetpoint | AccelerationSetpoint | None:
     """What the body flies: the acceleration that the firmware's controller asks for on the way to a position target;
     the setpoint of a leg, towards where the vehicle, wrong about where it is, takes it to be."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import atan2, copysign, cos, hypot, inf, pi, radians, remainder, sin, sqrt
 
-from skygcs.sim.body import GRAVITY_MPS2, AccelerationSetpoint, AttitudeSetpoint, Body, wrap_pi
+from skygcs.sim.body import GRAVITY_MPS2, AccelerationSetpoint, AttitudeSetpoint, Body, Vector, wrap_pi
 
 POSITION_GAIN_PER_S = 1.0
 """Speed per metre of distance close to the target (PX4's MPC_XY_P 0.95, ArduCopter's PSC_POSXY_P 1.0)."""
@@ -50,6 +50,19 @@ class LocalFrame:
         """(east_m, north_m)."""
         per_east, per_north = self._metres_per_degree()
         return remainder(lon_deg - self.lon_deg, 360) * per_east, (lat_deg - self.lat_deg) * per_north
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Where it was armed, or where a ground station has set its home."""
+
+    east_m: float
+    north_m: float
+    up_m: float
+
+    @property
+    def pos_enu_m(self) -> Vector:
+        return self.east_m, self.north_m, self.up_m
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,14 +8,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from skygcs.core.mission.fence_items import FencePlan, fence_from_items
 from skygcs.core.mission.item import GLOBAL_FRAMES, MissionItem, MissionType
 from skygcs.sim.behaviours import MissionRules
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.kinematics import Home, LocalFrame
+from skygcs.sim.transmitter import Transmitter
 
 Fields = dict[str, Any]
 Sender = tuple[int, int]
@@ -39,6 +38,17 @@ INT_FRAMES = {0: 5, 3: 6, 10: 11}
 """MAV_FRAME_GLOBAL, GLOBAL_RELATIVE_ALT and GLOBAL_TERRAIN_ALT to their names for integer messages."""
 
 
+class ListOwner(Protocol):
+    """What of a vehicle its lists need."""
+
+    tx: Transmitter
+    where: LocalFrame
+    home: Home | None
+
+    @property
+    def current_item(self) -> int: ...
+
+
 class MissionLists(ABC):
     """One vehicle's. ``items`` of a mission are without an ArduPilot's home. ``capacity`` may be changed."""
 
@@ -55,11 +65,11 @@ class MissionLists(ABC):
         return self.items[MissionType.MISSION]
 
     @abstractmethod
-    def hear(self, v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float) -> None:
+    def hear(self, v: ListOwner, name: str, fields: Fields, sender: Sender, now: float) -> None:
         """One of MESSAGES that is for this vehicle."""
 
     @abstractmethod
-    def step(self, v: SimVehicle, now: float) -> None:
+    def step(self, v: ListOwner, now: float) -> None:
         """Ask again, give up."""
 
     @abstractmethod
@@ -80,15 +90,15 @@ class MissionLists(ABC):
 
     # -- what is sent
 
-    def acknowledge(self, v: SimVehicle, kind: MissionType, to: Sender, result: int, number: int = 0) -> None:
+    def acknowledge(self, v: ListOwner, kind: MissionType, to: Sender, result: int, number: int = 0) -> None:
         v.tx.send("MISSION_ACK", {**address(to), "type": result, "mission_type": kind}, tail(number))
 
-    def send_count(self, v: SimVehicle, kind: MissionType, to: Sender, count: int) -> None:
+    def send_count(self, v: ListOwner, kind: MissionType, to: Sender, count: int) -> None:
         fields = {**address(to), "count": count, "mission_type": kind}
         v.tx.send("MISSION_COUNT", fields, tail(self.opaque_id(kind)))
 
     def send_item(
-        self, v: SimVehicle, kind: MissionType, to: Sender, seq: int, item: MissionItem, *, as_float: bool, current: int
+        self, v: ListOwner, kind: MissionType, to: Sender, seq: int, item: MissionItem, *, as_float: bool, current: int
     ) -> None:
         """As MISSION_ITEM (``as_float``: degrees as float32) or MISSION_ITEM_INT; see `wire_frame` for its frame."""
         fields = {**address(to), **item.values(), "seq": seq, "mission_type": kind, "current": current}

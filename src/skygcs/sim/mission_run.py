@@ -9,20 +9,36 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from skygcs.core.mission.item import MissionItem
 from skygcs.sim import protocol as m
-from skygcs.sim.legs import GoTo, Land, Leg, Wait
-from skygcs.sim.position_targets import up_of
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.legs import GoTo, Land, Leg, Plan, Wait
+from skygcs.sim.mission_lists import MissionLists
+from skygcs.sim.param_table import Params
+from skygcs.sim.position_targets import Located, up_of
+from skygcs.sim.transmitter import Transmitter
 
 FLOWN_CONDITIONS = frozenset({m.MAV_CMD_CONDITION_DELAY})
 
 MAX_PASSED = 1000
 """Items looked at for the next one to fly: jumps that lead to each other and to nothing else end the mission."""
+
+
+class MissionVehicle(Located, Protocol):
+    """What of a vehicle its mission flies."""
+
+    mode: int
+    params: Params
+    tx: Transmitter
+    plan: Plan
+    lists: MissionLists
+    landed: bool
+    taking_off: bool
+
+    def send_soon(self, name: str) -> None: ...
+
+    def hold_here(self) -> None: ...
 
 
 class MissionRun(ABC):
@@ -54,33 +70,33 @@ class MissionRun(ABC):
     # -- what differs between the firmwares
 
     @abstractmethod
-    def facts(self, v: SimVehicle) -> dict[str, Any]:
+    def facts(self, v: MissionVehicle) -> dict[str, Any]:
         """Fields of MISSION_CURRENT."""
 
     @abstractmethod
-    def on_set_current(self, v: SimVehicle, seq_on_wire: int, now: float) -> None:
+    def on_set_current(self, v: MissionVehicle, seq_on_wire: int, now: float) -> None:
         """MISSION_SET_CURRENT."""
 
     @abstractmethod
-    def return_home(self, v: SimVehicle, now: float) -> None:
+    def return_home(self, v: MissionVehicle, now: float) -> None:
         """Carry out the item that returns to launch."""
 
     @abstractmethod
-    def finish(self, v: SimVehicle, now: float) -> None:
+    def finish(self, v: MissionVehicle, now: float) -> None:
         """There is no item left."""
 
     @abstractmethod
-    def land_mps(self, v: SimVehicle) -> float: ...
+    def land_mps(self, v: MissionVehicle) -> float: ...
 
     @abstractmethod
-    def change_speed(self, v: SimVehicle, speed_mps: float) -> None: ...
+    def change_speed(self, v: MissionVehicle, speed_mps: float) -> None: ...
 
     @abstractmethod
-    def takeoff_mps(self, v: SimVehicle) -> float | None: ...
+    def takeoff_mps(self, v: MissionVehicle) -> float | None: ...
 
     # -- life
 
-    def changed(self, v: SimVehicle) -> None:
+    def changed(self, v: MissionVehicle) -> None:
         """Another mission is on board, or none."""
         self._jumps.clear()
         self.reached = 0
@@ -88,7 +104,7 @@ class MissionRun(ABC):
             self.seq = 0
         self.state = m.MISSION_STATE_NOT_STARTED if v.lists.mission else m.MISSION_STATE_NO_MISSION
 
-    def begin(self, v: SimVehicle, now: float) -> None:
+    def begin(self, v: MissionVehicle, now: float) -> None:
         """Fly on with the current item; a finished mission from its beginning."""
         if self.state == m.MISSION_STATE_COMPLETE:
             self.seq = 0
@@ -102,7 +118,7 @@ class MissionRun(ABC):
         if self.state == m.MISSION_STATE_ACTIVE:
             self.state = m.MISSION_STATE_PAUSED
 
-    def set_current(self, v: SimVehicle, seq_on_wire: int, now: float) -> bool:
+    def set_current(self, v: MissionVehicle, seq_on_wire: int, now: float) -> bool:
         """Whether there is such an item; a vehicle that flies its mission goes there."""
         seq = seq_on_wire - self.first_seq
         if not 0 <= seq < len(v.lists.mission):
@@ -115,7 +131,7 @@ class MissionRun(ABC):
             self._go(v, seq, now)
         return True
 
-    def step(self, v: SimVehicle, now: float) -> None:
+    def step(self, v: MissionVehicle, now: float) -> None:
         """Go on when the current item is done. To be called while the mission flies the vehicle, and it is armed."""
         if not self._flies or not v.plan.arrived or self._stays or self.state != m.MISSION_STATE_ACTIVE:
             return
@@ -128,7 +144,7 @@ class MissionRun(ABC):
         self._go(v, self.seq + 1, now)
         self._report_reached(v)
 
-    def _report_reached(self, v: SimVehicle) -> None:
+    def _report_reached(self, v: MissionVehicle) -> None:
         v.tx.send("MISSION_ITEM_REACHED", {"seq": self.reached + self.first_seq})
 
     @property
@@ -136,7 +152,7 @@ class MissionRun(ABC):
         """It flies an item that ends on the ground."""
         return self._flies and self._lands
 
-    def _go(self, v: SimVehicle, seq: int, now: float) -> None:
+    def _go(self, v: MissionVehicle, seq: int, now: float) -> None:
         """Find the next item that flies, from this one on, and fly it."""
         items = v.lists.mission
         self._flies = True
@@ -154,7 +170,7 @@ class MissionRun(ABC):
         self.state = m.MISSION_STATE_COMPLETE
         self.finish(v, now)
 
-    def _done(self, v: SimVehicle, items: Sequence[MissionItem], seq: int) -> int:
+    def _done(self, v: MissionVehicle, items: Sequence[MissionItem], seq: int) -> int:
         """Do what this item says; the next one."""
         item = items[seq]
         p1, p2, _, _ = (value or 0.0 for value in item.params)
@@ -172,7 +188,7 @@ class MissionRun(ABC):
             self._report_reached(v)
         return seq + 1
 
-    def _fly(self, v: SimVehicle, item: MissionItem, now: float) -> None:
+    def _fly(self, v: MissionVehicle, item: MissionItem, now: float) -> None:
         here = v.estimated
         place = item.position
         east, north = (here.east_m, here.north_m) if place is None else v.where.to_local(*place)

@@ -7,15 +7,13 @@ ArduCopter: ArduCopter/GCS_Mavlink.cpp, the functions of the same names; one ign
 from __future__ import annotations
 
 from math import cos, isfinite, sin
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from skygcs.sim import protocol as m
 from skygcs.sim.attitude_targets import Refusal
-from skygcs.sim.body import Vector, wrap_pi
+from skygcs.sim.body import Body, Vector, wrap_pi
+from skygcs.sim.kinematics import Home, LocalFrame
 from skygcs.sim.position_control import NO_AXES, Axes, PositionTarget
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
 
 POSITION_IGNORE = (
     m.POSITION_TARGET_TYPEMASK_X_IGNORE | m.POSITION_TARGET_TYPEMASK_Y_IGNORE | m.POSITION_TARGET_TYPEMASK_Z_IGNORE
@@ -39,11 +37,27 @@ BODY_FRAMES = frozenset({m.MAV_FRAME_BODY_NED, m.MAV_FRAME_BODY_OFFSET_NED})
 LOCAL_FRAMES = BODY_FRAMES | {m.MAV_FRAME_LOCAL_NED, m.MAV_FRAME_LOCAL_OFFSET_NED}
 
 
+class Located(Protocol):
+    """What of a vehicle says where a position of a message is."""
+
+    where: LocalFrame
+    home: Home | None
+
+    @property
+    def estimated(self) -> Body: ...
+
+    @property
+    def local_origin(self) -> Home: ...
+
+    @property
+    def position_ok(self) -> bool: ...
+
+
 def is_altitude(alt_m: float) -> bool:
     return isfinite(alt_m) and abs(alt_m) <= HIGHEST_M
 
 
-def up_of(v: SimVehicle, frame: int, alt_m: float) -> float | None:
+def up_of(v: Located, frame: int, alt_m: float) -> float | None:
     """An altitude of a global frame as metres above the local origin; None for a frame that is not global."""
     if not is_altitude(alt_m):
         return None
@@ -59,7 +73,7 @@ def is_position(lat_deg: float, lon_deg: float) -> bool:
     return isfinite(lat_deg) and isfinite(lon_deg) and abs(lat_deg) <= 90 and abs(lon_deg) <= 180
 
 
-def px4_target(v: SimVehicle, name: str, fields: dict[str, Any]) -> PositionTarget | Refusal | str:
+def px4_target(v: Located, name: str, fields: dict[str, Any]) -> PositionTarget | Refusal | str:
     """What PX4 makes of it; a text: it refuses the message with it, and it counts as none."""
     mask, frame = int(fields["type_mask"]), int(fields["coordinate_frame"])
     position = NO_AXES
@@ -86,7 +100,7 @@ def px4_target(v: SimVehicle, name: str, fields: dict[str, Any]) -> PositionTarg
     return PositionTarget(position, velocity, acceleration, *_yaw(fields, mask))
 
 
-def copter_target(v: SimVehicle, name: str, fields: dict[str, Any]) -> PositionTarget | Refusal | None:
+def copter_target(v: Located, name: str, fields: dict[str, Any]) -> PositionTarget | Refusal | None:
     """What ArduCopter makes of it in GUIDED; None: it takes no notice."""
     mask, frame = int(fields["type_mask"]), int(fields["coordinate_frame"])
     global_frame = name.endswith("GLOBAL_INT")
@@ -148,12 +162,12 @@ def _ned_to_enu(north: float, east: float, down: float) -> Vector:
     return east, north, -down
 
 
-def _local_place(v: SimVehicle, fields: dict[str, Any]) -> Vector:
+def _local_place(v: Located, fields: dict[str, Any]) -> Vector:
     zero = v.local_origin
     return zero.east_m + fields["y"], zero.north_m + fields["x"], zero.up_m - fields["z"]
 
 
-def _px4_place(v: SimVehicle, fields: dict[str, Any], frame: int) -> Axes | Refusal | str:
+def _px4_place(v: Located, fields: dict[str, Any], frame: int) -> Axes | Refusal | str:
     """East, north, up. A height above home has the sign of home's own height wrong in 1.16 (home.alt - alt - ref_alt);
     one above the terrain needs a rangefinder."""
     lat, lon, alt_m = fields["lat_int"] / 1e7, fields["lon_int"] / 1e7, fields["alt"]
@@ -172,7 +186,7 @@ def _px4_place(v: SimVehicle, fields: dict[str, Any], frame: int) -> Axes | Refu
     return (*v.where.to_local(lat, lon), up)
 
 
-def _copter_global(v: SimVehicle, fields: dict[str, Any], frame: int) -> Vector | None:
+def _copter_global(v: Located, fields: dict[str, Any], frame: int) -> Vector | None:
     up = up_of(v, frame, fields["alt"])
     lat, lon = fields["lat_int"] / 1e7, fields["lon_int"] / 1e7
     if up is None or not is_position(lat, lon):
@@ -180,7 +194,7 @@ def _copter_global(v: SimVehicle, fields: dict[str, Any], frame: int) -> Vector 
     return (*v.where.to_local(lat, lon), up)
 
 
-def _copter_local(v: SimVehicle, fields: dict[str, Any], frame: int) -> Vector | None:
+def _copter_local(v: Located, fields: dict[str, Any], frame: int) -> Vector | None:
     if not all(isfinite(fields[axis]) for axis in "xyz"):
         return None  # the firmware does not look, and would fly with NaN
     if frame == m.MAV_FRAME_LOCAL_NED:
@@ -192,7 +206,7 @@ def _copter_local(v: SimVehicle, fields: dict[str, Any], frame: int) -> Vector |
     return motion.east_m + offset[0], motion.north_m + offset[1], motion.up_m + offset[2]
 
 
-def _turned(v: SimVehicle, axes: Any) -> Any:
+def _turned(v: Located, axes: Any) -> Any:
     """Right, forward, up of the vehicle as east, north, up; axes that are not given stay so."""
     right, forward, up = axes
     if right is None or forward is None:

@@ -19,7 +19,7 @@ from skygcs.sim.behaviours import PX4, Px4Mode, Reaction, px4_mode
 from skygcs.sim.body import AttitudeSetpoint
 from skygcs.sim.command_message import Command
 from skygcs.sim.firmware_params import PX4_RATES_HZ, px4_params
-from skygcs.sim.kinematics import Limits
+from skygcs.sim.kinematics import Home, Limits
 from skygcs.sim.legs import Descend, Follow, GoTo, Land, Leg, Wait
 from skygcs.sim.param_table import Params
 from skygcs.sim.position_control import ControlGains, PositionTarget
@@ -28,7 +28,7 @@ from skygcs.sim.px4_lists import Px4Lists
 from skygcs.sim.px4_mission import Px4Run
 from skygcs.sim.px4_position_control import Px4PositionControl
 from skygcs.sim.requests import common_command
-from skygcs.sim.vehicle import Home, SimVehicle
+from skygcs.sim.vehicle import SimVehicle
 
 FORCE = 21196
 """Magic of MAV_CMD_COMPONENT_ARM_DISARM.param2: no checks."""
@@ -73,6 +73,7 @@ def wanted_mode(base_mode: int, main: int, sub: int) -> int | None:
 class Px4Vehicle(SimVehicle):
     """A PX4 quadrotor without a transmitter, as the lab flies it under a ground station."""
 
+    run: Px4Run
     autopilot = m.MAV_AUTOPILOT_PX4
     firmware = PX4
     default_rates_hz = PX4_RATES_HZ
@@ -209,11 +210,11 @@ class Px4Vehicle(SimVehicle):
         return False, False, False  # SYS_STATUS.hpp has no bit for it
 
     def make_lists(self) -> tuple[Px4Lists, Px4Run]:
-        run = Px4Run()
+        self.run = run = Px4Run(self)
         return Px4Lists(lambda: run.changed(self)), run
 
     def tail_of(self, name: str) -> bytes:
-        return px4_mission.ids(self) if name == "MISSION_CURRENT" else b""
+        return px4_mission.ids(self.lists) if name == "MISSION_CURRENT" else b""
 
     # -- life
 
@@ -448,7 +449,7 @@ class Px4Vehicle(SimVehicle):
             case m.MAV_CMD_NAV_RETURN_TO_LAUNCH:
                 return self._accepted_if(self.try_mode(Px4Mode.RTL, now))
             case m.MAV_CMD_MISSION_START:
-                return px4_mission.start(self, c, now)
+                return self.run.start(self, c, now)
             case m.MAV_CMD_DO_REPOSITION:
                 return self._command_reposition(c, now)
             case m.MAV_CMD_DO_CHANGE_SPEED:

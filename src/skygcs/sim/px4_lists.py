@@ -23,7 +23,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum, auto
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 from skygcs.core.mission.item import (
@@ -45,6 +44,7 @@ from skygcs.sim.mission_lists import (
     INT_FRAMES,
     Fields,
     Items,
+    ListOwner,
     MissionLists,
     Sender,
     address,
@@ -52,9 +52,6 @@ from skygcs.sim.mission_lists import (
     capacity_of,
     kind_of,
 )
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
 
 RULES = PX4.mission.simulated
 
@@ -95,7 +92,7 @@ class Px4Lists(MissionLists):
             number = crc32(repr(item).encode(), number)
         return number
 
-    def hear(self, v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float) -> None:
+    def hear(self, v: ListOwner, name: str, fields: Fields, sender: Sender, now: float) -> None:
         kind = kind_of(fields)
         if kind is None:
             return
@@ -118,7 +115,7 @@ class Px4Lists(MissionLists):
             case "MISSION_ACK":
                 self._on_ack(v, kind, fields["type"], sender, now)
 
-    def step(self, v: SimVehicle, now: float) -> None:
+    def step(self, v: ListOwner, now: float) -> None:
         if self._state is State.IDLE:
             return
         if now - self._heard_at > RULES.give_up_s:
@@ -129,7 +126,7 @@ class Px4Lists(MissionLists):
 
     # -- taking
 
-    def _on_count(self, v: SimVehicle, kind: MissionType, count: int, sender: Sender, now: float) -> None:
+    def _on_count(self, v: ListOwner, kind: MissionType, count: int, sender: Sender, now: float) -> None:
         if self._state is State.TAKING:
             self._heard_at = now
             if sender != self._partner or self._seq > 0:
@@ -150,7 +147,7 @@ class Px4Lists(MissionLists):
             self._new, self._count, self._seq, self._heard_at = [], count, 0, now
             self._ask(v, now)
 
-    def _on_item(self, v: SimVehicle, kind: MissionType, fields: Fields, sender: Sender, now: float) -> None:
+    def _on_item(self, v: ListOwner, kind: MissionType, fields: Fields, sender: Sender, now: float) -> None:
         if sender != self._partner:
             v.tx.say(m.MAV_SEVERITY_CRITICAL, "REJ. MIS ITEM: partner id mismatch\t")
         elif kind is not self._kind or self._state is State.GIVING:
@@ -164,7 +161,7 @@ class Px4Lists(MissionLists):
             if fields["seq"] == self._seq:
                 self._take(v, fields, now)
 
-    def _take(self, v: SimVehicle, fields: Fields, now: float) -> None:
+    def _take(self, v: ListOwner, fields: Fields, now: float) -> None:
         try:
             item = MissionItem.from_fields(fields if self._int_mode else as_int_item(fields))
             refusal = refusal_of(self._kind, item)
@@ -186,19 +183,19 @@ class Px4Lists(MissionLists):
         self._state = State.IDLE
         self.acknowledge(v, self._kind, self._partner, m.MAV_MISSION_ACCEPTED, self.opaque_id(self._kind))
 
-    def _refuse(self, v: SimVehicle, result: int) -> None:
+    def _refuse(self, v: ListOwner, result: int) -> None:
         self._state = State.IDLE
         v.tx.say(m.MAV_SEVERITY_CRITICAL, "IGN MISSION_ITEM: Invalid item\t")
         self.acknowledge(v, self._kind, self._partner, result)
 
-    def _ask(self, v: SimVehicle, now: float) -> None:
+    def _ask(self, v: ListOwner, now: float) -> None:
         self._asked_at = now
         fields = {**address(self._partner), "seq": self._seq, "mission_type": self._kind}
         v.tx.send("MISSION_REQUEST_INT" if self._int_mode else "MISSION_REQUEST", fields)
 
     # -- giving
 
-    def _on_list(self, v: SimVehicle, kind: MissionType, sender: Sender, now: float) -> None:
+    def _on_list(self, v: ListOwner, kind: MissionType, sender: Sender, now: float) -> None:
         if self._seq == len(self.items[self._kind]):
             self._state = State.IDLE
         own = self._state is State.GIVING and (kind, sender) == (self._kind, self._partner)
@@ -209,7 +206,7 @@ class Px4Lists(MissionLists):
         self._seq, self._count, self._heard_at = 0, len(self.items[kind]), now
         self.send_count(v, kind, sender, self._count)
 
-    def _on_request(self, v: SimVehicle, kind: MissionType, seq: int, sender: Sender, now: float) -> None:
+    def _on_request(self, v: ListOwner, kind: MissionType, seq: int, sender: Sender, now: float) -> None:
         if sender != self._partner:
             v.tx.say(m.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: partner id mismatch\t")
         elif self._state is State.TAKING:
@@ -222,11 +219,11 @@ class Px4Lists(MissionLists):
                 v.tx.say(m.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: Req. WP was unexpected\t")
                 return
             self._seq = seq + 1
-            current = int(kind is MissionType.MISSION and seq == v.run.seq)
+            current = int(kind is MissionType.MISSION and seq == v.current_item)
             item = self.items[kind][seq]
             self.send_item(v, kind, sender, seq, item, as_float=not self._int_mode, current=current)
 
-    def _on_clear(self, v: SimVehicle, kind: MissionType, sender: Sender) -> None:
+    def _on_clear(self, v: ListOwner, kind: MissionType, sender: Sender) -> None:
         if self._state is not State.IDLE:
             v.tx.say(m.MAV_SEVERITY_CRITICAL, "WPM: IGN CLEAR CMD: Busy\t")
             return
@@ -234,7 +231,7 @@ class Px4Lists(MissionLists):
         self.keep(kind, [])
         self.acknowledge(v, kind, sender, m.MAV_MISSION_ACCEPTED)
 
-    def _on_ack(self, v: SimVehicle, kind: MissionType, result: int, sender: Sender, now: float) -> None:
+    def _on_ack(self, v: ListOwner, kind: MissionType, result: int, sender: Sender, now: float) -> None:
         if sender != self._partner:
             v.tx.say(m.MAV_SEVERITY_CRITICAL, "REJ. WP CMD: partner id mismatch\t")
         elif self._state is State.TAKING and result == m.MAV_MISSION_UNSUPPORTED:

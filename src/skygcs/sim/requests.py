@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skygcs.core.mavlink.param_encoding import HASH_NAME
 from skygcs.sim import mission_lists
 from skygcs.sim import protocol as m
-from skygcs.sim.command_message import Command, from_int, from_long
+from skygcs.sim.command_message import Calibration, Command, from_int, from_long
 from skygcs.sim.position_targets import is_position
 from skygcs.sim.stream_schedule import NEVER
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_state import VehicleState
 
 Fields = dict[str, Any]
 Sender = tuple[int, int]
@@ -42,20 +39,11 @@ INDEX_UNKNOWN = 65535
 """PARAM_VALUE.param_index of _HASH_CHECK (PX4)."""
 
 
-@dataclass(slots=True)
-class Calibration:
-    """A running PREFLIGHT_CALIBRATION, who asked for it, and when it says next how far it is."""
-
-    sender: Sender
-    began: float
-    next_report: float
-
-
 BROADCAST_TO_PX4 = frozenset({519, 520})
 """REQUEST_PROTOCOL_VERSION and REQUEST_AUTOPILOT_CAPABILITIES: all that PX4 1.16 takes for system 0."""
 
 
-def handle(v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float) -> None:
+def handle(v: VehicleState, name: str, fields: Fields, sender: Sender, now: float) -> None:
     """Answer one message addressed to this vehicle or to all."""
     if name in ("COMMAND_LONG", "COMMAND_INT"):
         command = from_long(fields, sender) if name == "COMMAND_LONG" else from_int(fields, sender)
@@ -76,7 +64,7 @@ def handle(v: SimVehicle, name: str, fields: Fields, sender: Sender, now: float)
         v.on_setpoint(name, fields, now)
 
 
-def step(v: SimVehicle, now: float) -> None:
+def step(v: VehicleState, now: float) -> None:
     """What goes on over many ticks: a parameter list, a calibration, a mission transfer."""
     v.lists.step(v, now)
     for _ in range(min(PARAMS_PER_TICK, len(v.param_queue))):
@@ -96,18 +84,18 @@ def step(v: SimVehicle, now: float) -> None:
 # -- commands
 
 
-def common_command(v: SimVehicle, c: Command, now: float) -> int | None:
+def common_command(v: VehicleState, c: Command, now: float) -> int | None:
     """Result of a command both firmwares treat alike; UNSUPPORTED for all others; None: answered later."""
     handler = _COMMANDS.get(c.id)
     return m.MAV_RESULT_UNSUPPORTED if handler is None else handler(v, c, now)
 
 
-def _message_name(v: SimVehicle, msgid: float) -> str | None:
+def _message_name(v: VehicleState, msgid: float) -> str | None:
     info = v.dialect.messages.get(int(msgid)) if isfinite(msgid) else None
     return info.name if info is not None and v.streams.knows(info.name) else None
 
 
-def _set_interval(v: SimVehicle, c: Command, now: float) -> int:
+def _set_interval(v: VehicleState, c: Command, now: float) -> int:
     name = _message_name(v, c.p1)
     if name is None or not isfinite(c.p2):
         return v.firmware.answers.simulated.unknown_interval
@@ -119,7 +107,7 @@ def _set_interval(v: SimVehicle, c: Command, now: float) -> int:
     return m.MAV_RESULT_ACCEPTED
 
 
-def _get_interval(v: SimVehicle, c: Command, now: float) -> int:
+def _get_interval(v: VehicleState, c: Command, now: float) -> int:
     name = _message_name(v, c.p1)
     if name is None:
         v.tx.send("MESSAGE_INTERVAL", {"message_id": int(c.p1) & 0xFFFF if isfinite(c.p1) else 0, "interval_us": 0})
@@ -130,7 +118,7 @@ def _get_interval(v: SimVehicle, c: Command, now: float) -> int:
     return m.MAV_RESULT_ACCEPTED
 
 
-def _request_message(v: SimVehicle, c: Command, now: float) -> int:
+def _request_message(v: VehicleState, c: Command, now: float) -> int:
     name = _message_name(v, c.p1)
     if name is None:
         return v.firmware.answers.simulated.unknown_message
@@ -138,8 +126,8 @@ def _request_message(v: SimVehicle, c: Command, now: float) -> int:
     return m.MAV_RESULT_ACCEPTED
 
 
-def _request_fixed(name: str) -> Callable[[SimVehicle, Command, float], int]:
-    def handler(v: SimVehicle, c: Command, now: float) -> int:
+def _request_fixed(name: str) -> Callable[[VehicleState, Command, float], int]:
+    def handler(v: VehicleState, c: Command, now: float) -> int:
         if not v.streams.knows(name):  # the dialect lacks it
             return m.MAV_RESULT_UNSUPPORTED
         v.send_soon(name)
@@ -148,7 +136,7 @@ def _request_fixed(name: str) -> Callable[[SimVehicle, Command, float], int]:
     return handler
 
 
-def _calibrate(v: SimVehicle, c: Command, now: float) -> int | None:
+def _calibrate(v: VehicleState, c: Command, now: float) -> int | None:
     if v.armed:
         return v.firmware.answers.simulated.calibrate_armed
     if v.calibration is not None:  # asked again because the first answer was lost, or by somebody else
@@ -160,7 +148,7 @@ def _calibrate(v: SimVehicle, c: Command, now: float) -> int | None:
     return m.MAV_RESULT_IN_PROGRESS
 
 
-def _reboot(v: SimVehicle, c: Command, now: float) -> int | None:
+def _reboot(v: VehicleState, c: Command, now: float) -> int | None:
     answers = v.firmware.answers.simulated
     if c.p1 == 0:
         return answers.reboot_nothing
@@ -173,18 +161,18 @@ def _reboot(v: SimVehicle, c: Command, now: float) -> int | None:
     return None
 
 
-def _terminate(v: SimVehicle, c: Command, now: float) -> int | None:
+def _terminate(v: VehicleState, c: Command, now: float) -> int | None:
     if c.p1 <= 0.5 or not v.armed:
         return v.firmware.answers.simulated.terminate_not
     v.switch_off("termination")
     return m.MAV_RESULT_ACCEPTED
 
 
-def _pause(v: SimVehicle, c: Command, now: float) -> int | None:
+def _pause(v: VehicleState, c: Command, now: float) -> int | None:
     return v.firmware.answers.simulated.pause
 
 
-_COMMANDS: Mapping[int, Callable[[SimVehicle, Command, float], int | None]] = {
+_COMMANDS: Mapping[int, Callable[[VehicleState, Command, float], int | None]] = {
     m.MAV_CMD_SET_MESSAGE_INTERVAL: _set_interval,
     m.MAV_CMD_GET_MESSAGE_INTERVAL: _get_interval,
     m.MAV_CMD_REQUEST_MESSAGE: _request_message,
@@ -201,7 +189,7 @@ _COMMANDS: Mapping[int, Callable[[SimVehicle, Command, float], int | None]] = {
 # -- parameters
 
 
-def _send_param(v: SimVehicle, index: int, reported_index: int | None = None) -> None:
+def _send_param(v: VehicleState, index: int, reported_index: int | None = None) -> None:
     param = v.params.at(index)
     if param is not None:
         v.tx.send(
@@ -216,23 +204,23 @@ def _send_param(v: SimVehicle, index: int, reported_index: int | None = None) ->
         )
 
 
-def _send_hash(v: SimVehicle) -> None:
+def _send_hash(v: VehicleState) -> None:
     bits = struct.unpack("<f", struct.pack("<I", v.params.hash))[0]
     fields = {"param_id": HASH_NAME, "param_value": bits, "param_type": m.MAV_PARAM_TYPE_UINT32}
     v.tx.send("PARAM_VALUE", {**fields, "param_count": len(v.params), "param_index": INDEX_UNKNOWN})
 
 
-def _is_hash(v: SimVehicle, fields: Fields) -> bool:
+def _is_hash(v: VehicleState, fields: Fields) -> bool:
     return v.autopilot == m.MAV_AUTOPILOT_PX4 and fields["param_id"] == HASH_NAME
 
 
-def _param_list(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _param_list(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     if v.autopilot == m.MAV_AUTOPILOT_PX4:
         _send_hash(v)
     v.param_queue = list(range(len(v.params)))
 
 
-def _param_read(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _param_read(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     index = int(fields["param_index"])
     if index >= 0:
         _send_param(v, index)
@@ -245,7 +233,7 @@ def _param_read(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> No
         _send_param(v, found[0], v.named_param_index)
 
 
-def _param_set(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _param_set(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     if _is_hash(v, fields):  # the ground station knows all: no list
         v.param_queue = []
         return
@@ -260,7 +248,7 @@ def _param_set(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> Non
 # -- missions
 
 
-def _mission_current(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _mission_current(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     v.run.on_set_current(v, int(fields["seq"]), now)
 
 
@@ -271,12 +259,12 @@ def _to(sender: Sender) -> Fields:
     return {"target_system": sender[0], "target_component": sender[1]}
 
 
-def _ping(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _ping(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     if fields["target_system"] == 0 and fields["target_component"] == 0:  # else it is an answer
         v.tx.send("PING", _to(sender) | {"time_usec": fields["time_usec"], "seq": fields["seq"]})
 
 
-def _timesync(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _timesync(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     if fields["tc1"] == 0:
         answer = {"tc1": round((now - v.boot_at) * 1e9), "ts1": fields["ts1"]}
         info = v.dialect.by_name["TIMESYNC"]
@@ -285,7 +273,7 @@ def _timesync(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None
         v.tx.send("TIMESYNC", answer)
 
 
-def _set_origin(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _set_origin(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     """PX4 takes it whenever it comes for its own id, and answers at once with what it has until its estimator has the
     new one. ArduPilot takes it while it has none, and is silent otherwise."""
     lat, lon = fields["latitude"] / 1e7, fields["longitude"] / 1e7
@@ -302,17 +290,17 @@ def _set_origin(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> No
         take()
 
 
-def _data_stream(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _data_stream(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     rate_hz = float(fields["req_message_rate"]) if fields["start_stop"] else 0.0
     v.on_data_stream(int(fields["req_stream_id"]), rate_hz, now)
 
 
-def _set_mode(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _set_mode(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     if fields["base_mode"] & m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED:
         v.on_set_mode_message(int(fields["custom_mode"]), sender, now)
 
 
-def _setup_signing(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _setup_signing(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     if not v.can_sign:
         return
     if v.armed:
@@ -321,20 +309,20 @@ def _setup_signing(v: SimVehicle, fields: Fields, sender: Sender, now: float) ->
     v.signing.set_up(fields)
 
 
-def _heartbeat(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _heartbeat(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     if fields["type"] == m.MAV_TYPE_GCS:
         v.on_gcs_heartbeat(sender, now)
 
 
-def _corrections(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _corrections(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     v.rtk.on_message(fields, now)
 
 
-def _file_transfer(v: SimVehicle, fields: Fields, sender: Sender, now: float) -> None:
+def _file_transfer(v: VehicleState, fields: Fields, sender: Sender, now: float) -> None:
     v.on_file_transfer(bytes(fields["payload"]), sender, now)
 
 
-_HANDLERS: Mapping[str, Callable[[SimVehicle, Fields, Sender, float], None]] = {
+_HANDLERS: Mapping[str, Callable[[VehicleState, Fields, Sender, float], None]] = {
     "HEARTBEAT": _heartbeat,
     "PARAM_REQUEST_LIST": _param_list,
     "PARAM_REQUEST_READ": _param_read,

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import atan2, cos, degrees, nan, sin
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skygcs.sim import protocol as m
 from skygcs.sim.body import GRAVITY_MPS2, Body, Vector, quaternion_of
 from skygcs.sim.quad import Quad
-
-if TYPE_CHECKING:
-    from skygcs.sim.vehicle import SimVehicle
+from skygcs.sim.vehicle_state import VehicleState
 
 Fields = dict[str, Any]
-Builder = Callable[["SimVehicle", float], Fields | None]
+Builder = Callable[[VehicleState, float], Fields | None]
 
 UNKNOWN_U16 = 65535
 UNKNOWN_TEMPERATURE = 32767
@@ -52,7 +50,7 @@ _ESTIMATOR_WITHOUT_POSITION = (
 )
 
 
-def heartbeat(v: SimVehicle, now: float) -> Fields:
+def heartbeat(v: VehicleState, now: float) -> Fields:
     return {
         "type": m.MAV_TYPE_QUADROTOR,
         "autopilot": v.autopilot,
@@ -63,7 +61,7 @@ def heartbeat(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def sys_status(v: SimVehicle, now: float) -> Fields:
+def sys_status(v: VehicleState, now: float) -> Fields:
     health = _HEALTHY_SENSORS
     if v.gps_ok:
         health |= m.MAV_SYS_STATUS_SENSOR_GPS
@@ -84,13 +82,13 @@ def sys_status(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def system_time(v: SimVehicle, now: float) -> Fields:
+def system_time(v: VehicleState, now: float) -> Fields:
     # an autopilot knows the date from GPS only
     unix_us = max(0, v.unix_us + round(v.faults.clock_error_s * 1e6)) if v.gps_ok else 0
     return {"time_unix_usec": unix_us, "time_boot_ms": v.boot_ms}
 
 
-def gps_raw_int(v: SimVehicle, now: float) -> Fields:
+def gps_raw_int(v: VehicleState, now: float) -> Fields:
     if not v.gps_ok:
         unknown = {"eph": UNKNOWN_U16, "epv": UNKNOWN_U16, "vel": UNKNOWN_U16, "cog": UNKNOWN_U16}
         return {"time_usec": v.boot_ms * 1000, "fix_type": m.GPS_FIX_TYPE_NO_FIX, **unknown}
@@ -118,7 +116,7 @@ def gps_raw_int(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def global_position_int(v: SimVehicle, now: float) -> Fields | None:
+def global_position_int(v: VehicleState, now: float) -> Fields | None:
     motion = v.reported
     if v.home is None:  # never had a position: PX4 sends nothing, ArduPilot zeros
         if v.autopilot == m.MAV_AUTOPILOT_PX4:
@@ -138,7 +136,7 @@ def global_position_int(v: SimVehicle, now: float) -> Fields | None:
     }
 
 
-def local_position_ned(v: SimVehicle, now: float) -> Fields | None:
+def local_position_ned(v: VehicleState, now: float) -> Fields | None:
     if v.home is None:
         return None
     motion, zero = v.reported, v.local_origin
@@ -153,7 +151,7 @@ def local_position_ned(v: SimVehicle, now: float) -> Fields | None:
     }
 
 
-def attitude(v: SimVehicle, now: float) -> Fields:
+def attitude(v: VehicleState, now: float) -> Fields:
     motion = v.reported
     if v.faults.nan_attitude:
         return {"time_boot_ms": v.boot_ms, "roll": nan, "pitch": nan, "yaw": nan}
@@ -174,7 +172,7 @@ def _rates(motion: Body) -> Fields:
     }
 
 
-def attitude_quaternion(v: SimVehicle, now: float) -> Fields:
+def attitude_quaternion(v: VehicleState, now: float) -> Fields:
     motion = v.reported
     if v.faults.nan_attitude:
         return {"time_boot_ms": v.boot_ms, "q1": nan, "q2": nan, "q3": nan, "q4": nan}
@@ -182,13 +180,13 @@ def attitude_quaternion(v: SimVehicle, now: float) -> Fields:
     return {"time_boot_ms": v.boot_ms, "q1": w, "q2": x, "q3": y, "q4": z, **_rates(motion)}
 
 
-def _throttle_percent(v: SimVehicle) -> int:
+def _throttle_percent(v: VehicleState) -> int:
     if isinstance(v.motion, Quad):
         return round(100 * v.motion.thrust) if v.armed else 0
     return 0 if v.landed else HOVER_THROTTLE_PERCENT
 
 
-def vfr_hud(v: SimVehicle, now: float) -> Fields:
+def vfr_hud(v: VehicleState, now: float) -> Fields:
     motion = v.reported
     return {
         "airspeed": motion.groundspeed_mps,
@@ -200,7 +198,7 @@ def vfr_hud(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def battery_status(v: SimVehicle, now: float) -> Fields:
+def battery_status(v: VehicleState, now: float) -> Fields:
     battery = v.battery
     low = battery.percent <= v.low_battery_percent
     return {
@@ -216,7 +214,7 @@ def battery_status(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def home_position(v: SimVehicle, now: float) -> Fields | None:
+def home_position(v: VehicleState, now: float) -> Fields | None:
     home = v.home
     if home is None:
         return None
@@ -233,7 +231,7 @@ def home_position(v: SimVehicle, now: float) -> Fields | None:
     }
 
 
-def gps_global_origin(v: SimVehicle, now: float) -> Fields | None:
+def gps_global_origin(v: VehicleState, now: float) -> Fields | None:
     if v.home is None and v.local_zero is None:
         return None
     zero = v.local_origin
@@ -246,15 +244,15 @@ def gps_global_origin(v: SimVehicle, now: float) -> Fields | None:
     }
 
 
-def extended_sys_state(v: SimVehicle, now: float) -> Fields:
+def extended_sys_state(v: VehicleState, now: float) -> Fields:
     return {"vtol_state": v.vtol_state, "landed_state": v.landed_state}
 
 
-def mission_current(v: SimVehicle, now: float) -> Fields:
+def mission_current(v: VehicleState, now: float) -> Fields:
     return v.run.facts(v)
 
 
-def fence_status(v: SimVehicle, now: float) -> Fields:
+def fence_status(v: VehicleState, now: float) -> Fields:
     alarm = v.failsafes.fence
     return {
         "breach_status": int(v.fence_breach != m.FENCE_BREACH_NONE),
@@ -264,11 +262,11 @@ def fence_status(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def rc_channels(v: SimVehicle, now: float) -> Fields:
+def rc_channels(v: VehicleState, now: float) -> Fields:
     return {"time_boot_ms": v.boot_ms, "chancount": 0, "rssi": 255}  # no receiver: 255 = unknown
 
 
-def _body_accel(v: SimVehicle) -> Vector:
+def _body_accel(v: VehicleState) -> Vector:
     """What the accelerometer feels (FRD, m/s²): everything but gravity, turned into the body."""
     motion = v.reported
     east, north, up = motion.accel_enu_mps2
@@ -281,7 +279,7 @@ def _body_accel(v: SimVehicle) -> Vector:
     return forward, right * cos_r + down * sin_r, down * cos_r - right * sin_r
 
 
-def raw_imu(v: SimVehicle, now: float) -> Fields:
+def raw_imu(v: VehicleState, now: float) -> Fields:
     accel = _body_accel(v)
     milli_g = [round(a / GRAVITY_MPS2 * 1000) for a in accel]
     return {
@@ -295,7 +293,7 @@ def raw_imu(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def highres_imu(v: SimVehicle, now: float) -> Fields:
+def highres_imu(v: VehicleState, now: float) -> Fields:
     accel = _body_accel(v)
     pressure = (
         1013.25 * (1 - 2.25577e-5 * (v.where.alt_amsl_m + v.reported.up_m)) ** 5.25588
@@ -314,7 +312,7 @@ def highres_imu(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def odometry(v: SimVehicle, now: float) -> Fields | None:
+def odometry(v: VehicleState, now: float) -> Fields | None:
     """As PX4's streams/ODOMETRY.hpp: position in the local NED frame, velocity along the body's axes (FRD)."""
     local = local_position_ned(v, now)
     if local is None:
@@ -350,7 +348,7 @@ def _to_body(q: tuple[float, float, float, float], vector: Vector) -> Vector:
     )
 
 
-def altitude(v: SimVehicle, now: float) -> Fields:
+def altitude(v: VehicleState, now: float) -> Fields:
     up = v.reported.up_m
     amsl = v.where.alt_amsl_m + up
     return {
@@ -364,14 +362,14 @@ def altitude(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def ekf_status_report(v: SimVehicle, now: float) -> Fields:
+def ekf_status_report(v: VehicleState, now: float) -> Fields:
     flags = _ESTIMATOR_GOOD if v.position_ok else _ESTIMATOR_WITHOUT_POSITION
     ok = v.position_ok
     variances = {"velocity_variance": 0.02, "pos_horiz_variance": 0.03 if ok else 1.0, "pos_vert_variance": 0.01}
     return {"flags": flags, **variances, "compass_variance": 0.01}
 
 
-def estimator_status(v: SimVehicle, now: float) -> Fields:
+def estimator_status(v: VehicleState, now: float) -> Fields:
     ok = v.position_ok
     return {
         "time_usec": v.boot_ms * 1000,
@@ -385,11 +383,11 @@ def estimator_status(v: SimVehicle, now: float) -> Fields:
     }
 
 
-def autopilot_version(v: SimVehicle, now: float) -> Fields:
+def autopilot_version(v: VehicleState, now: float) -> Fields:
     return v.version
 
 
-def protocol_version(v: SimVehicle, now: float) -> Fields:
+def protocol_version(v: VehicleState, now: float) -> Fields:
     return {"version": 200, "min_version": 100, "max_version": 200}
 
 
@@ -414,14 +412,21 @@ COMMON: Mapping[str, Builder] = {
 }
 
 
+_PX4: Mapping[str, Builder] = {
+    **COMMON,
+    "HIGHRES_IMU": highres_imu,
+    "ALTITUDE": altitude,
+    "ODOMETRY": odometry,
+    "ESTIMATOR_STATUS": estimator_status,
+}
+_COPTER: Mapping[str, Builder] = {
+    **COMMON,
+    "RAW_IMU": raw_imu,
+    "EKF_STATUS_REPORT": ekf_status_report,
+    "FENCE_STATUS": fence_status,
+}
+
+
 def builders_of(autopilot: int) -> Mapping[str, Builder]:
     """The messages this firmware has, by name."""
-    if autopilot == m.MAV_AUTOPILOT_PX4:
-        return {
-            **COMMON,
-            "HIGHRES_IMU": highres_imu,
-            "ALTITUDE": altitude,
-            "ODOMETRY": odometry,
-            "ESTIMATOR_STATUS": estimator_status,
-        }
-    return {**COMMON, "RAW_IMU": raw_imu, "EKF_STATUS_REPORT": ekf_status_report, "FENCE_STATUS": fence_status}
+    return _PX4 if autopilot == m.MAV_AUTOPILOT_PX4 else _COPTER

@@ -13,7 +13,7 @@ from skygcs.core.preflight.facts import LinkFacts
 from skygcs.sim import protocol as m
 from skygcs.sim.ardupilot import CopterVehicle
 from skygcs.sim.behaviours import CopterMode
-from skygcs.sim.vehicle import Home
+from skygcs.sim.kinematics import Home
 from support.preflight_field import PreflightField
 
 pytestmark = pytest.mark.looptime
