@@ -1,18 +1,18 @@
 """How wrong the delay may be for velocity control with prediction: exact, for one axis. Pure.
 
-With T the lag of the autopilot's velocity loop, A the attitude's, h the delay that the predictor assumes (with A) and
-D the one there is, the loop of `velocity_predictor` is in the Laplace domain
+With T the lag of the autopilot's velocity loop, A the attitude's inside it (which the predictor leaves out), h the
+delay that the predictor assumes and D the one there is, the loop of `velocity_predictor` is in the Laplace domain
 
-    vehicle      v = G exp(-s D) u,   x = v / s,        G = 1 / ((1 + T s)(1 + A s))
+    vehicle      v = G exp(-s D) u,   x = v / s,        G = 1 / (1 + T s + T A s²)
     observer     d = H ((s + 1/T) v - exp(-s h) u / T),  H = 1 / (1 + Td s)
     prediction   x^ = x + a v + F u + b d
                  a = T (1 - exp(-h/T)),  b = T h - T a,  F = (1 - exp(-s h)) / s - (1 - exp(-(s + 1/T) h)) / (s + 1/T)
-    law          u = Kp (r - x^)
+    law          u = Kp (r - x^) - c T d
 
 so that 0 = P + M exp(-s D) decides stability, with
 
-    P = 1 + Kp F - Kp b H exp(-s h) / T         what is known of u without measuring
-    M = (Kp (1/s + a) + Kp b H (s + 1/T)) G     what is measured
+    P = 1 + Kp F - (Kp b + c T) H exp(-s h) / T           what is known of u without measuring
+    M = (Kp (1/s + a) + (Kp b + c T) H (s + 1/T)) G       what is measured
 
 F is entire, so s (P + M exp(-s D)) has its poles in the left half-plane, and by the argument principle (Mikhailov's
 criterion) the loop is stable exactly if its phase on s = jw turns by pi/2 altogether as w goes from 0 to infinity. As
@@ -29,7 +29,7 @@ from functools import lru_cache
 from itertools import pairwise
 
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.velocity_predictor import DISTURBANCE_TIME_S, VelocityLoop
+from skygcs.core.control.velocity_predictor import DISTURBANCE_TIME_S, OPPOSED, VelocityLoop
 
 UNCERTAINTY = 0.3
 """Share of the delay by which it may be wrong, on either side."""
@@ -63,11 +63,11 @@ class DelayRange:
 
 
 def delay_range(kp: float, lag_s: float, attitude_lag_s: float, assumed_s: float) -> DelayRange | None:
-    """The range about the assumed delay (telemetry, setpoint and holding, without the attitude's lag); None if the loop
-    is unstable with the right delay already. 4 ms."""
+    """The range about the assumed delay (telemetry, setpoint and holding); None if the loop is unstable with the right
+    delay already. 2 ms."""
     if not (kp > 0 and lag_s > 0 and attitude_lag_s >= 0 and 0 <= assumed_s < math.inf):
         raise ValueError("gain and lag must be above 0, attitude lag and delay not below")
-    axis = _Axis(kp, lag_s, attitude_lag_s, assumed_s + attitude_lag_s)
+    axis = _Axis(kp, lag_s, attitude_lag_s, assumed_s)
     decades = math.log10(_HIGHEST_RADPS / _LOWEST_RADPS)
     grid = [_LOWEST_RADPS * 10 ** (decades * n / (decades * _PER_DECADE)) for n in range(round(decades * _PER_DECADE))]
     parts = [axis.parts(w) for w in grid]
@@ -126,13 +126,13 @@ class _Axis:
         """P and M of the module's text at s = jw."""
         s, pole, h, kp = complex(0.0, w), 1.0 / self.lag_s, self.horizon_s, self.kp
         ahead_s = self.lag_s * -math.expm1(-h * pole)
-        pushed_s2 = self.lag_s * (h - ahead_s)
+        opposed_s = kp * self.lag_s * (h - ahead_s) + OPPOSED * self.lag_s
         late = cmath.exp(-s * h)
         under_way = (1.0 - late) / s - (1.0 - late * math.exp(-h * pole)) / (s + pole)
         observer = 1.0 / (1.0 + DISTURBANCE_TIME_S * s)
-        vehicle = 1.0 / ((1.0 + self.lag_s * s) * (1.0 + self.attitude_lag_s * s))
-        known = 1.0 + kp * under_way - kp * pushed_s2 * observer * late * pole
-        measured = kp * (1.0 / s + ahead_s + pushed_s2 * observer * (s + pole)) * vehicle
+        vehicle = 1.0 / (1.0 + self.lag_s * s * (1.0 + self.attitude_lag_s * s))
+        known = 1.0 + kp * under_way - opposed_s * observer * late * pole
+        measured = (kp * (1.0 / s + ahead_s) + opposed_s * observer * (s + pole)) * vehicle
         return known, measured
 
     def crossing(self, low: float, high: float) -> float:
