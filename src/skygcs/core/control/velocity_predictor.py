@@ -38,9 +38,9 @@ DISTURBANCE_TIME_S = 1.0
 5 cm/s²."""
 
 OPPOSED = 0.5
-"""Share c of the disturbance that the feed-forward opposes; the autopilot's integral takes the steady part. On the circle
-of `make bench-control` at 0.05 and 0.8 s of delay 0 leaves 0.32 and 0.29 m with PX4, 0.5 leaves 0.20 and 0.23, and 1
-0.15 and 0.25; with the delay 30 % too short all of it 0.41, 0.51 and 0.62 m."""
+"""Share c of the disturbance that the feed-forward opposes; the autopilot's integral takes the steady part. On the
+circle of `make bench-control` at 0.05 and 0.8 s of delay 0 leaves 0.32 and 0.29 m with PX4, 0.5 leaves 0.20 and 0.23,
+and 1 leaves 0.15 and 0.25; with 0.8 s assumed and 1.04 s true 0.41, 0.51 and 0.62 m."""
 
 DISTURBANCE_MAX_MPS2 = 3.0
 """Bound of d^: the drag of an F450 in 10 m/s of wind."""

@@ -57,7 +57,7 @@ class Vehicle:
 
 @dataclass
 class Flight:
-    """The predictor, the vehicle, and a link of ``delay_s`` there and back; ``measured_s`` is what is believed of it."""
+    """The predictor, the vehicle, and a link of ``delay_s`` there and back, which is taken for ``measured_s``."""
 
     delay_s: float
     measured_s: float | None = None
