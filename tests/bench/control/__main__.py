@@ -1,6 +1,6 @@
 """`make bench-control`: what flight control does and what it costs. Tables on stdout, all in build/bench/control.json.
 
-python -m bench.control [--only steps|fleet|hundred] [--profile] [--realtime]
+python -m bench.control [--only steps|moving|fleet|hundred] [--profile] [--realtime]
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from typing import Any
 from bench.control.figures import Section, virtual_sections
 from bench.control.fleet import ROOT, Load, carry
 from bench.control.fleet_report import fleet_section
+from bench.control.moving_figures import moving_sections
 
 LOADS = (Load(10, 50.0, 0.1), Load(50, 20.0, 0.5))
 """The second with a guard that bears the delays of a machine which also has to simulate fifty vehicles: it is about
 what fifty cost."""
 HUNDRED = Load(100, 50.0, 0.1, stand_ins=True)
 OUT = ROOT / "build" / "bench"
-WHAT = "steps: virtual time; fleet: processes and sockets; hundred: the same with 100 vehicles that are not simulated"
+WHAT = "steps and moving: virtual time; fleet: processes and sockets; hundred: the same with 100 vehicles that are not simulated"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.control", description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=("steps", "fleet", "hundred"), help=WHAT)
+    parser.add_argument("--only", choices=("steps", "moving", "fleet", "hundred"), help=WHAT)
     parser.add_argument("--profile", action="store_true", help="the daemon under cProfile, which makes it slower")
     parser.add_argument("--realtime", action="store_true", help="daemon and simulator before all others; needs root")
     options = parser.parse_args()
@@ -40,7 +41,10 @@ def main() -> int:
     if options.only in (None, "steps"):
         for section in virtual_sections():
             _show(section, told, missed)
-    loads = {None: (*LOADS, HUNDRED), "steps": (), "fleet": LOADS, "hundred": (HUNDRED,)}[options.only]
+    if options.only in (None, "moving"):
+        for section in moving_sections():
+            _show(section, told, missed)
+    loads = {None: (*LOADS, HUNDRED), "steps": (), "moving": (), "fleet": LOADS, "hundred": (HUNDRED,)}[options.only]
     for load in loads:
         profile = OUT / f"control-profile-{load.vehicles}.txt" if options.profile else None
         with tempfile.TemporaryDirectory() as folder:
