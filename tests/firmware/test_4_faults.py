@@ -93,6 +93,94 @@ def test_a_delay_brings_attitude_down_to_velocity_and_position(air: Field, figur
         assert figures["farthest m"] < SAFE_M
 
 
+def allowed_m(speed_mps: float) -> float:
+    """How far beyond its reference a vehicle may travel after a fault at this speed: 0.7 s until it is noticed, braking
+    with 2.5 m/s², and half a metre."""
+    return 0.7 * speed_mps + speed_mps**2 / 5.0 + 0.5
+
+
+def farthest_north(field: Field, seconds: float) -> float:
+    """Of the first vehicle, within so long."""
+    most, end = -math.inf, time.monotonic() + seconds
+    while time.monotonic() < end:
+        most = max(most, field.enu(field.one)[1])
+        time.sleep(0.02)
+    return most
+
+
+def test_the_uplink_gets_slow_in_a_step(air: Field, figures: dict[str, Any]) -> None:
+    """0.5 s slower, in the middle of an 8 m step by attitude."""
+    far_m = 8.0
+    steps_at = [math.inf]
+
+    def reference(t: float) -> dict[str, Any]:
+        return {"pos_enu_m": [0, far_m if time.monotonic() >= steps_at[0] else 0, HEIGHT_M]}
+
+    with air.controlled("attitude", reference):
+        time.sleep(6)  # 21 pongs
+        steps_at[0] = time.monotonic()
+        air.wait(lambda: air.enu(air.one)[1] > 0.4 * far_m, 10, "it is on its way")
+        began, speed = time.monotonic(), air.truth(air.one).speed_mps
+        air.relay.delay_up_s = 0.5
+        most = farthest_north(air, 15)
+        report = first_report(air, began, "control")
+        figures["speed m/s"], figures["beyond m"], figures["allowed m"] = speed, most - far_m, allowed_m(speed)
+        figures["report"] = report
+        assert report and report["after s"] < 1.0, report  # 0.7 s, and a busy computer
+        assert most - far_m < allowed_m(speed)
+
+
+@pytest.mark.parametrize("mode", ["velocity", IN_FULL("attitude"), IN_FULL("position")])
+def test_telemetry_is_cut_for_two_seconds_on_the_way(air: Field, figures: dict[str, Any], mode: str) -> None:
+    """At 2 m/s along a line, whose end comes while nothing is seen."""
+    speed, length_m = 2.0, 14.0
+    starts_at = [math.inf]
+
+    def reference(t: float) -> dict[str, Any]:
+        gone_m = speed * max(0.0, time.monotonic() - starts_at[0])
+        moving = 0.0 < gone_m < length_m
+        return {
+            "pos_enu_m": [0, min(gone_m, length_m), HEIGHT_M],
+            "vel_enu_mps": [0, speed if moving else 0, 0],
+        }
+
+    with air.controlled(mode, reference):
+        starts_at[0] = time.monotonic()
+        air.wait(lambda: time.monotonic() > starts_at[0] + 10.0 / speed, 10, "10 m of it are done")
+        began = time.monotonic()
+        air.relay.cut_down = set(air.sysids)
+        most = farthest_north(air, 2)
+        air.relay.clear()
+        most = max(most, farthest_north(air, 8))
+        figures["beyond m"], figures["allowed m"] = most - length_m, allowed_m(speed)
+        figures["report"] = first_report(air, began, "control")
+        assert figures["report"] or mode == "position"  # which bears 2 s
+        assert most - length_m < allowed_m(speed)
+
+
+@pytest.mark.only("ardupilot")
+def test_attitude_begins_in_wind_without_a_bump(air: Field, figures: dict[str, Any]) -> None:
+    """5 m/s, to which ArduCopter's own position hold leans."""
+    air.order("params.set", air.one, params={"SIM_WIND_SPD": 5, "SIM_WIND_DIR": 270}, settle=False)
+    try:
+        time.sleep(25)
+        air.wait(lambda: air.steady(air.one, 3.0), 30, "it stands in the wind")
+        place, most, climbed = air.enu(air.one), 0.0, 0.0
+        air.order("control.set", air.one, mode="attitude", force=True)
+        end = time.monotonic() + 12
+        while time.monotonic() < end:
+            x, y, up = air.enu(air.one)
+            most, climbed = max(most, math.dist((x, y), place[:2])), max(climbed, abs(up - place[2]))
+            time.sleep(0.02)
+        figures["moved m"], figures["height m"] = most, climbed
+        figures["integral"] = air.control(air.one)["integral_enu"]
+        assert air.control(air.one)["control_mode"] == "attitude"
+        assert most < 0.4 and climbed < 0.4  # its estimator and its gusts have a part in it
+    finally:
+        air.daemon.call("control.set", targets=air.one, mode="off")
+        air.order("params.set", air.one, params={"SIM_WIND_SPD": 0}, settle=False)
+
+
 def battery(field: Field, low: bool) -> None:
     if field.px4:
         field.order("params.set", field.one, params={"SIM_BAT_DRAIN": 1 if low else 60}, settle=False)

@@ -18,11 +18,14 @@ from skygcs.cli.options import Json
 from skygcs.cli.parsing import finite, parse_number, within
 from skygcs.cli.render import console, print_json, table
 from skygcs.core.control.analysis import (
+    AIRFRAME_LAG_S,
     CONTINUOUS_PERIOD_S,
     DEFAULT_RESERVE,
     Loop,
     Margins,
+    StepResponse,
     Suggestion,
+    delay_margin_s,
     factorings,
     margins,
     poles,
@@ -72,6 +75,19 @@ LoopRate = Annotated[
         "--rate", metavar="HZ", help="Step responses of a loop at this rate. [default: continuous]", parser=finite
     ),
 ]
+TelemetryRate = Annotated[
+    float | None,
+    typer.Option(
+        "--telemetry",
+        metavar="HZ",
+        help="Positions per second, for suggested gains. [default: as --rate, or 50]",
+        parser=finite,
+    ),
+]
+Lag = Annotated[
+    float,
+    typer.Option("--lag", metavar="S", help="Lag of the airframe's attitude, for suggested gains.", parser=finite),
+]
 Duration = Annotated[
     float, typer.Option("--duration", metavar="S", help="Length of the step responses.", parser=finite)
 ]
@@ -89,6 +105,8 @@ def gains(
     delay_s: Delay = None,
     reserve: Reserve = DEFAULT_RESERVE,
     rate_hz: LoopRate = None,
+    telemetry_hz: TelemetryRate = None,
+    lag_s: Lag = AIRFRAME_LAG_S,
     duration_s: Duration = 30.0,
     plot: PlotFile = None,
     full: Full = False,
@@ -104,6 +122,8 @@ def gains(
     within("--duration", duration_s, 1, 600)
     within("--delay", delay_s, 0, 60)
     within("--rate", rate_hz, 1, 1000)
+    within("--telemetry", telemetry_hz, 0.5, 1000)
+    within("--lag", lag_s, 0, 2)
     if plot is not None and plot.suffix.lower() not in PLOT_SUFFIXES:
         raise typer.BadParameter(f"--plot: {plot.name!r} ends neither in .svg nor in .png")
     plant = None if plant_gain is None else _numbers("--plant-gain", plant_gain, 1, 2)
@@ -116,6 +136,8 @@ def gains(
             delay_s=delay_s,
             reserve=reserve,
             rate_hz=rate_hz,
+            telemetry_hz=telemetry_hz,
+            lag_s=lag_s,
             duration_s=duration_s,
         )
     except ValueError as error:
@@ -162,6 +184,9 @@ TRACE_PERIOD_S = 0.05
 FINEST_PERIOD_S = 1e-4
 """Smallest step of the simulation; no loop of a vehicle needs a smaller one."""
 
+FLOWN_HZ = 50.0
+"""Rate of attitude setpoints and of positions for them, where none is given."""
+
 PERIODS_PER_DELAY_MARGIN = 200
 """The hold of the simulation delays by half a period: 0.25 % of the delay margin."""
 
@@ -180,6 +205,8 @@ class Question:
     delay_s: float | None = None
     reserve: float = DEFAULT_RESERVE
     rate_hz: float | None = None
+    telemetry_hz: float | None = None
+    lag_s: float = AIRFRAME_LAG_S
     duration_s: float = 30.0
 
     def __post_init__(self) -> None:
@@ -197,6 +224,16 @@ class Question:
             return {"given": self.plant_gains}
         thrust = GRAVITY_MPS2 / self.hover
         return {"tilt": (GRAVITY_MPS2, 1.0), "thrust": (thrust, thrust)}
+
+    @property
+    def flown_hz(self) -> float:
+        """The loop's rate that suggested gains are for."""
+        return FLOWN_HZ if self.rate_hz is None else self.rate_hz
+
+    @property
+    def held_s(self) -> float:
+        """The delay by holding each output and each position until the next one: half a period each, on average."""
+        return 0.5 / self.flown_hz + 0.5 / (self.telemetry_hz or self.flown_hz)
 
     def loops(self) -> Iterator[tuple[str, str, Loop]]:
         """Axis, plant and loop of each."""
@@ -218,6 +255,8 @@ def study(question: Question) -> Answer:
         "delay_s": question.delay_s,
         "reserve": question.reserve,
         "rate_hz": question.rate_hz,
+        "telemetry_hz": question.telemetry_hz,
+        "lag_s": question.lag_s,
         "loops": [_loop(question, axis, plant, loop) for axis, plant, loop in question.loops()],
         "utias_eq16": _utias_eq16() if question.of_utias else None,
     }
@@ -227,7 +266,8 @@ def _loop(question: Question, axis: str, plant: str, loop: Loop) -> Answer:
     criterion = routh(loop)
     suggestion = None
     if question.delay_s is not None:
-        suggestion = suggest(loop, question.delay_s, question.reserve)
+        held_s, lag_s = question.held_s, question.lag_s
+        suggestion = suggest(loop, question.delay_s, question.reserve, held_s=held_s, lag_s=lag_s)
     return {
         "axis": axis,
         "plant": plant,
@@ -239,7 +279,7 @@ def _loop(question: Question, axis: str, plant: str, loop: Loop) -> Answer:
         "factorings": [asdict(factoring) for factoring in factorings(loop)],
         "margins": _margins(margins(loop)),
         "margins_with_delay": None if question.delay_s is None else _margins(margins(loop, question.delay_s)),
-        "suggestion": _suggestion(suggestion, loop.plant_gain),
+        "suggestion": _suggestion(suggestion, loop.plant_gain, question.lag_s),
         "steps": list(_steps(question, loop, suggestion)),
     }
 
@@ -256,11 +296,16 @@ def _margins(found: Margins | None) -> Answer | None:
     }
 
 
-def _suggestion(suggestion: Suggestion | None, plant_gain: float) -> Answer | None:
+def _suggestion(suggestion: Suggestion | None, plant_gain: float, lag_s: float) -> Answer | None:
     if suggestion is None:
         return None
-    tolerated = margins(Loop(suggestion.gains, plant_gain))
-    return {"factor": suggestion.factor, "gains": asdict(suggestion.gains), "margins": _margins(tolerated)}
+    loop = Loop(suggestion.gains, plant_gain)
+    return {
+        "factor": suggestion.factor,
+        "gains": asdict(suggestion.gains),
+        "margins": _margins(margins(loop)),
+        "delay_margin_s": delay_margin_s(loop, lag_s),
+    }
 
 
 def _steps(question: Question, loop: Loop, suggestion: Suggestion | None) -> Iterator[Answer]:
@@ -269,20 +314,37 @@ def _steps(question: Question, loop: Loop, suggestion: Suggestion | None) -> Ite
     if delay_s > 0:
         yield _step(question, "given", loop, delay_s)
     if suggestion is not None and suggestion.factor > 1:
-        yield _step(question, "suggested", Loop(suggestion.gains, loop.plant_gain), delay_s)
+        yield _suggested_step(question, Loop(suggestion.gains, loop.plant_gain), delay_s)
 
 
 def _step(question: Question, gains: str, loop: Loop, delay_s: float) -> Answer:
-    tolerated = margins(loop)
+    tolerated_s = delay_margin_s(loop)
     period_s = CONTINUOUS_PERIOD_S
     hold_s = 0.0
     if question.rate_hz is not None:
         period_s = 1 / question.rate_hz
         hold_s = period_s / 2  # the average delay of sampling with a hold
-    elif tolerated is not None:
-        period_s = min(period_s, max(FINEST_PERIOD_S, tolerated.delay_margin_s / PERIODS_PER_DELAY_MARGIN))
+    elif tolerated_s > 0:
+        period_s = min(period_s, max(FINEST_PERIOD_S, tolerated_s / PERIODS_PER_DELAY_MARGIN))
     response = step_response(loop, delay_s=delay_s, duration_s=question.duration_s, period_s=period_s)
-    stable = tolerated is not None and delay_s + hold_s < tolerated.delay_margin_s
+    return _response(gains, delay_s, response, stable=delay_s + hold_s < tolerated_s)
+
+
+def _suggested_step(question: Question, loop: Loop, delay_s: float) -> Answer:
+    """With all that the suggestion counts: the loop's rate, the positions' as half a period of delay, the lag."""
+    response = step_response(
+        loop,
+        delay_s=delay_s + question.held_s - 0.5 / question.flown_hz,
+        duration_s=question.duration_s,
+        period_s=1 / question.flown_hz,
+        lag_s=question.lag_s,
+    )
+    stable = delay_s + question.held_s < delay_margin_s(loop, question.lag_s)
+    return _response("suggested", delay_s, response, stable=stable)
+
+
+def _response(gains: str, delay_s: float, response: StepResponse, *, stable: bool) -> Answer:
+    period_s = response.period_s
     every = max(1, round(TRACE_PERIOD_S / period_s))
     return {
         "gains": gains,
@@ -317,7 +379,7 @@ UNSTABLE_STYLE = "bold red"
 TABLE_TIMES_S = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0, 30.0)
 
 HINT = """\
-Delay is telemetry age + setpoint transmission + attitude lag; skygcs-cli track NAME measures the first two.
+Delay is telemetry age + setpoint transmission, as skygcs-cli track NAME measures them; rates and lag count besides.
 Gains for your delay: skygcs-cli gains --delay 0.2     Every table: skygcs-cli gains --full"""
 
 
@@ -347,9 +409,11 @@ def show(answer: Answer) -> None:
     screen.print()
     screen.print(_margins_table(answer))
     if answer["delay_s"] is not None:
+        rate_hz = FLOWN_HZ if answer["rate_hz"] is None else answer["rate_hz"]
         screen.print(
             f"\n[bold]For {answer['delay_s']:g} s of delay with a reserve of {answer['reserve']:g}[/bold] "
-            "(λ rule: Kp/λ, Kv/λ, Ki/λ²)"
+            f"(λ rule: Kp/λ, Kv/λ, Ki/λ²),\nan attitude lag of {answer['lag_s']:g} s, {rate_hz:g} Hz, and positions at "
+            f"{answer['telemetry_hz'] or rate_hz:g} Hz"
         )
         screen.print(_suggestions_table(answer))
     # step responses, and what the plants mean
@@ -449,7 +513,7 @@ def _suggestions_table(answer: Answer) -> Table:
             rows.append((loop["axis"], loop["plant"], "", "unstable without delay: slower gains do not help", "", ""))
             continue
         gains = gains_text(suggestion["gains"]) if suggestion["factor"] > 1 else "as they are"
-        margin = f"{suggestion['margins']['delay_margin_s']:.3f} s"
+        margin = f"{suggestion['delay_margin_s']:.3f} s"
         factor = f"{suggestion['factor']:.3g}"
         rows.append((loop["axis"], loop["plant"], factor, gains, margin, _settling(loop["steps"][-1])))
     return _table(("axis", "plant", "λ", "gains", "delay margin", "settles"), rows)

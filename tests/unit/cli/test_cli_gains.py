@@ -92,14 +92,15 @@ def test_eq_16_is_not_reported_of_other_gains(args: tuple[str, str]) -> None:
 
 
 def test_a_delay_brings_what_is_left_and_gains_with_twice_the_delay_as_margin() -> None:
-    found = answer("--delay", "0.3")
+    found = answer("--delay", "0.3", "--lag", "0", "--rate", "1000")
     xy, z = loop(found, "xy", "thrust"), loop(found, "z", "thrust")
     assert xy["margins_with_delay"]["delay_margin_s"] == pytest.approx(0.207, abs=1e-3)
     assert xy["margins_with_delay"]["gain_up"] > 1
     assert z["margins_with_delay"] is None
-    assert xy["suggestion"]["factor"] == pytest.approx(0.6 / 0.50707, rel=1e-4)
+    assert xy["suggestion"]["factor"] == pytest.approx(0.602 / 0.50707, rel=1e-4)
     for one in (xy, z):
-        assert one["suggestion"]["margins"]["delay_margin_s"] == pytest.approx(0.6)
+        assert one["suggestion"]["margins"]["delay_margin_s"] == pytest.approx(0.602)
+        assert one["suggestion"]["delay_margin_s"] == pytest.approx(0.602)
         factor, gains = one["suggestion"]["factor"], found["gains"][one["axis"]]
         assert one["suggestion"]["gains"] == pytest.approx(
             {
@@ -115,14 +116,32 @@ def test_a_delay_brings_what_is_left_and_gains_with_twice_the_delay_as_margin() 
 
 def test_the_reserve_is_the_users() -> None:
     found = loop(answer("--delay", "0.3", "--reserve", "3"), "z", "thrust")
-    assert found["suggestion"]["margins"]["delay_margin_s"] == pytest.approx(0.9)
+    assert found["suggestion"]["delay_margin_s"] == pytest.approx(3 * (0.3 + 0.01 + 0.01))
+
+
+def test_rate_telemetry_and_lag_count_in_what_is_suggested() -> None:
+    def factor(*args: str) -> float:
+        return float(loop(answer("--delay", "0.1", *args, *SHORT), "z", "thrust")["suggestion"]["factor"])
+
+    assert factor("--lag", "0") == pytest.approx(2 * 0.12 / 0.21329, rel=1e-3)
+    assert factor("--lag", "0", "--rate", "5") == pytest.approx(2 * 0.3 / 0.21329, rel=1e-3)
+    assert factor("--lag", "0", "--rate", "50", "--telemetry", "5") == pytest.approx(2 * 0.21 / 0.21329, rel=1e-3)
+    assert factor("--rate", "5") > factor("--lag", "0", "--rate", "5") + 0.5
+    suggested = loop(answer("--delay", "0.1", "--rate", "5"), "z", "thrust")["steps"][-1]
+    assert suggested["gains"] == "suggested" and suggested["stable"] and suggested["overshoot"] < 0.3
+    assert "positions at 4 Hz" in run("--delay", "0.1", "--rate", "20", "--telemetry", "4", *SHORT)
+
+
+@pytest.mark.parametrize("args", [("--lag", "-1"), ("--lag", "3"), ("--telemetry", "0"), ("--telemetry", "nan")])
+def test_a_lag_or_a_rate_that_no_vehicle_has_is_no_option(args: tuple[str, str]) -> None:
+    run("--delay", "0.1", *args, code=USAGE)
 
 
 def test_gains_that_bear_the_delay_are_left_and_no_third_response_is_made() -> None:
-    found = answer("--delay", "0.05")
+    found = answer("--delay", "0.05", "--lag", "0.05")
     assert [x["suggestion"]["factor"] for x in found["loops"]] == [1.0] * 4
     assert [len(x["steps"]) for x in found["loops"]] == [2] * 4
-    assert run("--delay", "0.05", *SHORT).count("as they are") == 4
+    assert run("--delay", "0.05", "--lag", "0.05", *SHORT).count("as they are") == 4
 
 
 def test_no_delay_at_all_makes_one_response() -> None:
@@ -130,10 +149,12 @@ def test_no_delay_at_all_makes_one_response() -> None:
 
 
 def test_step_responses_have_figures_and_a_trace() -> None:
-    steps = loop(answer("--delay", "0.3", "--duration", "20"), "xy", "thrust")["steps"]
+    steps = loop(answer("--delay", "0.3", "--duration", "20", "--lag", "0"), "xy", "thrust")["steps"]
     assert [(s["gains"], s["delay_s"]) for s in steps] == [("given", 0.0), ("given", 0.3), ("suggested", 0.3)]
     for step in steps:
-        assert step["stable"] and len(step["positions"]) == 401 and step["every_s"] == pytest.approx(0.05)
+        every_s = 0.04 if step["gains"] == "suggested" else 0.05  # at 50 Hz, and continuous
+        assert step["stable"] and step["every_s"] == pytest.approx(every_s)
+        assert len(step["positions"]) == round(20 / every_s) + 1
         assert step["positions"][0] == 0.0 and step["positions"][-1] == pytest.approx(1, abs=0.05)
     assert steps[0]["overshoot"] == pytest.approx(0.08, abs=1e-3)
     assert steps[0]["overshoot"] < steps[2]["overshoot"] < steps[1]["overshoot"]
@@ -223,7 +244,8 @@ def test_svg_is_a_figure_with_every_loop_and_its_margin(tmp_path: Path) -> None:
         "z, tilt angle and vertical acceleration, G = 1",
     ):
         assert word in text
-    assert "0.3 s delay: unstable" in text and "suggested: Kp 0.3554" in text
+    kp = loop(answer("--delay", "0.3"), "z", "thrust")["suggestion"]["gains"]["pos_p_per_s"]
+    assert "0.3 s delay: unstable" in text and f"suggested: Kp {kp:.4g}" in text
     again = tmp_path / "again.svg"
     run("--delay", "0.3", "--plot", str(again))
     assert again.read_bytes() == file.read_bytes()
