@@ -35,6 +35,7 @@ OFF: dict[str, Any] = {
     **dict.fromkeys(("roll_deg", "pitch_deg", "recording"), None),
     **dict.fromkeys(("ticks", "late", "skipped"), 0),
     "raw": None,
+    "trajectory": None,
     "prediction": None,
     "saturation": [],
     "integral_enu": [0.0, 0.0, 0.0],

@@ -33,6 +33,7 @@ COMMANDS = (
     ),
     ("control", ("track", "control")),
     ("setpoint", ("setpoint",)),
+    ("trajectory", ("trajectory",)),
     ("table", ("table",)),
     ("messages", ("message",)),
     ("links", ("links", "link")),

@@ -19,6 +19,7 @@ from skygcs.core.control.guard import GuardConfig
 from skygcs.core.control.velocity_predictor import MAX_RATE_HZ
 from skygcs.core.geo import Origin
 from skygcs.core.vehicle.raw_setpoint import RawLimits
+from skygcs.core.vehicle.trajectory_flight import TrajectoryLimits
 from skygcs.errors import ConfigError
 
 Gain = Annotated[float, Field(ge=0, le=LARGEST_GAIN)]
@@ -60,6 +61,18 @@ class RawSettings(Model):
     acc_max_mps2: Annotated[float, Field(ge=0.1, le=30)] | None = None
 
 
+class TrajectorySettings(Model):
+    """What a vehicle may be sent along; see `core.vehicle.trajectory_flight.TrajectoryLimits`."""
+
+    start_within_m: Annotated[float, Field(ge=0.1, le=100)] | None = None
+    speed_mps: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    acceleration_mps2: Annotated[float, Field(ge=0.01, le=30)] | None = None
+    climb_mps: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    descent_mps: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    velocity_jump_mps: Annotated[float, Field(ge=0, le=100)] | None = None
+    brake_mps2: Annotated[float, Field(ge=0.05, le=30)] | None = None
+
+
 class ControlSettings(Model):
     """Settings of flight control; None: not set at this level."""
 
@@ -91,6 +104,7 @@ class ControlSettings(Model):
     """Velocity control predicts the vehicle's state over the link's delay: false."""
     fence: ControlFenceSettings | None = None
     raw: RawSettings | None = None
+    trajectory: TrajectorySettings | None = None
     engage_after_takeoff: Literal["off", "position", "velocity", "attitude"] | None = None
     """Control is engaged in this mode when a take-off that was ordered through skygcs has reached its height: "off"."""
 
@@ -99,7 +113,10 @@ class ControlSettings(Model):
         merged: dict[str, Any] = {}
         for key in type(self).model_fields:
             mine, below = getattr(self, key), getattr(lower, key)
-            if isinstance(mine, GainSettings | ControlFenceSettings | RawSettings) and below is not None:
+            if (
+                isinstance(mine, GainSettings | ControlFenceSettings | RawSettings | TrajectorySettings)
+                and below is not None
+            ):
                 given = {k: v for k, v in mine.model_dump().items() if v is not None}
                 mine = below.model_copy(update=given)
             merged[key] = below if mine is None else mine
@@ -138,6 +155,11 @@ class ControlSettings(Model):
         raw = self.raw or RawSettings()
         return RawLimits(**{key: value for key, value in raw.model_dump().items() if value is not None})
 
+    def trajectory_limits(self) -> TrajectoryLimits:
+        """What it may be sent along. Raises ConfigError."""
+        given = (self.trajectory or TrajectorySettings()).model_dump()
+        return TrajectoryLimits(**{key: value for key, value in given.items() if value is not None})
+
     def fence_at(self, origin: Origin) -> Fence:
         """The box, standing on earth about this origin. Raises ConfigError."""
         fence = self.fence or ControlFenceSettings()
@@ -153,6 +175,7 @@ class ControlSettings(Model):
             *_problems((), self.law),
             *_problems((), self.guard),
             *_problems(("raw",), self.raw_limits),
+            *_problems(("trajectory",), self.trajectory_limits),
             *_problems(("fence",), lambda: self.fence_at(Origin(0.0, 0.0, 0.0))),
         ]
         rate_hz, least_hz = self.rate_hz or ATTITUDE_HZ, self.rate_min_hz or ATTITUDE_MIN_HZ

@@ -163,6 +163,14 @@ class ControlState(Result):
     late: int
     skipped: int
     lateness_p99_s: float | None
+    trajectory: dict[str, Any] | None = Field(
+        description="The trajectory it follows: name, state, trajectory_s, duration_s, speed_factor, rate, "
+        "finishes_in_s; null: none."
+    )
+    prediction: dict[str, Any] | None = Field(
+        description="Of velocity control with prediction: active, refused, round_trip_s, disturbance_enu_mps2; "
+        "null: off."
+    )
     raw: str | None = Field(description="Kind of the raw setpoint in force: attitude, rates, acceleration; null: none.")
     saturation: list[str]
     integral_enu: list[float]

@@ -30,6 +30,7 @@ from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.task_set import TaskSet, fault
+from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
 from skygcs.runtime.undo_orders import UndoOrders
 from skygcs.runtime.vehicle_actor import VehicleActor
@@ -141,6 +142,7 @@ class Fleet:
         """By key, the link on which a vehicle was first heard."""
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
+        self.trajectories = Trajectories(self.vehicles.values, loop, on_event)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
         """All components beside the autopilots of ``vehicles``."""
@@ -175,6 +177,7 @@ class Fleet:
             except Exception as error:
                 fault = fault or error
         self.components.tick(now)
+        self.trajectories.tick(now)
         if fault is not None:
             raise fault
 

@@ -25,17 +25,25 @@ from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import FAST_PERIOD_S, PING_BYTES
 from skygcs.core.control.gains import ControlConfig
 from skygcs.core.control.guard import BY_DELAY, ControlMode
+from skygcs.core.geo import EnuFrame
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.capacity import FRAME_BYTES
 from skygcs.core.radio_link.stream_rates import POSITION, intended_rate
 from skygcs.core.radio_link.transmit_queue import Priority
+from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle import offboard_entry, orders
 from skygcs.core.vehicle.estimator_origin import ORIGIN_MESSAGE
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
 from skygcs.core.vehicle.raw_setpoint import RawSetpoint
+from skygcs.core.vehicle.trajectory_flight import (
+    LoadedTrajectory,
+    TrajectoryFlight,
+    TrajectoryLimits,
+    distance_refusal,
+)
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import ConfigError, RefusedError
 from skygcs.events import Event
@@ -220,6 +228,8 @@ class OffboardEngagement:
         """One setpoint of a client's stream."""
         if not self.flying:
             return self._not_flying()
+        if self.controller.flight is not None:
+            return Outcome.refused("it follows a trajectory: `skygcs-cli trajectory abort` first")
         why = self._own_controller() or self._outside(setpoint.place, setpoint.free_xy, setpoint.free_z)
         if (refusal := why or self._stream_refusal(valid_s)) is not None:
             return Outcome.refused(refusal)
@@ -246,6 +256,35 @@ class OffboardEngagement:
             self.clock.stop()  # the next tick of a position hold would come too late for the first one
             self.clock.start()
         return Outcome(True, "accepted", "followed")
+
+    def trajectory_refusal(self, loaded: LoadedTrajectory, speed_factor: float) -> str | None:
+        """Why it cannot begin this trajectory now; None if it can."""
+        controller, origin, now = self.controller, self._vehicle.origin, self._loop.time()
+        if not self.flying or controller.frame is None or origin is None or self._fence is None:
+            return self._not_flying().message.removeprefix("refused: ")
+        if (why := self._own_controller()) is not None:
+            return why
+        if controller.flight is not None:
+            return f"it follows {controller.flight.loaded.name} already: abort that first"
+        limits = self.trajectory_limits()
+        first = controller.frame.from_geodetic(*EnuFrame(origin).to_geodetic(*loaded.trajectory.start_enu_m))
+        return (
+            distance_refusal(controller.here(now), first, limits)
+            or loaded.why_not(limits, speed_factor)
+            or loaded.outside(origin, self._fence)
+        )
+
+    def trajectory_limits(self) -> TrajectoryLimits:
+        """What it may be sent along."""
+        return self._settings.trajectory_limits()
+
+    def follow_trajectory(self, loaded: LoadedTrajectory, clock: TrajectoryClock) -> TrajectoryFlight:
+        """Follow a trajectory that `trajectory_refusal` accepted."""
+        frame, origin = self.controller.frame, self._vehicle.origin
+        assert frame is not None and origin is not None
+        flight = TrajectoryFlight(loaded, clock, origin, frame)
+        self.controller.follow_trajectory(flight, self._loop.time())
+        return flight
 
     def _stream_refusal(self, valid_s: float) -> str | None:
         """Why a setpoint of a stream is not taken now; None if it is."""

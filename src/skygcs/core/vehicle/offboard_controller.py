@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-from skygcs.core.control.cascade import Estimate, Memory, Reference
+from skygcs.core.control.cascade import Estimate, Memory, Reference, Vector
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
@@ -38,6 +38,7 @@ from skygcs.core.vehicle.raw_source import RawSource
 from skygcs.core.vehicle.reference_source import ReferenceSource
 from skygcs.core.vehicle.setpoint_generator import NOTHING, SetpointGenerator
 from skygcs.core.vehicle.steady_thrust import SteadyThrust
+from skygcs.core.vehicle.trajectory_flight import TrajectoryFlight
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.core.vehicle.velocity_prediction import VelocityPrediction
 from skygcs.events import Event
@@ -210,7 +211,7 @@ class OffboardController:
 
     def want(self, control_mode: ControlMode) -> None:
         """Use another control mode from the next tick on, if the guard allows it; the reference stays."""
-        if self.control_mode is RAW:
+        if self.control_mode is RAW or control_mode is RAW:
             self._source.stop(self._last.at)
         self._raw.end()
         self.wanted, self.reasons = control_mode, ()
@@ -259,6 +260,19 @@ class OffboardController:
         self._source.follow(wanted_reference, now, until)
         return None
 
+    @property
+    def flight(self) -> TrajectoryFlight | None:
+        """The trajectory it follows."""
+        return self._source.flight
+
+    def follow_trajectory(self, flight: TrajectoryFlight, now: float) -> None:
+        """Follow a trajectory that was checked, from now on."""
+        self._source.follow_trajectory(flight, now)
+
+    def here(self, now: float) -> Vector | None:
+        """Where it is by now, in the local frame; None without a position."""
+        return self._estimate_view.present_place(now)
+
     def follow_raw(self, setpoint: RawSetpoint, until: float) -> bool:
         """One setpoint of the user's own controller, in force ``until`` then; it was checked. True for the first after
         none was in force."""
@@ -302,12 +316,12 @@ class OffboardController:
         elif self._raw.expire(now):
             self._source.stop(now)
             events.append(self._event("the raw setpoints ended: it holds its position by position setpoints", "flying"))
-        elif self._source.streaming:
+        elif self._source.streaming or self._source.flight is not None:
             why = self._estimate_view.way_out(self._source.advance(now), now, margin=False)
             if why is not None:
                 self._source.stop(now)
                 events.append(
-                    self._event(f"the setpoints lead out of the fence, it stays where it is: {why}", "flying")
+                    self._event(f"its reference leads out of the fence, it stays where it is: {why}", "flying")
                 )
         verdict = self._guard.check(self._facts(estimate, age_s, now), now)
         if verdict.action == "release":
@@ -361,6 +375,7 @@ class OffboardController:
             "delay_p95_s": self.delay_p95_s,
             "rtt_s": self.delay.rtt_p95_s,
             "rate_hz": 1.0 / self.period_s if self.active else None,
+            "trajectory": None if self.flight is None else self.flight.status(now),
             "raw": None if self._raw.setpoint is None else self._raw.setpoint.kind,
             "saturation": [] if attitude is None else list(attitude.saturation.names()),
             "integral_enu": list(self._setpoints.memory.integral_enu),

@@ -6,6 +6,7 @@ hold      a point on earth, at rest                   `follow` -> stream
 stream    the newest setpoint of a client, moved on   its deadline, `stop` -> hold where the vehicle comes to rest;
           by its velocity and acceleration since it   `hold_at` -> hold there
           came
+trajectory the point of its clock's time               its end, `stop` -> hold there; `hold_at`, `follow`
 
 An axis that follows a velocity alone has a position all the same: where that velocity has led since it began. Nothing
 but `position` setpoints use it, which thereby close no loop on the ground. It is kept near enough to the vehicle that
@@ -20,6 +21,7 @@ from dataclasses import replace
 from skygcs.core.control.cascade import ZERO, Reference, Vector
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
+from skygcs.core.vehicle.trajectory_flight import TrajectoryFlight
 
 MOST_AHEAD_M = 2.0
 """Of a position that a velocity led to, in front of the vehicle that follows it, beyond what it needs to get up to that
@@ -40,6 +42,8 @@ class ReferenceSource:
         """As it was at ``_at``."""
         self._at = 0.0
         self._until: float | None = None
+        self.flight: TrajectoryFlight | None = None
+        """The trajectory that leads it; None: none does."""
 
     @property
     def streaming(self) -> bool:
@@ -78,10 +82,20 @@ class ReferenceSource:
     def follow(self, reference: Reference, now: float, until: float) -> None:
         """The newest reference of a stream, valid ``until`` then."""
         self.reference = self._newest = reference
-        self._at, self._until = now, until
+        self._at, self._until, self.flight = now, until, None
+
+    def follow_trajectory(self, flight: TrajectoryFlight, now: float) -> None:
+        """Follow a trajectory from now on."""
+        self._until, self.flight = None, flight
+        self.reference = self._newest = flight.reference(now, self._yaw_rad())
 
     def advance(self, now: float) -> Reference:
-        """Move a stream's reference on to ``now``, at most to its deadline. The reference."""
+        """Move the reference of a stream or a trajectory on to ``now``, at most to its end. The reference."""
+        if self.flight is not None:
+            self.reference = self._newest = self.flight.reference(now, self.reference.yaw_rad)
+            if self.flight.over(now):
+                self._hold(self.reference.pos_enu_m, self.reference.yaw_rad)
+            return self.reference
         if self._until is None:
             return self.reference
         at = min(now, self._until)
@@ -110,7 +124,7 @@ class ReferenceSource:
 
     def _hold(self, position: Vector, yaw_rad: float) -> None:
         self.reference = self._newest = Reference(position, yaw_rad)
-        self._until = None
+        self._until = self.flight = None
 
     def _yaw_rad(self) -> float:
         """The yaw to keep: of a vehicle that turned by a rate alone the one it has, else the reference's."""

@@ -1,0 +1,218 @@
+"""One vehicle on a trajectory: the reference at each time, and what must be true before it begins. Pure.
+
+The trajectory is given along the axes of the fleet's world frame as of the start, and stands on earth from then on: a
+later change of the fleet's origin moves nothing. Its clock may drive other vehicles as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from skygcs.core.control.cascade import Reference, Vector
+from skygcs.core.control.control_fence import Fence
+from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.trajectory import ClockState, MotionPeaks, Trajectory, TrajectoryClock, motion_peaks
+from skygcs.core.trajectory.bounding_box import Box, bounding_box
+from skygcs.core.trajectory.piecewise import joints, require_continuous
+from skygcs.core.trajectory.trajectory_clock import (
+    AT_REST_MPS,
+    MAX_RATE_LIMIT_PER_S,
+    MIN_RATE_LIMIT_PER_S,
+)
+from skygcs.errors import ConfigError, RefusedError, TrajectoryError
+
+BASE_M = 1000.0
+"""Length over which the directions of one frame are measured in another."""
+
+OVER = frozenset({ClockState.ABORTED, ClockState.FINISHED})
+
+SLACK = 1e-6
+"""Relative, by which a limit may be exceeded: a profile made for the limit itself touches it."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryLimits:
+    """What a vehicle may be sent along. Raises ConfigError with every problem."""
+
+    start_within_m: float = 1.0
+    """Distance from the first point at which it may begin."""
+    speed_mps: float = 5.0
+    acceleration_mps2: float = 3.0
+    """PX4's MPC_ACC_HOR; ArduCopter's WPNAV_ACCEL is 2.5."""
+    climb_mps: float = 2.5
+    descent_mps: float = 1.5
+    """The firmwares' default speeds (ArduCopter WPNAV_SPEED_UP and _DN 2.5 and 1.5, PX4 3 and 1.5)."""
+    velocity_jump_mps: float = 0.5
+    """Where pieces meet, and at the start and the end: a path of straight lines turns by jumps."""
+    brake_mps2: float = 1.0
+    """What a pause, an abort or a change of speed adds to the acceleration at most."""
+
+    def __post_init__(self) -> None:
+        problems = [
+            f"{name}: {getattr(self, name)} is not in {low:g}..{high:g}"
+            for name, low, high in (
+                ("start_within_m", 0.1, 100.0),
+                ("speed_mps", 0.01, 100.0),
+                ("acceleration_mps2", 0.01, 30.0),
+                ("climb_mps", 0.01, 100.0),
+                ("descent_mps", 0.01, 100.0),
+                ("velocity_jump_mps", 0.0, 100.0),
+                ("brake_mps2", 0.05, 30.0),
+            )
+            if not low <= getattr(self, name) <= high
+        ]
+        if problems:
+            raise ConfigError("control.trajectory", problems)
+
+
+class LoadedTrajectory:
+    """A trajectory with its exact bounds, which take some milliseconds for each hundred pieces. Raises TrajectoryError
+    where its position or yaw jumps."""
+
+    def __init__(self, trajectory: Trajectory, name: str = "trajectory") -> None:
+        require_continuous(trajectory)
+        self.trajectory = trajectory
+        self.name = name
+        self.peaks: MotionPeaks = motion_peaks(trajectory)
+        self.box: Box = bounding_box(trajectory)
+        found = list(joints(trajectory))
+        self.velocity_jump_mps = max(joint.velocity_mps for joint in found[1:-1]) if len(found) > 2 else 0.0
+        self.first_speed_mps = found[0].velocity_mps
+        self.last_speed_mps = found[-1].velocity_mps
+
+    def why_not(self, limits: TrajectoryLimits, speed_factor: float) -> str | None:
+        """Which limit it exceeds at this speed; None if none."""
+        f, peaks = speed_factor, self.peaks
+        for what, value, limit, unit in (
+            ("speed", peaks.speed_mps.at_most * f, limits.speed_mps, "m/s"),
+            ("climb rate", peaks.climb_mps.at_most * f, limits.climb_mps, "m/s"),
+            ("descent rate", peaks.descent_mps.at_most * f, limits.descent_mps, "m/s"),
+            ("acceleration", peaks.acceleration_mps2.at_most * f * f, limits.acceleration_mps2, "m/s²"),
+            ("jump of velocity between pieces", self.velocity_jump_mps * f, limits.velocity_jump_mps, "m/s"),
+        ):
+            if not value <= limit * (1.0 + SLACK):  # also for NaN
+                return f"its {what} of {value:.3g} {unit} is above {limit:g}"
+        return None
+
+    def outside(self, origin: Origin, fence: Fence) -> str | None:
+        """Why it is not wholly within the fence less its margin; None if it is."""
+        world = EnuFrame(origin)
+        for corner in self.box.corners():
+            what = "a corner of the box about the trajectory"
+            why = fence.why_not(*world.to_geodetic(*corner), reference=True, what=what)
+            if why is not None:
+                return why
+        return None
+
+
+def common_clock(loaded: list[LoadedTrajectory], brake_mps2: float, speed_factor: float) -> TrajectoryClock:
+    """One clock for several vehicles. Raises TrajectoryError, RefusedError."""
+    fastest = max(one.peaks.speed_mps.at_most for one in loaded)
+    limit = MAX_RATE_LIMIT_PER_S if fastest <= 0.0 else min(brake_mps2 / fastest, MAX_RATE_LIMIT_PER_S)
+    if limit < MIN_RATE_LIMIT_PER_S:
+        raise TrajectoryError(f"at {brake_mps2:g} m/s² a stop from {fastest:g} m/s takes longer than 100 s")
+    return TrajectoryClock(
+        max(one.trajectory.duration_s for one in loaded),
+        limit,
+        speed_factor=speed_factor,
+        rests_at_start=all(one.first_speed_mps <= AT_REST_MPS for one in loaded),
+        rests_at_end=all(one.last_speed_mps <= AT_REST_MPS for one in loaded),
+    )
+
+
+class TrajectoryFlight:
+    """One vehicle on a loaded trajectory. ``frame``: the vehicle's local frame, in which references are."""
+
+    def __init__(self, loaded: LoadedTrajectory, clock: TrajectoryClock, origin: Origin, frame: EnuFrame) -> None:
+        self.loaded = loaded
+        self.clock = clock
+        self._to_local, self._turned = _transform(EnuFrame(origin), frame)
+        east, north, _ = self._turned((1.0, 0.0, 0.0))
+        self._turn_rad = math.atan2(north, east)
+
+    @property
+    def duration_s(self) -> float:
+        """Of the vehicle's own trajectory."""
+        return self.loaded.trajectory.duration_s
+
+    def reference(self, now: float, yaw_rad: float) -> Reference:
+        """Where it shall be at ``now``; ``yaw_rad``: to keep, if the trajectory has no yaw."""
+        time = self.clock.at(now)
+        point = self.loaded.trajectory.at(time.trajectory_s, time.rate, time.rate_change_per_s)
+        return Reference(
+            self._to_local(point.pos_enu_m),
+            yaw_rad if point.yaw_rad is None else point.yaw_rad + self._turn_rad,
+            self._turned(point.vel_enu_mps),
+            self._turned(point.acc_enu_mps2),
+            yaw_rate_radps=point.yaw_rate_radps,
+        )
+
+    def over(self, now: float) -> bool:
+        """Whether its clock has come to an end: it stands there from now on."""
+        return self.clock.at(now).state in OVER
+
+    def status(self, now: float) -> dict[str, Any]:
+        """For people and programs."""
+        time = self.clock.at(now)
+        finishes_at_s = self.clock.finishes_at_s(now)
+        return {
+            "name": self.loaded.name,
+            "state": time.state.value,
+            "trajectory_s": time.trajectory_s,
+            "duration_s": self.duration_s,
+            "speed_factor": self.clock.speed_factor,
+            "rate": time.rate,
+            "finishes_in_s": None if finishes_at_s is None else max(0.0, finishes_at_s - now),
+        }
+
+
+Mapped = Callable[[Vector], Vector]
+
+
+def _transform(world: EnuFrame, local: EnuFrame) -> tuple[Mapped, Mapped]:
+    """Positions and directions of one frame in the other: both stand still on earth, so it is a rotation and an
+    offset."""
+
+    def moved(point: Vector) -> Vector:
+        return local.from_geodetic(*world.to_geodetic(*point))
+
+    ox, oy, oz = moved((0.0, 0.0, 0.0))
+    columns = []
+    for axis in ((BASE_M, 0.0, 0.0), (0.0, BASE_M, 0.0), (0.0, 0.0, BASE_M)):
+        x, y, z = moved(axis)
+        columns.append(((x - ox) / BASE_M, (y - oy) / BASE_M, (z - oz) / BASE_M))
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = columns
+
+    def turned(v: Vector) -> Vector:
+        x, y, z = v
+        return xx * x + yx * y + zx * z, xy * x + yy * y + zy * z, xz * x + yz * y + zz * z
+
+    def to_local(v: Vector) -> Vector:
+        x, y, z = turned(v)
+        return ox + x, oy + y, oz + z
+
+    return to_local, turned
+
+
+def distance_refusal(here: Vector | None, first: Vector, limits: TrajectoryLimits) -> str | None:
+    """Why it may not begin from here; None if it may. In one frame."""
+    if here is None:
+        return "its position is not known"
+    away_m = math.dist(here, first)
+    if away_m <= limits.start_within_m:
+        return None
+    return (
+        f"it is {away_m:.1f} m from the first point (limit {limits.start_within_m:g} m, control.trajectory."
+        "start_within_m): send it there with goto first"
+    )
+
+
+def require_speed(flights: list[TrajectoryFlight], limits: list[TrajectoryLimits], speed_factor: float) -> None:
+    """Raise RefusedError where one of them could not be flown at this factor."""
+    for flight, of_vehicle in zip(flights, limits, strict=True):
+        why = flight.loaded.why_not(of_vehicle, speed_factor)
+        if why is not None:
+            raise RefusedError(f"at a speed factor of {speed_factor:g} {why}")

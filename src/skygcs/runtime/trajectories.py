@@ -1,0 +1,292 @@
+"""Trajectories of the fleet: those that are loaded, and the groups that fly on one clock.
+
+    loaded     in the daemon's memory, one for each vehicle, until `unload`; it survives the client that loaded it
+    group      the vehicles of one `start`. They share a clock, so that what was planned for all of them at the same
+               time stays so when they are paused, slowed down or aborted
+
+All of a start begin, or none. A vehicle that leaves its group (an order, a pilot, the guard, a lost link) stops the
+others on their paths: what is planned for them does not know that one stands still. Nobody but a person resumes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from skygcs.core.protocols.command import Outcome
+from skygcs.core.trajectory import ClockState, Trajectory, TrajectoryClock
+from skygcs.core.vehicle.trajectory_flight import (
+    OVER,
+    LoadedTrajectory,
+    TrajectoryFlight,
+    common_clock,
+    require_speed,
+)
+from skygcs.errors import RefusedError, TrajectoryError
+from skygcs.events import Event
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+MAX_PIECES = 2_000
+"""Of one vehicle: a quarter of an hour at two pieces a second; its bounds take 0.4 s to compute."""
+
+MAX_ALL_PIECES = 50_000
+"""Of all vehicles: some 100 MB. A piece of degree 7 is 32 numbers, kept twice."""
+
+LARGE_PIECES = 200
+"""From here on bounds are computed in a thread: control ticks on the event loop."""
+
+LATEST_START_S = 3600.0
+
+
+@dataclass(eq=False)
+class _Group:
+    """The vehicles of one start, and their clock."""
+
+    clock: TrajectoryClock
+    flights: dict[VehicleActor, TrajectoryFlight]
+    state: ClockState = ClockState.WAITING
+    """As was reported last."""
+    left: list[str] = field(default_factory=list)
+    """Vehicles that left it."""
+
+    def following(self, actor: VehicleActor) -> bool:
+        return actor.offboard.controller.flight is self.flights.get(actor)
+
+
+class Trajectories:
+    """Of one fleet. ``vehicles``: those there are now."""
+
+    def __init__(
+        self,
+        vehicles: Callable[[], Collection[VehicleActor]],
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self._vehicles = vehicles
+        self._loop = loop
+        self._on_event = on_event
+        self._loaded: dict[VehicleActor, LoadedTrajectory] = {}
+        self._groups: list[_Group] = []
+
+    # -- what is loaded
+
+    async def load(self, actor: VehicleActor, trajectory: Trajectory, name: str) -> Outcome:
+        """Keep a trajectory for a vehicle, in place of the one before. Refused while it follows one."""
+        if (refusal := self._load_refusal(actor, trajectory)) is not None:
+            return Outcome.refused(refusal)
+        try:
+            if len(trajectory.pieces) < LARGE_PIECES:
+                loaded = LoadedTrajectory(trajectory, name)
+            else:
+                loaded = await asyncio.to_thread(LoadedTrajectory, trajectory, name)
+        except TrajectoryError as error:
+            return Outcome.refused(str(error))
+        if (refusal := self._load_refusal(actor, trajectory)) is not None:
+            return Outcome.refused(refusal)
+        self._loaded[actor] = loaded
+        peaks = loaded.peaks
+        text = (
+            f"{name}: {len(trajectory.pieces)} pieces, {trajectory.duration_s:.1f} s, up to "
+            f"{peaks.speed_mps.at_most:.2f} m/s and {peaks.acceleration_mps2.at_most:.2f} m/s²"
+        )
+        return Outcome(True, "accepted", text)
+
+    def _load_refusal(self, actor: VehicleActor, trajectory: Trajectory) -> str | None:
+        """Why it cannot be kept; None if it can."""
+        count = len(trajectory.pieces)
+        others = sum(len(one.trajectory.pieces) for key, one in self._loaded.items() if key is not actor)
+        if count > MAX_PIECES:
+            return f"it has {count} pieces; the most for one vehicle is {MAX_PIECES}"
+        if others + count > MAX_ALL_PIECES:
+            return f"all vehicles together have {others} pieces already; with {count} more it is above {MAX_ALL_PIECES}"
+        if actor.vehicle.replayed:
+            return "it is a replay"
+        if actor.offboard.controller.flight is not None:
+            return "it follows a trajectory: abort that first"
+        if actor not in self._vehicles():
+            return "it was forgotten"
+        return None
+
+    def unload(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
+        """Forget their trajectories. Refused for one that follows its own."""
+        outcomes = {}
+        for actor in actors:
+            if actor.offboard.controller.flight is not None:
+                outcomes[actor.name] = Outcome.refused("it follows its trajectory: abort that first")
+            elif self._loaded.pop(actor, None) is None:
+                outcomes[actor.name] = Outcome.refused("no trajectory is loaded")
+            else:
+                outcomes[actor.name] = Outcome(True, "accepted", "unloaded")
+        return outcomes
+
+    # -- flight
+
+    def start(self, actors: Sequence[VehicleActor], at_s: float, speed_factor: float) -> dict[str, Outcome]:
+        """Let all of them begin at ``at_s`` of the daemon's clock, or none."""
+        now = self._loop.time()
+        refusals = {actor: self._start_refusal(actor, speed_factor) for actor in actors}
+        refused = {actor: why for actor, why in refusals.items() if why is not None}
+        clock: TrajectoryClock | None = None
+        if not refused:
+            try:
+                brake = min(actor.offboard.trajectory_limits().brake_mps2 for actor in actors)
+                clock = common_clock([self._loaded[actor] for actor in actors], brake, speed_factor)
+                clock.start(now, at_s)
+            except (RefusedError, TrajectoryError) as error:
+                refused = dict.fromkeys(actors, str(error))
+        if refused or clock is None:
+            return self._none_starts(actors, refused)
+        flights = {actor: actor.offboard.follow_trajectory(self._loaded[actor], clock) for actor in actors}
+        self._groups.append(_Group(clock, flights))
+        for actor, flight in flights.items():
+            text = (
+                f"{flight.loaded.name} begins in {at_s - now:.1f} s and takes {flight.duration_s / speed_factor:.1f} s"
+            )
+            self._publish(actor, text, ClockState.WAITING)
+        return {actor.name: Outcome(True, "accepted", f"begins in {at_s - now:.1f} s") for actor in actors}
+
+    def _start_refusal(self, actor: VehicleActor, speed_factor: float) -> str | None:
+        loaded = self._loaded.get(actor)
+        if loaded is None:
+            return f"no trajectory is loaded: `skygcs-cli trajectory load FILE {actor.name}` first"
+        return actor.offboard.trajectory_refusal(loaded, speed_factor)
+
+    def _none_starts(self, actors: Sequence[VehicleActor], refused: dict[VehicleActor, str]) -> dict[str, Outcome]:
+        first = ", ".join(actor.name for actor in list(refused)[:5])
+        return {
+            actor.name: Outcome.refused(refused.get(actor) or f"all start together, and {first} cannot")
+            for actor in actors
+        }
+
+    def pause(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
+        """Stop their groups on their paths."""
+        return self._order(actors, lambda group, now: group.clock.pause(now), "stops on its path")
+
+    def resume(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
+        """Let their groups go on; those that left a group stay out of it."""
+        return self._order(actors, lambda group, now: group.clock.resume(now), "goes on")
+
+    def abort(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
+        """Stop their groups on their paths, for good."""
+        return self._order(actors, lambda group, now: group.clock.abort(now), "stops on its path, for good")
+
+    def set_speed(self, actors: Sequence[VehicleActor], speed_factor: float) -> dict[str, Outcome]:
+        """Fly their groups at this multiple of the planned speed. Refused where a limit would be exceeded."""
+
+        def change(group: _Group, now: float) -> None:
+            limits = [actor.offboard.trajectory_limits() for actor in group.flights]
+            require_speed(list(group.flights.values()), limits, speed_factor)
+            group.clock.set_speed(now, speed_factor)
+
+        return self._order(actors, change, f"flies at {speed_factor:g} times the planned speed")
+
+    def _order(
+        self, actors: Sequence[VehicleActor], order: Callable[[_Group, float], None], done: str
+    ) -> dict[str, Outcome]:
+        """Give an order to the groups of these vehicles; the outcome of every member of them."""
+        now, outcomes = self._loop.time(), dict[str, Outcome]()
+        meant: list[_Group] = []
+        for actor in actors:
+            group = self._group_of(actor)
+            if group is None:
+                outcomes[actor.name] = Outcome.refused("it follows no trajectory")
+            elif group not in meant:
+                meant.append(group)
+        for group in meant:
+            try:
+                order(group, now)
+                outcome = Outcome(True, "accepted", done)
+            except RefusedError as error:
+                outcome = Outcome.refused(str(error))
+            outcomes.update({actor.name: outcome for actor in group.flights if group.following(actor)})
+            self._report(group, now)
+        return outcomes
+
+    def _group_of(self, actor: VehicleActor) -> _Group | None:
+        return next((group for group in self._groups if actor in group.flights and group.following(actor)), None)
+
+    # -- as time comes
+
+    def tick(self, now: float) -> None:
+        """Ten times a second: vehicles that left, and what the clocks have come to."""
+        for group in list(self._groups):
+            if group.clock.at(now).state not in OVER:
+                self._see_who_left(group, now)
+            self._report(group, now)
+            if not group.flights or group.clock.at(now).state in OVER:
+                self._groups.remove(group)
+        if self._loaded:
+            there = set(self._vehicles())
+            for actor in [key for key in self._loaded if key not in there]:
+                del self._loaded[actor]
+
+    def _see_who_left(self, group: _Group, now: float) -> None:
+        gone = [actor for actor in group.flights if not group.following(actor)]
+        for actor in gone:
+            del group.flights[actor]
+            group.left.append(actor.name)
+            controller = actor.offboard.controller
+            why = "; ".join(controller.reasons) or f"control is {controller.state.value}"
+            self._publish(actor, f"it left its trajectory: {why}", ClockState.ABORTED)
+        if not gone or not group.flights:
+            return
+        names = ", ".join(actor.name for actor in gone)
+        if group.clock.at(now).state not in (ClockState.ABORTING, ClockState.PAUSED):
+            group.clock.pause(now)
+        for actor in group.flights:
+            text = f"it stops on its path, because {names} left: resume or abort the trajectory"
+            self._publish(actor, text, group.clock.at(now).state)
+
+    def _report(self, group: _Group, now: float) -> None:
+        """Publish a change of the clock's state, once for each vehicle."""
+        state = group.clock.at(now).state
+        if state is group.state:
+            return
+        group.state = state
+        for actor, flight in group.flights.items():
+            self._publish(actor, f"{flight.loaded.name} is {state.value}", state)
+
+    def _publish(self, actor: VehicleActor, text: str, state: ClockState) -> None:
+        loaded = self._loaded.get(actor)
+        data = {"state": state.value, "name": None if loaded is None else loaded.name}
+        self._on_event(Event("trajectory", actor.name, actor.sysid, text, data))
+
+    # -- what is shown
+
+    def status(self, actors: Sequence[VehicleActor]) -> list[dict[str, Any]]:
+        """What is loaded and flown, by vehicle; those without either are left out."""
+        now, found = self._loop.time(), []
+        for actor in actors:
+            loaded, flight = self._loaded.get(actor), actor.offboard.controller.flight
+            if loaded is None and flight is None:
+                continue
+            group = self._group_of(actor)
+            shown = flight.loaded if flight is not None else loaded
+            assert shown is not None
+            found.append(
+                {
+                    "vehicle": actor.name,
+                    "name": shown.name,
+                    "pieces": len(shown.trajectory.pieces),
+                    "duration_s": round(shown.trajectory.duration_s, 3),
+                    "start_enu_m": [round(x, 3) for x in shown.trajectory.start_enu_m],
+                    "speed_max_mps": _finite(shown.peaks.speed_mps.at_most),
+                    "acceleration_max_mps2": _finite(shown.peaks.acceleration_mps2.at_most),
+                    "box_m": [[round(x, 3) for x in side] for side in shown.box],
+                    "with": [] if group is None else [other.name for other in group.flights if other is not actor],
+                    "left": [] if group is None else list(group.left),
+                    "flight": None if flight is None else _rounded(flight.status(now)),
+                }
+            )
+        return found
+
+
+def _finite(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
+
+
+def _rounded(status: dict[str, Any]) -> dict[str, Any]:
+    return {key: round(value, 3) if isinstance(value, float) else value for key, value in status.items()}
