@@ -177,6 +177,7 @@ async def test_delay_ends_it_and_only_an_order_begins_it_again(tmp_path: Path) -
         refused = await flying
         assert refused and "raw setpoints are not flown: " in refused[-1]["message"], refused[-1:]
         assert gcs.control()["control_mode"] == "position", "not by itself"
+        await asyncio.sleep(10.0)  # the delay that was measured is forgotten
         outcome = await gcs.outcome("control.set", mode="raw")
         assert outcome["ok"], outcome
         assert not await streams(gcs, 0.2, **LEVEL, thrust=0.5)

@@ -32,6 +32,7 @@ LINKS = get_args(models.LinkConfig)
         control.GainSettings,
         control.ControlFenceSettings,
         control.RawSettings,
+        control.TrajectorySettings,
         preflight.PreflightSettings,
         preflight.RuleSettings,
         separation.MonitorConfig,
