@@ -33,7 +33,17 @@ from skygcs.core.control.analysis import (
     step_response,
     suggest,
 )
-from skygcs.core.control.gains import GRAVITY_MPS2, UTIAS_HOVER_THRUST, UTIAS_XY, UTIAS_Z, AxisGains
+from skygcs.core.control.gains import (
+    GRAVITY_MPS2,
+    UTIAS_HOVER_THRUST,
+    UTIAS_XY,
+    UTIAS_Z,
+    AxisGains,
+    ControlConfig,
+)
+from skygcs.core.control.predictor_margin import velocity_delay_range
+from skygcs.core.control.velocity_predictor import ARDUCOPTER_LOOP, PX4_LOOP
+from skygcs.errors import ConfigError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -258,7 +268,23 @@ def study(question: Question) -> Answer:
         "telemetry_hz": question.telemetry_hz,
         "lag_s": question.lag_s,
         "loops": [_loop(question, axis, plant, loop) for axis, plant, loop in question.loops()],
+        "velocity_prediction": None if question.delay_s is None else _prediction(question, question.delay_s),
         "utias_eq16": _utias_eq16() if question.of_utias else None,
+    }
+
+
+def _prediction(question: Question, delay_s: float) -> Answer:
+    """The delays between which velocity control with prediction over ``delay_s`` is stable, by autopilot; None for
+    gains that no vehicle may have."""
+    try:
+        law = ControlConfig(xy=question.xy, z=question.z)
+    except ConfigError:
+        return {"px4": None, "ardupilot": None}
+    return {
+        name: {"least_s": found.least_s, "most_s": found.most_s, "margin_s": found.margin_s, "holds": found.holds}
+        if (found := velocity_delay_range(law, loop, delay_s)) is not None
+        else None
+        for name, loop in (("px4", PX4_LOOP), ("ardupilot", ARDUCOPTER_LOOP))
     }
 
 
@@ -416,6 +442,8 @@ def show(answer: Answer) -> None:
             f"{answer['telemetry_hz'] or rate_hz:g} Hz"
         )
         screen.print(_suggestions_table(answer))
+        for autopilot, found in answer["velocity_prediction"].items():
+            screen.print(f"velocity with prediction, {autopilot}: {_prediction_text(found)}")
     # step responses, and what the plants mean
     screen.print()
     screen.print(_steps_table(answer))
@@ -438,6 +466,13 @@ def show(answer: Answer) -> None:
             "The matrix of\n"
             "Eq. 16 does not show the pole because it leaves out the third state, the position itself."
         )
+
+
+def _prediction_text(found: Answer | None) -> str:
+    if found is None:
+        return "[red]UNSTABLE[/red] with this delay"
+    flown = "it is flown" if found["holds"] else "less than 30 % either way, so it is not flown"
+    return f"stable from {found['least_s']:.3f} to {found['most_s']:.3f} s of delay: {flown}"
 
 
 def gains_text(gains: Answer) -> str:

@@ -25,7 +25,9 @@ LOADS = (Load(10, 50.0, 0.1), Load(50, 20.0, 0.5))
 what fifty cost."""
 HUNDRED = Load(100, 50.0, 0.1, stand_ins=True)
 OUT = ROOT / "build" / "bench"
-WHAT = "steps and moving: virtual time; fleet: processes and sockets; hundred: the same with 100 vehicles that are not simulated"
+WHAT = (
+    "steps, moving: virtual time; fleet: processes and sockets; hundred: that with 100 vehicles that are not simulated"
+)
 
 
 def main() -> int:

@@ -12,7 +12,6 @@ from bench.control.figures import Section
 from bench.control.moving import (
     BEAR_ALL,
     WIDE,
-    WIND,
     Case,
     Path3,
     Tracked,

@@ -114,6 +114,17 @@ def test_a_delay_brings_what_is_left_and_gains_with_twice_the_delay_as_margin() 
     assert "left with 0.3 s" in text and "UNSTABLE" in text and "λ" in text
 
 
+def test_a_delay_brings_the_margin_of_velocity_with_prediction() -> None:
+    found = answer("--delay", "0.8")["velocity_prediction"]
+    assert found["px4"]["holds"] and found["ardupilot"]["holds"]
+    assert found["px4"]["least_s"] == 0.0 and round(found["px4"]["most_s"], 2) == 1.38
+    assert round(found["px4"]["margin_s"], 2) == 0.58
+    assert not answer("--delay", "1.5")["velocity_prediction"]["px4"]["holds"]
+    assert answer("--delay", "0.8", "--xy", "-1,0.1,0.1")["velocity_prediction"]["px4"] is None
+    assert answer()["velocity_prediction"] is None
+    assert "velocity with prediction, px4: stable from 0.000 to 1.378 s" in run("--delay", "0.8")
+
+
 def test_the_reserve_is_the_users() -> None:
     found = loop(answer("--delay", "0.3", "--reserve", "3"), "z", "thrust")
     assert found["suggestion"]["delay_margin_s"] == pytest.approx(3 * (0.3 + 0.01 + 0.01))
