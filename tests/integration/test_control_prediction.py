@@ -26,6 +26,10 @@ def air(delay_s: float) -> dict[str, Any]:
     return {"air": {"type": "memory", "role": "radio", "delay_s": delay_s / 2}}
 
 
+def lines_of(trace: Path) -> list[str]:
+    return trace.read_text(encoding="ascii").splitlines(keepends=True)
+
+
 async def circle(gcs: Flown, seconds: float) -> float:
     """Stream a circle of 5 m at 2 m/s; the RMS error after the first 15 s."""
     (x, y, z), began, off = gcs.place(), gcs.now, []
@@ -60,8 +64,7 @@ async def test_a_circle_over_0_8_s_is_followed_and_runs_again_bit_for_bit(tmp_pa
         assert [t for t in gcs.texts(began) if "predicted over" in t]
         path = Path(gcs.control()["recording"])
         await gcs("control.record", targets="v1", on=False)
-    with path.open(encoding="ascii", newline="") as lines:
-        entries = list(decode(lines))
+    entries = list(decode(lines_of(path)))
     predicted = [entry for entry in entries if entry.row.round_trip_s is not None]
     assert len(predicted) > 400
     assert all(entry.row.predicted_enu_m and entry.row.disturbance_enu_mps2 for entry in predicted)
