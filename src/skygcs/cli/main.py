@@ -35,6 +35,7 @@ COMMANDS = (
     ("setpoint", ("setpoint",)),
     ("trajectory", ("trajectory",)),
     ("table", ("table",)),
+    ("plan", ("plan",)),
     ("messages", ("message",)),
     ("links", ("links", "link")),
     ("origin", ("origin",)),
