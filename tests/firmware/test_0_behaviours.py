@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from firmware.conftest import ROW
-from support.behaviour_flights import CHECKS, fly, get_ready, rules
+from support.behaviour_checks import CHECKS, fly
+from support.behaviour_flights import get_ready, rules
 from support.behaviour_rig import FirmwareRig
 from support.firmware_field import available
 from support.firmware_report import Report, Row
@@ -28,6 +29,7 @@ MINUTES = {
     "returns",
     "gps lost",
     "battery critical",
+    "circle",
 }
 """Flights of a minute and more."""
 

@@ -13,8 +13,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
-from support.behaviour_flights import PX4_OFFBOARD, Figures, end, get_ready
-from support.behaviour_rig import FirmwareRig, Rig
+from skygcs.sim.quad import Quad
+from support.behaviour_flights import PX4_OFFBOARD, Figures, Findings, end, get_ready, rules
+from support.behaviour_rig import FirmwareRig, Rig, SimRig
 from support.followed_targets import be_airborne, simulated
 
 RATES_IGNORED, THRUST_IGNORED, ATTITUDE_IGNORED = 0b111, 64, 128
@@ -26,6 +27,14 @@ def quaternion(pitch_rad: float, size: float = 1.0) -> list[float]:
     return [size * cos(pitch_rad / 2), 0.0, size * sin(pitch_rad / 2), 0.0]
 
 
+def hover_thrust(rig: Rig) -> float:
+    """An ArduCopter takes half for no climb, and the PX4 that its own simulator flies hovers at about half."""
+    if rig.px4 and isinstance(rig, SimRig) and isinstance(rig.vehicle.motion, Quad):
+        body = rig.vehicle.motion
+        return body.airframe.hover_thrust * (body.airframe.nominal_v / body.supply_v) ** 2
+    return 0.5
+
+
 def send(
     rig: Rig,
     seconds: float,
@@ -33,11 +42,11 @@ def send(
     *,
     pitch: float = 0.0,
     rates: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    thrust: float = 0.5,
+    thrust: float | None = None,
     size: float = 1.0,
 ) -> Any:
-    """This target at 20 Hz for so long; the ATTITUDE heard last. An ArduCopter takes half for no climb, the PX4 that
-    its own simulator flies hovers at about half."""
+    """This target at 20 Hz for so long, at hover; the ATTITUDE heard last."""
+    thrust = hover_thrust(rig) if thrust is None else thrust
     message = mav.MAVLink_set_attitude_target_message(0, rig.sysid, 1, mask, quaternion(pitch, size), *rates, thrust)
     rig.stream = lambda t: message
     rig.run(seconds)
@@ -51,6 +60,8 @@ def begin(rig: Rig) -> None:
     send(rig, 0.5, RATES_IGNORED)
     if rig.px4:
         assert rig.set_mode(PX4_OFFBOARD) == 0
+        rig.wait(lambda: rig.mode == PX4_OFFBOARD, 5, "it is in OFFBOARD")
+    send(rig, 0.5, RATES_IGNORED)
 
 
 def word(rig: Rig, seconds: float, mask: int, **fields: Any) -> str:
@@ -59,11 +70,12 @@ def word(rig: Rig, seconds: float, mask: int, **fields: Any) -> str:
     up = rig.here.up_m
     pitch = send(rig, seconds, mask, pitch=LEAN_RAD, **fields).pitch
     sank = up - rig.here.up_m
-    what = "flown" if abs(pitch - LEAN_RAD) < 0.04 else "passed over" if abs(pitch) < 0.04 else f"pitch {pitch:.2f}"
     if sank > 1.0:
-        what += ", without thrust"
         send(rig, 2.0, RATES_IGNORED, thrust=0.7)
-    return what
+        return "without thrust"
+    if pitch > 0.04:
+        return "stops"
+    return "flown" if abs(pitch - LEAN_RAD) < 0.04 else "passed over" if abs(pitch) < 0.04 else f"pitch {pitch:.2f}"
 
 
 def attitude_targets(rig: Rig) -> Figures:
@@ -84,8 +96,16 @@ def attitude_targets(rig: Rig) -> Figures:
     return figures
 
 
+def check_attitude_targets(rig: Rig, f: Figures, found: Findings) -> None:
+    found.share("rates alone, roll", f["rates alone, roll of .15"], 0.15, 1.3)
+    found.same("nothing but thrust", f["nothing but thrust"], "as it leans")
+    found.same("mode changed", f["nothing but thrust, mode changed"], rig.px4)
+    for what, wanted in rules(rig).attitude_targets.value.items():
+        found.same(what, f[what], wanted)
+
+
 def not_a_number(rig: Rig) -> Figures:
-    """By itself: a real PX4 may fall."""
+    """By itself: a real PX4 falls, and ArduCopter's own simulator ends with a floating point exception."""
     begin(rig)
     send(rig, 0.5, RATES_IGNORED)
     up = rig.here.up_m

@@ -5,7 +5,6 @@ Each flight begins with a vehicle that is disarmed on the ground and ready, and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import hypot, nan
 from typing import Any
 
@@ -647,31 +646,3 @@ def check_gps_lost(rig: Rig, f: Figures, found: Findings) -> None:
     found.same("first mode", first, hex(PX4_LAND) if rig.px4 else LAND)
     wanted = rules(rig).position_lost_s.value
     found.time("given up after", f["after s"][0] if f["after s"] else None, wanted, early_s=1.0, late_s=2.0)
-
-
-CHECKS: dict[str, tuple[Callable[[Rig], Figures], Callable[[Rig, Figures, Findings], None]]] = {
-    "modes on the ground": (modes, check_modes),
-    "idle on the ground": (idle_on_the_ground, check_idle),
-    "answers": (answers, check_answers),
-    "up, there and down": (up_there_and_down, check_up_there_and_down),
-    "answers in flight": (answers_in_flight, check_answers_in_flight),
-    "velocity then silence": (velocity_then_silence, check_velocity_then_silence),
-    "attitude then silence": (attitude_then_silence, check_attitude_then_silence),
-    "position and velocity": (position_and_velocity, check_position_and_velocity),
-    "offboard entry": (offboard_entry, check_offboard_entry),
-    "ground station lost": (ground_station_lost, check_ground_station_lost),
-    "beyond the fence": (beyond_the_fence, check_beyond_the_fence),
-    "returns": (returns, check_returns),
-    "gps lost": (gps_lost, check_gps_lost),
-    # Last: ArduCopter does not arm again after its battery failsafe.
-    "battery critical": (battery_critical, check_battery_critical),
-}
-
-
-def fly(name: str, rig: Rig, *, late_s: float = 0.0) -> tuple[Figures, list[str]]:
-    """The figures of one flight, and what in them is not as the table says."""
-    flight, compare = CHECKS[name]
-    figures = flight(rig)
-    found = Findings(late_s)
-    compare(rig, figures, found)
-    return figures, list(found)

@@ -16,7 +16,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.quad import SIH, Quad
-from support.behaviour_flights import HEIGHT_M, PX4_OFFBOARD, end, get_ready, take_off
+from support.behaviour_flights import HEIGHT_M, PX4_OFFBOARD, Figures, Findings, end, get_ready, rules, take_off
 from support.behaviour_rig import FirmwareRig, Rig, SimRig
 from support.sim_pilot import FIELD
 
@@ -124,6 +124,21 @@ def follow(rig: Rig, way: Way, *, settle_s: float = PERIOD_S, laps: float = 1.0)
 
 def rms(errors: list[float]) -> float:
     return (sum(error * error for error in errors) / len(errors)) ** 0.5
+
+
+CIRCLES = ("position", "position, velocity", "position, velocity, acceleration")
+
+
+def circles(rig: Rig) -> Figures:
+    """RMS of the distance from the circle."""
+    return {name: round(rms(follow(rig, WAYS[name])), 2) for name in CIRCLES}
+
+
+def check_circles(rig: Rig, f: Figures, found: Findings) -> None:
+    fact = rules(rig).circle_rms_m
+    for name, wanted in (fact.simulated if isinstance(rig, SimRig) else fact.value).items():
+        if abs(f[name] - wanted) > 0.25 * wanted + 0.1:
+            found.append(f"circle, {name}: {f[name]} m, the table says {wanted:g}")
 
 
 def table(rig: Rig, names: list[str], say: Callable[[str], None] = print) -> None:

@@ -383,6 +383,11 @@ class Firmware:
     yaw_unset: Fact[str]
     """Where the nose points when a target has neither yaw nor yaw rate."""
 
+    circle_rms_m: Fact[dict[str, float]]
+    """RMS of the distance from a circle of 5 m at 2 m/s that is sent five times a second, by what is sent of it."""
+    attitude_targets: Fact[dict[str, str]]
+    """What becomes of a SET_ATTITUDE_TARGET."""
+
     # failsafes
     failsafe_hold: Fact[str]
     """Parameter (s): so long it holds before it returns or lands; "": at once."""
@@ -511,6 +516,19 @@ COPTER: Final = Firmware(
         "where it flies, faster than 5 % of WPNAV_SPEED",
         "ArduCopter/mode_guided.cpp: ModeGuided::set_yaw_state; autoyaw.cpp: default_mode (WP_YAW_BEHAVIOR 2); "
         "AC_PosControl.cpp: calculate_yaw_and_rate_yaw",
+    ),
+    circle_rms_m=Fact(
+        {"position": 2.7, "position, velocity": 0.65, "position, velocity, acceleration": 0.15},
+        "libraries/AC_AttitudeControl/AC_PosControl.cpp: input_pos_vel_accel_xy (measured)",
+    ),
+    attitude_targets=Fact(
+        {
+            "attitude and rates": "flown",
+            "attitude and one rate of three": "stops",
+            "thrust ignored": "passed over",
+            "quaternion of length 1.01": "passed over",
+        },
+        "ArduCopter/GCS_Mavlink.cpp: handle_message_set_attitude_target (measured)",
     ),
     failsafe_hold=Fact("", "ArduCopter/events.cpp: Copter::do_failsafe_action"),
     failsafe_land_pause_s=Fact(4.0, "ArduCopter/config.h: LAND_WITH_DELAY_MS; mode_land.cpp: set_mode_land_with_pause"),
@@ -695,6 +713,21 @@ PX4: Final = Firmware(
     ),
     global_int_acceleration=Fact(True, "mavlink/mavlink_receiver.cpp: handle_message_set_position_target_global_int"),
     yaw_unset=Fact("where it points", "mc_pos_control/PositionControl/PositionControl.cpp: update"),
+    circle_rms_m=Fact(
+        {"position": 2.9, "position, velocity": 1.2, "position, velocity, acceleration": 1.2},
+        "mc_pos_control/PositionControl/PositionControl.cpp: update (measured, against SIH_KDV 1)",
+        used={"position": 2.3, "position, velocity": 0.64, "position, velocity, acceleration": 0.4},
+        why="the F450 has a sixth of the drag of the quadrotor in PX4's own simulator",
+    ),
+    attitude_targets=Fact(
+        {
+            "attitude and rates": "flown",
+            "attitude and one rate of three": "flown",
+            "thrust ignored": "without thrust",
+            "quaternion of length 1.01": "flown",
+        },
+        "mavlink/mavlink_receiver.cpp: handle_message_set_attitude_target (measured)",
+    ),
     failsafe_hold=Fact("COM_FAIL_ACT_T", "commander/failsafe/framework.cpp: FailsafeBase::getSelectedAction"),
     failsafe_land_pause_s=Fact(0.0, "navigator/land.cpp"),
     gcs_timeout=Fact("COM_DL_LOSS_T", "commander/Commander.cpp: dataLinkCheck (any ground station counts)"),

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from skygcs.sim.behaviours import COPTER, PX4, Fact, Firmware
-from support.behaviour_flights import CHECKS, fly, get_ready
+from support.behaviour_checks import CHECKS, fly
+from support.behaviour_flights import get_ready
 from support.behaviour_rig import SimRig
 from support.behaviour_table import table
 
