@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test test-clients test-firmware check bench bench-control bench-radio bench-plans soak fuzz clean format
+.PHONY: demo test test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor soak fuzz clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
@@ -37,6 +37,9 @@ bench-radio: $(STAMP)
 
 bench-plans: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.plans
+
+bench-monitor: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m bench.monitor
 
 soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=20 SOAK_RATE=2000 SOAK_SEED=1
 	PYTHONPATH=tests $(BIN)/python -m bench.soak

@@ -161,6 +161,7 @@ class Daemon:
                     self._every(1.0, lambda: self.operator_watchdog.tick(self.now())), name="operator watchdog"
                 ),
             ]
+            clocks.append(group.create_task(self.fleet.monitor.run(), name="monitor"))
             signing = group.create_task(self.signing.run(), name="signing")
             if self.config.daemon.heartbeat:
                 beat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)

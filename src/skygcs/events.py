@@ -14,7 +14,7 @@ class Event:
     ``vehicle`` and ``sysid`` are None where it concerns no vehicle. Kinds in use:
     vehicle_discovered vehicle_lost vehicle_back vehicle_forgotten armed disarmed mode landed system_status statustext
     reboot failsafe command control mission fence origin conflict duplicate link_up link_down link_degraded
-    link_recovered route signing recorder params third_party undo uplink_lost uplink_back
+    link_recovered route signing recorder params third_party undo separation uplink_lost uplink_back
     warning fault
     """
 

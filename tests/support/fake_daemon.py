@@ -286,6 +286,7 @@ class FakeVehicle:
             "links": {},
             "control": None,
             "uplink": None,
+            "separation": None,
             **dict.fromkeys(
                 (
                     "ekf_origin",
@@ -332,12 +333,43 @@ class FakeUndo:
         self.changes = [c for c in self.changes if c["id"] != id]
 
 
+class FakeMonitor:
+    """Answers what a test puts into ``answer``; by sysid << 8 | compid ``conflicts`` of vehicles."""
+
+    def __init__(self) -> None:
+        self.conflicts: dict[int, dict[str, Any]] = {}
+        self.answer: dict[str, Any] = {
+            "mode": "advisory",
+            "horizon_s": 10.0,
+            "watched": 3,
+            "flying": 2,
+            "unwatched": [],
+            "conflicts": [],
+            "counters": dict.fromkeys(
+                (
+                    *("evaluations", "pairs_checked", "pairs_dropped", "notices", "warnings", "actions", "holds"),
+                    *("holds_failed", "orders_checked", "orders_refused"),
+                ),
+                0,
+            ),
+            "took_s": 0.0,
+            "longest_turn_s": 0.0,
+        }
+
+    def of(self, key: int) -> dict[str, Any] | None:
+        return self.conflicts.get(key)
+
+    def status(self) -> dict[str, Any]:
+        return self.answer
+
+
 class FakeFleet:
     """``resolve`` as the real one for sysids, names, groups, lists and ranges."""
 
     def __init__(self, vehicles: Sequence[FakeVehicle]) -> None:
         self.vehicles = {v.sysid << 8 | v.compid: v for v in vehicles}
         self.undo = FakeUndo()
+        self.monitor = FakeMonitor()
         self.origin: Origin | None = None
         self.generation = 0
         self.origin_asked: list[tuple[Any, ...]] = []

@@ -43,6 +43,9 @@ SETPOINTS = frozenset({"SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "
 
 Vector = tuple[float, float, float]
 
+SYSID_BYTE = 5
+"""Of a MAVLink 2 frame, which is all that the simulated vehicles send."""
+
 HOLDING = frozenset({Px4Mode.LOITER, CopterMode.BRAKE, CopterMode.LOITER, CopterMode.GUIDED})
 GOING_HOME = frozenset({Px4Mode.RTL, Px4Mode.LAND, CopterMode.RTL, CopterMode.LAND})
 
@@ -103,6 +106,9 @@ class Flown:
 
     uplink_delay_s: float = 0.0
     """What is sent from now on reaches the vehicles so much later; the order is kept."""
+
+    muted: set[int] = field(default_factory=set)
+    """System ids of vehicles of which nothing is heard; they still get what is sent to them."""
 
     def __post_init__(self) -> None:
         self._arrives = 0.0
@@ -180,6 +186,11 @@ class Flown:
         """In truth, now."""
         return self._look(self.sim(name)).pos_m
 
+    def place_of_home(self, name: str = "v1") -> Vector:
+        """Where it was put up: its own motion counts from there."""
+        east, north = FIELD.to_local(self.sim(name).where.lat_deg, self.sim(name).where.lon_deg)
+        return east, north, 0.0
+
     def setpoints(self, since: float, name: str = "v1") -> list[Sent]:
         sysid = int(name[1:])
         return [s for s in self.sent if s.at > since and s.name in SETPOINTS and s.sysid == sysid]
@@ -248,8 +259,9 @@ class Flown:
         due, looked = self.now, -1.0
         while True:
             frames = self._fleet.step(self.now)
-            if frames and not self.cut:
-                self.link.peer.send(b"".join(frames))
+            heard = frames if not self.muted else [raw for raw in frames if raw[SYSID_BYTE] not in self.muted]
+            if heard and not self.cut:
+                self.link.peer.send(b"".join(heard))
             for radio in self.also:
                 for frame in frames:
                     radio(frame)
@@ -309,16 +321,19 @@ async def flown(
     conditions: Conditions = CALM,
     params: Mapping[str, float] | None = None,
     links: Mapping[str, Mapping[str, Any]] | None = None,
+    tables: Mapping[str, Any] | None = None,
 ) -> AsyncIterator[Flown]:
     """Vehicles that hover at ``height_m`` in the mode a take-off leaves them in. ``control``, ``settings``: the tables
-    defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4, any of
-    an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, … ``links``: further ones."""
+    defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4,
+    any of an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, … ``links``: further
+    ones. ``tables``: further tables of the fleet file."""
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False, **(settings or {})},
             "origin": {"lat_deg": FIELD.lat_deg, "lon_deg": FIELD.lon_deg, "alt_amsl_m": FIELD.alt_amsl_m},
             "links": {"air": {"type": "memory", "role": "radio", "delay_s": delay_s}, **(links or {})},
             "defaults": {"control": dict(control or {})},
+            **(tables or {}),
         }
     )
     daemon = Daemon(config, load_dialect(config.dialect))

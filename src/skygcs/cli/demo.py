@@ -47,8 +47,8 @@ ARMING_S = 30.0
 
 ARRIVAL_M = 1.0
 LEG_S = 40.0
-TARGETS_ENU_M = {"alpha": (12.0, 0.0, 6.0), "bravo": (0.0, 12.0, 8.0), "charlie": (-12.0, 0.0, 10.0)}
-"""Target of each vehicle. It takes off to the height of its target first, so that no two paths cross."""
+TARGETS_ENU_M = {"alpha": (-12.0, 0.0, 6.0), "bravo": (5.0, 12.0, 8.0), "charlie": (22.0, 0.0, 10.0)}
+"""Target of each vehicle. They stand in a row to the east, 5 m apart, and fly away from each other."""
 RETURN_MODES = ("AUTO.RTL", "RTL")
 REFRESH_S = 0.25
 

@@ -31,6 +31,7 @@ COMMANDS = (
             *("reboot", "sysid", "forget", "home", "interval", "stream", "command"),
         ),
     ),
+    ("monitor", ("monitor",)),
     ("control", ("track", "control")),
     ("setpoint", ("setpoint",)),
     ("trajectory", ("trajectory",)),

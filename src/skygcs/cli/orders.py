@@ -133,7 +133,9 @@ def takeoff(
         ),
     ] = None,
     arm_first: Annotated[bool, typer.Option("--arm/--no-arm", help="Arm first if it is not armed.")] = True,
-    force: Annotated[bool, typer.Option("--force", help="Skip a required preflight.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Skip a required preflight; though another vehicle is in the way.")
+    ] = False,
     wait: Wait = 0.0,
     json_output: Json = False,
 ) -> None:
@@ -165,7 +167,10 @@ def goto(
     yaw: Annotated[
         float | None, typer.Option("--yaw", metavar="DEG", help="Heading, clockwise from north.", parser=finite)
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Although it is beyond the distance limit.")] = False,
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Although it is beyond the distance limit, or another vehicle is in the way."),
+    ] = False,
     same_place: Annotated[
         bool, typer.Option("--same-place", help="Send several vehicles to the same point; their heights must differ.")
     ] = False,

@@ -184,9 +184,20 @@ def armed_word(state: State) -> str:
     armed = {True: "ARMED", False: "no", None: "?"}[state.get("armed")]
     warnings = (("failsafe", "FAILSAFE"), ("duplicate_sysid", "DUPLICATE ID"), ("replayed", "REPLAY"))
     words = [word for key, word in warnings if state.get(key)]
+    if (near := near_word(state)) is not None:
+        words.append(near)
     if is_deaf(state):
         words.append("HEARS NOTHING")
     return " ".join([armed, *words])
+
+
+def near_word(state: State) -> str | None:
+    """The vehicle that it is about to meet, in capitals if that is soon; None: none."""
+    conflict: Mapping[str, Any] = state.get("separation") or {}
+    if not conflict:
+        return None
+    word = f"near {conflict['with']}"
+    return word if conflict.get("level") == "notice" else word.upper()
 
 
 def is_deaf(state: State) -> bool:
@@ -245,7 +256,8 @@ def _styles(state: State) -> dict[str, str]:
     styles = {}
     if state.get("armed"):
         styles["armed"] = "bold yellow"
-    if state.get("failsafe") or state.get("duplicate_sysid") or is_deaf(state):
+    meets = (state.get("separation") or {}).get("level") in ("warning", "action")
+    if state.get("failsafe") or state.get("duplicate_sysid") or is_deaf(state) or meets:
         styles["armed"] = "bold red"
     if not state.get("connected"):
         styles["age"] = "bold red"

@@ -105,7 +105,9 @@ def table(
     async def command(gcs: Client) -> int:
         which: Which = "initial" if action is TableAction.INITIAL else "final"
         flights = await _prepared(gcs, _chosen(file, targets), which, separation_m, force)
-        return await _fly(gcs, flights, arrive_m, timeout_s, json_output)
+        # their paths were checked against each other above; with --force against nobody
+        together = "all" if force else ",".join(flight.name for flight in flights)
+        return await _fly(gcs, flights, together, arrive_m, timeout_s, json_output)
 
     run(command)
 
@@ -164,10 +166,15 @@ async def _prepared(gcs: Client, rows: Table, which: Which, separation_m: float,
 
 
 async def _fly(
-    gcs: Client, flights: Sequence[TableFlight], arrive_m: float, timeout_s: float, json_output: bool
+    gcs: Client,
+    flights: Sequence[TableFlight],
+    together: str,
+    arrive_m: float,
+    timeout_s: float,
+    json_output: bool,
 ) -> int:
     try:
-        await send(gcs, flights)
+        await send(gcs, flights, together)
         if not json_output:
             for flight in flights:
                 if flight.refused is not None:
@@ -521,8 +528,9 @@ def others(states: Iterable[Mapping[str, Any]], flying: Iterable[str]) -> dict[s
     }
 
 
-async def send(gcs: Client, flights: Sequence[TableFlight]) -> None:
-    """Send a goto to each, all at the same time; a refusal is kept in ``refused``."""
+async def send(gcs: Client, flights: Sequence[TableFlight], together: str) -> None:
+    """Send a goto to each, all at the same time; a refusal is kept in ``refused``. ``together``: vehicles of which the
+    daemon need not check whether they are in the way."""
 
     free = asyncio.Semaphore(AT_ONCE)
 
@@ -530,7 +538,8 @@ async def send(gcs: Client, flights: Sequence[TableFlight]) -> None:
         goal = flight.goal
         async with free:
             try:
-                outcomes = await gcs.goto(flight.name, enu_m=goal.position_m, yaw_deg=goal.heading_deg)
+                place, heading = goal.position_m, goal.heading_deg
+                outcomes = await gcs.goto(flight.name, enu_m=place, yaw_deg=heading, together=together)
             except DaemonUnreachable:
                 raise
             except RpcError as error:

@@ -75,6 +75,7 @@ EVENT_KINDS = (
     "params",
     "third_party",
     "undo",
+    "separation",
     "uplink_lost",
     "uplink_back",
     "warning",
@@ -200,7 +201,7 @@ class Client:
         """By the autopilot's own name: "AUTO.LOITER" (PX4), "GUIDED" (ArduCopter)."""
         return await self._order("mode", targets, mode=mode)
 
-    async def goto(
+    async def goto(  # noqa: PLR0913 - the parameters of vehicles.goto
         self,
         targets: Targets,
         lat_deg: float | None = None,
@@ -211,13 +212,15 @@ class Client:
         yaw_deg: float | None = None,
         force: bool = False,
         same_place: bool = False,
+        together: Targets | None = None,
     ) -> Outcomes:
         """To degrees and a height above home (None: as high as it is), or to east, north, up from the origin.
 
         Several vehicles keep their places to each other and their middle goes there, unless ``same_place``.
+        ``together``: vehicles that the caller keeps apart from these itself.
         """
-        place = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "yaw_deg": yaw_deg, "force": force}
-        place["same_place"] = same_place
+        place: dict[str, Any] = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "yaw_deg": yaw_deg}
+        place |= {"force": force, "same_place": same_place, "together": together}
         return await self._order("goto", targets, enu_m=None if enu_m is None else list(enu_m), **place)
 
     async def reboot(self, targets: Targets, *, force: bool = False) -> Outcomes:

@@ -123,4 +123,5 @@ def state_of(services: Services, vehicle: VehicleActor) -> JsonObject:
     """A vehicle's state with the quality of the links it is heard on."""
     state = vehicle.state(services.now())
     state["links"] = services.hub.link_quality(vehicle.sysid << 8 | vehicle.compid)
+    state["separation"] = services.fleet.monitor.of(vehicle.sysid << 8 | vehicle.compid)
     return state

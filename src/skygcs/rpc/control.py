@@ -101,6 +101,7 @@ class SetpointParams(TargetsParams):
     thrust: Annotated[float, Field(ge=0, le=1)] | None = Field(
         None, description="Raw: collective, beside an attitude or body rates."
     )
+    force: bool = Field(False, description="Follow it although it leads too close to another vehicle.")
 
     @model_validator(mode="after")
     def _say_every_axis(self) -> SetpointParams:

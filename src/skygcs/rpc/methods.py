@@ -14,7 +14,19 @@ from typing import Any
 from pydantic import Field, TypeAdapter
 
 from skygcs import __version__
-from skygcs.rpc import control, dispatch, links, messages, missions, origin, params, signing, trajectory, vehicles
+from skygcs.rpc import (
+    control,
+    dispatch,
+    links,
+    messages,
+    missions,
+    monitor,
+    origin,
+    params,
+    signing,
+    trajectory,
+    vehicles,
+)
 from skygcs.rpc.context import Context, JsonObject
 from skygcs.rpc.dispatch import Method
 from skygcs.rpc.models import MethodParams, NoParams, Result, SubscribeParams
@@ -162,6 +174,7 @@ METHODS: dict[str, Method[Context]] = {
         *params.METHODS,
         *control.METHODS,
         *trajectory.METHODS,
+        *monitor.METHODS,
         *missions.METHODS,
         *links.AIR,
         *links.CORRECTIONS,

@@ -14,7 +14,7 @@ from skygcs.core.vehicle.state import ComponentEntry, MessageRate, StatusTextEnt
 from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject, as_json, command, one_vehicle, order_method, resolve, state_of
 from skygcs.rpc.dispatch import Method
-from skygcs.rpc.models import Enu, Lat, ListParams, Lon, NoParams, Outcomes, TargetParams, TargetsParams
+from skygcs.rpc.models import Enu, Lat, ListParams, Lon, NoParams, Outcomes, TargetParams, Targets, TargetsParams
 from skygcs.runtime.vehicle_actor import VehicleActor
 
 StateConfig = ConfigDict(use_attribute_docstrings=True, extra="allow")
@@ -66,7 +66,9 @@ class TakeoffParams(TargetsParams):
         0.0, ge=0, le=600, description="Keep trying this long while the autopilot is not ready to fly yet."
     )
     force: bool = Field(
-        False, description="Take off although preflight is required and not passed; the autopilot's own checks remain."
+        False,
+        description="Take off although preflight is required and not passed, or another vehicle is in the way; the "
+        "autopilot's own checks remain.",
     )
 
 
@@ -88,9 +90,14 @@ class GotoParams(TargetsParams):
     height_m: float | None = Field(None, description="Metres above home; null: as high as it is now.")
     enu_m: Enu | None = None
     yaw_deg: float | None = Field(None, description="Heading, clockwise from north; null: the autopilot's choice.")
-    force: bool = Field(False, description="Go although it is farther than the configured limit.")
+    force: bool = Field(
+        False, description="Go although it is farther than the configured limit, or another vehicle is in the way."
+    )
     same_place: bool = Field(
         False, description="Several vehicles: all to the same point, instead of keeping their formation."
+    )
+    together: Targets | None = Field(
+        None, description="Vehicles that the caller keeps apart from these itself; not checked for being in the way."
     )
 
     @model_validator(mode="after")

@@ -92,4 +92,6 @@ class EventLog:
 def _is_warning(event: Event) -> bool:
     """True for events that the user should check although the daemon goes on: a link that is down (not one that has
     reached its end), an internal fault, a warning."""
+    if event.kind == "separation":
+        return event.data.get("level") in ("warning", "action")
     return event.kind in WARNING_KINDS or (event.kind == "link_down" and not event.data.get("finished"))

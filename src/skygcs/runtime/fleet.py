@@ -29,6 +29,7 @@ from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.param_cache import ParamCache
 from skygcs.runtime.preflight_run import Unheard, examine_all
+from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet, fault
 from skygcs.runtime.trajectories import Trajectories
 from skygcs.runtime.undo_journal import UndoJournal
@@ -124,6 +125,7 @@ class Fleet:
         own = config.daemon
         self.journal = UndoJournal(own.log_dir / "undo")
         self.undo = UndoOrders(self.journal, self.vehicles, loop.time, on_event)
+        self.monitor = SeparationMonitor(config.monitor, self.vehicles, loop, on_event)
         self._services = VehicleServices(
             (own.sysid, own.compid),
             dialect,
@@ -134,6 +136,7 @@ class Fleet:
             self.flown_vehicles,
             param_cache or ParamCache(None),
             self.journal,
+            self.monitor,
             log_dir=own.log_dir,
             preflight_valid_s=60 * own.preflight_valid_minutes,
             probes=probes,
@@ -210,6 +213,7 @@ class Fleet:
         for actor in self.vehicles.values():
             actor.close()
         self.components.close()
+        self.monitor.close()
         self._kept.close()
 
     def set_duplicate(self, key: int, where: str | None) -> None:
@@ -438,7 +442,9 @@ class Fleet:
         self, actors: list[Actor], order: Order, args: tuple[Any, ...], arguments: dict[str, Any]
     ) -> dict[str, Outcome]:
         vehicles = [actor for actor in actors if isinstance(actor, VehicleActor)]
-        own_arguments, staying = self._formation(vehicles, arguments) if order is VehicleActor.goto else ({}, {})
+        own_arguments, staying, places = (
+            self._going(vehicles, arguments) if order is VehicleActor.goto else ({}, {}, {})
+        )
         broadcast = self._broadcast_command(vehicles, order)
         names = {actor: actor.name for actor in actors}
         tasks: dict[Actor, asyncio.Task[Outcome]] = {}
@@ -456,6 +462,8 @@ class Fleet:
         finally:
             for vehicle in vehicles:
                 vehicle.commands.end_broadcast(broadcast)
+            for actor in places:
+                self.monitor.arriving(actor, ok=actor in tasks and _succeeded(tasks[actor]))
         refused = {actor.name: actor.refuse(order.__name__, reason) for actor, reason in staying.items()}
         return {name: tasks[a].result() if a in tasks else refused[name] for a, name in names.items()}
 
@@ -470,6 +478,39 @@ class Fleet:
             )
             return Outcome(False, "failed", f"failed inside skygcs: {error!r}")
         return outcome
+
+    def _going(
+        self, actors: list[VehicleActor], arguments: dict[str, Any]
+    ) -> tuple[
+        dict[VehicleActor, dict[str, Any]], dict[VehicleActor, str], dict[VehicleActor, tuple[float, float, float]]
+    ]:
+        """Of a goto: the arguments of each vehicle's own, why some stay, and the places of those that go.
+
+        One that would come too close to a vehicle that is not sent with it stays, unless ``force``. ``together``:
+        vehicles that the caller keeps apart from these itself.
+        """
+        together = arguments.pop("together", None)
+        own_arguments, staying = self._formation(actors, arguments)
+        apart = [*actors, *(() if together is None else self.resolve(together))]
+        keys = frozenset(actor.vehicle.key for actor in apart)
+        places: dict[VehicleActor, tuple[float, float, float]] = {}
+        for actor in actors:
+            if actor in staying:
+                continue
+            where = {**arguments, **own_arguments.get(actor, {})}
+            try:
+                to = orders.destination(actor.vehicle, self._loop.time(), limit_m=actor.config.goto_limit_m, **where)
+            except RefusedError:
+                continue  # the order itself says why
+            place = (to.lat_deg, to.lon_deg, to.alt_amsl_m)
+            why = None if where.get("force") else self.monitor.goto_refusal(actor.vehicle, place, keys)
+            if why is None:
+                places[actor] = place
+            else:
+                staying[actor] = why
+        for actor, place in places.items():
+            self.monitor.sent_to(actor, place)
+        return own_arguments, staying, places
 
     def _formation(
         self, actors: list[VehicleActor], arguments: dict[str, Any]
@@ -673,3 +714,8 @@ class Fleet:
         if config.name in taken:
             config = config.model_copy(update={"name": f"{config.name}-{compid}"})
         return config
+
+
+def _succeeded(task: asyncio.Task[Outcome]) -> bool:
+    """Whether an order ended well."""
+    return task.done() and not task.cancelled() and task.exception() is None and task.result().ok

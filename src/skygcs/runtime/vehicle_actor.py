@@ -118,6 +118,11 @@ class VehicleActor:
     def groups(self) -> tuple[str, ...]:
         return self.vehicle.groups
 
+    @property
+    def order_number(self) -> int:
+        """Counts the orders that moved it."""
+        return self._orders.number
+
     # -- state
 
     def state(self, now: float) -> dict[str, Any]:
@@ -266,13 +271,16 @@ class VehicleActor:
         """Take off to a height above the ground; None: the fleet file's takeoff_height_m. ``arm``: arms first.
 
         ``wait_s`` as for `arm`: an ArduCopter accepts GUIDED only with a position. ``force``: without a preflight
-        required by the fleet file; the autopilot's own checks stay.
+        required by the fleet file, and although another vehicle is in the way; the autopilot's own checks stay.
         """
         height = self.config.takeoff_height_m if height_m is None else height_m
 
         def planner(now: float) -> Plan:
             self._require_preflight(force=force)
-            return orders.takeoff(self.vehicle, now, height, arm=arm)
+            plan = orders.takeoff(self.vehicle, now, height, arm=arm)
+            if not force and (why := self._services.order_checks.takeoff_refusal(self.vehicle, height)) is not None:
+                raise RefusedError(why)
+            return plan
 
         return await self._orders.retry("takeoff", planner, wait_s)
 
@@ -467,10 +475,12 @@ class VehicleActor:
         yaw_deg: float | None = None,
         yaw_rate_dps: float | None = None,
         valid_s: float = 0.5,
+        force: bool = False,
         **raw: Any,
     ) -> Outcome:
         """One setpoint of a stream in the fleet's world frame; fast enough for 50 calls a second. ``raw``: see
-        `raw_setpoint.raw_from_world`; also an acceleration alone."""
+        `raw_setpoint.raw_from_world`; also an acceleration alone. ``force``: although it leads too close to another
+        vehicle."""
         origin = self.vehicle.origin
         if origin is None:
             return Outcome.refused("the fleet has no origin yet, so ENU means nothing")
@@ -482,6 +492,8 @@ class VehicleActor:
             wanted = setpoint_from_world(origin, pos_enu_m, vel_enu_mps, acc_enu_mps2, yaw_deg, yaw_rate_dps)
         except RefusedError as error:
             return Outcome.refused(str(error))
+        if not force and (why := self._services.order_checks.setpoint_refusal(self.vehicle, wanted)) is not None:
+            return Outcome.refused(why)
         return self.offboard.follow(wanted, valid_s)
 
     def record_control(self, on: bool) -> str | None:

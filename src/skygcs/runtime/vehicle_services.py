@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.preflight.facts import LinkFacts
+from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.events import Event
 from skygcs.runtime.command_client import SendFn
@@ -77,6 +78,24 @@ class WideLinks:
         pass
 
 
+class OrderChecks(Protocol):
+    """Whether an order would bring a vehicle too close to another (`separation_monitor.SeparationMonitor`): a reason to
+    refuse it, or None."""
+
+    def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None: ...
+    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint) -> str | None: ...
+
+
+class NoOrderChecks:
+    """Every order passes."""
+
+    def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
+        return None
+
+    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint) -> str | None:
+        return None
+
+
 @dataclass(frozen=True, slots=True)
 class VehicleServices:
     """Created once by the fleet and passed to every actor."""
@@ -94,6 +113,7 @@ class VehicleServices:
     param_cache: ParamCache
     journal: UndoJournal
     """Journal of changes to undo."""
+    order_checks: OrderChecks = field(default_factory=NoOrderChecks)
     log_dir: Path = Path("logs")
     """Folder for control traces and records of fence tests."""
     preflight_valid_s: float = math.inf

@@ -88,7 +88,7 @@ async def test_more_vehicles_than_the_daemon_takes_orders_at_once() -> None:
 
     busy = Busy()
     flights = [TableFlight(f"v{i}", Spot((float(i), 0.0, 5.0)), 9.0) for i in range(250)]
-    await send(busy, flights)  # type: ignore[arg-type]
+    await send(busy, flights, "all")  # type: ignore[arg-type]
     assert busy.most == 32
     assert [f.name for f in flights if f.refused] == ["v7"]
 

@@ -98,11 +98,12 @@ async def test_gains_nobody_can_mean_are_invalid(fleet: Controlled, wrong: dict[
 
 async def test_a_setpoint_reaches_each_vehicle_as_it_was_given(fleet: Controlled) -> None:
     wanted = {"pos_enu_m": [1.0, 2.0, None], "vel_enu_mps": [None, None, 0.5], "yaw_deg": 90.0, "valid_s": 1.0}
+    said = {**wanted, "force": False}
     answer = await fleet.call("setpoint", targets="alpha", **wanted)
     assert answer["outcomes"]["alpha"]["ok"]
-    assert fleet.vehicles["alpha"].setpoints == [wanted]
+    assert fleet.vehicles["alpha"].setpoints == [said]
     await fleet.call("setpoint", targets="alpha", vel_enu_mps=[1, 0, 0])
-    assert fleet.vehicles["alpha"].setpoints[-1] == {"vel_enu_mps": [1.0, 0.0, 0.0], "valid_s": 0.5}
+    assert fleet.vehicles["alpha"].setpoints[-1] == {"vel_enu_mps": [1.0, 0.0, 0.0], "valid_s": 0.5, "force": False}
     fleet.vehicles["alpha"].refuses = "refused: control is off"
     answer = await fleet.call("setpoint", targets="alpha", vel_enu_mps=[1, 0, 0])
     assert answer["outcomes"]["alpha"]["message"] == "refused: control is off"

@@ -91,7 +91,7 @@ ORDERS = {
     "stream": VehicleActor.request_stream,
     "command": VehicleActor.command,
 }
-CHECKED_BY_THE_FLEET = {"targets", "confirm", "same_place"}
+CHECKED_BY_THE_FLEET = {"targets", "confirm", "same_place", "together"}
 
 
 @pytest.mark.parametrize("order", ORDERS)

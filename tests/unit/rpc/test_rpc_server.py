@@ -37,7 +37,7 @@ async def test_every_order_reaches_the_vehicles_with_its_arguments(bench: Bench)
     peer = await bench.connect()
     alpha = bench.daemon.vehicle("alpha")
     place = dict.fromkeys(("enu_m", "yaw_deg")) | {"lat_deg": 43.0, "lon_deg": -79.0, "height_m": 5.0}
-    place |= {"force": False, "same_place": False}
+    place |= {"force": False, "same_place": False, "together": None}
     orders: list[tuple[str, dict[str, Any], tuple[str, dict[str, Any]]]] = [
         ("arm", {"force": True, "wait_s": 2.5}, ("arm", {"force": True, "wait_s": 2.5})),
         ("disarm", {}, ("disarm", {"force": False})),

@@ -41,6 +41,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -
         "failsafe": vehicle.failsafe,
         "control": None,  # filled in by flight control
         "uplink": None,  # filled in by the uplink watch
+        "separation": None,  # filled in by the monitor
         **sections,
         "last_ack": _last_ack(vehicle, now),
         "status_texts": _texts(vehicle, now),

@@ -111,6 +111,9 @@ class VehicleState(TypedDict):
     uplink: Part | None
     """heard (true if it answers our requests), unanswered (number of requests since its last answer), rtt_s, age_s
     (time since its last answer); null: not known"""
+    separation: Part | None
+    """Its most urgent conflict with another vehicle, as in monitor.status: level, with, distance_m, closest_m,
+    closest_in_s, enters_in_s, margin_m; null: none. It has no age_s: it is of the last evaluation"""
     gps: Part | None
     """fix, fix_type, satellites, hdop, vdop, lat_deg, lon_deg, alt_amsl_m, time_usec"""
     position: Part | None

@@ -1,0 +1,249 @@
+"""The level of each pair of vehicles: notice, warning, action.
+
+    level     when (of two vehicles that fly straight on)
+    -------   ---------------------------------------------------------------------------------------------------------
+    notice    they come nearer than the margin and both balls within `HORIZON_S`; or only the balls of what is silent
+              make that possible, while they themselves do not approach
+    warning   they do so within `WARNING_S`
+    action    they do so before a hold that is ordered now would have stopped the faster one (`action_s`)
+
+A conflict counts once it was predicted without a break for `CONFIRM_S`, or `CONFIRM_DEEP_S` if they come within half
+the margin soon: gusts and the turns of a formation make some tenths of a m/s, which ten seconds carry far. For the same
+reason the first `NOISE_MPS` of a relative velocity are not believed, and two velocities that came at different times
+are compared at the same time as well. A level rises at once and falls after `CLEAR_S`, measured with a margin larger by
+a tenth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+from skygcs.core.monitor.approach import Approach, Vector, closest_approach, closest_on_paths
+from skygcs.core.monitor.tracks import Track
+from skygcs.core.monitor.yielding import BRAKE_MPS2, REACT_S, scaled, scaled_pieces
+from skygcs.core.separation import Margin, pair_margin, separation_m
+
+HORIZON_S = 10.0
+"""How far ahead: straight flight is no prediction for longer."""
+
+WARNING_S = 8.0
+"""A person needs 5 s to look and act; the rest is for the confirmation of a conflict that begins late."""
+
+CONFIRM_S = 2.0
+CONFIRM_DEEP_S = 0.5
+DEEP_S = 4.0
+"""Of a conflict that is deep: within half of the margin in the next 4 s."""
+
+NOISE_MPS = 0.2
+"""Of a relative velocity at rest: two estimators with 0.1 m/s each in gusts."""
+
+SAME_TIME_S = 0.05
+OLD_S = 1.0
+"""Velocities whose times differ by less are of one time; those whose times differ by more are not compared at one time,
+because that would be to ignore what the newer one says."""
+
+NEARER_M = 0.1
+"""Two that come nearer by less are not approaching each other."""
+
+CLEAR_S = 3.0
+HYSTERESIS = 1.1
+
+LEAST_ACTION_S = 3.0
+"""Even a slow pair: time for the order, and for the one that holds to be seen standing."""
+
+
+class Level(IntEnum):
+    """Of a pair, in the order of urgency."""
+
+    NONE = 0
+    NOTICE = 1
+    WARNING = 2
+    ACTION = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """What is predicted of a pair now."""
+
+    level: Level
+    distance_m: float
+    """Now, in the metric of the margin."""
+    closest_m: float
+    closest_in_s: float
+    enters_s: float
+    """Until the margin (and the balls) are lost; 0: they are."""
+    margin: Margin
+    balls_m: float
+    deep: bool
+    closing: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """For people and programs."""
+        return {
+            "distance_m": round(self.distance_m, 2),
+            "closest_m": round(self.closest_m, 2),
+            "closest_in_s": round(self.closest_in_s, 1),
+            "enters_in_s": round(self.enters_s, 1),
+            "margin_m": round(self.margin.total_m + self.balls_m, 2),
+            "wingspans_m": round(self.margin.wingspans_m, 2),
+            "position_errors_m": round(self.margin.position_errors_m, 2),
+            "balls_m": round(self.balls_m, 2),
+        }
+
+
+def rank(a: Track, b: Track, widened: float = 1.0) -> tuple[float, float] | None:
+    """(time until the margin is lost, closest distance) of what may be a conflict, for a choice among many: a part of
+    `find_conflict`, which may find none after all. None: there is none."""
+    if a.has_goal or b.has_goal:
+        conflict = find_conflict(a, b, widened)
+        return None if conflict is None else (conflict.enters_s, conflict.closest_m)
+    # as pair_margin, without making one
+    p, q, r, s = a.place_m, b.place_m, a.footprint, b.footprint
+    ratio = max(r.downwash_ratio, s.downwash_ratio)
+    margin_m = (r.wingspan_m + s.wingspan_m) / 2 + r.position_error_m + s.position_error_m
+    offset = (q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / ratio)
+    velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
+    approach = closest_approach(offset, velocity, margin_m * widened + a.ball_m + b.ball_m, HORIZON_S)
+    return None if approach.enters_s == math.inf else (approach.enters_s, approach.separation_m)
+
+
+def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
+    """What two vehicles are heading for; None: nothing within `HORIZON_S`. ``widened``: factor of the margin."""
+    margin = pair_margin(a.footprint, b.footprint)
+    ratio = margin.downwash_ratio
+    certain_m = margin.total_m * widened
+    radius_m = certain_m + a.ball_m + b.ball_m
+    p, q = a.place_m, b.place_m
+    offset = scaled((q[0] - p[0], q[1] - p[1], q[2] - p[2]), ratio)
+    velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
+    approach = closest_approach(offset, velocity, radius_m, HORIZON_S)
+    if a.has_goal or b.has_goal:
+        return _with_goals(a, b, offset, margin, certain_m) or _overshoot(a, b, approach, offset, margin)
+    if math.isinf(approach.enters_s):
+        return None
+    difference_s = abs(a.at - b.at)
+    if SAME_TIME_S < difference_s <= OLD_S and not (a.parked or b.parked):
+        at = min(a.at, b.at)
+        then = closest_approach(offset, _believed(a.velocity_at(at), b.velocity_at(at), ratio), radius_m, HORIZON_S)
+        if then.enters_s > approach.enters_s:
+            approach = then
+            velocity = _believed(a.velocity_at(at), b.velocity_at(at), ratio)
+    if math.isinf(approach.enters_s):
+        return None
+    certain = closest_approach(offset, velocity, certain_m, HORIZON_S)
+    soon = closest_approach(offset, velocity, certain_m, DEEP_S)
+    return _conflict(a, b, (approach, certain, soon), separation_m(*offset, 1.0), margin, certain_m)
+
+
+def _with_goals(a: Track, b: Track, offset: Vector, margin: Margin, certain_m: float) -> Conflict | None:
+    """The same where at least one flies to where it was sent, and stays there."""
+    ratio = margin.downwash_ratio
+    paths = scaled_pieces(a.path, ratio), scaled_pieces(b.path, ratio)
+    approach = closest_on_paths(offset, *paths, certain_m + a.ball_m + b.ball_m, HORIZON_S)
+    if math.isinf(approach.enters_s):
+        return None
+    certain = closest_on_paths(offset, *paths, certain_m, HORIZON_S)
+    soon = closest_on_paths(offset, *paths, certain_m, DEEP_S)
+    return _conflict(a, b, (approach, certain, soon), separation_m(*offset, 1.0), margin, certain_m)
+
+
+def _overshoot(a: Track, b: Track, approach: Approach, offset: Vector, margin: Margin) -> Conflict | None:
+    """Only if they flew on past their goals: no more than a notice, as they are seen to fly there."""
+    if math.isinf(approach.enters_s):
+        return None
+    distance_m, balls_m = separation_m(*offset, 1.0), a.ball_m + b.ball_m
+    return Conflict(Level.NOTICE, distance_m, *approach, margin, balls_m, deep=False, closing=False)
+
+
+def _conflict(
+    a: Track,
+    b: Track,
+    approaches: tuple[Approach, Approach, Approach],
+    distance_m: float,
+    margin: Margin,
+    certain_m: float,
+) -> Conflict:
+    """``approaches``: to the margin and the balls, to the margin alone, and to that within `DEEP_S`."""
+    approach, certain, soon = approaches
+    closing = approach.separation_m < distance_m - NEARER_M
+    # inside the balls of what is silent the time until the margin itself is lost counts, if it will be at all
+    enters_s = certain.enters_s if approach.enters_s == 0.0 else approach.enters_s
+    if math.isinf(enters_s):
+        level = Level.NOTICE
+    elif closing and enters_s <= action_s(a, b):
+        level = Level.ACTION
+    elif enters_s <= WARNING_S:
+        level = Level.WARNING
+    else:
+        level = Level.NOTICE
+    balls_m = a.ball_m + b.ball_m
+    return Conflict(level, distance_m, *approach, margin, balls_m, soon.separation_m < certain_m / 2, closing)
+
+
+def action_s(a: Track, b: Track) -> float:
+    """How long before the margin is lost a hold has to be ordered: the reaction, and the braking of the faster one."""
+    speed = max(math.hypot(*a.velocity_mps), math.hypot(*b.velocity_mps))
+    return max(LEAST_ACTION_S, REACT_S + 0.5 + speed / BRAKE_MPS2 * 1.5)
+
+
+def _believed(a: Vector, b: Vector, ratio: float) -> Vector:
+    """The velocity of the second against the first in the metric of the margin, less what may be noise."""
+    u, v, w = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    speed = math.hypot(u, v, w)
+    if speed <= NOISE_MPS:
+        return (0.0, 0.0, 0.0)
+    share = 1.0 - NOISE_MPS / speed
+    return (u * share, v * share, w * share / ratio)
+
+
+@dataclass(slots=True)
+class Pair:
+    """One pair while something is predicted of it, and for a while after."""
+
+    a: Track
+    b: Track
+    """In the order of the right of way."""
+    predicted_at: float
+    """Since when, without a break."""
+    level: Level = Level.NONE
+    conflict: Conflict | None = None
+    """The newest prediction; None: nothing is predicted at present."""
+    below_since: float | None = None
+    """Since when a lower level than ``level`` is predicted."""
+
+    def advance(self, conflict: Conflict | None, now: float) -> bool:
+        """Take in the newest prediction; True if the level changed."""
+        if conflict is not None and self.conflict is None:
+            self.predicted_at = now
+        self.conflict = conflict
+        reached = Level.NONE
+        if conflict is not None:
+            confirm_s = CONFIRM_DEEP_S if conflict.deep else CONFIRM_S
+            if self.level is not Level.NONE or now - self.predicted_at >= confirm_s:
+                reached = conflict.level
+        if reached > self.level:
+            self.level, self.below_since = reached, None
+            return True
+        if reached == self.level:
+            self.below_since = None
+            return False
+        if self.below_since is None:
+            self.below_since = now
+        if now - self.below_since < CLEAR_S:
+            return False
+        self.level, self.below_since = reached, None
+        return True
+
+    @property
+    def over(self) -> bool:
+        """Nothing is predicted, and nothing is left to be taken back."""
+        return self.conflict is None and self.level is Level.NONE
+
+    def describe(self) -> dict[str, Any]:
+        """For people and programs."""
+        predicted: Mapping[str, Any] = {} if self.conflict is None else self.conflict.as_dict()
+        return {"vehicles": [self.a.name, self.b.name], "level": self.level.name.lower(), **predicted}

@@ -1,0 +1,162 @@
+"""Whether an order would bring a vehicle too close to another, before it is sent.
+
+The path of the order is a straight line, flown at once with `GOTO_MPS`, after which the vehicle stays. What is parked
+or stands in the air is taken to stay, what moves to fly straight on for the horizon, and what skygcs has sent somewhere
+to fly there and stay. That is a model: speeds differ, and the monitor goes on watching.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from skygcs.core.geo import EnuFrame, Origin, ecef
+from skygcs.core.monitor.approach import Piece, Vector, closest_on_paths
+from skygcs.core.monitor.conflict_levels import HORIZON_S, NOISE_MPS
+from skygcs.core.monitor.tracks import Place, Track
+from skygcs.core.monitor.yielding import scaled, scaled_pieces
+from skygcs.core.separation import Footprint, pair_margin, separation_m
+
+GOTO_MPS = 5.0
+"""PX4's MPC_XY_CRUISE; ArduCopter's WPNAV_SPEED is 5 to 10 m/s by version."""
+
+CLIMB_MPS = 2.0
+
+AHEAD_S = 3.0
+"""Of a velocity that is streamed, so much is looked at: the next setpoints may be others."""
+
+NEARER_M = 0.2
+"""Two that are within their margin already may be sent anywhere that is not nearer by more than this."""
+
+OLD_S = 2.0
+"""A position older than this is named as a reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mover:
+    """The vehicle of the order."""
+
+    key: int
+    name: str
+    footprint: Footprint
+    here: Place
+
+
+class Other(NamedTuple):
+    """A vehicle that may be in the way, and where skygcs has sent it; None: nowhere that is known."""
+
+    track: Track
+    destination: Place | None = None
+
+
+class _Path(NamedTuple):
+    """The way of an order in the frame of the vehicle that it is for, from (0, 0, 0) on."""
+
+    pieces: tuple[Piece, ...]
+    duration_s: float
+    ahead_s: float
+    """How long after it others are looked at that fly straight on."""
+    strict: bool
+    """Whether vehicles count that stand within the margin already."""
+
+    @property
+    def length_m(self) -> float:
+        return sum(piece.duration_s * math.hypot(*piece.velocity_mps) for piece in self.pieces)
+
+
+def goto_conflict(mover: Mover, to: Place, others: Iterable[Other], now: float) -> str | None:
+    """With which vehicle the straight way to a place conflicts, in words; None: with none."""
+    frame = _frame(mover)
+    return _conflict(mover, frame, _straight(frame.from_geodetic(*to), GOTO_MPS, HORIZON_S), others, now)
+
+
+def takeoff_conflict(mover: Mover, height_m: float, others: Iterable[Other], now: float) -> str | None:
+    """The same of the way up. Vehicles that stand too near already count: it may be carried sideways as it rises."""
+    path = _straight((0.0, 0.0, height_m), CLIMB_MPS, HORIZON_S)._replace(strict=True)
+    return _conflict(mover, _frame(mover), path, others, now)
+
+
+def setpoint_conflict(
+    mover: Mover, to: Place | None, velocity_mps: Vector, others: Iterable[Other], now: float
+) -> str | None:
+    """The same of one setpoint of a stream: a place to be at now, or without one a velocity (true ENU)."""
+    frame = _frame(mover)
+    if to is None:
+        path = _Path((Piece(AHEAD_S, velocity_mps),), AHEAD_S, 0.0, False)
+    else:
+        path = _straight(frame.from_geodetic(*to), GOTO_MPS, 0.0)
+    return _conflict(mover, frame, path, others, now)
+
+
+def _frame(mover: Mover) -> EnuFrame:
+    return EnuFrame(Origin(*mover.here))
+
+
+def _straight(to: Vector, speed_mps: float, ahead_s: float) -> _Path:
+    duration_s = math.hypot(*to) / speed_mps
+    if duration_s == 0.0:
+        return _Path((), 0.0, ahead_s, False)
+    velocity = (to[0] / duration_s, to[1] / duration_s, to[2] / duration_s)
+    return _Path((Piece(duration_s, velocity),), duration_s, ahead_s, False)
+
+
+def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other], now: float) -> str | None:
+    length_m = path.length_m
+    here_m = ecef(*mover.here)
+    worst: tuple[float, str] | None = None
+    for other in others:
+        track = other.track
+        if track.key == mover.key:
+            continue
+        margin = pair_margin(mover.footprint, track.footprint)
+        ratio = margin.downwash_ratio
+        age_s = 0.0 if track.parked else max(0.0, now - track.at)
+        radius_m = margin.total_m + (0.0 if track.parked else track.footprint.ball_m(age_s))
+        # too far away to be reached by either of them
+        theirs_m = 0.0 if track.parked else math.hypot(*track.reported_mps) * (path.duration_s + path.ahead_s + age_s)
+        away_m = math.dist(here_m, track.ecef_m)
+        if away_m > length_m + theirs_m + radius_m * ratio and other.destination is None:
+            continue
+        offset, pieces, horizon_s = _their_path(frame, other, age_s, path)
+        near = closest_on_paths(
+            scaled(offset, ratio), scaled_pieces(path.pieces, ratio), scaled_pieces(pieces, ratio), radius_m, horizon_s
+        )
+        if math.isinf(near.enters_s):
+            continue
+        now_m = separation_m(*offset, ratio)
+        if not path.strict and now_m < radius_m and near.separation_m > now_m - NEARER_M:
+            continue
+        if worst is None or near.separation_m < worst[0]:
+            worst = (near.separation_m, _text(mover, track, near.separation_m, radius_m, age_s))
+    return None if worst is None else worst[1]
+
+
+def _their_path(frame: EnuFrame, other: Other, age_s: float, path: _Path) -> tuple[Vector, tuple[Piece, ...], float]:
+    """Where another vehicle is in this frame, how it will fly, and for how long both are looked at."""
+    track = other.track
+    reported = frame.from_ecef(track.ecef_m)
+    horizon_s = path.duration_s + path.ahead_s
+    if track.parked:
+        return reported, (), horizon_s
+    u, v, w = track.reported_mps
+    here = (reported[0] + u * age_s, reported[1] + v * age_s, reported[2] + w * age_s)
+    speed_mps = math.hypot(u, v, w)
+    if other.destination is not None and path.ahead_s > 0.0:
+        end = frame.from_geodetic(*other.destination)
+        way = _straight((end[0] - here[0], end[1] - here[1], end[2] - here[2]), max(speed_mps, GOTO_MPS), 0.0)
+        return here, way.pieces, horizon_s + way.duration_s
+    if speed_mps <= 2 * NOISE_MPS:
+        return here, (), horizon_s
+    return here, (Piece(math.inf, (u, v, w)),), horizon_s if path.ahead_s == 0.0 else min(horizon_s, HORIZON_S)
+
+
+def _text(mover: Mover, track: Track, separation: float, radius_m: float, age_s: float) -> str:
+    ratio = pair_margin(mover.footprint, track.footprint).downwash_ratio
+    where = "parked" if track.parked else "in the air"
+    old = f", whose position is {age_s:.1f} s old" if age_s > OLD_S else ""
+    return (
+        f"{mover.name} would come {separation:.1f} m near {track.name} ({where}){old}; they need {radius_m:.1f} m, "
+        f"heights divided by {ratio:g}"
+    )

@@ -1,0 +1,237 @@
+"""What is known of each vehicle's motion, as the monitor uses it, and which vehicles it cannot watch.
+
+    a vehicle that                                      counts as
+    -------------------------------------------------   -----------------------------------------------------------
+    is armed, unless it reports itself on the ground    flying: watched against all others
+    is disarmed but shows signs of flight               flying
+    is disarmed, or armed on the ground                 parked: an obstacle at rest for what flies, not for one another
+    reports no position, or an impossible one           not watched
+    flies and has been silent for `SILENT_S`            not watched any more: it may be anywhere
+    shares its system id on one link, is a recording    not watched: where it is is not known
+
+A parked vehicle stays an obstacle where it was last heard until it is forgotten.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from statistics import median_low
+from typing import NamedTuple
+
+from skygcs.core.geo import EnuFrame, Origin, ecef
+from skygcs.core.monitor.approach import REST, Piece, Vector
+from skygcs.core.separation import Footprint
+from skygcs.core.vehicle.flight_evidence import contradiction
+from skygcs.core.vehicle.order_plan import CLIMBED_M
+from skygcs.core.vehicle.vehicle import Vehicle
+
+SILENT_S = 10.0
+"""The monitor looks so far ahead; a vehicle whose position is older may be 150 m from where it was seen."""
+
+HISTORY_S = 2.0
+"""Velocities are kept for so long, to compare those of two vehicles at one time."""
+
+MAX_HISTORY = 32
+"""Positions kept of one vehicle; read at most four times a second."""
+
+HIGHEST_M = 100_000.0
+"""Nobody flies higher; what says so is not a position."""
+
+
+TOWARDS = math.cos(math.radians(20.0))
+"""A vehicle flies to where it was sent if its velocity leads there within 20 degrees ..."""
+
+LEAST_SPEED_MPS = 0.5
+"""... and is no drift."""
+
+Place = tuple[float, float, float]
+"""lat_deg, lon_deg, alt_amsl_m."""
+
+
+class Sample(NamedTuple):
+    """A position report."""
+
+    at: float
+    vel_enu_mps: Vector
+
+
+@dataclass(slots=True)
+class Track:
+    """One watched vehicle. ``offset_m`` and what follows are as of the last `TrackTable.refresh`."""
+
+    vehicle: Vehicle
+    footprint: Footprint
+    priority: int
+    lat_deg: float = 0.0
+    lon_deg: float = 0.0
+    ecef_m: Vector = REST
+    at: float = -math.inf
+    """When its newest position came."""
+    reported_mps: Vector = REST
+    """True east, north, up."""
+    parked: bool = True
+    history: deque[Sample] = field(default_factory=lambda: deque(maxlen=MAX_HISTORY))
+    age_s: float = 0.0
+    ball_m: float = 0.0
+    """How far it may be from ``place_m``."""
+    place_m: Vector = REST
+    """East, north, up in the common frame: its position, carried on with its velocity for its age."""
+    velocity_mps: Vector = REST
+    """Zero while it is parked."""
+    path: tuple[Piece, ...] = ()
+    """How it will fly from there: straight on, or to where it was sent."""
+    has_goal: bool = False
+    """The path ends where skygcs has sent it."""
+
+    @property
+    def key(self) -> int:
+        return self.vehicle.key
+
+    @property
+    def name(self) -> str:
+        return self.vehicle.name
+
+    def velocity_at(self, at: float) -> Vector:
+        """Its velocity at an earlier time, between the two reports around it; the oldest one known if it is older."""
+        newer: Sample | None = None
+        for sample in reversed(self.history):
+            if sample.at <= at:
+                if newer is None or newer.at == sample.at:
+                    return sample.vel_enu_mps
+                share = (at - sample.at) / (newer.at - sample.at)
+                a, b = sample.vel_enu_mps, newer.vel_enu_mps
+                return (
+                    a[0] + share * (b[0] - a[0]),
+                    a[1] + share * (b[1] - a[1]),
+                    a[2] + share * (b[2] - a[2]),
+                )
+            newer = sample
+        return self.velocity_mps if newer is None else newer.vel_enu_mps
+
+
+class Member(NamedTuple):
+    """A vehicle of the fleet and what its fleet file says of it."""
+
+    vehicle: Vehicle
+    footprint: Footprint
+    priority: int
+    destination: Place | None = None
+    """Where skygcs has sent it, if it is on its way there."""
+
+
+class TrackTable:
+    """The tracks of a fleet by sysid << 8 | compid, in one frame: true ENU about the middle of the fleet.
+
+    The frame is chosen anew with each refresh, by medians, so that one wrong position does not tilt it for all others.
+    """
+
+    def __init__(self) -> None:
+        self.tracks: dict[int, Track] = {}
+        self.unwatched: dict[int, tuple[str, str, bool]] = {}
+        """By key: name, why it is not watched, and whether it flies."""
+        self.frame: EnuFrame | None = None
+
+    def refresh(self, members: Iterable[Member], now: float) -> Iterator[None]:
+        """Read every vehicle and place it; yields after each, so that nobody waits for all of them. Complete only when
+        it has ended."""
+        tracks: dict[int, Track] = {}
+        destinations: dict[int, Place] = {}
+        unwatched: dict[int, tuple[str, str, bool]] = {}
+        for member in members:
+            vehicle = member.vehicle
+            track = self.tracks.get(vehicle.key)
+            if track is None or track.vehicle is not vehicle:
+                track = Track(vehicle, member.footprint, member.priority)
+            track.footprint, track.priority = member.footprint, member.priority
+            why = _read(track, now)
+            if why is None:
+                tracks[vehicle.key] = track
+                if member.destination is not None:
+                    destinations[vehicle.key] = member.destination
+            else:
+                unwatched[vehicle.key] = (vehicle.name, why, is_flying(vehicle, now))
+            yield
+        yield from self._place(tracks, destinations, now)
+        self.tracks, self.unwatched = tracks, unwatched
+
+    def _place(self, tracks: dict[int, Track], destinations: dict[int, Place], now: float) -> Iterator[None]:
+        """Carry every position on to ``now``, in a frame about the middle of all."""
+        if not tracks:
+            self.frame = None
+            return
+        lat_deg = median_low(track.lat_deg for track in tracks.values())
+        lon_deg = median_low(track.lon_deg for track in tracks.values())
+        self.frame = frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
+        for key, track in tracks.items():
+            carry_on(track, frame.from_ecef(track.ecef_m), now)
+            goal = destinations.get(key)
+            track.path, track.has_goal = path_of(track, None if goal is None else frame.from_geodetic(*goal))
+            yield
+
+
+def carry_on(track: Track, reported_m: Vector, now: float) -> None:
+    """Where it is now by its last report, and how far it may be from there."""
+    if track.parked:
+        track.age_s = track.ball_m = 0.0
+        track.place_m, track.velocity_mps = reported_m, REST
+        return
+    age_s = max(0.0, now - track.at)
+    u, v, w = track.reported_mps
+    track.age_s, track.ball_m = age_s, track.footprint.ball_m(age_s)
+    track.place_m = (reported_m[0] + u * age_s, reported_m[1] + v * age_s, reported_m[2] + w * age_s)
+    track.velocity_mps = track.reported_mps
+
+
+def path_of(track: Track, goal_m: Vector | None) -> tuple[tuple[Piece, ...], bool]:
+    """How it will fly, and whether that ends at its goal (in the common frame): only if it is seen to fly there."""
+    straight_on = (Piece(math.inf, track.velocity_mps),)
+    speed_mps = math.hypot(*track.velocity_mps)
+    if goal_m is None or speed_mps < LEAST_SPEED_MPS:
+        return straight_on, False
+    here, velocity = track.place_m, track.velocity_mps
+    way = (goal_m[0] - here[0], goal_m[1] - here[1], goal_m[2] - here[2])
+    away_m = math.hypot(*way)
+    along = sum(w * v for w, v in zip(way, velocity, strict=True))
+    if along < TOWARDS * away_m * speed_mps or away_m == 0.0:
+        return straight_on, False
+    share = speed_mps / away_m
+    return (Piece(away_m / speed_mps, (way[0] * share, way[1] * share, way[2] * share)),), True
+
+
+def is_flying(vehicle: Vehicle, now: float) -> bool:
+    """Whether it is to be taken for flying; in doubt it is, if it is armed."""
+    if not vehicle.armed:
+        return contradiction(vehicle, now) is not None
+    if vehicle.in_air(now) is not False:
+        return True
+    position = vehicle.telemetry("position")
+    return position is not None and position["alt_rel_m"] >= CLIMBED_M
+
+
+def _read(track: Track, now: float) -> str | None:
+    """Take in its newest position. Returns why it cannot be watched, or None."""
+    vehicle = track.vehicle
+    if vehicle.replayed:
+        return "it is heard in a recording only"
+    if vehicle.duplicate_beside:
+        return "two vehicles send with its system id on one link"
+    position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
+    if position is None or at is None or position["lat_deg"] is None:
+        return "it reports no position"
+    lat_deg, lon_deg, alt_m = position["lat_deg"], position["lon_deg"], position["alt_amsl_m"]
+    if not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0 and abs(alt_m) <= HIGHEST_M):
+        return "the position that it reports is not on earth"
+    track.parked = not is_flying(vehicle, now)
+    if not track.parked and now - at > SILENT_S:
+        return f"no position for {SILENT_S:g} s: it may be anywhere"
+    if at != track.at:
+        east, north, up = position["vel_enu_mps"]
+        track.at, track.reported_mps = at, (east, north, up)
+        track.lat_deg, track.lon_deg, track.ecef_m = lat_deg, lon_deg, ecef(lat_deg, lon_deg, alt_m)
+        track.history.append(Sample(at, track.reported_mps))
+        while track.history[0].at < at - HISTORY_S:
+            track.history.popleft()
+    return None

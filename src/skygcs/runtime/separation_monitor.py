@@ -1,0 +1,257 @@
+"""Runs the monitor (`core.monitor`) over a fleet: evaluates it some times a second, publishes its events, carries out
+the holds that it asks for, and checks orders before they are sent."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+from skygcs.config.models import VehicleConfig
+from skygcs.config.separation import MonitorConfig
+from skygcs.core.monitor.conflict_levels import HORIZON_S
+from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
+from skygcs.core.monitor.order_check import Mover, Other, goto_conflict, setpoint_conflict, takeoff_conflict
+from skygcs.core.monitor.tracks import Member, Place
+from skygcs.core.separation import Footprint
+from skygcs.core.vehicle.geodetic_position import Setpoint
+from skygcs.core.vehicle.orders import FORCE_HINT, POSITION_FRESH_S
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.events import Event
+from skygcs.runtime.task_set import TaskSet
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import OnEvent
+
+PERIOD_S = 0.25
+"""From one evaluation to the next: a position comes 2 to 10 times a second."""
+
+LONGEST_PERIOD_S = 1.0
+"""With so many vehicles that an evaluation takes long, the monitor takes at most `SHARE` of a core, and is never slower
+than this."""
+
+SHARE = 0.1
+
+TURN_S = 0.0005
+"""CPU time after which an evaluation gives the other tasks of the loop their turn: a fortieth of a control period."""
+
+MAX_HOLDS = 64
+"""Orders to hold in progress at one time; each lasts seconds."""
+
+
+class Destination(NamedTuple):
+    """Where skygcs has sent a vehicle. It holds while no newer order moves it and its mode is the same."""
+
+    place: Place
+    order_number: int
+    mode: str | None
+    """None: the order is still on its way."""
+
+
+class SeparationMonitor:
+    """`run` is the task; the rest may be called at any time. Without it, or with mode "off", every order passes."""
+
+    def __init__(
+        self,
+        config: MonitorConfig,
+        actors: Mapping[int, VehicleActor],
+        loop: asyncio.AbstractEventLoop,
+        on_event: OnEvent,
+    ) -> None:
+        """``actors``: the fleet's vehicles by sysid << 8 | compid."""
+        self.mode = config.mode
+        self.monitor = Monitor(acting=config.mode == "acting")
+        self.took_s = 0.0
+        """How long the last evaluation took, the turns of others excluded."""
+        self.longest_turn_s = 0.0
+        """The longest part of an evaluation for which the loop had to wait."""
+        self._actors = actors
+        self._loop = loop
+        self._on_event = on_event
+        self._tasks = TaskSet(loop, on_event)
+        self._destinations: dict[int, Destination] = {}
+        self._footprints: dict[int, tuple[VehicleConfig, Footprint, int]] = {}
+
+    # -- the watch
+
+    async def run(self) -> None:
+        """Evaluate until it is cancelled. A fault behind one evaluation is reported and does not end the watch."""
+        if self.mode == "off":
+            return
+        reported: str | None = None
+        while True:
+            try:
+                await self.evaluate()
+                reported = None
+            except Exception as error:
+                if repr(error) != reported:  # the same one comes again four times a second
+                    self._on_event(Event("fault", None, None, f"the monitor failed inside skygcs: {error!r}", {}))
+                reported = repr(error)
+            await asyncio.sleep(min(max(PERIOD_S, self.took_s / SHARE), LONGEST_PERIOD_S))
+
+    async def evaluate(self) -> None:
+        """One evaluation. Others get their turn every `TURN_S` of it."""
+        took_s = longest_s = 0.0
+        begun = time.thread_time()
+        for _ in self.monitor.evaluate(self._members(), self._loop.time()):
+            turn_s = time.thread_time() - begun
+            if turn_s < TURN_S:
+                continue
+            took_s, longest_s = took_s + turn_s, max(longest_s, turn_s)
+            await asyncio.sleep(0)
+            begun = time.thread_time()
+        turn_s = time.thread_time() - begun
+        self.took_s, self.longest_turn_s = took_s + turn_s, max(longest_s, turn_s)
+        events, self.monitor.events = self.monitor.events, []
+        holds, self.monitor.holds = self.monitor.holds, []
+        for event in events:
+            self._on_event(event)
+        for hold in holds:
+            self._hold(hold)
+        for key in self._destinations.keys() - self._actors.keys():
+            del self._destinations[key]
+
+    def _members(self) -> Iterator[Member]:
+        for key, actor in list(self._actors.items()):
+            footprint, priority = self._settings(key, actor)
+            yield Member(actor.vehicle, footprint, priority, self._destination(key))
+        for key in self._footprints.keys() - self._actors.keys():
+            del self._footprints[key]
+
+    def _settings(self, key: int, actor: VehicleActor) -> tuple[Footprint, int]:
+        known = self._footprints.get(key)
+        if known is None or known[0] is not actor.config:
+            settings = actor.config.separation
+            known = self._footprints[key] = (actor.config, settings.footprint(), settings.priority or 0)
+        return known[1], known[2]
+
+    # -- holds
+
+    def _hold(self, request: HoldRequest) -> None:
+        actor = self._actors.get(request.key)
+        if actor is None or actor.name != request.name or len(self._tasks) >= MAX_HOLDS:
+            self.monitor.counters.holds_failed += 1
+            return
+        data = {**request.data, "order": "hold", "with": request.other}
+        self._on_event(Event(KIND, actor.name, actor.sysid, request.text, data))
+        self._tasks.start(self._carry_out(actor, request), f"hold {actor.name} for its distance")
+
+    async def _carry_out(self, actor: VehicleActor, request: HoldRequest) -> None:
+        outcome = await actor.hold()
+        if not outcome.ok:
+            self.monitor.counters.holds_failed += 1
+        text = f"{actor.name}, ordered to hold for its distance to {request.other}: {outcome.message}"
+        data = {**request.data, "order": "hold", "with": request.other, "outcome": outcome.as_dict()}
+        self._on_event(Event(KIND, actor.name, actor.sysid, text, data))
+
+    def close(self) -> None:
+        """Cancel holds in progress."""
+        self._tasks.close()
+
+    # -- orders
+
+    def sent_to(self, actor: VehicleActor, place: Place) -> None:
+        """It is ordered to fly to this place: for every later order it is on its way there."""
+        moves = 0 if actor.offboard.flying else 1  # under control the order only moves the reference
+        self._destinations[actor.vehicle.key] = Destination(place, actor.order_number + moves, None)
+
+    def arriving(self, actor: VehicleActor, *, ok: bool) -> None:
+        """The order of `sent_to` has ended: it flies there, or does not."""
+        known = self._destinations.pop(actor.vehicle.key, None)
+        if ok and known is not None and known.order_number == actor.order_number:
+            self._destinations[actor.vehicle.key] = known._replace(mode=actor.vehicle.mode)
+
+    def goto_refusal(self, vehicle: Vehicle, to: Place, together: frozenset[int]) -> str | None:
+        """Why it should not be sent there now; None: nothing is in the way. ``together``: keys of vehicles that are
+        sent somewhere by the same order or program, which keeps them apart."""
+        mover = self._mover(vehicle)
+        if mover is None:
+            return None
+        return self._refusal(goto_conflict(mover, to, self._others(together), self._loop.time()))
+
+    def takeoff_refusal(self, vehicle: Vehicle, height_m: float) -> str | None:
+        """Why it should not take off to this height now."""
+        mover = self._mover(vehicle)
+        if mover is None:
+            return None
+        return self._refusal(takeoff_conflict(mover, height_m, self._others(frozenset()), self._loop.time()))
+
+    def setpoint_refusal(self, vehicle: Vehicle, setpoint: Setpoint) -> str | None:
+        """Why this setpoint of a stream should not be followed."""
+        mover = self._mover(vehicle)
+        if mover is None:
+            return None
+        place, velocity = _meant(mover, setpoint)
+        others = self._others(frozenset(), sent=False)
+        return self._refusal(setpoint_conflict(mover, place, velocity, others, self._loop.time()))
+
+    def _mover(self, vehicle: Vehicle) -> Mover | None:
+        """The vehicle of an order, where it is now; None if that is not known or nobody watches."""
+        actor = self._actors.get(vehicle.key)
+        if self.mode == "off" or actor is None or vehicle.duplicate_beside:
+            return None
+        position, at = vehicle.telemetry("position"), vehicle.telemetry_at("position")
+        if position is None or at is None or position["lat_deg"] is None or abs(position["lat_deg"]) > 90.0:
+            return None
+        if self._loop.time() - at > POSITION_FRESH_S:
+            return None
+        here = (position["lat_deg"], position["lon_deg"], position["alt_amsl_m"])
+        return Mover(vehicle.key, vehicle.name, self._settings(vehicle.key, actor)[0], here)
+
+    def _others(self, together: frozenset[int], *, sent: bool = True) -> Iterator[Other]:
+        for key, track in self.monitor.tracks.tracks.items():
+            if key not in together:
+                yield Other(track, self._destination(key) if sent else None)
+
+    def _destination(self, key: int) -> Place | None:
+        known, actor = self._destinations.get(key), self._actors.get(key)
+        if known is None or actor is None:
+            return None
+        if known.mode is None:
+            return known.place
+        if (actor.order_number, actor.vehicle.mode) != (known.order_number, known.mode):
+            del self._destinations[key]
+            return None
+        return known.place
+
+    def _refusal(self, conflict: str | None) -> str | None:
+        counters = self.monitor.counters
+        counters.orders_checked += 1
+        if conflict is None:
+            return None
+        counters.orders_refused += 1
+        return f"{conflict}; {FORCE_HINT}"
+
+    # -- state
+
+    def of(self, key: int) -> dict[str, Any] | None:
+        """The most urgent conflict of a vehicle, for its state; None: none."""
+        return self.monitor.of(key)
+
+    def status(self) -> dict[str, Any]:
+        """As monitor.status answers."""
+        monitor = self.monitor
+        tracks = monitor.tracks
+        return {
+            "mode": self.mode,
+            "horizon_s": HORIZON_S,
+            "watched": len(tracks.tracks),
+            "flying": sum(not track.parked for track in tracks.tracks.values()),
+            "unwatched": [
+                {"vehicle": name, "reason": why, "flying": flying} for name, why, flying in tracks.unwatched.values()
+            ],
+            "conflicts": [pair.describe() for pair in monitor.conflicts()],
+            "counters": asdict(monitor.counters),
+            "took_s": round(self.took_s, 5),
+            "longest_turn_s": round(self.longest_turn_s, 5),
+        }
+
+
+def _meant(mover: Mover, setpoint: Setpoint) -> tuple[Place | None, tuple[float, float, float]]:
+    """The place that a setpoint leads to, and its velocity. An axis without a place is where the velocity leads it."""
+    place, velocity = setpoint.place, setpoint.vel_enu_mps or (0.0, 0.0, 0.0)
+    if place is None or setpoint.free_xy:
+        return None, velocity
+    height_m = mover.here[2] if setpoint.free_z else place.alt_amsl_m
+    return (place.lat_deg, place.lon_deg, height_m), velocity

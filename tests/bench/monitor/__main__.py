@@ -1,0 +1,95 @@
+"""`make bench-monitor`: how the monitor keeps vehicles apart, and what it costs. All in build/bench/monitor.json.
+
+python -m bench.monitor [--only encounters|formation|cost] [--encounters N] [--jobs N]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from bench.monitor.cost import cost_rows
+from bench.monitor.formation import fly_formation
+from bench.monitor.virtual import in_virtual_time
+from support.encounters import Judged, judge, rows
+
+ROOT = Path(__file__).resolve().parents[3]
+OUT = ROOT / "build" / "bench"
+LEAST_AHEAD_S = 5.0
+SHARE = 10
+"""Encounters flown with one daemon."""
+
+
+def _judge(seeds: list[int]) -> list[Judged]:
+    with tempfile.TemporaryDirectory() as folder:
+        return in_virtual_time(judge(seeds, Path(folder)))
+
+
+def encounters(count: int, jobs: int, told: dict[str, Any]) -> list[str]:
+    shares = [list(range(begin, min(begin + SHARE, count))) for begin in range(0, count, SHARE)]
+    with ProcessPoolExecutor(jobs) as pool:
+        judged = [one for share in pool.map(_judge, shares) for one in share]
+    for row in rows(judged):
+        print(row, flush=True)
+    told["encounters"] = [one.as_dict() for one in judged]
+    missed = [f"seed {o.encounter.seed}: a hold would have prevented it" for o in judged if o.preventable]
+    late = [o for o in judged if o.warned_ahead_s < LEAST_AHEAD_S]
+    return missed + [
+        f"seed {o.encounter.seed} ({o.encounter.kind}): warned {o.warned_ahead_s:.1f} s ahead" for o in late
+    ]
+
+
+def formation(told: dict[str, Any]) -> list[str]:
+    with tempfile.TemporaryDirectory() as folder:
+        told["formation"] = flown = in_virtual_time(fly_formation(Path(folder), minutes=30.0))
+    print(
+        f"formation of {flown['vehicles']}, {flown['minutes']:g} min, {flown['spacing_m']:.2f} m apart (ages: "
+        f"{flown['age_p95_s']:.2f} s p95): {len(flown['events'])} reports"
+    )
+    return [f"formation: {text}" for text in flown["events"]]
+
+
+def cost(told: dict[str, Any]) -> list[str]:
+    told["cost"] = []
+    for row in cost_rows():
+        told["cost"].append(row)
+        print(
+            f"{row['vehicles']:>3} vehicles, {row['layout']:<9} {row['conflicts']:>5} conflicts: "
+            f"{row['took_ms']:.1f} ms an evaluation, longest turn {row['longest_turn_ms']:.2f} ms, "
+            f"{row['share_percent']:.1f} % of a core"
+        )
+    return []
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="bench.monitor", description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", choices=("encounters", "formation", "cost"))
+    parser.add_argument("--encounters", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    began = time.monotonic()
+    told: dict[str, Any] = {}
+    missed: list[str] = []
+    if options.only in (None, "cost"):
+        missed += cost(told)
+    if options.only in (None, "encounters"):
+        missed += encounters(options.encounters, options.jobs, told)
+    if options.only in (None, "formation"):
+        missed += formation(told)
+    told |= {"missed": missed, "seconds": round(time.monotonic() - began, 1)}
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "monitor.json").write_text(json.dumps(told, indent=2) + "\n")
+    print(f"\n{told['seconds']:.0f} s; all of it in {OUT / 'monitor.json'}")
+    for what in missed:
+        print(f"MISSED: {what}")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

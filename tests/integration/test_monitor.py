@@ -1,0 +1,149 @@
+"""The monitor in a whole daemon: encounters, refused orders, formations that are left alone, shutdown."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skygcs.sim.conditions import Conditions, Dynamics
+from support.encounters import KINDS, arena, encounter, judge
+from support.flown import Flown, flown
+
+pytestmark = pytest.mark.looptime
+
+EXACT = Conditions(dynamics=Dynamics.KINEMATIC)
+
+
+@pytest.mark.parametrize("seed", range(len(KINDS)), ids=KINDS)
+async def test_encounters_are_warned_of_in_time_and_a_hold_prevents_the_collision(seed: int, tmp_path: Path) -> None:
+    (judged,) = await judge([seed], tmp_path)
+    assert judged.warned_ahead_s >= 5.0, judged
+    assert judged.advisory.collided_s is not None and judged.advisory.held == (), "nobody held, and they met"
+    assert judged.acting.collided_s is None and judged.acting.held, judged
+    assert len(set(judged.acting.held)) == len(judged.acting.held), "each holds once"
+
+
+def refused_for(outcomes: dict[str, Any], name: str, other: str) -> bool:
+    outcome = outcomes[name]
+    return not outcome["ok"] and outcome["result"] == "refused" and f" near {other} " in outcome["message"]
+
+
+async def test_orders_into_another_vehicle_are_refused_with_its_name_unless_insisted_on(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, ardupilot=1, conditions=EXACT) as gcs:
+        at = gcs.actor("v2").vehicle.enu_m()
+        assert at is not None
+        # to its place, through it, and above it within the downwash; beside it and high above it are free
+        for enu_m in (at, [at[0] + 2.0, at[1], at[2]], [at[0], at[1], at[2] + 4.0]):
+            outcomes = (await gcs("vehicles.goto", targets="v1", enu_m=list(enu_m)))["outcomes"]
+            assert refused_for(outcomes, "v1", "v2") and "--force" in outcomes["v1"]["message"], outcomes
+        await gcs.done("vehicles.goto", targets="v1", enu_m=[at[0] - 4.0, at[1] + 8.0, at[2]])
+        # to where another one was sent, and of two in one order only the one in the way
+        outcomes = (await gcs("vehicles.goto", targets="v2", enu_m=[at[0] - 4.0, at[1] + 8.0, at[2]]))["outcomes"]
+        assert refused_for(outcomes, "v2", "v1"), outcomes
+        await gcs.done("vehicles.goto", targets="v2", enu_m=[at[0] - 4.0, at[1] + 8.0, at[2]], together="v1")
+        await gcs.done("vehicles.hold", targets="all")
+        # what ends a flight is never refused, and force insists
+        await gcs.done("vehicles.goto", targets="v3", enu_m=list(at), force=True)
+        for order in ("hold", "land", "rtl"):
+            await gcs.done(f"vehicles.{order}", targets="all")
+        status = await gcs("monitor.status")
+        assert status["counters"]["orders_refused"] == 4
+
+
+async def test_a_formation_that_moves_into_its_own_places_is_not_refused(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=3, conditions=EXACT) as gcs:
+        before = [gcs.actor(f"v{i}").vehicle.enu_m() for i in (1, 2, 3)]
+        middle = before[1]
+        assert middle is not None
+        await gcs.done("vehicles.goto", targets="all", enu_m=[middle[0] + 5.0, middle[1], middle[2]])
+        await asyncio.sleep(15)
+        assert [t.text for t in gcs.told if t.kind == "separation" and t.data.get("level") != "notice"] == []
+
+
+async def test_a_parked_vehicle_is_an_obstacle_for_takeoff_and_goto_and_no_alarm_beside_another(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
+        home = gcs.place_of_home("v2")
+        await gcs.done("vehicles.land", targets="all")
+        await gcs.until(lambda: not any(sim.armed for sim in gcs.sims), 90.0)
+        sim = gcs.sim("v2")
+        sim.motion.east_m = 1.0 - home[0]  # carried to a metre beside the other one
+        told = len(gcs.told)
+        await asyncio.sleep(10)
+        assert not [t for t in gcs.told[told:] if t.kind == "separation"]
+        outcomes = (await gcs("vehicles.takeoff", targets="v1", height_m=5.0))["outcomes"]
+        assert refused_for(outcomes, "v1", "v2") and "parked" in outcomes["v1"]["message"], outcomes
+        assert not gcs.sim("v1").armed
+        await gcs.done("vehicles.takeoff", targets="v1", height_m=5.0, force=True)
+
+
+async def test_a_setpoint_into_another_vehicle_is_refused_and_one_away_from_it_taken(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
+        await gcs.fly("position")
+        at = gcs.actor("v2").vehicle.enu_m()
+        assert at is not None
+        into = (await gcs("control.setpoint", targets="v1", pos_enu_m=at))["outcomes"]
+        assert refused_for(into, "v1", "v2"), into
+        velocity = (await gcs("control.setpoint", targets="v1", vel_enu_mps=[2.0, 0.0, 0.0]))["outcomes"]
+        assert refused_for(velocity, "v1", "v2"), velocity
+        away = [at[0] - 8.0, at[1], at[2]]
+        await gcs.done("control.setpoint", targets="v1", pos_enu_m=away)
+        await gcs.done("control.setpoint", targets="v1", vel_enu_mps=[-1.0, 0.0, 0.0])
+        await gcs.done("control.setpoint", targets="v1", pos_enu_m=at, force=True)
+
+
+async def test_off_watches_nothing_and_refuses_nothing(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, conditions=EXACT, tables={"monitor": {"mode": "off"}}) as gcs:
+        at = gcs.actor("v2").vehicle.enu_m()
+        await gcs.done("vehicles.goto", targets="v1", enu_m=at)
+        await asyncio.sleep(10)
+        assert not [t for t in gcs.told if t.kind == "separation"]
+        status = await gcs("monitor.status")
+        assert status["mode"] == "off" and status["counters"]["evaluations"] == 0
+
+
+async def test_without_an_origin_of_the_fleet_it_watches_as_well(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, conditions=EXACT) as gcs:
+        gcs.daemon.fleet.set_origin(None, force=True)
+        there = gcs.sim("v2").true_position()
+        order = {"targets": "v1", "lat_deg": there[0], "lon_deg": there[1]}
+        assert refused_for((await gcs("vehicles.goto", **order))["outcomes"], "v1", "v2")
+        await gcs.done("vehicles.goto", **order, force=True)
+        await gcs.until(lambda: levels(gcs)[-1:] == ["action"], 10.0)
+        assert (await gcs("vehicles.get", target="v1"))["separation"]["with"] == "v2"
+
+
+async def test_an_operator_who_orders_on_after_a_hold_is_obeyed(tmp_path: Path) -> None:
+    async with arena(tmp_path, "acting") as field:
+        met = encounter(0)
+        flown_once = await field.meet(met)
+        assert flown_once.held
+        gcs, holder = field.gcs, flown_once.held[0]
+        held = [t for t in gcs.told if t.data.get("order") == "hold"]
+        goal = met.goals[int(holder[1:]) - 1]
+        assert goal is not None
+        await gcs.done("vehicles.goto", targets=holder, enu_m=list(goal), force=True)
+        await asyncio.sleep(20)
+        again = [t for t in gcs.told if t.data.get("order") == "hold" and t.vehicle == holder]
+        assert len(again) == len([t for t in held if t.vehicle == holder])
+        place = gcs.place(holder)
+        assert math.dist(place, goal) < 25.0, "it went on"
+
+
+async def test_shutdown_in_the_middle_of_a_hold_ends_in_order(tmp_path: Path) -> None:
+    async with flown(tmp_path, px4=2, conditions=EXACT, tables={"monitor": {"mode": "acting"}}) as gcs:
+        at = gcs.actor("v2").vehicle.enu_m()
+        assert at is not None
+        gcs.uplink_delay_s = 1.0
+        await gcs.step(-40.0, 0.0, 0.0)
+        await asyncio.sleep(15)
+        gcs.daemon.loop.create_task(gcs("vehicles.goto", targets="v1", enu_m=at, force=True))
+        await gcs.until(lambda: any(t.data.get("order") == "hold" for t in gcs.told), 30.0)
+        await gcs.stopped(6.0)
+
+
+def levels(gcs: Flown) -> list[str]:
+    return [t.data["level"] for t in gcs.told if t.kind == "separation" and "level" in t.data]

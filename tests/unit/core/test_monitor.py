@@ -1,0 +1,384 @@
+"""The monitor on vehicles made of frames: what counts, levels, confirmation, hysteresis, holds, and hostile input."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+
+import pytest
+
+from skygcs.core.monitor.conflict_levels import CLEAR_S, Level
+from skygcs.core.monitor.monitor import MAX_CONFLICTS, REHOLD_S, HoldRequest, Monitor
+from skygcs.core.monitor.tracks import SILENT_S
+from skygcs.events import Event
+from support.watched_fleet import ACTIVE, CRITICAL, GUIDED, LAND, LOITER, ORIGIN, RTL, STANDBY, WatchedVehicle
+
+STEP_S = 0.25
+Where = Callable[[float], tuple[Sequence[float], Sequence[float]]]
+"""Position and velocity by time; a vehicle that is silent gives none."""
+
+
+class Watched:
+    """A monitor and its fleet, in steps of `STEP_S`."""
+
+    def __init__(self, *fleet: WatchedVehicle, acting: bool = False) -> None:
+        self.fleet = list(fleet)
+        self.monitor = Monitor(acting=acting)
+        self.now = 1000.0
+        self.begun = self.now
+        self.events: list[tuple[float, Event]] = []
+        self.holds: list[tuple[float, HoldRequest]] = []
+        self.modes: dict[int, int] = {}
+        self.armed: dict[int, bool] = {}
+        self.status: dict[int, int] = {}
+
+    def run(self, seconds: float, *motions: Where | None) -> None:
+        """Each vehicle moves so; None: it is silent."""
+        for _ in range(round(seconds / STEP_S)):
+            for vehicle, motion in itertools.zip_longest(self.fleet, motions):
+                if motion is not None:
+                    sysid = vehicle.vehicle.sysid
+                    armed = self.armed.get(sysid, True)
+                    status = self.status.get(sysid, ACTIVE if armed else STANDBY)
+                    vehicle.heartbeat(self.now, armed=armed, mode=self.modes.get(sysid, GUIDED), status=status)
+                    vehicle.position(self.now, *motion(self.now - self.begun))
+                vehicle.vehicle.tick(self.now)
+            self.look()
+            self.now += STEP_S
+
+    def look(self) -> None:
+        for _ in self.monitor.evaluate([v.member for v in self.fleet], self.now):
+            pass
+        self.events += [(self.now - self.begun, event) for event in self.monitor.events]
+        self.holds += [(self.now - self.begun, hold) for hold in self.monitor.holds]
+        self.monitor.events, self.monitor.holds = [], []
+
+    def levels(self) -> list[str]:
+        return [event.data["level"] for _, event in self.events if "level" in event.data]
+
+    def first(self, level: str) -> float:
+        return next(at for at, event in self.events if event.data.get("level") == level)
+
+
+def standing(*place: float) -> Where:
+    return lambda at: (place, (0.0, 0.0, 0.0))
+
+
+def flying(place: Sequence[float], velocity: Sequence[float]) -> Where:
+    return lambda at: ([p + v * at for p, v in zip(place, velocity, strict=True)], velocity)
+
+
+# --- levels -----------------------------------------------------------------------------------------------------------
+
+
+def test_head_on_rises_from_notice_to_action_and_falls_once_they_have_passed() -> None:
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    pair.run(30.0, flying((-25.0, 0.0, 20.0), (2.0, 0.0, 0.0)), flying((25.0, 0.3, 20.0), (-2.0, 0.0, 0.0)))
+    assert pair.levels() in (["notice", "warning", "action", "none"], ["warning", "action", "none"])
+    lost_s = (50.0 - 2.5) / 4.0
+    assert lost_s - pair.first("warning") >= 5.0
+    assert pair.monitor.pairs == {}
+
+
+def test_flights_that_keep_their_distance_are_not_reported() -> None:
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    pair.run(40.0, flying((-25.0, 0.0, 20.0), (2.0, 0.0, 0.0)), flying((25.0, 3.2, 20.0), (-2.0, 0.0, 0.0)))
+    assert pair.events == []
+
+
+@pytest.mark.parametrize(("above_m", "reported"), [(5.4, False), (4.5, True)])
+def test_downwash_counts_twice(above_m: float, reported: bool) -> None:
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    pair.run(6.0, standing(0.0, 0.0, 20.0), standing(0.0, 0.0, 20.0 + above_m))
+    assert bool(pair.events) is reported
+
+
+def test_a_graze_needs_two_seconds_and_a_deep_conflict_half_of_one() -> None:
+    graze = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    graze.run(6.0, standing(0.0, 0.0, 20.0), standing(2.2, 0.0, 20.0))
+    assert graze.first("warning") == pytest.approx(2.0)
+    deep = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    deep.run(3.0, standing(0.0, 0.0, 20.0), flying((8.0, 0.0, 20.0), (-2.0, 0.0, 0.0)))
+    assert deep.first("action") == pytest.approx(0.5)
+
+
+def test_gusts_beside_each_other_are_not_reported() -> None:
+    def gusty(x: float, phase: float) -> Where:
+        def motion(at: float) -> tuple[Sequence[float], Sequence[float]]:
+            angle = 2.0 * at + phase
+            return (x + 0.12 * math.sin(angle), 0.0, 20.0), (0.24 * math.cos(angle), 0.0, 0.0)
+
+        return motion
+
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    pair.run(120.0, gusty(0.0, 0.0), gusty(3.0, math.pi))
+    assert pair.events == []
+
+
+def test_a_turn_that_is_reported_at_two_times_is_no_conflict() -> None:
+    """Both start together; the position of the second comes half a second later."""
+
+    def starting(x: float) -> Where:
+        def motion(at: float) -> tuple[Sequence[float], Sequence[float]]:
+            speed = min(max(at - 5.0, 0.0) * 1.5, 6.0)
+            gone = 0.75 * min(max(at - 5.0, 0.0), 4.0) ** 2 + 6.0 * max(at - 9.0, 0.0)
+            return (x + gone, 0.0, 20.0), (speed, 0.0, 0.0)
+
+        return motion
+
+    ahead, behind = starting(3.4), starting(0.0)
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    for step in range(80):
+        pair.run(STEP_S, ahead if step % 2 == 0 else None, behind if step % 2 == 1 else None)
+    assert [level for level in pair.levels() if level != "notice"] == []
+
+
+def test_a_level_falls_after_three_clear_seconds_only() -> None:
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    here, near, far = standing(0.0, 0.0, 20.0), standing(2.0, 0.0, 20.0), standing(4.0, 0.0, 20.0)
+    pair.run(4.0, here, near)
+    for _ in range(6):
+        pair.run(1.0, here, far)
+        pair.run(1.0, here, near)
+    assert pair.levels() == ["warning"]
+    cleared_at = pair.now - pair.begun
+    pair.run(6.0, here, far)
+    assert pair.first("none") == pytest.approx(cleared_at + CLEAR_S, abs=0.5)
+
+
+def test_within_a_tenth_above_the_margin_a_level_stays() -> None:
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    pair.run(4.0, standing(0.0, 0.0, 20.0), standing(2.4, 0.0, 20.0))
+    pair.run(20.0, standing(0.0, 0.0, 20.0), standing(2.65, 0.0, 20.0))
+    assert pair.levels() == ["warning"]
+    pair.run(6.0, standing(0.0, 0.0, 20.0), standing(2.9, 0.0, 20.0))
+    assert pair.levels() == ["warning", "none"]
+
+
+# --- silence ----------------------------------------------------------------------------------------------------------
+
+
+def test_silence_widens_what_stands_still_to_a_notice_and_ends_with_not_watched() -> None:
+    pair = Watched(WatchedVehicle(1), WatchedVehicle(2, "bravo"))
+    here, there = standing(0.0, 0.0, 20.0), standing(12.0, 0.0, 20.0)
+    pair.run(3.0, here, there)
+    pair.run(16.0, here, None)
+    assert pair.levels() == ["notice", "none"]
+    # a ball of 1.5 m/s² times the square of the age reaches 9.5 m after 2.5 s; two more confirm it
+    assert pair.first("notice") == pytest.approx(2.75 + math.sqrt(9.5 / 1.5) + 2.0, abs=0.5)
+    (lost,) = [event for _, event in pair.events if event.data.get("watched") is False]
+    assert "bravo" in lost.text and f"{SILENT_S:g} s" in lost.text
+    assert pair.monitor.tracks.unwatched[2 << 8 | 1][2]
+    pair.run(2.0, here, there)
+    assert pair.events[-1][1].data == {"watched": True}
+
+
+def test_what_approaches_a_silent_vehicle_is_warned_of_earlier() -> None:
+    def warned(silent: bool) -> float:
+        pair = Watched(WatchedVehicle(1), WatchedVehicle(2))
+        to, other = flying((-40.0, 0.0, 20.0), (2.0, 0.0, 0.0)), standing(0.0, 0.0, 20.0)
+        pair.run(10.0, to, other)
+        pair.run(10.0, to, None if silent else other)
+        return pair.first("action")
+
+    assert warned(True) <= warned(False) - 2.0
+
+
+# --- what counts ------------------------------------------------------------------------------------------------------
+
+
+def test_parked_vehicles_are_no_pair_but_an_obstacle_to_what_lands_on_them() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2), WatchedVehicle(3))
+    fleet.armed = {1: False, 2: False}
+    down = flying((0.5, 0.0, 20.0), (0.0, 0.0, -1.0))
+    fleet.run(10.0, standing(0.0, 0.0, 0.0), standing(1.0, 0.0, 0.0), standing(50.0, 0.0, 20.0))
+    assert fleet.events == [] and len(fleet.monitor.tracks.tracks) == 3
+    fleet.begun = fleet.now
+    fleet.run(14.0, standing(0.0, 0.0, 0.0), standing(1.0, 0.0, 0.0), down)
+    assert {tuple(sorted(event.data["vehicles"])) for _, event in fleet.events} == {("v1", "v3"), ("v2", "v3")}
+
+
+def test_a_parked_vehicle_that_was_switched_off_stays_an_obstacle() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    fleet.armed = {1: False}
+    fleet.run(2.0, standing(0.0, 0.0, 0.0), standing(0.5, 0.0, 30.0))
+    fleet.run(60.0, None, standing(0.5, 0.0, 30.0))
+    assert fleet.events == []
+    fleet.begun = fleet.now
+    fleet.run(20.0, None, flying((0.5, 0.0, 30.0), (0.0, 0.0, -1.5)))
+    assert "action" in fleet.levels()
+
+
+def test_an_armed_vehicle_on_the_ground_is_parked_and_one_that_shows_flight_is_not() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    fleet.status = {1: STANDBY, 2: STANDBY}
+    fleet.run(4.0, standing(0.0, 0.0, 0.0), standing(1.0, 0.0, 0.0))
+    assert fleet.events == [] and all(track.parked for track in fleet.monitor.tracks.tracks.values())
+    fleet.armed = {1: False, 2: True}
+    fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(1.0, 0.0, 20.0))  # disarmed, and 20 m above its home
+    assert fleet.levels() == ["warning"]
+
+
+def test_vehicles_that_cannot_be_watched_are_listed_with_the_reason() -> None:
+    nowhere, recorded, twice = WatchedVehicle(1), WatchedVehicle(2), WatchedVehicle(3)
+    recorded.vehicle.replayed = True
+    twice.vehicle.duplicate_beside = True
+    fleet = Watched(nowhere, recorded, twice)
+    for _ in range(20):
+        for vehicle in fleet.fleet:
+            vehicle.heartbeat(fleet.now)
+        fleet.look()
+        fleet.now += STEP_S
+    reasons = {name: why for name, why, _ in fleet.monitor.tracks.unwatched.values()}
+    assert "no position" in reasons["v1"] and "recording" in reasons["v2"] and "one link" in reasons["v3"]
+    told = [event.vehicle for _, event in fleet.events]
+    assert sorted(told) == ["v1", "v3"], "once each; a recording is not news"
+
+
+# --- holds ------------------------------------------------------------------------------------------------------------
+
+
+def crossing(**names: str) -> tuple[Watched, Where, Where]:
+    fleet = Watched(WatchedVehicle(1, names.get("a")), WatchedVehicle(2, names.get("b")), acting=True)
+    return (
+        fleet,
+        flying((-24.0, 0.0, 20.0), (2.0, 0.0, 0.0)),
+        flying((0.0, -24.0, 20.0), (0.0, 2.0, 0.0)),
+    )
+
+
+def test_the_later_name_holds_and_only_once() -> None:
+    fleet, a, b = crossing(a="alpha", b="bravo")
+    fleet.run(30.0, a, b)  # it flies on all the same: somebody ordered it on
+    held = [hold.name for _, hold in fleet.holds]
+    assert held[0] == "bravo" and held.count("bravo") == 1 and held.count("alpha") <= 1
+
+
+@pytest.mark.parametrize(("first", "second"), [(5, 0), (0, 5)])
+def test_priority_goes_before_the_name(first: int, second: int) -> None:
+    fleet, a, b = crossing(a="alpha", b="bravo")
+    fleet.fleet[0].priority, fleet.fleet[1].priority = first, second
+    fleet.run(9.5, a, b)
+    assert [hold.name for _, hold in fleet.holds] == ["bravo" if first > second else "alpha"]
+
+
+@pytest.mark.parametrize(
+    ("mode", "status"), [(LOITER, ACTIVE), (RTL, ACTIVE), (LAND, ACTIVE), (0, ACTIVE), (GUIDED, CRITICAL)]
+)
+def test_who_is_flown_by_a_pilot_comes_home_or_is_in_failsafe_never_holds(mode: int, status: int) -> None:
+    fleet, a, b = crossing()
+    fleet.modes, fleet.status = {2: mode}, {2: status}
+    fleet.run(9.5, a, b)
+    assert [hold.name for _, hold in fleet.holds] == ["v1"]
+    fleet.modes, fleet.status = {1: mode, 2: mode}, {1: status, 2: status}
+    both, a, b = crossing()
+    both.modes, both.status = fleet.modes, fleet.status
+    both.run(20.0, a, b)
+    assert both.holds == [] and "action" in both.levels()
+
+
+def test_a_silent_vehicle_never_holds_and_the_other_does() -> None:
+    fleet, a, b = crossing()
+    fleet.run(2.0, a, b)
+    fleet.run(7.0, a, None)
+    assert [hold.name for _, hold in fleet.holds] == ["v1"]
+
+
+def test_a_hold_that_does_not_help_is_not_ordered() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2), acting=True)
+    fleet.modes = {1: LOITER}
+    fleet.run(14.0, flying((-24.0, 0.0, 20.0), (2.0, 0.0, 0.0)), standing(0.0, 0.0, 20.0))
+    assert fleet.holds == [] and "action" in fleet.levels()
+
+
+def test_the_one_behind_holds_although_it_has_the_right_of_way() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2), acting=True)
+    fleet.run(25.0, flying((-14.0, 0.0, 20.0), (2.0, 0.0, 0.0)), flying((0.0, 0.0, 20.0), (1.0, 0.0, 0.0)))
+    assert fleet.holds[0][1].name == "v1"
+
+
+def test_an_operator_who_orders_on_is_not_fought_for_a_minute_and_watched_again_after_it() -> None:
+    fleet, a, b = crossing()
+    fleet.run(9.0, a, b)
+    assert [hold.name for _, hold in fleet.holds] == ["v2"]
+    held = len(fleet.holds)
+    apart = standing(0.0, -10.0, 20.0), standing(200.0, 0.0, 20.0)
+    fleet.run(5.0, *apart)
+    fleet.begun = fleet.now
+    fleet.run(8.75, a, b)  # ordered on into the same
+    assert [hold.name for _, hold in fleet.holds[held:]] != ["v2"]
+    fleet.run(REHOLD_S + 5.0, *apart)
+    fleet.begun, held = fleet.now, len(fleet.holds)
+    fleet.run(9.5, a, b)
+    assert [hold.name for _, hold in fleet.holds[held:]] == ["v2"]
+
+
+def test_advisory_orders_nothing() -> None:
+    fleet, a, b = crossing()
+    fleet.monitor.acting = False
+    fleet.run(15.0, a, b)
+    assert fleet.holds == [] and "action" in fleet.levels()
+
+
+# --- hostile ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_forged_position_of_another_place_reports_nothing_and_tilts_no_frame() -> None:
+    forged = WatchedVehicle(3)
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2), forged)
+    for lat_deg, lon_deg, alt_m in ((-80.0, 10.0, 5.0), (89.9, 180.0, -1e6), (214.0, -214.0, 0.0), (0.0, 0.0, 2e6)):
+        for _ in range(20):
+            forged.heartbeat(fleet.now)
+            forged.geodetic(fleet.now, lat_deg, lon_deg, alt_m, (300.0, -300.0, 300.0))
+            fleet.run(STEP_S, standing(0.0, 0.0, 20.0), standing(4.0, 0.0, 20.0))
+        assert fleet.levels() == []
+        frame = fleet.monitor.tracks.frame
+        assert frame is not None and abs(frame.origin.lat_deg - ORIGIN.lat_deg) < 0.01
+
+
+def test_many_at_one_place_are_bounded_and_a_real_conflict_among_them_is_found() -> None:
+    fleet = Watched(*(WatchedVehicle(i + 1) for i in range(100)))
+    crowd = [standing(500.0 + 0.01 * i, 0.0, 20.0) for i in range(98)]
+    pair = [flying((-20.0, 0.0, 20.0), (2.0, 0.0, 0.0)), flying((20.0, 0.0, 20.0), (-2.0, 0.0, 0.0))]
+    fleet.run(5.0, *crowd, *pair)
+    assert len(fleet.monitor.pairs) <= 100 * MAX_CONFLICTS
+    assert fleet.monitor.counters.pairs_dropped > 0
+    assert any(set(event.data["vehicles"]) == {"v99", "v100"} for _, event in fleet.events)
+
+
+def test_a_vehicle_that_is_forgotten_or_renamed_takes_its_pairs_with_it() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    near = standing(0.0, 0.0, 20.0), standing(1.0, 0.0, 20.0)
+    fleet.run(4.0, *near)
+    assert fleet.levels() == ["warning"]
+    fleet.fleet[1] = WatchedVehicle(2, "new")  # another vehicle with the same id
+    fleet.run(4.0, *near)
+    assert fleet.levels() == ["warning", "none", "warning"]
+    del fleet.fleet[1]
+    fleet.run(1.0, near[0])
+    assert fleet.monitor.pairs == {} and fleet.levels()[-1] == "none"
+    assert fleet.monitor.of(1 << 8 | 1) is None
+
+
+def test_time_that_goes_back_or_stands_still_breaks_nothing() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(1.0, 0.0, 20.0))
+    fleet.now -= 30.0
+    fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(1.0, 0.0, 20.0))
+    for _ in range(10):
+        fleet.look()
+    assert fleet.monitor.of(1 << 8 | 1) is not None
+
+
+def test_the_worst_conflict_of_a_vehicle_is_in_its_state() -> None:
+    fleet = Watched(WatchedVehicle(1), WatchedVehicle(2), WatchedVehicle(3))
+    fleet.run(
+        6.0,
+        standing(0.0, 0.0, 20.0),
+        standing(2.3, 0.0, 20.0),
+        flying((-24.0, 0.0, 20.0), (3.0, 0.0, 0.0)),
+    )
+    state = fleet.monitor.of(1 << 8 | 1)
+    assert state is not None and state["with"] == "v3" and state["level"] == "action"
+    assert fleet.monitor.conflicts()[0].level is Level.ACTION
