@@ -21,7 +21,7 @@ REACT_S = 1.5
 BRAKE_MPS2 = 2.0
 """What a hold brakes with: PX4's MPC_ACC_HOR is 3 m/s² with limited jerk, ArduCopter's WPNAV_ACCEL 2.5 m/s²."""
 
-SILENT_S = 3.0
+SILENT_S = 2.0
 """A vehicle that was not heard for so long is not counted on: the order may not reach it."""
 
 HELPS_M = 0.25
