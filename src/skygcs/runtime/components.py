@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Ack, CommandSpec, Outcome
 from skygcs.core.vehicle import orders
-from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
 from skygcs.core.vehicle.component import Component
 from skygcs.core.vehicle.decoder import Decoder
 from skygcs.core.vehicle.order_plan import Plan, Step
@@ -285,7 +285,7 @@ class ComponentActor:
         except RefusedError as error:
             return self._table.report(self, "request", Outcome.refused(str(error)))
         before = self.component.count(name)
-        step = Step("request", CommandSpec(REQUEST_MESSAGE, (float(msgid),)))
+        step = Step("request", CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(msgid),)))
         outcome = await self._given(Plan("request", (step,), f"{name} came"))
         if outcome.ok and not await self.commands.until(lambda: self.component.count(name) != before, ANSWER_S):
             outcome = Outcome(False, "timeout", f"timeout: accepted, but no {name} came", outcome.attempts)

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import COMMAND_INT, COMMAND_LONG, REQUEST_DATA_STREAM
-from skygcs.core.radio_link.admission_frames import SET_MESSAGE_INTERVAL
 from skygcs.core.radio_link.program_streams import Leftover, Program, ProgramStreams, Request, Stream, restoring
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.token_bucket import TokenBucket
@@ -168,8 +168,8 @@ class LeftoverStreams:
         if info is None or "COMMAND_LONG" not in self._dialect.by_name:
             return
         interval_us = 0.0 if not request.rate_hz else round(1e6 / request.rate_hz)
-        command = {"command": SET_MESSAGE_INTERVAL, "param1": float(info.msgid), "param2": float(interval_us)}
-        actor.commands.expect_stray_ack(SET_MESSAGE_INTERVAL, now)
+        command = {"command": mav_cmd.SET_MESSAGE_INTERVAL, "param1": float(info.msgid), "param2": float(interval_us)}
+        actor.commands.expect_stray_ack(mav_cmd.SET_MESSAGE_INTERVAL, now)
         actor.commands.transmit("COMMAND_LONG", command, Priority.PROTOCOL)
 
     def _report(self, actor: VehicleActor, stream: Stream) -> None:
@@ -183,7 +183,7 @@ class LeftoverStreams:
         if frame.msgid == REQUEST_DATA_STREAM:
             return Stream(_DATA_STREAM.unpack_from(payload)[1], None)
         msgid, _, command = _COMMAND.unpack_from(payload)
-        if command != SET_MESSAGE_INTERVAL or not 0 <= msgid < 1 << 24:  # false for NaN
+        if command != mav_cmd.SET_MESSAGE_INTERVAL or not 0 <= msgid < 1 << 24:  # false for NaN
             return None
         info = self._dialect.messages.get(int(msgid))
         return None if info is None else Stream(None, info.name)

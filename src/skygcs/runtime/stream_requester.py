@@ -10,16 +10,14 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect, MessageInfo
 from skygcs.core.protocols.command import RESULT_NAMES, Ack
 from skygcs.core.radio_link.rate_controller import RateController, RateRequest
 from skygcs.core.radio_link.stream_rates import POSITION
 from skygcs.core.radio_link.transmit_queue import Priority
-from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.runtime.command_client import CommandClient
-
-GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL = 510, 511
 
 IDENTIFY_AT_S = (1.0, 4.0, 10.0, 30.0, 60.0)
 """Times after its first frame or its reboot at which a vehicle's version and home, which it does not stream, are
@@ -84,7 +82,7 @@ class StreamRequester:
 
     def ask(self, now: float, send: Send) -> bool:
         """Send the next request if one is due; True if one was sent."""
-        if not self._vehicle.connected or self._commands.in_flight(SET_MESSAGE_INTERVAL):
+        if not self._vehicle.connected or self._commands.in_flight(mav_cmd.SET_MESSAGE_INTERVAL):
             return False
         counts = {slot.name: slot.count for slot in self._vehicle.slots.values()}
         ardupilot = self._vehicle.family == "ardupilot"
@@ -93,7 +91,7 @@ class StreamRequester:
         if request is None or message is None:
             return False
         if request.message is not None:
-            command = GET_MESSAGE_INTERVAL if request.read else SET_MESSAGE_INTERVAL
+            command = mav_cmd.GET_MESSAGE_INTERVAL if request.read else mav_cmd.SET_MESSAGE_INTERVAL
             self._commands.expect_stray_ack(command, now)
             if not request.read:
                 self._requested = request.message, now
@@ -128,7 +126,11 @@ class StreamRequester:
 
     def on_ack(self, ack: Ack, now: float) -> None:
         """A COMMAND_ACK of this vehicle."""
-        if ack.command != SET_MESSAGE_INTERVAL or not ack.is_for(*self._commands.own) or self._requested is None:
+        if (
+            ack.command != mav_cmd.SET_MESSAGE_INTERVAL
+            or not ack.is_for(*self._commands.own)
+            or self._requested is None
+        ):
             return
         (message, sent_at), self._requested = self._requested, None
         if now - sent_at > ANSWER_WITHIN_S:
@@ -172,12 +174,12 @@ class StreamRequester:
         if now - self._identify_from < IDENTIFY_AT_S[self._identified]:
             return
         self._identified += 1
-        if self._commands.in_flight(REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
+        if self._commands.in_flight(mav_cmd.REQUEST_MESSAGE) or "COMMAND_LONG" not in self._dialect.by_name:
             return
         for message in IDENTIFY_WITH:
             info = self._dialect.by_name.get(message)
             if info is not None and self._vehicle.slot(message) is None:
-                values = {"command": REQUEST_MESSAGE, "param1": float(info.msgid)}
+                values = {"command": mav_cmd.REQUEST_MESSAGE, "param1": float(info.msgid)}
                 self._commands.transmit("COMMAND_LONG", values, Priority.PROTOCOL)
 
     def _read_intervals(self, now: float) -> None:
@@ -202,8 +204,8 @@ class StreamRequester:
         streamed = self._dialect.by_name.get(request.message or "")
         if info is None or streamed is None:
             return None
-        command: dict[str, Any] = {"command": GET_MESSAGE_INTERVAL, "param1": float(streamed.msgid)}
+        command: dict[str, Any] = {"command": mav_cmd.GET_MESSAGE_INTERVAL, "param1": float(streamed.msgid)}
         if not request.read:
             interval_us = round(1e6 / request.rate_hz) if request.rate_hz > 0 else -1
-            command |= {"command": SET_MESSAGE_INTERVAL, "param2": float(interval_us)}
+            command |= {"command": mav_cmd.SET_MESSAGE_INTERVAL, "param2": float(interval_us)}
         return info, {**target, **command}

@@ -18,6 +18,7 @@ from typing import Any, Unpack
 from skygcs.config.models import VehicleConfig
 from skygcs.core.control.guard import ControlMode
 from skygcs.core.geo import Origin, yaw_enu_from_heading_deg
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, TIMESYNC
 from skygcs.core.mission.item import MissionType
@@ -25,7 +26,6 @@ from skygcs.core.mission.plan import MissionPlan
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.vehicle import mission_orders, orders, unguarded
 from skygcs.core.vehicle import stop as stopping
-from skygcs.core.vehicle.autopilot import PREFLIGHT_REBOOT_SHUTDOWN
 from skygcs.core.vehicle.component import describe
 from skygcs.core.vehicle.frames import setpoint_from_world, shown
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition
@@ -587,7 +587,7 @@ class VehicleActor:
                 self.uplink.forget()
                 self._stop_protocols(f"the vehicle was lost: {event.text}")
             elif event.kind == "reboot":
-                self.commands.stop(PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
+                self.commands.stop(mav_cmd.PREFLIGHT_REBOOT_SHUTDOWN, "accepted", "rebooted")
                 self._stop_protocols("the vehicle rebooted")
                 self.uplink.forget()
                 self.offboard.release("the vehicle rebooted")

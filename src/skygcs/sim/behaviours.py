@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Final, Generic, TypeVar
 
-from skygcs.core.mission.item import FENCE_COMMANDS, RALLY_POINT
+from skygcs.core.mavlink import mav_cmd
+from skygcs.core.mission.item import FENCE_COMMANDS
 from skygcs.sim import protocol as m
 
 T = TypeVar("T")
@@ -588,7 +589,7 @@ COPTER: Final = Firmware(
             rally=20,
             with_place=frozenset({16, 17, 18, 19, 21, 22, 30, 31, 82, 84, 85, 92, 94, 179, 188, 189, 191, 195, 201})
             | FENCE_COMMANDS
-            | {RALLY_POINT},
+            | {mav_cmd.NAV_RALLY_POINT},
             without_place=frozenset(
                 {
                     20,
@@ -788,7 +789,9 @@ PX4: Final = Firmware(
             missions=500,
             fence=64,
             rally=32,
-            with_place=frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 4501}) | FENCE_COMMANDS | {RALLY_POINT},
+            with_place=frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 4501})
+            | FENCE_COMMANDS
+            | {mav_cmd.NAV_RALLY_POINT},
             without_place=frozenset(
                 {
                     20,

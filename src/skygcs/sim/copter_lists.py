@@ -24,14 +24,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import (
-    DO_JUMP,
     FENCE_COMMANDS,
     GLOBAL,
-    NAV_WAYPOINT,
-    POLYGON_EXCLUSION,
-    POLYGON_INCLUSION,
-    RALLY_POINT,
     TERRAIN_ALT,
     MissionItem,
     MissionType,
@@ -177,7 +173,7 @@ class CopterLists(MissionLists):
             return refusal
         if fields["current"] == CHANGE_HEIGHT:
             return m.MAV_MISSION_ACCEPTED  # Copter's handle_change_alt_request: only in GUIDED, answered the same
-        taken = item.command == NAV_WAYPOINT and item.position is not None and self._fly_to(item, now)
+        taken = item.command == mav_cmd.NAV_WAYPOINT and item.position is not None and self._fly_to(item, now)
         return m.MAV_MISSION_ACCEPTED if taken else m.MAV_MISSION_ERROR
 
     def _on_item(self, v: ListOwner, kind: MissionType, fields: Fields, sender: Sender, now: float) -> None:
@@ -245,18 +241,19 @@ def home_item(v: ListOwner) -> MissionItem:
     """Item 0: where home is now."""
     home = v.home
     if home is None:
-        return MissionItem(NAV_WAYPOINT, GLOBAL)
+        return MissionItem(mav_cmd.NAV_WAYPOINT, GLOBAL)
     lat, lon = v.where.to_geodetic(home.east_m, home.north_m)
     alt = v.where.alt_amsl_m + home.up_m
-    return MissionItem.from_params(NAV_WAYPOINT, GLOBAL, (0.0, 0.0, 0.0, 0.0, lat, lon, round(alt, 2)), True)
+    return MissionItem.from_params(mav_cmd.NAV_WAYPOINT, GLOBAL, (0.0, 0.0, 0.0, 0.0, lat, lon, round(alt, 2)), True)
 
 
 def refusal_of(kind: MissionType, item: MissionItem, count: int) -> int:
     """MAV_MISSION_RESULT of ArduPilot's own look at an item of a list of ``count``."""
     belongs = {
         MissionType.FENCE: item.command in FENCE_COMMANDS,
-        MissionType.RALLY: item.command == RALLY_POINT,
-        MissionType.MISSION: item.command in (RULES.with_place | RULES.without_place) - FENCE_COMMANDS - {RALLY_POINT},
+        MissionType.RALLY: item.command == mav_cmd.NAV_RALLY_POINT,
+        MissionType.MISSION: item.command
+        in (RULES.with_place | RULES.without_place) - FENCE_COMMANDS - {mav_cmd.NAV_RALLY_POINT},
     }
     if not belongs[kind]:
         return m.MAV_MISSION_UNSUPPORTED
@@ -265,9 +262,12 @@ def refusal_of(kind: MissionType, item: MissionItem, count: int) -> int:
             return m.MAV_MISSION_INVALID_PARAM1 + number - 1
     if item.command in RULES.with_place and (refusal := _place_refusal(item)):
         return refusal
-    if item.command in (POLYGON_INCLUSION, POLYGON_EXCLUSION) and not 3 <= (item.params[0] or 0) <= MAX_CORNERS:
+    if (
+        item.command in (mav_cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION, mav_cmd.NAV_FENCE_POLYGON_VERTEX_EXCLUSION)
+        and not 3 <= (item.params[0] or 0) <= MAX_CORNERS
+    ):
         return m.MAV_MISSION_INVALID_PARAM1
-    if item.command == DO_JUMP and not 0 < (item.params[0] or 0) < count:
+    if item.command == mav_cmd.DO_JUMP and not 0 < (item.params[0] or 0) < count:
         return m.MAV_MISSION_ERROR
     return m.MAV_MISSION_ACCEPTED
 

@@ -25,15 +25,11 @@ from collections.abc import Callable
 from enum import Enum, auto
 from zlib import crc32
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import (
-    CIRCLE_EXCLUSION,
-    CIRCLE_INCLUSION,
     FENCE_COMMANDS,
     GLOBAL,
     MISSION_FRAME,
-    POLYGON_EXCLUSION,
-    POLYGON_INCLUSION,
-    RALLY_POINT,
     RELATIVE_ALT,
     MissionItem,
     MissionType,
@@ -253,10 +249,10 @@ def refusal_of(kind: MissionType, item: MissionItem) -> int:
     if not known:
         return m.MAV_MISSION_UNSUPPORTED
     fenced = item.command in FENCE_COMMANDS
-    if kind is MissionType.MISSION and (fenced or item.command == RALLY_POINT):
+    if kind is MissionType.MISSION and (fenced or item.command == mav_cmd.NAV_RALLY_POINT):
         return m.MAV_MISSION_ERROR
-    corner = item.command in (POLYGON_INCLUSION, POLYGON_EXCLUSION)
-    circle = item.command in (CIRCLE_INCLUSION, CIRCLE_EXCLUSION)
+    corner = item.command in (mav_cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION, mav_cmd.NAV_FENCE_POLYGON_VERTEX_EXCLUSION)
+    circle = item.command in (mav_cmd.NAV_FENCE_CIRCLE_INCLUSION, mav_cmd.NAV_FENCE_CIRCLE_EXCLUSION)
     if kind is MissionType.FENCE and (not (fenced or circle) or (corner and (item.params[0] or 0) < 3)):
         return m.MAV_MISSION_ERROR
     return m.MAV_MISSION_ACCEPTED

@@ -20,10 +20,11 @@ from __future__ import annotations
 
 from typing import Literal
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.header import HEADER_BYTES
 from skygcs.core.mavlink.modes import SAFETY_ARMED
-from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT
+from skygcs.core.mavlink.msgids import COMMAND_ACK, HEARTBEAT, SET_MODE
 
 AUTOPILOT_GENERIC = 0
 AUTOPILOT_INVALID = 8
@@ -56,10 +57,21 @@ EXPECTED_BEFORE_S = 1.0
 before (both firmwares send a heartbeat with the change, ArduCopter 4.6 before the acknowledgement). Such returns are
 not evidence of two senders: ArduCopter went GUIDED, RTL, GUIDED, BRAKE, GUIDED within 2 s by five orders."""
 
-STATE_COMMANDS = frozenset({11, 20, 21, 22, 24, 176, 192, 252, 300, 400})
-"""Commands whose acceptance changes mode or arming: SET_MODE (ArduPilot acknowledges the message by its id),
-NAV_RETURN_TO_LAUNCH, NAV_LAND, NAV_TAKEOFF, NAV_TAKEOFF_LOCAL, DO_SET_MODE, DO_REPOSITION, OVERRIDE_GOTO,
-MISSION_START, COMPONENT_ARM_DISARM."""
+STATE_COMMANDS = frozenset(
+    {
+        SET_MODE,
+        mav_cmd.NAV_RETURN_TO_LAUNCH,
+        mav_cmd.NAV_LAND,
+        mav_cmd.NAV_TAKEOFF,
+        mav_cmd.NAV_TAKEOFF_LOCAL,
+        mav_cmd.DO_SET_MODE,
+        mav_cmd.DO_REPOSITION,
+        mav_cmd.OVERRIDE_GOTO,
+        mav_cmd.MISSION_START,
+        mav_cmd.COMPONENT_ARM_DISARM,
+    }
+)
+"""Commands whose acceptance changes mode or arming. ArduPilot acknowledges the message SET_MODE by its id."""
 
 MAV_RESULT_ACCEPTED = 0
 

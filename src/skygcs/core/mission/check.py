@@ -10,21 +10,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from skygcs.core.geo import distance_m
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.fence_check import FenceArea, fence_problems
 from skygcs.core.mission.firmware_items import Family, convert, for_firmware, px4_order, refusals
 from skygcs.core.mission.item import (
-    DO_JUMP,
-    DO_JUMP_TAG,
     FENCE_COMMANDS,
     GLOBAL,
     GLOBAL_FRAMES,
-    JUMP_TAG,
     MISSION_FRAME,
-    NAV_RETURN,
-    NAV_TAKEOFF,
-    NAV_WAYPOINT,
-    RALLY_POINT,
     RELATIVE_ALT,
     MissionItem,
     MissionType,
@@ -40,16 +34,27 @@ MAX_DISTANCE_M = 1000.0
 MIN_FLIGHT_HEIGHT_M = 0.5
 """A waypoint below this height is on the ground."""
 
-TAKEOFFS = frozenset({NAV_TAKEOFF, 24, 84})
-"""NAV_TAKEOFF, NAV_TAKEOFF_LOCAL, NAV_VTOL_TAKEOFF."""
+TAKEOFFS = frozenset({mav_cmd.NAV_TAKEOFF, mav_cmd.NAV_TAKEOFF_LOCAL, mav_cmd.NAV_VTOL_TAKEOFF})
 
-ENDS_ON_GROUND = frozenset({NAV_RETURN, 21, 23, 85})
+ENDS_ON_GROUND = frozenset(
+    {mav_cmd.NAV_RETURN_TO_LAUNCH, mav_cmd.NAV_LAND, mav_cmd.NAV_LAND_LOCAL, mav_cmd.NAV_VTOL_LAND}
+)
 """Commands whose altitude may be 0, or is not used: return, and the landings."""
 
-NEEDS_PLACE = frozenset({NAV_WAYPOINT, 82, 36})
-"""Waypoint, spline waypoint, arc waypoint: they need a position."""
+NEEDS_PLACE = frozenset({mav_cmd.NAV_WAYPOINT, mav_cmd.NAV_SPLINE_WAYPOINT, mav_cmd.NAV_ARC_WAYPOINT})
+"""They need a position."""
 
-FLOWN_PLACE = NEEDS_PLACE | {17, 18, 19, 21, 22, 31, 84, 85, 94}
+FLOWN_PLACE = NEEDS_PLACE | {
+    mav_cmd.NAV_LOITER_UNLIM,
+    mav_cmd.NAV_LOITER_TURNS,
+    mav_cmd.NAV_LOITER_TIME,
+    mav_cmd.NAV_LAND,
+    mav_cmd.NAV_TAKEOFF,
+    mav_cmd.NAV_LOITER_TO_ALT,
+    mav_cmd.NAV_VTOL_TAKEOFF,
+    mav_cmd.NAV_VTOL_LAND,
+    mav_cmd.NAV_PAYLOAD_PLACE,
+}
 """NAV commands whose x and y are a position to fly to."""
 
 Place = tuple[float, float]
@@ -124,7 +129,7 @@ def _mission(
 ) -> Iterator[Finding]:
     commands = dialect.enums.get("MAV_CMD", {})
     reference, what = _reference(plan, vehicle)
-    tags = {item.params[0] for item in plan.mission if item.command == JUMP_TAG}
+    tags = {item.params[0] for item in plan.mission if item.command == mav_cmd.JUMP_TAG}
     for number, item in enumerate(plan.mission, 1):
         wrong = list(_command(item, commands, dialect.name))
         texts = [
@@ -172,9 +177,10 @@ def _flies_to(item: MissionItem) -> bool:
 
 
 def _command(item: MissionItem, commands: dict[int, str], dialect: str) -> Iterator[tuple[bool, str]]:
-    if item.command in FENCE_COMMANDS or item.command == RALLY_POINT:
+    if item.command in FENCE_COMMANDS or item.command == mav_cmd.NAV_RALLY_POINT:
         name = commands.get(item.command, str(item.command))
-        yield True, f"{name} belongs in a {'rally' if item.command == RALLY_POINT else 'fence'} list, not in a mission"
+        where = "rally" if item.command == mav_cmd.NAV_RALLY_POINT else "fence"
+        yield True, f"{name} belongs in a {where} list, not in a mission"
     elif item.command not in commands:
         yield True, f"command {item.command} is unknown to the dialect {dialect}"
 
@@ -222,9 +228,9 @@ def _altitude(item: MissionItem, limits: CheckLimits, home: PlannedHome | None) 
 
 def _jump(item: MissionItem, number: int, count: int, tags: set[float | None]) -> Iterator[tuple[bool, str]]:
     target, repeat = item.params[0], item.params[1]
-    if item.command == DO_JUMP_TAG and target not in tags:
+    if item.command == mav_cmd.DO_JUMP_TAG and target not in tags:
         yield True, f"jumps to tag {_shown(target)}, which no item has"
-    if item.command != DO_JUMP:
+    if item.command != mav_cmd.DO_JUMP:
         return
     if target is None or not target.is_integer() or not 1 <= target <= count:
         yield True, f"jumps to item {_shown(target)}; the mission has 1 to {count}"

@@ -9,13 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import (
-    CIRCLE_EXCLUSION,
-    CIRCLE_INCLUSION,
-    FENCE_RETURN,
     GLOBAL,
-    POLYGON_EXCLUSION,
-    POLYGON_INCLUSION,
     RELATIVE_ALT,
     MissionItem,
     file_number,
@@ -73,14 +69,18 @@ def fence_items(fence: FencePlan) -> tuple[MissionItem, ...]:
     """The items of the fence for the upload."""
     items = []
     for polygon in fence.polygons:
-        command = POLYGON_INCLUSION if polygon.inclusion else POLYGON_EXCLUSION
+        command = (
+            mav_cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION
+            if polygon.inclusion
+            else mav_cmd.NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+        )
         items += [_item(command, float(len(polygon.corners)), corner) for corner in polygon.corners]
     for circle in fence.circles:
-        command = CIRCLE_INCLUSION if circle.inclusion else CIRCLE_EXCLUSION
+        command = mav_cmd.NAV_FENCE_CIRCLE_INCLUSION if circle.inclusion else mav_cmd.NAV_FENCE_CIRCLE_EXCLUSION
         items.append(_item(command, circle.radius_m, circle.center))
     if fence.return_point is not None:
         lat, lon, height_m = fence.return_point
-        items.append(_item(FENCE_RETURN, 0.0, (lat, lon), RELATIVE_ALT, height_m))
+        items.append(_item(mav_cmd.NAV_FENCE_RETURN_POINT, 0.0, (lat, lon), RELATIVE_ALT, height_m))
     return tuple(items)
 
 
@@ -94,14 +94,15 @@ def fence_from_items(items: Sequence[MissionItem], first: int = 1) -> FencePlan:
         item, number = items[at], first + at
         try:
             match item.command:
-                case 5001 | 5002:
+                case mav_cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION | mav_cmd.NAV_FENCE_POLYGON_VERTEX_EXCLUSION:
                     corners = _corners(items, at)
-                    polygons.append(FencePolygon(item.command == POLYGON_INCLUSION, corners))
+                    polygons.append(FencePolygon(item.command == mav_cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION, corners))
                     at += len(corners)
                     continue
-                case 5003 | 5004:
-                    circles.append(FenceCircle(item.command == CIRCLE_INCLUSION, _corner(item), item.params[0] or 0.0))
-                case 5000:
+                case mav_cmd.NAV_FENCE_CIRCLE_INCLUSION | mav_cmd.NAV_FENCE_CIRCLE_EXCLUSION:
+                    inclusion = item.command == mav_cmd.NAV_FENCE_CIRCLE_INCLUSION
+                    circles.append(FenceCircle(inclusion, _corner(item), item.params[0] or 0.0))
+                case mav_cmd.NAV_FENCE_RETURN_POINT:
                     return_point = (*_corner(item), item.z or 0.0)
                 case _:
                     raise ValueError(f"command {item.command} does not belong in a fence")

@@ -18,14 +18,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.item import (
-    DO_JUMP,
     GLOBAL,
     GLOBAL_FRAMES,
     MISSION_FRAME,
-    NAV_LAND,
-    NAV_RETURN,
-    NAV_TAKEOFF,
     RELATIVE_ALT,
     TERRAIN_ALT,
     UNSET_INT,
@@ -34,64 +31,288 @@ from skygcs.core.mission.item import (
 
 Family = Literal["px4", "ardupilot"]
 
-DO_SET_HOME, DO_SET_ROI, DO_SET_ROI_LOCATION, DO_SET_ROI_NONE, SET_CAMERA_MODE = 179, 201, 195, 197, 530
-VTOL_TAKEOFF, VTOL_LAND = 84, 85
 ROI_NONE, ROI_LOCATION = 0, 3
 """MAV_ROI, DO_SET_ROI's param1."""
 
-PX4_PLACED = frozenset({16, 17, 19, 21, 22, 31, 80, 84, 85, 195, 201, 4501})
+PX4_PLACED = frozenset(
+    {
+        mav_cmd.NAV_WAYPOINT,
+        mav_cmd.NAV_LOITER_UNLIM,
+        mav_cmd.NAV_LOITER_TIME,
+        mav_cmd.NAV_LAND,
+        mav_cmd.NAV_TAKEOFF,
+        mav_cmd.NAV_LOITER_TO_ALT,
+        mav_cmd.NAV_ROI,
+        mav_cmd.NAV_VTOL_TAKEOFF,
+        mav_cmd.NAV_VTOL_LAND,
+        mav_cmd.DO_SET_ROI_LOCATION,
+        mav_cmd.DO_SET_ROI,
+        mav_cmd.CONDITION_GATE,
+    }
+)
 """Accepted in a global frame."""
 
 PX4_PLACELESS = frozenset(
-    {20, 80, 93, 112, 114, 177, 178, 179, 187, 189, 196, 197, 200, 201, 203, 204, 205, 206, 211, 214, 260, 530, 532}
-    | {534, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 3000, 42600}
+    {
+        mav_cmd.NAV_RETURN_TO_LAUNCH,
+        mav_cmd.NAV_ROI,
+        mav_cmd.NAV_DELAY,
+        mav_cmd.CONDITION_DELAY,
+        mav_cmd.CONDITION_DISTANCE,
+        mav_cmd.DO_JUMP,
+        mav_cmd.DO_CHANGE_SPEED,
+        mav_cmd.DO_SET_HOME,
+        mav_cmd.DO_SET_ACTUATOR,
+        mav_cmd.DO_LAND_START,
+        mav_cmd.DO_SET_ROI_WPNEXT_OFFSET,
+        mav_cmd.DO_SET_ROI_NONE,
+        mav_cmd.DO_CONTROL_VIDEO,
+        mav_cmd.DO_SET_ROI,
+        mav_cmd.DO_DIGICAM_CONTROL,
+        mav_cmd.DO_MOUNT_CONFIGURE,
+        mav_cmd.DO_MOUNT_CONTROL,
+        mav_cmd.DO_SET_CAM_TRIGG_DIST,
+        mav_cmd.DO_GRIPPER,
+        mav_cmd.DO_SET_CAM_TRIGG_INTERVAL,
+        mav_cmd.OBLIQUE_SURVEY,
+        mav_cmd.SET_CAMERA_MODE,
+        mav_cmd.SET_CAMERA_FOCUS,
+    }
+    | {
+        mav_cmd.SET_CAMERA_SOURCE,
+        mav_cmd.DO_GIMBAL_MANAGER_PITCHYAW,
+        mav_cmd.DO_GIMBAL_MANAGER_CONFIGURE,
+        mav_cmd.IMAGE_START_CAPTURE,
+        mav_cmd.IMAGE_STOP_CAPTURE,
+        mav_cmd.DO_TRIGGER_CONTROL,
+        mav_cmd.VIDEO_START_CAPTURE,
+        mav_cmd.VIDEO_STOP_CAPTURE,
+        mav_cmd.DO_VTOL_TRANSITION,
+        mav_cmd.DO_WINCH,
+    }
 )
 """Accepted in MAV_FRAME_MISSION only."""
 
-PX4_SINCE_1_17 = frozenset({212, 400})
-"""DO_AUTOTUNE_ENABLE and COMPONENT_ARM_DISARM: in either frame, from 1.17 on."""
+PX4_SINCE_1_17 = frozenset({mav_cmd.DO_AUTOTUNE_ENABLE, mav_cmd.COMPONENT_ARM_DISARM})
+"""Accepted in either frame, from 1.17 on."""
 
-PX4_NOT_FLOWN = {112: "use NAV_DELAY; from 1.18 on it is flown as one", 114: "no version flies it"}
-"""CONDITION_DELAY and CONDITION_DISTANCE: accepted at the upload, and then "Mission rejected: unsupported cmd"."""
+PX4_NOT_FLOWN = {
+    mav_cmd.CONDITION_DELAY: "use NAV_DELAY; from 1.18 on it is flown as one",
+    mav_cmd.CONDITION_DISTANCE: "no version flies it",
+}
+"""Accepted at the upload, and then "Mission rejected: unsupported cmd"."""
 
-PX4_VTOL = frozenset({VTOL_TAKEOFF, VTOL_LAND, 3000})
+PX4_VTOL = frozenset({mav_cmd.NAV_VTOL_TAKEOFF, mav_cmd.NAV_VTOL_LAND, mav_cmd.DO_VTOL_TRANSITION})
 """For VTOLs; any other vehicle rejects the mission."""
 
-PX4_NO_PLACE_YET = (PX4_PLACELESS | {DO_SET_ROI_LOCATION}) - {NAV_RETURN, 112, 114, 187, 211, 42600}
+PX4_NO_PLACE_YET = (PX4_PLACELESS | {mav_cmd.DO_SET_ROI_LOCATION}) - {
+    mav_cmd.NAV_RETURN_TO_LAUNCH,
+    mav_cmd.CONDITION_DELAY,
+    mav_cmd.CONDITION_DISTANCE,
+    mav_cmd.DO_SET_ACTUATOR,
+    mav_cmd.DO_GRIPPER,
+    mav_cmd.DO_WINCH,
+}
 """The only items allowed before a takeoff; else it is "not first waypoint item" and the mission is rejected."""
 
-PX4_NUMBERS = frozenset({187, 196, 203, 204, 205, 260, 1000, 1001})
+PX4_NUMBERS = frozenset(
+    {
+        mav_cmd.DO_SET_ACTUATOR,
+        mav_cmd.DO_SET_ROI_WPNEXT_OFFSET,
+        mav_cmd.DO_DIGICAM_CONTROL,
+        mav_cmd.DO_MOUNT_CONFIGURE,
+        mav_cmd.DO_MOUNT_CONTROL,
+        mav_cmd.OBLIQUE_SURVEY,
+        mav_cmd.DO_GIMBAL_MANAGER_PITCHYAW,
+        mav_cmd.DO_GIMBAL_MANAGER_CONFIGURE,
+    }
+)
 """Commands without a position whose param5 to param7 PX4 reads; it ignores those of all others."""
 
-PX4_FLOWN_PLACE = frozenset({17, 19, NAV_LAND, NAV_TAKEOFF, 31, VTOL_TAKEOFF, VTOL_LAND})
+PX4_FLOWN_PLACE = frozenset(
+    {
+        mav_cmd.NAV_LOITER_UNLIM,
+        mav_cmd.NAV_LOITER_TIME,
+        mav_cmd.NAV_LAND,
+        mav_cmd.NAV_TAKEOFF,
+        mav_cmd.NAV_LOITER_TO_ALT,
+        mav_cmd.NAV_VTOL_TAKEOFF,
+        mav_cmd.NAV_VTOL_LAND,
+    }
+)
 """Besides waypoints: positions to fly to, also 0, 0. (For an ArduPilot 0, 0 is its own position then.)"""
 
 PX4_PARAMS: Mapping[int, tuple[int, ...]] = {
-    **{16: (1, 2, 4), 17: (3, 4), 19: (1, 2, 3, 4), 20: (), 21: (1, 2, 4), 22: (1, 4), 31: (1, 2, 4), 84: (4,)},
-    **{85: (3, 4), 93: (1, 2, 3, 4), 112: (1,), 114: (1,), 177: (1, 2), 178: (1, 2, 3), 189: (), 195: ()},
-    **{196: (1,), 197: (1,), 206: (1, 2, 3, 4), 211: (1, 2), 214: (1, 2, 3), 530: (1, 2), 532: (1, 2, 3)},
-    **{534: (1, 2, 3), 2000: (1, 2, 3, 4), 2001: (1,), 2003: (1, 2, 3, 4), 2500: (1, 2, 3), 2501: (1, 2)},
-    **{3000: (1, 2), 4501: (), 42600: (1, 2, 3, 4)},
+    mav_cmd.NAV_WAYPOINT: (1, 2, 4),
+    mav_cmd.NAV_LOITER_UNLIM: (3, 4),
+    mav_cmd.NAV_LOITER_TIME: (1, 2, 3, 4),
+    mav_cmd.NAV_RETURN_TO_LAUNCH: (),
+    mav_cmd.NAV_LAND: (1, 2, 4),
+    mav_cmd.NAV_TAKEOFF: (1, 4),
+    mav_cmd.NAV_LOITER_TO_ALT: (1, 2, 4),
+    mav_cmd.NAV_VTOL_TAKEOFF: (4,),
+    mav_cmd.NAV_VTOL_LAND: (3, 4),
+    mav_cmd.NAV_DELAY: (1, 2, 3, 4),
+    mav_cmd.CONDITION_DELAY: (1,),
+    mav_cmd.CONDITION_DISTANCE: (1,),
+    mav_cmd.DO_JUMP: (1, 2),
+    mav_cmd.DO_CHANGE_SPEED: (1, 2, 3),
+    mav_cmd.DO_LAND_START: (),
+    mav_cmd.DO_SET_ROI_LOCATION: (),
+    mav_cmd.DO_SET_ROI_WPNEXT_OFFSET: (1,),
+    mav_cmd.DO_SET_ROI_NONE: (1,),
+    mav_cmd.DO_SET_CAM_TRIGG_DIST: (1, 2, 3, 4),
+    mav_cmd.DO_GRIPPER: (1, 2),
+    mav_cmd.DO_SET_CAM_TRIGG_INTERVAL: (1, 2, 3),
+    mav_cmd.SET_CAMERA_MODE: (1, 2),
+    mav_cmd.SET_CAMERA_FOCUS: (1, 2, 3),
+    mav_cmd.SET_CAMERA_SOURCE: (1, 2, 3),
+    mav_cmd.IMAGE_START_CAPTURE: (1, 2, 3, 4),
+    mav_cmd.IMAGE_STOP_CAPTURE: (1,),
+    mav_cmd.DO_TRIGGER_CONTROL: (1, 2, 3, 4),
+    mav_cmd.VIDEO_START_CAPTURE: (1, 2, 3),
+    mav_cmd.VIDEO_STOP_CAPTURE: (1, 2),
+    mav_cmd.DO_VTOL_TRANSITION: (1, 2),
+    mav_cmd.CONDITION_GATE: (),
+    mav_cmd.DO_WINCH: (1, 2, 3, 4),
 }
 """Which of param1 to param4 a PX4 uses. 1.16 ignores the others, later versions refuse an item that has one of them."""
 
 ARDUPILOT_TAKEN = frozenset(
-    {16, 17, 18, 19, 20, 21, 22, 30, 31, 82, 83, 84, 85, 92, 93, 94, 112, 114, 115, 177, 178, 179, 181, 182, 183, 184}
-    | {188, 189, 191, 193, 194, 195, 197, 201, 202, 203, 205, 206, 207, 208, 210, 211, 212, 213, 215, 216, 217, 218}
-    | {222, 223, 531, 532, 534, 600, 601, 1000, 2000, 2001, 2500, 2501, 3000, 42600, 42702, 42703}
+    {
+        mav_cmd.NAV_WAYPOINT,
+        mav_cmd.NAV_LOITER_UNLIM,
+        mav_cmd.NAV_LOITER_TURNS,
+        mav_cmd.NAV_LOITER_TIME,
+        mav_cmd.NAV_RETURN_TO_LAUNCH,
+        mav_cmd.NAV_LAND,
+        mav_cmd.NAV_TAKEOFF,
+        mav_cmd.NAV_CONTINUE_AND_CHANGE_ALT,
+        mav_cmd.NAV_LOITER_TO_ALT,
+        mav_cmd.NAV_SPLINE_WAYPOINT,
+        mav_cmd.NAV_ALTITUDE_WAIT,
+        mav_cmd.NAV_VTOL_TAKEOFF,
+        mav_cmd.NAV_VTOL_LAND,
+        mav_cmd.NAV_GUIDED_ENABLE,
+        mav_cmd.NAV_DELAY,
+        mav_cmd.NAV_PAYLOAD_PLACE,
+        mav_cmd.CONDITION_DELAY,
+        mav_cmd.CONDITION_DISTANCE,
+        mav_cmd.CONDITION_YAW,
+        mav_cmd.DO_JUMP,
+        mav_cmd.DO_CHANGE_SPEED,
+        mav_cmd.DO_SET_HOME,
+        mav_cmd.DO_SET_RELAY,
+        mav_cmd.DO_REPEAT_RELAY,
+        mav_cmd.DO_SET_SERVO,
+        mav_cmd.DO_REPEAT_SERVO,
+    }
+    | {
+        mav_cmd.DO_RETURN_PATH_START,
+        mav_cmd.DO_LAND_START,
+        mav_cmd.DO_GO_AROUND,
+        mav_cmd.DO_PAUSE_CONTINUE,
+        mav_cmd.DO_SET_REVERSE,
+        mav_cmd.DO_SET_ROI_LOCATION,
+        mav_cmd.DO_SET_ROI_NONE,
+        mav_cmd.DO_SET_ROI,
+        mav_cmd.DO_DIGICAM_CONFIGURE,
+        mav_cmd.DO_DIGICAM_CONTROL,
+        mav_cmd.DO_MOUNT_CONTROL,
+        mav_cmd.DO_SET_CAM_TRIGG_DIST,
+        mav_cmd.DO_FENCE_ENABLE,
+        mav_cmd.DO_PARACHUTE,
+        mav_cmd.DO_INVERTED_FLIGHT,
+        mav_cmd.DO_GRIPPER,
+        mav_cmd.DO_AUTOTUNE_ENABLE,
+        mav_cmd.NAV_SET_YAW_SPEED,
+        mav_cmd.DO_SET_RESUME_REPEAT_DIST,
+        mav_cmd.DO_SPRAYER,
+        mav_cmd.DO_SEND_SCRIPT_MESSAGE,
+        mav_cmd.DO_AUX_FUNCTION,
+    }
+    | {
+        mav_cmd.DO_GUIDED_LIMITS,
+        mav_cmd.DO_ENGINE_CONTROL,
+        mav_cmd.SET_CAMERA_ZOOM,
+        mav_cmd.SET_CAMERA_FOCUS,
+        mav_cmd.SET_CAMERA_SOURCE,
+        mav_cmd.JUMP_TAG,
+        mav_cmd.DO_JUMP_TAG,
+        mav_cmd.DO_GIMBAL_MANAGER_PITCHYAW,
+        mav_cmd.IMAGE_START_CAPTURE,
+        mav_cmd.IMAGE_STOP_CAPTURE,
+        mav_cmd.VIDEO_START_CAPTURE,
+        mav_cmd.VIDEO_STOP_CAPTURE,
+        mav_cmd.DO_VTOL_TRANSITION,
+        mav_cmd.DO_WINCH,
+        mav_cmd.NAV_SCRIPT_TIME,
+        mav_cmd.NAV_ATTITUDE_TIME,
+    }
 )
 """Accepted in any frame if the command has no position. 195 and 197 since 4.6: `convert` replaces them by 201."""
 
-ARDUPILOT_PLACED = frozenset({16, 17, 18, 19, 21, 22, 30, 31, 82, 84, 85, 92, 94, 179, 188, 189, 191, 195, 201})
+ARDUPILOT_PLACED = frozenset(
+    {
+        mav_cmd.NAV_WAYPOINT,
+        mav_cmd.NAV_LOITER_UNLIM,
+        mav_cmd.NAV_LOITER_TURNS,
+        mav_cmd.NAV_LOITER_TIME,
+        mav_cmd.NAV_LAND,
+        mav_cmd.NAV_TAKEOFF,
+        mav_cmd.NAV_CONTINUE_AND_CHANGE_ALT,
+        mav_cmd.NAV_LOITER_TO_ALT,
+        mav_cmd.NAV_SPLINE_WAYPOINT,
+        mav_cmd.NAV_VTOL_TAKEOFF,
+        mav_cmd.NAV_VTOL_LAND,
+        mav_cmd.NAV_GUIDED_ENABLE,
+        mav_cmd.NAV_PAYLOAD_PLACE,
+        mav_cmd.DO_SET_HOME,
+        mav_cmd.DO_RETURN_PATH_START,
+        mav_cmd.DO_LAND_START,
+        mav_cmd.DO_GO_AROUND,
+        mav_cmd.DO_SET_ROI_LOCATION,
+        mav_cmd.DO_SET_ROI,
+    }
+)
 """`stored_in_location`: latitude, longitude and altitude must be valid, and the frame one that has them, or MISSION."""
 
-ARDUPILOT_HERE = ARDUPILOT_PLACED - {16, 82, 94, 195, 201}
+ARDUPILOT_HERE = ARDUPILOT_PLACED - {
+    mav_cmd.NAV_WAYPOINT,
+    mav_cmd.NAV_SPLINE_WAYPOINT,
+    mav_cmd.NAV_PAYLOAD_PLACE,
+    mav_cmd.DO_SET_ROI_LOCATION,
+    mav_cmd.DO_SET_ROI,
+}
 """Commands for which 0, 0 means the vehicle's position then, or nothing."""
 
-ARDUPILOT_ANY_HEIGHT = frozenset({NAV_LAND, VTOL_LAND, 92, 179, 188, 189, 191})
+ARDUPILOT_ANY_HEIGHT = frozenset(
+    {
+        mav_cmd.NAV_LAND,
+        mav_cmd.NAV_VTOL_LAND,
+        mav_cmd.NAV_GUIDED_ENABLE,
+        mav_cmd.DO_SET_HOME,
+        mav_cmd.DO_RETURN_PATH_START,
+        mav_cmd.DO_LAND_START,
+        mav_cmd.DO_GO_AROUND,
+    }
+)
 """Commands that do not use the altitude, so that 0 may be sent if it is not set."""
 
-COPTER_SKIPS = frozenset({30, 83, 191, 193, 194, 210, 212, 213, 223, 3000})
+COPTER_SKIPS = frozenset(
+    {
+        mav_cmd.NAV_CONTINUE_AND_CHANGE_ALT,
+        mav_cmd.NAV_ALTITUDE_WAIT,
+        mav_cmd.DO_GO_AROUND,
+        mav_cmd.DO_PAUSE_CONTINUE,
+        mav_cmd.DO_SET_REVERSE,
+        mav_cmd.DO_INVERTED_FLIGHT,
+        mav_cmd.DO_AUTOTUNE_ENABLE,
+        mav_cmd.NAV_SET_YAW_SPEED,
+        mav_cmd.DO_ENGINE_CONTROL,
+        mav_cmd.DO_VTOL_TRANSITION,
+    }
+)
 """Accepted, because planes or rovers use them; an ArduCopter skips them."""
 
 ARDUPILOT_FRAMES = frozenset({GLOBAL, RELATIVE_ALT, TERRAIN_ALT, MISSION_FRAME})
@@ -157,7 +378,7 @@ def px4_order(items: tuple[MissionItem, ...]) -> Iterator[tuple[int, str]]:
     """(number, reason) of items of a converted mission whose order makes a PX4 reject it."""
     before = False
     for number, item in enumerate(items, 1):
-        if item.command in (NAV_TAKEOFF, VTOL_TAKEOFF) and before:
+        if item.command in (mav_cmd.NAV_TAKEOFF, mav_cmd.NAV_VTOL_TAKEOFF) and before:
             yield number, "PX4 rejects the mission: a take-off must come before all other positions and returns"
         before = before or item.command not in PX4_NO_PLACE_YET
 
@@ -165,11 +386,15 @@ def px4_order(items: tuple[MissionItem, ...]) -> Iterator[tuple[int, str]]:
 def _for_px4(item: MissionItem, names: Mapping[int, str]) -> tuple[MissionItem, list[str]]:
     name = _name(item.command, names)
     texts = []
-    if item.command == DO_SET_ROI and item.params[0] == ROI_LOCATION and item.position is not None:
-        item = replace(item, command=DO_SET_ROI_LOCATION, params=(0.0, 0.0, 0.0, 0.0))
-        texts.append(f"{name} becomes {_name(DO_SET_ROI_LOCATION, names)}, whose position a PX4 reads")
+    if item.command == mav_cmd.DO_SET_ROI and item.params[0] == ROI_LOCATION and item.position is not None:
+        item = replace(item, command=mav_cmd.DO_SET_ROI_LOCATION, params=(0.0, 0.0, 0.0, 0.0))
+        texts.append(f"{name} becomes {_name(mav_cmd.DO_SET_ROI_LOCATION, names)}, whose position a PX4 reads")
     placed = item.frame in GLOBAL_FRAMES and item.command in PX4_PLACED
-    if item.command in PX4_PLACELESS and not placed and not (item.command == DO_SET_HOME and item.params[0] != 1):
+    if (
+        item.command in PX4_PLACELESS
+        and not placed
+        and not (item.command == mav_cmd.DO_SET_HOME and item.params[0] != 1)
+    ):
         item, dropped = _without_place(item)
         if dropped:
             texts.append(f"the position of {name}, which a PX4 does not use, is left out: it would be refused")
@@ -206,9 +431,9 @@ def _px4_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator[tuple
         yield True, f"PX4 takes {name} with a position only: frame 0 or 3, not 2"
     elif item.frame != MISSION_FRAME and command in PX4_NUMBERS:
         yield True, f"PX4 takes {name} with whole numbers in param5 and param6 only"
-    if command == DO_SET_HOME and item.params[0] != 1:
+    if command == mav_cmd.DO_SET_HOME and item.params[0] != 1:
         yield True, f"PX4 takes {name} in a mission with param1 = 1 (its position then) only"
-    if command in (80, DO_SET_ROI):
+    if command in (80, mav_cmd.DO_SET_ROI):
         allowed = (ROI_NONE, 1, 2) if item.frame == MISSION_FRAME else (ROI_NONE, ROI_LOCATION)
         if item.params[0] not in allowed:
             yield True, f"PX4 takes {name} in frame {item.frame} with param1 {' or '.join(map(str, allowed))} only"
@@ -225,15 +450,15 @@ def _px4_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator[tuple
 
 def _for_ardupilot(item: MissionItem, names: Mapping[int, str]) -> tuple[MissionItem | None, list[str]]:
     name = _name(item.command, names)
-    if item.command == SET_CAMERA_MODE:
+    if item.command == mav_cmd.SET_CAMERA_MODE:
         text = "which an ArduPilot does not take, is left out: the following items have lower numbers on the vehicle"
         return None, [f"{name}, {text}"]
-    if item.command == DO_SET_ROI_LOCATION and item.frame in GLOBAL_FRAMES:
-        text = f"{name} becomes {_name(DO_SET_ROI, names)}: the same, and every ArduPilot takes it"
-        return replace(item, command=DO_SET_ROI, params=(float(ROI_LOCATION), 0.0, 0.0, 0.0)), [text]
-    if item.command == DO_SET_ROI_NONE:
-        text = f"{name} becomes {_name(DO_SET_ROI, names)} without a position: the same, and every ArduPilot takes it"
-        return MissionItem(DO_SET_ROI, GLOBAL, autocontinue=item.autocontinue), [text]
+    if item.command == mav_cmd.DO_SET_ROI_LOCATION and item.frame in GLOBAL_FRAMES:
+        text = f"{name} becomes {_name(mav_cmd.DO_SET_ROI, names)}: the same, and every ArduPilot takes it"
+        return replace(item, command=mav_cmd.DO_SET_ROI, params=(float(ROI_LOCATION), 0.0, 0.0, 0.0)), [text]
+    if item.command == mav_cmd.DO_SET_ROI_NONE:
+        text = f"{name} becomes {_name(mav_cmd.DO_SET_ROI, names)} without a position: every ArduPilot takes it"
+        return MissionItem(mav_cmd.DO_SET_ROI, GLOBAL, autocontinue=item.autocontinue), [text]
     if item.command in ARDUPILOT_HERE and UNSET_INT in (item.x, item.y):
         item = replace(item, x=0, y=0)
     if item.command in ARDUPILOT_ANY_HEIGHT and item.z is None:
@@ -252,19 +477,23 @@ def _ardupilot_refusals(item: MissionItem, names: Mapping[int, str]) -> Iterator
         return
     if item.frame not in ARDUPILOT_FRAMES:
         yield True, f"ArduPilot takes {name} in frames 0 (AMSL), 3 (above home) and 10 (above terrain) only"
-    elif item.frame == MISSION_FRAME and item.command in ARDUPILOT_PLACED - ARDUPILOT_ANY_HEIGHT - {DO_SET_ROI, 16, 82}:
+    elif item.frame == MISSION_FRAME and item.command in ARDUPILOT_PLACED - ARDUPILOT_ANY_HEIGHT - {
+        mav_cmd.DO_SET_ROI,
+        16,
+        82,
+    }:
         yield True, f"ArduPilot reads the altitude of {name} in frame 2 as AMSL, and no position"
     elif UNSET_INT in (item.x, item.y) and item.command not in (16, 82):  # reported for waypoints in any case
         yield True, f"ArduPilot takes no {name} without a position"
     if item.z is not None and abs(item.z) >= MAX_ALTITUDE_M:
         yield True, f"ArduPilot takes no altitude of {item.z:g} m"
-    elif item.z is None and item.command in (DO_SET_ROI, 30, 31):
+    elif item.z is None and item.command in (mav_cmd.DO_SET_ROI, 30, 31):
         yield True, f"ArduPilot takes no {name} whose altitude is not set"
 
 
 def _renumbered(item: MissionItem, numbers: list[int]) -> MissionItem:
     target = item.params[0]
-    if item.command != DO_JUMP or target is None or not target.is_integer() or not 1 <= target <= len(numbers):
+    if item.command != mav_cmd.DO_JUMP or target is None or not target.is_integer() or not 1 <= target <= len(numbers):
         return item
     return replace(item, params=(float(numbers[int(target) - 1]), *item.params[1:]))
 

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from skygcs.core.mavlink import mav_cmd
+
 UNSET_INT = 2**31 - 1
 """x or y of a global frame that is not set: the integer form of NaN in PX4."""
 
@@ -31,13 +33,15 @@ _ONE_NAME = {5: GLOBAL, 6: RELATIVE_ALT, 11: TERRAIN_ALT}
 GLOBAL_FRAMES = frozenset({GLOBAL, RELATIVE_ALT, TERRAIN_ALT})
 LOCAL_FRAMES = frozenset({1, 4, 7, 8, 9, 12, 20, 21})
 
-NAV_WAYPOINT, NAV_RETURN, NAV_LAND, NAV_TAKEOFF = 16, 20, 21, 22
-NAV_LAST = 95
-"""MAV_CMD_NAV_LAST: smaller ids move the vehicle, larger ones are conditions and actions."""
-DO_JUMP, JUMP_TAG, DO_JUMP_TAG = 177, 600, 601
-FENCE_RETURN, POLYGON_INCLUSION, POLYGON_EXCLUSION, CIRCLE_INCLUSION, CIRCLE_EXCLUSION = 5000, 5001, 5002, 5003, 5004
-FENCE_COMMANDS = frozenset(range(5000, 5005))
-RALLY_POINT = 5100
+FENCE_COMMANDS = frozenset(
+    {
+        mav_cmd.NAV_FENCE_RETURN_POINT,
+        mav_cmd.NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+        mav_cmd.NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+        mav_cmd.NAV_FENCE_CIRCLE_INCLUSION,
+        mav_cmd.NAV_FENCE_CIRCLE_EXCLUSION,
+    }
+)
 
 
 class MissionType(IntEnum):
@@ -132,7 +136,7 @@ class MissionItem:
     @property
     def moves(self) -> bool:
         """True for a NAV command, which moves the vehicle."""
-        return self.command < NAV_LAST
+        return self.command < mav_cmd.NAV_LAST
 
 
 def float32(value: float | None, name: str) -> float | None:

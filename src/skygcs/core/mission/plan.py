@@ -9,8 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.fence_items import FencePlan, fence_from_items, fence_items
-from skygcs.core.mission.item import DO_JUMP, GLOBAL, MISSION_FRAME, NAV_WAYPOINT, MissionItem, MissionType
+from skygcs.core.mission.item import (
+    GLOBAL,
+    MISSION_FRAME,
+    MissionItem,
+    MissionType,
+)
 
 PLACELESS = frozenset(
     {20, 93, 112, 114, 115, 177, 178, 181, 182, 183, 184, 187, 197, 203, 205, 206, 211, 218, 222, 223, 530, 531, 532}
@@ -35,7 +41,7 @@ class PlannedHome:
     def item(self) -> MissionItem:
         """Item 0 of an ArduPilot."""
         return MissionItem.from_params(
-            NAV_WAYPOINT, GLOBAL, (0.0, 0.0, 0.0, 0.0, self.lat_deg, self.lon_deg, self.alt_amsl_m), True
+            mav_cmd.NAV_WAYPOINT, GLOBAL, (0.0, 0.0, 0.0, 0.0, self.lat_deg, self.lon_deg, self.alt_amsl_m), True
         )
 
 
@@ -110,7 +116,7 @@ def shifted_jumps(items: tuple[MissionItem, ...], by: int) -> tuple[MissionItem,
     """The items with every DO_JUMP's target moved; one that is not set stays so."""
     return tuple(
         replace(item, params=(item.params[0] + by, *item.params[1:]))
-        if item.command == DO_JUMP and item.params[0] is not None
+        if item.command == mav_cmd.DO_JUMP and item.params[0] is not None
         else item
         for item in items
     )

@@ -15,8 +15,14 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.fence_items import FenceCircle, FencePlan, FencePolygon
-from skygcs.core.mission.item import DO_JUMP, MAX_ITEMS, RALLY_POINT, RELATIVE_ALT, MissionItem, shortest
+from skygcs.core.mission.item import (
+    MAX_ITEMS,
+    RELATIVE_ALT,
+    MissionItem,
+    shortest,
+)
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, PlanSettings
 from skygcs.core.mission.structure import StructureScan, structure_items
 from skygcs.errors import PlanFileError
@@ -182,7 +188,7 @@ def _items(file: _File, entries: list[Any]) -> tuple[MissionItem, ...]:
             raise file.error(where, f"type {_short(table.get('type'))} is neither SimpleItem nor ComplexItem")
         if len(items) > MAX_ITEMS:
             raise file.error(where, f"MAVLink can number {MAX_ITEMS} items")
-    _check_numbers(file, numbered, any(item.command == DO_JUMP for item in items))
+    _check_numbers(file, numbered, any(item.command == mav_cmd.DO_JUMP for item in items))
     return tuple(items)
 
 
@@ -350,7 +356,9 @@ def _rally(file: _File, section: dict[str, Any]) -> tuple[MissionItem, ...]:
         where = f"rally point {n}"
         place = tuple(file.number(v, where) for v in file.array(point, where, 3))
         try:
-            items.append(MissionItem.from_params(RALLY_POINT, RELATIVE_ALT, (0.0, 0.0, 0.0, 0.0, *place), True))
+            items.append(
+                MissionItem.from_params(mav_cmd.NAV_RALLY_POINT, RELATIVE_ALT, (0.0, 0.0, 0.0, 0.0, *place), True)
+            )
         except ValueError as error:
             raise file.error(where, str(error)) from None
     return tuple(items)

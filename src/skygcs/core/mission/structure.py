@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from skygcs.core.geo import EARTH_RADIUS_M
-from skygcs.core.mission.item import MISSION_FRAME, NAV_WAYPOINT, RELATIVE_ALT, MissionItem
+from skygcs.core.mavlink import mav_cmd
+from skygcs.core.mission.item import MISSION_FRAME, RELATIVE_ALT, MissionItem
 
 Point = tuple[float, float]
 
-TRIGGER_DISTANCE, ROI_NEXT_WAYPOINT, ROI_NONE = 206, 196, 197
 YAW_TO_STRUCTURE_DEG = 90.0
 """The outline is flown clockwise, with the structure to the right."""
 
@@ -52,15 +52,20 @@ def structure_items(scan: StructureScan) -> tuple[MissionItem, ...]:
     entrance = _waypoint(path[0], scan.entrance_height_m)
     items = [
         entrance,
-        _action(ROI_NEXT_WAYPOINT, 0.0, 0.0, scan.gimbal_pitch_deg, YAW_TO_STRUCTURE_DEG),
+        _action(mav_cmd.DO_SET_ROI_WPNEXT_OFFSET, 0.0, 0.0, scan.gimbal_pitch_deg, YAW_TO_STRUCTURE_DEG),
     ]
     step_m = -scan.layer_height_m if scan.from_top else scan.layer_height_m
     height_m = (scan.top_height_m if scan.from_top else scan.bottom_height_m) + step_m / 2
     for _ in range(scan.layers):
         first, *rest = (_waypoint(corner, height_m) for corner in (*path, path[0]))
-        items += [first, _action(TRIGGER_DISTANCE, scan.trigger_distance_m, 1.0), *rest, _action(TRIGGER_DISTANCE)]
+        items += [
+            first,
+            _action(mav_cmd.DO_SET_CAM_TRIGG_DIST, scan.trigger_distance_m, 1.0),
+            *rest,
+            _action(mav_cmd.DO_SET_CAM_TRIGG_DIST),
+        ]
         height_m += step_m
-    return (*items, _action(ROI_NONE), entrance)
+    return (*items, _action(mav_cmd.DO_SET_ROI_NONE), entrance)
 
 
 def offset_outline(outline: Sequence[Point], distance_m: float) -> tuple[Point, ...]:
@@ -107,7 +112,7 @@ def _unit(a: Point, b: Point) -> Point:
 
 
 def _waypoint(place: Point, height_m: float) -> MissionItem:
-    return MissionItem.from_params(NAV_WAYPOINT, RELATIVE_ALT, (0.0, 0.0, 0.0, None, *place, height_m), True)
+    return MissionItem.from_params(mav_cmd.NAV_WAYPOINT, RELATIVE_ALT, (0.0, 0.0, 0.0, None, *place, height_m), True)
 
 
 def _action(command: int, p1: float = 0.0, p3: float = 0.0, p5: float = 0.0, p7: float = 0.0) -> MissionItem:

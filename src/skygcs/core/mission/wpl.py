@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mission.fence_items import fence_from_items
 from skygcs.core.mission.item import (
     FENCE_COMMANDS,
     GLOBAL,
     MAX_ITEMS,
-    NAV_WAYPOINT,
-    RALLY_POINT,
     MissionItem,
     MissionType,
 )
@@ -59,7 +58,7 @@ def write_wpl(plan: MissionPlan, kind: MissionType) -> str:
     """One list of the plan, after home (zeros if there is none: every reader takes the first line for home)."""
     home = plan.home or PlannedHome(0.0, 0.0, 0.0)
     place = (home.lat_deg, home.lon_deg, home.alt_amsl_m)
-    rows = [_row(0, 1, GLOBAL, NAV_WAYPOINT, (0.0, 0.0, 0.0, 0.0, *place), True)]
+    rows = [_row(0, 1, GLOBAL, mav_cmd.NAV_WAYPOINT, (0.0, 0.0, 0.0, 0.0, *place), True)]
     for seq, item in enumerate(plan.items(kind), 1):
         rows.append(_row(seq, 0, item.frame, item.command, item.seven, item.autocontinue))
     return "\n".join([f"{HEADER} {VERSION}", *rows]) + "\n"
@@ -99,7 +98,7 @@ def _check_numbers(lines: list[_Line], source: str) -> None:
 
 
 def _is_home(line: _Line) -> bool:
-    return line.item.command == NAV_WAYPOINT and line.item.frame == GLOBAL
+    return line.item.command == mav_cmd.NAV_WAYPOINT and line.item.frame == GLOBAL
 
 
 def _home(line: _Line, source: str) -> PlannedHome | None:
@@ -113,7 +112,9 @@ def _home(line: _Line, source: str) -> PlannedHome | None:
 
 def _plan(lines: list[_Line], home: PlannedHome | None, source: str, jumps: int) -> MissionPlan:
     items = tuple(line.item for line in lines)
-    special = [line for line in lines if line.item.command in FENCE_COMMANDS or line.item.command == RALLY_POINT]
+    special = [
+        line for line in lines if line.item.command in FENCE_COMMANDS or line.item.command == mav_cmd.NAV_RALLY_POINT
+    ]
     if not special:
         return MissionPlan(mission=shifted_jumps(items, jumps), home=home)
     stranger = next((line for line in lines if line not in special), None)
@@ -121,7 +122,7 @@ def _plan(lines: list[_Line], home: PlannedHome | None, source: str, jumps: int)
         what = "fence" if special[0].item.command in FENCE_COMMANDS else "rally"
         reason = f"command {stranger.item.command} among {what} items: one file holds one kind"
         raise PlanFileError(source, f"line {stranger.number}", reason)
-    if all(line.item.command == RALLY_POINT for line in lines):
+    if all(line.item.command == mav_cmd.NAV_RALLY_POINT for line in lines):
         return MissionPlan(rally=items, home=home)
     try:
         return MissionPlan(fence=fence_from_items(items, first=lines[0].seq), home=home)

@@ -9,6 +9,7 @@ import struct
 from enum import Enum, auto
 from typing import NamedTuple, Self
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.mavlink.msgids import (
     COMMAND_INT,
@@ -38,15 +39,27 @@ COMMANDS = frozenset({COMMAND_INT, COMMAND_LONG})
 ORDERS = frozenset({SET_MODE, MISSION_SET_CURRENT})
 """Orders with messages of their own; all others are COMMANDS that are no REQUESTS."""
 
-SET_MESSAGE_INTERVAL = 511
-REQUESTS = frozenset({410, 510, 512, 519, 520, 521, 522, 525, 526, 527, 528, 2504, 2505})
+REQUESTS = frozenset(
+    {
+        mav_cmd.GET_HOME_POSITION,
+        mav_cmd.GET_MESSAGE_INTERVAL,
+        mav_cmd.REQUEST_MESSAGE,
+        mav_cmd.REQUEST_PROTOCOL_VERSION,
+        mav_cmd.REQUEST_AUTOPILOT_CAPABILITIES,
+        mav_cmd.REQUEST_CAMERA_INFORMATION,
+        mav_cmd.REQUEST_CAMERA_SETTINGS,
+        mav_cmd.REQUEST_STORAGE_INFORMATION,
+        mav_cmd.REQUEST_CAMERA_CAPTURE_STATUS,
+        mav_cmd.REQUEST_FLIGHT_INFORMATION,
+        mav_cmd.REQUEST_VIDEO_STREAM_INFORMATION,
+        mav_cmd.REQUEST_VIDEO_STREAM_STATUS,
+    }
+)
 """MAV_CMDs that only ask: home, a message and its interval, versions, capabilities, what cameras are like. Ground
 stations send a dozen of them to each vehicle as they connect."""
 
-ARM_DISARM = 400
 FORCED = 21196.0
 """param2 of a disarm that is obeyed in the air (common.xml, MAV_CMD_COMPONENT_ARM_DISARM)."""
-FLIGHT_TERMINATION = 185
 
 NEWEST_ONLY = frozenset(
     {
@@ -201,12 +214,12 @@ def _kind(msgid: int, payload: bytes) -> Kind:
 
 def _command_kind(payload: bytes) -> Kind:
     command = _command(payload)
-    if command == FLIGHT_TERMINATION:
+    if command == mav_cmd.DO_FLIGHTTERMINATION:
         return Kind.EMERGENCY
     param1, param2 = _PARAM12.unpack_from(payload.ljust(_PARAM12.size, b"\0"))
-    if command == ARM_DISARM and param1 == 0.0 and param2 == FORCED:
+    if command == mav_cmd.COMPONENT_ARM_DISARM and param1 == 0.0 and param2 == FORCED:
         return Kind.EMERGENCY
-    if command == SET_MESSAGE_INTERVAL:
+    if command == mav_cmd.SET_MESSAGE_INTERVAL:
         return Kind.STREAM_RATE
     return Kind.OTHER if command in REQUESTS else Kind.ORDER
 

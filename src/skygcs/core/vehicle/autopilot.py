@@ -40,26 +40,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from skygcs.core.mavlink import modes
+from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.type_masks import ALL, position_target_mask
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.vehicle.order_plan import LIFT_OFF_S, ArmedIs, HasPosition, LiftedOff, ModeIn, Plan, Step, TargetNear
 from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import NotReadyError, RefusedError
-
-NAV_RETURN_TO_LAUNCH = 20
-NAV_LAND = 21
-NAV_TAKEOFF = 22
-CONDITION_YAW = 115
-DO_SET_MODE = 176
-DO_SET_HOME = 179
-DO_REPOSITION = 192
-PREFLIGHT_REBOOT_SHUTDOWN = 246
-COMPONENT_ARM_DISARM = 400
-GET_MESSAGE_INTERVAL = 510
-SET_MESSAGE_INTERVAL = 511
-REQUEST_MESSAGE = 512
-"""MAV_CMD: wire constants, the same in every dialect."""
 
 FORCE_ARM_MAGIC = 21196.0
 """param2 of COMPONENT_ARM_DISARM: arms without checks, disarms in the air."""
@@ -111,14 +97,14 @@ def arm_to_fly(vehicle: Vehicle, now: float, estimate_msgid: int) -> Plan:
     copter = vehicle.family == "ardupilot" and modes.is_copter(vehicle.type)
     if not copter or vehicle.armed or HasPosition().met(vehicle, now):
         return arm()
-    ask = CommandSpec(REQUEST_MESSAGE, (float(estimate_msgid),))
+    ask = CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(estimate_msgid),))
     known = Step("position", ask, expect=HasPosition(), expect_s=ESTIMATE_S, skip_if_met=True)
     return Plan("arm", (known, _arm_step()), "armed")
 
 
 def disarm(*, force: bool = False) -> Plan:
     """Disarm; with a duplicate system id only once that is confirmed (`stop.require_confirmed`)."""
-    spec = CommandSpec(COMPONENT_ARM_DISARM, (0.0, FORCE_ARM_MAGIC if force else 0.0))
+    spec = CommandSpec(mav_cmd.COMPONENT_ARM_DISARM, (0.0, FORCE_ARM_MAGIC if force else 0.0))
     step = Step("disarm", spec, expect=ArmedIs(False))
     return Plan("disarm", (step,), "disarmed", emergency=force, final=force, despite_duplicate=True)
 
@@ -138,14 +124,16 @@ def takeoff(vehicle: Vehicle, height_m: float, alt_amsl_m: float | None) -> Plan
 
 def land(vehicle: Vehicle) -> Plan:
     wanted = {"px4": ("AUTO.LAND", "AUTO.PRECLAND"), "ardupilot": ("LAND", "QLAND", "AUTOLAND", "SURFACE")}
-    step = Step("land", CommandSpec(NAV_LAND, (0.0,) * 7), expect=_any_mode(vehicle, wanted.get(vehicle.family, ())))
+    step = Step(
+        "land", CommandSpec(mav_cmd.NAV_LAND, (0.0,) * 7), expect=_any_mode(vehicle, wanted.get(vehicle.family, ()))
+    )
     return Plan("land", (step,), "landing", despite_duplicate=True)
 
 
 def rtl(vehicle: Vehicle) -> Plan:
     wanted = {"px4": ("AUTO.RTL",), "ardupilot": ("RTL", "SMART_RTL", "QRTL", "AUTO_RTL")}
     expect = _any_mode(vehicle, wanted.get(vehicle.family, ()))
-    step = Step("rtl", CommandSpec(NAV_RETURN_TO_LAUNCH), expect=expect)
+    step = Step("rtl", CommandSpec(mav_cmd.NAV_RETURN_TO_LAUNCH), expect=expect)
     return Plan("rtl", (step,), "returning to launch", despite_duplicate=True)
 
 
@@ -183,7 +171,7 @@ def brake(vehicle: Vehicle) -> Plan:
     number = modes.mode_number(vehicle.autopilot, vehicle.type, wanted)
     step = mode_step(vehicle, number, or_disarmed=True)
     if vehicle.family == "px4":
-        pause = CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN, NAN, NAN, NAN))
+        pause = CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN, NAN, NAN, NAN))
         # AUTO.LOITER is also the mode of a goto: then only the acknowledgement shows that the goto has ended.
         expect = None if vehicle.custom_mode == number else step.expect
         step = Step("pause", pause, expect=expect, instead=(step,))
@@ -194,7 +182,9 @@ def goto(vehicle: Vehicle, to: Destination) -> Plan:
     done = f"going to {to.lat_deg:.7f}, {to.lon_deg:.7f}, {to.height_m:.1f} m"
     if vehicle.family == "px4":
         yaw = NAN if to.yaw_deg is None else math.radians(to.yaw_deg)
-        spec = CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, yaw), _location(FRAME_GLOBAL, to, to.alt_amsl_m))
+        spec = CommandSpec(
+            mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, yaw), _location(FRAME_GLOBAL, to, to.alt_amsl_m)
+        )
         expect = _any_mode(vehicle, ("AUTO.LOITER",), or_disarmed=False)
         return Plan("goto", (Step("goto", spec, expect=expect),), done)
     if vehicle.family != "ardupilot":
@@ -203,28 +193,28 @@ def goto(vehicle: Vehicle, to: Destination) -> Plan:
     location = _location(FRAME_GLOBAL_RELATIVE_ALT, to, to.height_m)
     reposition = Step(
         "goto",
-        CommandSpec(DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN), location),
+        CommandSpec(mav_cmd.DO_REPOSITION, (-1.0, CHANGE_MODE, 0.0, NAN), location),
         expect=ModeIn(frozenset({guided})),
         instead=_guided_target(vehicle, guided, to),
     )
     if to.yaw_deg is None:
         return Plan("goto", (reposition,), done)
-    turn = Step("yaw", CommandSpec(CONDITION_YAW, (to.yaw_deg % 360.0, 0.0, 0.0, 0.0)), expect_s=0)
+    turn = Step("yaw", CommandSpec(mav_cmd.CONDITION_YAW, (to.yaw_deg % 360.0, 0.0, 0.0, 0.0)), expect_s=0)
     return Plan("goto", (reposition, turn), done)
 
 
 def reboot(vehicle: Vehicle, *, force: bool = False) -> Plan:
     magic = FORCE_REBOOT_MAGIC if force and vehicle.family == "ardupilot" else 0.0
-    spec = CommandSpec(PREFLIGHT_REBOOT_SHUTDOWN, (1.0, 0.0, 0.0, 0.0, 0.0, magic, 0.0))
+    spec = CommandSpec(mav_cmd.PREFLIGHT_REBOOT_SHUTDOWN, (1.0, 0.0, 0.0, 0.0, 0.0, magic, 0.0))
     return Plan("reboot", (Step("reboot", spec),), "rebooting")
 
 
 def set_home(place: Destination | None) -> Plan:
     """None: the present position."""
     if place is None:
-        spec = CommandSpec(DO_SET_HOME, (1.0,))
+        spec = CommandSpec(mav_cmd.DO_SET_HOME, (1.0,))
     else:
-        spec = CommandSpec(DO_SET_HOME, (0.0, 0.0, 0.0, 0.0), _location(FRAME_GLOBAL, place, place.alt_amsl_m))
+        spec = CommandSpec(mav_cmd.DO_SET_HOME, (0.0, 0.0, 0.0, 0.0), _location(FRAME_GLOBAL, place, place.alt_amsl_m))
     return Plan("home", (Step("set home", spec),), "home set")
 
 
@@ -232,7 +222,7 @@ def message_interval(msgid: int, rate_hz: float | None, *, refused: str = "") ->
     """``rate_hz``: 0 turns the message off, None restores the vehicle's default."""
     interval_us = 0.0 if rate_hz is None else -1.0 if rate_hz == 0 else round(1e6 / rate_hz)
     done = "default rate" if rate_hz is None else f"{rate_hz:g} Hz" if rate_hz else "off"
-    step = Step("interval", CommandSpec(SET_MESSAGE_INTERVAL, (float(msgid), interval_us)), refused=refused)
+    step = Step("interval", CommandSpec(mav_cmd.SET_MESSAGE_INTERVAL, (float(msgid), interval_us)), refused=refused)
     return Plan("interval", (step,), done)
 
 
@@ -242,8 +232,8 @@ def firmware_name(vehicle: Vehicle) -> str:
 
 
 def _arm_step(*, force: bool = False, skip_if_met: bool = False) -> Step:
-    spec = CommandSpec(COMPONENT_ARM_DISARM, (1.0, FORCE_ARM_MAGIC if force else 0.0))
-    undo = Step("disarm again", CommandSpec(COMPONENT_ARM_DISARM, (0.0, 0.0)), expect=ArmedIs(False))
+    spec = CommandSpec(mav_cmd.COMPONENT_ARM_DISARM, (1.0, FORCE_ARM_MAGIC if force else 0.0))
+    undo = Step("disarm again", CommandSpec(mav_cmd.COMPONENT_ARM_DISARM, (0.0, 0.0)), expect=ArmedIs(False))
     return Step("arm", spec, expect=ArmedIs(True), skip_if_met=skip_if_met, undo=undo)
 
 
@@ -255,7 +245,7 @@ def mode_step(vehicle: Vehicle, number: int, *, or_disarmed: bool = False, skip_
         params = (float(modes.CUSTOM_MODE_ENABLED), float(number), 0.0)
     expect = ModeIn(frozenset({number}), or_disarmed)
     name = f"mode {mode_name(vehicle, number)}"
-    spec = CommandSpec(DO_SET_MODE, params, answers_twice=vehicle.family == "px4")
+    spec = CommandSpec(mav_cmd.DO_SET_MODE, params, answers_twice=vehicle.family == "px4")
     return Step(name, spec, expect=expect, skip_if_met=skip_if_met)
 
 
@@ -275,7 +265,7 @@ def _location(frame: int, to: Destination, alt_m: float) -> Location:
 
 
 def _px4_takeoff(vehicle: Vehicle, from_amsl_m: float, height_m: float) -> tuple[Step, ...]:
-    climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, from_amsl_m + height_m))
+    climb = CommandSpec(mav_cmd.NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, from_amsl_m + height_m))
     lifted = LiftedOff(from_amsl_m)
     steps = [_arm_step(skip_if_met=True), Step("takeoff", climb, expect=lifted, expect_s=LIFT_OFF_S)]
     if not vehicle.armed:
@@ -284,7 +274,7 @@ def _px4_takeoff(vehicle: Vehicle, from_amsl_m: float, height_m: float) -> tuple
 
 
 def _copter_takeoff(vehicle: Vehicle, height_m: float, from_amsl_m: float | None) -> tuple[Step, ...]:
-    climb = CommandSpec(NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m))
+    climb = CommandSpec(mav_cmd.NAV_TAKEOFF, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m))
     return (
         mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True),
         _arm_step(skip_if_met=True),
@@ -307,5 +297,9 @@ def _guided_target(vehicle: Vehicle, guided: int, to: Destination) -> tuple[Step
     return (
         mode_step(vehicle, guided, skip_if_met=True),
         Step("goto", message=("SET_POSITION_TARGET_GLOBAL_INT", values), expect_s=0),
-        Step("target", CommandSpec(REQUEST_MESSAGE, (position_target,)), expect=TargetNear(to.lat_deg, to.lon_deg)),
+        Step(
+            "target",
+            CommandSpec(mav_cmd.REQUEST_MESSAGE, (position_target,)),
+            expect=TargetNear(to.lat_deg, to.lon_deg),
+        ),
     )

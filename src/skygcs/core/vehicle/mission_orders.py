@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from skygcs.core.mavlink import modes
+from skygcs.core.mavlink import mav_cmd, modes
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mission.check import CheckLimits, Finding, check_plan, errors
 from skygcs.core.mission.firmware_items import Converted, Family, for_firmware
-from skygcs.core.mission.item import GLOBAL, NAV_WAYPOINT, MissionItem, MissionType
+from skygcs.core.mission.item import GLOBAL, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, from_wire, to_wire
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import autopilot
@@ -23,7 +23,6 @@ from skygcs.core.vehicle.vehicle import Vehicle
 from skygcs.errors import RefusedError
 
 DO_SET_MISSION_CURRENT = 224
-MISSION_START = 300
 
 CURRENT_S = 6.0
 """MISSION_CURRENT comes at 0.2 to 1 Hz by default."""
@@ -75,7 +74,7 @@ def on_wire(vehicle: Vehicle, plan: MissionPlan, kind: MissionType, dialect: Dia
         return ()
     if not keeps_home(vehicle):
         return to_wire(items, None)
-    return to_wire(items, MissionItem(NAV_WAYPOINT, GLOBAL) if plan.home is None else plan.home.item())
+    return to_wire(items, MissionItem(mav_cmd.NAV_WAYPOINT, GLOBAL) if plan.home is None else plan.home.item())
 
 
 def converted(vehicle: Vehicle, plan: MissionPlan, dialect: Dialect) -> Converted:
@@ -198,7 +197,7 @@ def _go(vehicle: Vehicle) -> tuple[Step, ...]:
         return (replace(mode, undo=replace(back, name="put it back in AUTO.LOITER")), arm)
     if modes.is_copter(vehicle.type):
         guided = autopilot.mode_step(vehicle, modes.copter_mode_number("GUIDED"), skip_if_met=True)
-        begin = Step("start", CommandSpec(MISSION_START, (0.0, 0.0)), expect=mode.expect, instead=(mode,))
+        begin = Step("start", CommandSpec(mav_cmd.MISSION_START, (0.0, 0.0)), expect=mode.expect, instead=(mode,))
         return (guided, arm, begin)
     return (mode, arm)
 

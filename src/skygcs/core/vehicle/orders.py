@@ -12,11 +12,12 @@ from dataclasses import replace
 from typing import TypedDict, Unpack
 
 from skygcs.core.geo import distance_m, geodetic_from_enu
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec, Location
 from skygcs.core.radio_link.stream_rates import MAX_RATE_HZ, rate_problem
 from skygcs.core.vehicle import autopilot
-from skygcs.core.vehicle.autopilot import GET_MESSAGE_INTERVAL, REQUEST_MESSAGE, Destination
+from skygcs.core.vehicle.autopilot import Destination
 from skygcs.core.vehicle.flight_evidence import contradiction, why_maybe_flying, why_not_idle
 from skygcs.core.vehicle.order_plan import CLIMBED_M, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -219,7 +220,7 @@ def read_interval(vehicle: Vehicle, now: float, dialect: Dialect, message: str |
     require_connected(vehicle, now)
     msgid, name = find_message(dialect, message)
     refused = f"{autopilot.firmware_name(vehicle)} does not report how often it streams {name}"
-    step = Step("read interval", CommandSpec(GET_MESSAGE_INTERVAL, (float(msgid),)), refused=refused)
+    step = Step("read interval", CommandSpec(mav_cmd.GET_MESSAGE_INTERVAL, (float(msgid),)), refused=refused)
     return Plan("read interval", (step,), "interval read")
 
 
@@ -228,7 +229,7 @@ def request_message(vehicle: Vehicle, now: float, dialect: Dialect, message: str
     msgid, name = find_message(dialect, message)
     expect = MessageAfter(name, vehicle.count(name))
     refused = f"{autopilot.firmware_name(vehicle)} does not send {name} on request"
-    step = Step("request", CommandSpec(REQUEST_MESSAGE, (float(msgid),)), expect=expect, refused=refused)
+    step = Step("request", CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(msgid),)), expect=expect, refused=refused)
     return Plan("request", (step,), f"{name} came")
 
 

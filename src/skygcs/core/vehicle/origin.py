@@ -17,10 +17,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from skygcs.core.geo import Origin, distance_m, wrap_deg_360
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.protocols.command import CommandSpec
 from skygcs.core.vehicle import orders
-from skygcs.core.vehicle.autopilot import REQUEST_MESSAGE, firmware_name
+from skygcs.core.vehicle.autopilot import firmware_name
 from skygcs.core.vehicle.flight_evidence import why_not_idle
 from skygcs.core.vehicle.order_plan import Expectation, MessageAfter, Plan, Step
 from skygcs.core.vehicle.vehicle import Vehicle
@@ -131,7 +132,7 @@ def announce(vehicle: Vehicle, now: float, dialect: Dialect, origin: Origin, *, 
     expect: Expectation = OriginIs(origin, count)
     if vehicle.family == "ardupilot":  # it answers once only
         expect = MessageAfter(ORIGIN_MESSAGE, count)
-    request = CommandSpec(REQUEST_MESSAGE, (float(dialect.by_name[ORIGIN_MESSAGE].msgid),))
+    request = CommandSpec(mav_cmd.REQUEST_MESSAGE, (float(dialect.by_name[ORIGIN_MESSAGE].msgid),))
     steps = (
         Step("send the origin", message=(SETTING_MESSAGE, values)),
         Step(

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from skygcs.core.mavlink import mav_cmd
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.vehicle import orders
 from skygcs.core.vehicle.orders import FORCE_HINT
@@ -49,60 +50,59 @@ GUARDED_MESSAGES: Mapping[str, str] = {
 }
 """Message -> the checked order. A MISSION_ITEM with ``current`` 2 is a guided waypoint, which is flown at once."""
 
-ARM_DISARM = 400
 GUARDED_COMMANDS: Mapping[int, str] = {
-    32: "goto",  # DO_FOLLOW
-    33: "goto",  # DO_FOLLOW_REPOSITION
-    34: "goto",  # DO_ORBIT
-    35: "goto",  # DO_FIGURE_EIGHT
-    92: "mode",  # NAV_GUIDED_ENABLE
-    113: "goto",  # CONDITION_CHANGE_ALT
-    115: "goto",  # CONDITION_YAW
-    179: "home",  # DO_SET_HOME
-    185: "stop kill",  # DO_FLIGHTTERMINATION
-    186: "goto",  # DO_CHANGE_ALTITUDE
-    187: "nothing",  # DO_SET_ACTUATOR
-    189: "land",  # DO_LAND_START
-    191: "goto",  # DO_GO_AROUND
-    192: "goto",  # DO_REPOSITION
-    207: "fence set",  # DO_FENCE_ENABLE
-    208: "stop kill",  # DO_PARACHUTE
-    210: "nothing",  # DO_INVERTED_FLIGHT
-    212: "mode",  # DO_AUTOTUNE_ENABLE
-    223: "nothing",  # DO_ENGINE_CONTROL
-    241: "nothing",  # PREFLIGHT_CALIBRATION
-    242: "nothing",  # PREFLIGHT_SET_SENSOR_OFFSETS
-    243: "nothing",  # PREFLIGHT_UAVCAN
-    245: "param set",  # PREFLIGHT_STORAGE, which also resets all parameters
-    246: "reboot",  # PREFLIGHT_REBOOT_SHUTDOWN
-    252: "goto",  # OVERRIDE_GOTO
-    ARM_DISARM: "disarm",
-    3000: "nothing",  # DO_VTOL_TRANSITION
-    30001: "goto",  # PAYLOAD_PREPARE_DEPLOY
-    43000: "goto",  # GUIDED_CHANGE_SPEED
-    43001: "goto",  # GUIDED_CHANGE_ALTITUDE
-    43002: "goto",  # GUIDED_CHANGE_HEADING
-    43003: "nothing",  # EXTERNAL_POSITION_ESTIMATE
+    mav_cmd.DO_FOLLOW: "goto",
+    mav_cmd.DO_FOLLOW_REPOSITION: "goto",
+    mav_cmd.DO_ORBIT: "goto",
+    mav_cmd.DO_FIGURE_EIGHT: "goto",
+    mav_cmd.NAV_GUIDED_ENABLE: "mode",
+    mav_cmd.CONDITION_CHANGE_ALT: "goto",
+    mav_cmd.CONDITION_YAW: "goto",
+    mav_cmd.DO_SET_HOME: "home",
+    mav_cmd.DO_FLIGHTTERMINATION: "stop kill",
+    mav_cmd.DO_CHANGE_ALTITUDE: "goto",
+    mav_cmd.DO_SET_ACTUATOR: "nothing",
+    mav_cmd.DO_LAND_START: "land",
+    mav_cmd.DO_GO_AROUND: "goto",
+    mav_cmd.DO_REPOSITION: "goto",
+    mav_cmd.DO_FENCE_ENABLE: "fence set",
+    mav_cmd.DO_PARACHUTE: "stop kill",
+    mav_cmd.DO_INVERTED_FLIGHT: "nothing",
+    mav_cmd.DO_AUTOTUNE_ENABLE: "mode",
+    mav_cmd.DO_ENGINE_CONTROL: "nothing",
+    mav_cmd.PREFLIGHT_CALIBRATION: "nothing",
+    mav_cmd.PREFLIGHT_SET_SENSOR_OFFSETS: "nothing",
+    mav_cmd.PREFLIGHT_UAVCAN: "nothing",
+    mav_cmd.PREFLIGHT_STORAGE: "param set",  # also resets all parameters
+    mav_cmd.PREFLIGHT_REBOOT_SHUTDOWN: "reboot",
+    mav_cmd.OVERRIDE_GOTO: "goto",
+    mav_cmd.COMPONENT_ARM_DISARM: "disarm",
+    mav_cmd.DO_VTOL_TRANSITION: "nothing",
+    mav_cmd.PAYLOAD_PREPARE_DEPLOY: "goto",
+    mav_cmd.GUIDED_CHANGE_SPEED: "goto",
+    mav_cmd.GUIDED_CHANGE_ALTITUDE: "goto",
+    mav_cmd.GUIDED_CHANGE_HEADING: "goto",
+    mav_cmd.EXTERNAL_POSITION_ESTIMATE: "nothing",
 }
 """MAV_CMD -> the checked order. Mission items (16 to 95) sent as commands are added."""
 
 TURNS_MOTORS: Mapping[int, str] = {
-    22: "takeoff",  # NAV_TAKEOFF: a disarmed PX4 keeps it and lifts off with the next arming
-    24: "takeoff",  # NAV_TAKEOFF_LOCAL
-    84: "takeoff",  # NAV_VTOL_TAKEOFF
-    209: "nothing",  # DO_MOTOR_TEST
-    218: "arm, disarm and mode",  # DO_AUX_FUNCTION: its functions arm, stop motors and change modes
-    300: "mission start",  # MISSION_START
-    310: "nothing",  # ACTUATOR_TEST
-    42001: "arm and takeoff",  # SOLO_BTN_FLY_CLICK
-    42002: "takeoff",  # SOLO_BTN_FLY_HOLD
-    42003: "hold",  # SOLO_BTN_PAUSE_CLICK
+    mav_cmd.NAV_TAKEOFF: "takeoff",  # a disarmed PX4 keeps it and lifts off with the next arming
+    mav_cmd.NAV_TAKEOFF_LOCAL: "takeoff",
+    mav_cmd.NAV_VTOL_TAKEOFF: "takeoff",
+    mav_cmd.DO_MOTOR_TEST: "nothing",
+    mav_cmd.DO_AUX_FUNCTION: "arm, disarm and mode",  # its functions arm, stop motors and change modes
+    mav_cmd.MISSION_START: "mission start",
+    mav_cmd.ACTUATOR_TEST: "nothing",
+    mav_cmd.SOLO_BTN_FLY_CLICK: "arm and takeoff",
+    mav_cmd.SOLO_BTN_FLY_HOLD: "takeoff",
+    mav_cmd.SOLO_BTN_PAUSE_CLICK: "hold",
 }
 """Refused also for disarmed vehicles. Arming belongs to them, see `unguarded_command`."""
 
-MISSION_ITEMS = range(16, 96)
-ENDS_FLIGHT = frozenset({20, 21, 23, 85})
-"""NAV_RETURN_TO_LAUNCH, NAV_LAND, NAV_LAND_LOCAL, NAV_VTOL_LAND: they bring a vehicle down safely and always pass."""
+MISSION_ITEMS = range(mav_cmd.NAV_WAYPOINT, mav_cmd.NAV_LAST + 1)
+ENDS_FLIGHT = frozenset({mav_cmd.NAV_RETURN_TO_LAUNCH, mav_cmd.NAV_LAND, mav_cmd.NAV_LAND_LOCAL, mav_cmd.NAV_VTOL_LAND})
+"""They bring a vehicle down safely and are never refused."""
 
 COMMAND_MESSAGES = frozenset({"COMMAND_LONG", "COMMAND_INT"})
 
@@ -156,7 +156,7 @@ def unguarded_message(name: str, fields: Mapping[str, Any], command_names: Mappi
 
 def unguarded_command(number: int, param1: float, what: str) -> Unguarded | None:
     """The rule for a command; see `unguarded_message`."""
-    if number == ARM_DISARM and param1 != 0.0:  # also NaN: an autopilot's reaction to it is not known
+    if number == mav_cmd.COMPONENT_ARM_DISARM and param1 != 0.0:  # also NaN: an autopilot's reaction to it is not known
         return Unguarded(what, "arm", always=True)
     if number in TURNS_MOTORS:
         return Unguarded(what, TURNS_MOTORS[number], always=True)

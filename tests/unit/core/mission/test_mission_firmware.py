@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as every_dialect
 
 from skygcs.config.dialects import load_dialect
+from skygcs.core.mavlink.mav_cmd import NAV_RALLY_POINT
 from skygcs.core.mission import firmware_items, px4_events
 from skygcs.core.mission.check import check_plan, errors
 from skygcs.core.mission.firmware_items import Family, convert, for_firmware, grouped, px4_order, refusals
 from skygcs.core.mission.formats import read_plan
-from skygcs.core.mission.item import FENCE_COMMANDS, RALLY_POINT, UNSET_INT, MissionItem, MissionType
+from skygcs.core.mission.item import FENCE_COMMANDS, UNSET_INT, MissionItem, MissionType
 from skygcs.core.mission.plan import MissionPlan, PlannedHome, to_wire
 from skygcs.sim import copter_lists, px4_lists
 
@@ -230,7 +231,7 @@ def test_events_by_which_a_px4_rejects_a_mission() -> None:
     assert len(set(ids)) == len(ids) and all(1 << 24 <= number < 1 << 25 for number in ids)
 
 
-COMMANDS = sorted(set(NAMES) - FENCE_COMMANDS - {RALLY_POINT})
+COMMANDS = sorted(set(NAMES) - FENCE_COMMANDS - {NAV_RALLY_POINT})
 VALUES = st.none() | st.sampled_from([0.0, 1.0, 2.0, 3.0, -1.0, 0.5, 250.0])
 ITEMS = st.builds(
     MissionItem,

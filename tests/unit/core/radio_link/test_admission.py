@@ -103,6 +103,8 @@ def test_an_operators_order_goes_as_an_order_and_a_request_behind_it(version: in
     assert radio.offer("SET_MODE", target_system=5, custom_mode=4).priority is Priority.COMMAND
     for asked in (512, 519, 520):
         assert radio.offer("COMMAND_LONG", **command(command=asked)).priority is Priority.FORWARDED
+    storage_format = radio.offer("COMMAND_LONG", **command(target=6, command=526))
+    assert storage_format.priority is Priority.COMMAND, "STORAGE_FORMAT erases a card: it is no request"
 
 
 def test_more_orders_to_one_vehicle_than_a_person_gives_wait_like_anything_else_in_their_order() -> None:
