@@ -193,6 +193,17 @@ def test_falls_at_once_to_the_highest_way_that_bears_it(
     assert words in verdict.reasons[verdict.kinds.index(kind)]
 
 
+@pytest.mark.parametrize("wanted", [ControlMode.ATTITUDE, ControlMode.VELOCITY])
+def test_with_prediction_velocity_bears_what_its_margin_says(wanted: ControlMode) -> None:
+    slow = {"delay_p95_s": 0.95}
+    assert checked(but(**slow), wanted).control_mode is ControlMode.POSITION
+    assert checked(but(**slow, predicted=True), wanted).control_mode is ControlMode.VELOCITY
+    guard = Guard(CONFIG, ControlMode.VELOCITY)
+    assert guard.check(but(**slow, predicted=True), 0.0) == Verdict("send", ControlMode.VELOCITY, (), changed=False)
+    assert guard.check(but(**slow), 0.1).control_mode is ControlMode.POSITION
+    assert checked(but(state_age_s=0.51, predicted=True), wanted).control_mode is ControlMode.POSITION
+
+
 @pytest.mark.parametrize(("changes", "control_mode", "kind", "words"), UNFIT)
 def test_position_bears_all_of_it(changes: dict[str, Any], control_mode: ControlMode, kind: str, words: str) -> None:
     assert checked(but(**changes), ControlMode.POSITION) == Verdict("send", ControlMode.POSITION, (), changed=False)
