@@ -49,6 +49,7 @@ from skygcs.runtime.origin_push import both, home_at, push_origin
 from skygcs.runtime.param_transfers import VehicleParams
 from skygcs.runtime.preflight_run import Preflight
 from skygcs.runtime.stream_requester import StreamRequester
+from skygcs.runtime.takeoff_engagement import TakeoffEngagement
 from skygcs.runtime.vehicle_services import VehicleServices
 
 SHUTDOWN = "skygcs is shutting down"
@@ -85,6 +86,10 @@ class VehicleActor:
         self.streams = StreamRequester(vehicle, self.commands, services.dialect, config.streams)
         self._orders = OrderRunner(vehicle, self.commands, services.dialect, services.loop, services.on_event)
         self.offboard = OffboardEngagement(vehicle, config, self.commands, self._orders, self.streams, services)
+        after_takeoff = config.control.engage_after_takeoff or "off"
+        self._after_takeoff = TakeoffEngagement(
+            vehicle, after_takeoff, self._orders, self._engage, services.loop, services.on_event
+        )
         # MAVLink protocols, and what is built on them
         self.params = VehicleParams(vehicle, services)
         self.missions = Missions(
@@ -228,6 +233,7 @@ class VehicleActor:
 
     async def wind_down(self) -> None:
         """The daemon ends: begin nothing that needs an undo, and undo what has begun; wait until that is done."""
+        self._after_takeoff.cancel()
         if not self.offboard.controller.active:
             self.offboard.release(SHUTDOWN)  # an engagement that is still in its checks ends
         self.missions.stop("cancelled", SHUTDOWN)
@@ -236,6 +242,7 @@ class VehicleActor:
         await asyncio.gather(self.fence.wind_down(), self._orders.settled(), self.offboard.settled())
 
     def close(self) -> None:
+        self._after_takeoff.cancel()
         self.offboard.close()
         self.missions.close()
         self.params.close()
@@ -282,7 +289,11 @@ class VehicleActor:
                 raise RefusedError(why)
             return plan
 
-        return await self._orders.retry("takeoff", planner, wait_s)
+        self._after_takeoff.cancel()
+        position = self.vehicle.telemetry("position")
+        outcome = await self._orders.retry("takeoff", planner, wait_s)
+        self._after_takeoff.begin(outcome, None if position is None else position["alt_amsl_m"], height)
+        return outcome
 
     async def land(self) -> Outcome:
         return await self._orders.run("land", lambda now: orders.land(self.vehicle, now))
@@ -453,14 +464,17 @@ class VehicleActor:
 
     async def control(self, mode: str, *, force: bool = False) -> Outcome:
         """Control it by setpoints: "position", "velocity", "attitude" or "raw"; "off": end control and hold."""
+        self._after_takeoff.cancel()
         if mode != "off":
-            work = self.offboard.engage(ControlMode(mode), force=force)
-            return await self._orders.track("control", work)
+            return await self._engage(mode, force=force)
         if not self.offboard.controller.active:
             self.offboard.release("switched off")
             return self._orders.finish("control", Outcome(True, "accepted", "control is off"))
         self.offboard.release("switched off")
         return await self._orders.track("control", self._switched_off())
+
+    async def _engage(self, mode: str, *, force: bool = False) -> Outcome:
+        return await self._orders.track("control", self.offboard.engage(ControlMode(mode), force=force))
 
     async def change_gains(self, *, changes: Mapping[str, Any], force: bool = False) -> Outcome:
         """See `OffboardEngagement.change_gains`."""
