@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict, deque
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -13,7 +13,8 @@ from skygcs.core.vehicle.event_limiter import EventLimiter
 from skygcs.events import Event
 
 MAX_EVENTS = 1000
-"""Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes."""
+"""Events kept for `events.recent`: an hour of a chatty fleet; each is some 300 bytes. The oldest of the most frequent
+kind makes room: a peer that makes up vehicles (some 1,000 discovered and lost in minutes) displaces no warning."""
 
 QUIET_KINDS = frozenset({"statustext", "command", "route"})
 """Kinds logged at level debug, because they are not changes of the daemon's own state."""
@@ -30,7 +31,9 @@ class EventLog:
     """Call `publish` for each event, `tick` a few times a second and `flush` at the end."""
 
     def __init__(self, now: Callable[[], float]) -> None:
-        self.recent: deque[dict[str, Any]] = deque(maxlen=MAX_EVENTS)
+        self.recent: list[dict[str, Any]] = []
+        """Oldest first, at most MAX_EVENTS."""
+        self._kept: Counter[str] = Counter()
         self._now = now
         self._limiter = EventLimiter()
         self._handlers: defaultdict[str, list[Handler]] = defaultdict(list)
@@ -78,7 +81,7 @@ class EventLog:
             "text": event.text,
             "data": event.data,
         }
-        self.recent.append(record)
+        self._keep(record)
         level = log.debug if event.kind in QUIET_KINDS else log.warning if _is_warning(event) else log.info
         level(event.text, kind=event.kind, **({"vehicle": event.vehicle} if event.vehicle else {}))
         for watcher in tuple(self._watchers):
@@ -87,6 +90,15 @@ class EventLog:
             except Exception as error:
                 self._watchers.remove(watcher)
                 log.error("an event watcher failed and was removed", error=repr(error))
+
+    def _keep(self, record: dict[str, Any]) -> None:
+        if len(self.recent) >= MAX_EVENTS:
+            ((kind, _),) = self._kept.most_common(1)
+            oldest = next(n for n, kept in enumerate(self.recent) if kept["kind"] == kind)
+            del self.recent[oldest]
+            self._kept[kind] -= 1
+        self.recent.append(record)
+        self._kept[record["kind"]] += 1
 
 
 def _is_warning(event: Event) -> bool:
