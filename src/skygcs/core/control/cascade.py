@@ -93,6 +93,11 @@ class Reference(_Judged):
         by the time an order takes."""
         return self.vel_enu_mps != ZERO
 
+    @property
+    def velocity_only(self) -> bool:
+        """Whether at least one axis follows a velocity and has no position."""
+        return self.velocity_only_xy or self.velocity_only_z
+
     def ahead(self, time_s: float) -> Reference:
         """The same reference this much later: position and velocity by velocity and acceleration, yaw by its rate.
 

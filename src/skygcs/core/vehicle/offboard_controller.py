@@ -31,7 +31,12 @@ from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
-from skygcs.core.vehicle.offboard_entry import attitude_refusal, guided_mode, moves_setpoints_on
+from skygcs.core.vehicle.offboard_entry import (
+    PX4_RESPONSE_S,
+    attitude_refusal,
+    guided_mode,
+    moves_setpoints_on,
+)
 from skygcs.core.vehicle.offboard_tick import IDLE, Tick, TickInput
 from skygcs.core.vehicle.raw_setpoint import RawLimits, RawSetpoint
 from skygcs.core.vehicle.raw_source import RawSource
@@ -121,7 +126,7 @@ class OffboardController:
         self._obeys = -1
         self._last = _Last()
         self._velocity_ended = False
-        """Reported; a program that goes on sending velocities is not answered with an event for each."""
+        """The guard has fallen back to position setpoints, by which no velocity is flown."""
 
     # -- orders
 
@@ -191,7 +196,7 @@ class OffboardController:
         self._prediction.forget()
         self._predicting = False
         self.state, self.wanted, self.control_mode, self.reasons = ENGAGING, control_mode, None, ()
-        self.was_entered, self.refusing = False, None
+        self.was_entered, self.refusing, self._velocity_ended = False, None, False
         self._guard.reset(control_mode)
         self._last = _Last()
         self._obeys = guided_mode(self.vehicle)
@@ -215,6 +220,7 @@ class OffboardController:
             self._source.stop(self._last.at)
         self._raw.end()
         self.wanted, self.reasons = control_mode, ()
+        self._velocity_ended = False
         self._guard.reset(control_mode)
 
     def release(self, reason: str) -> Tick:
@@ -252,9 +258,12 @@ class OffboardController:
         self._source.hold_at(place, yaw_enu_rad)
 
     def follow(self, wanted: Setpoint, now: float, until: float) -> str | None:
-        """One setpoint of a stream, good ``until`` then. Why not, if its velocity leads out of the fence: the stream
-        goes on as before."""
+        """One setpoint of a stream, good ``until`` then. Why not, if its velocity leads out of the fence, or is not
+        flown in a control mode that the guard has fallen back to: the reference stays as it was."""
         wanted_reference = self._source.reference_of(wanted, now)
+        if self._velocity_ended and wanted_reference.velocity_only:
+            # one more stop would be farther on each time, for as long as no newer state comes
+            return f"a velocity is not flown by position setpoints: {'; '.join(self.reasons)}"
         if (why := self._estimate_view.way_out(wanted_reference, now, margin=True)) is not None:
             return why
         self._source.follow(wanted_reference, now, until)
@@ -332,14 +341,14 @@ class OffboardController:
         self.reasons = verdict.reasons
         if verdict.changed:
             events += self._on_change(verdict)
-        if verdict.control_mode is POSITION and self.wanted is not POSITION and self._source.velocity_only:
-            # a velocity is not flown on in a control mode that the guard has refused for it
-            self._source.stop(now)
-            if not self._velocity_ended:
-                events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
-            self._velocity_ended = True
-        elif verdict.control_mode is not POSITION:
+        if verdict.control_mode is not POSITION or self.wanted is POSITION:
             self._velocity_ended = False
+        elif not self._velocity_ended:
+            # a velocity is not flown on in a control mode that the guard has refused for it
+            self._velocity_ended = True
+            if self._source.velocity_only:
+                self._source.stop(now)
+                events.append(self._event("its velocity setpoints end: it stays where it is", "flying"))
         if verdict.action == "hold" or verdict.control_mode is None:
             self.state, self.control_mode = HELD, None
             self._source.end_stream()
@@ -424,8 +433,8 @@ class OffboardController:
 
     def _lead_s(self) -> float:
         """How much later than now the vehicle flies by a position sent now, on average: its way up, and half of the
-        time for which it is held, unless the autopilot itself moves it on."""
-        held_s = 0.0 if moves_setpoints_on(self.vehicle) else 0.5 / self.config.position_hz
+        time for which it is held with the autopilot's response, unless the autopilot itself moves it on."""
+        held_s = 0.0 if moves_setpoints_on(self.vehicle) else 0.5 / self.config.position_hz + PX4_RESPONSE_S
         return min((self.delay.uplink_s or 0.0) + held_s, LONGEST_LEAD_S)
 
     def _send_raw(self, raw: RawSetpoint, dt_s: float) -> Tick:

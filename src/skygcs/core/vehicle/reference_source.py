@@ -53,7 +53,7 @@ class ReferenceSource:
     @property
     def velocity_only(self) -> bool:
         """Whether at least one axis follows a velocity and has no position."""
-        return self.reference.velocity_only_xy or self.reference.velocity_only_z
+        return self.reference.velocity_only
 
     def hold_at(self, place: GeodeticPosition, yaw_enu_rad: float | None) -> None:
         """Hold a point on earth; None keeps the yaw."""
@@ -101,7 +101,7 @@ class ReferenceSource:
         at = min(now, self._until)
         if at > self._at and (self._newest.moves or self._newest.yaw_rate_radps):
             self.reference = self._near(self._newest.ahead(at - self._at), now)
-            if self.reference.velocity_only_xy or self.reference.velocity_only_z or self.reference.yaw_rate_only:
+            if self.reference.velocity_only or self.reference.yaw_rate_only:
                 self._newest, self._at = self.reference, at  # what was cut off in front of the vehicle is gone
         return self.reference
 
@@ -151,7 +151,7 @@ class ReferenceSource:
             off = math.remainder(reference.yaw_rad - yaw, math.tau)
             reference = replace(reference, yaw_rad=yaw + max(-MOST_AHEAD_RAD, min(off, MOST_AHEAD_RAD)))
         here = self._estimate_view.present_place(now)
-        if here is None or not (reference.velocity_only_xy or reference.velocity_only_z):
+        if here is None or not reference.velocity_only:
             return reference
         x, y, z = reference.pos_enu_m
         dx, dy, dz = (abs(d) for d in self._estimate_view.braking_offset(reference.vel_enu_mps, now))

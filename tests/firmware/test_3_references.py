@@ -1,0 +1,127 @@
+"""Moving references on real autopilots: how near the vehicle is to one, and how far a fault carries it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from support.firmware_field import HEIGHT_M, HOME, Field, Stream
+
+RADIUS_M, SPEED_MPS = 5.0, 2.0
+CIRCLE_S, BEGINNING_S = 40.0, 10.0
+RATE_HZ = 10.0
+CIRCLE_LIMIT_M = {"ardupilot": 0.5, "px4": 0.9}
+"""PX4's simulated position wanders by 0.3 m."""
+
+STEP_M = 8.0
+UPLINK_S, CUT_S = 0.5, 2.0
+Point = dict[str, Any]
+
+
+def beyond_m(speed_mps: float) -> float:
+    """What a fault may add: 0.7 s to notice it, braking with 2.5 m/s², and the noise of the position."""
+    return 0.7 * speed_mps + speed_mps**2 / 5.0 + 0.5
+
+
+def circle(t: float) -> Point:
+    w = SPEED_MPS / RADIUS_M
+    c, s = math.cos(w * t), math.sin(w * t)
+    return {
+        "pos_enu_m": [RADIUS_M * c, RADIUS_M * s, HEIGHT_M],
+        "vel_enu_mps": [-SPEED_MPS * s, SPEED_MPS * c, 0.0],
+        "acc_enu_mps2": [-w * SPEED_MPS * c, -w * SPEED_MPS * s, 0.0],
+    }
+
+
+def eight(t: float) -> Point:
+    """A lemniscate of Gerono of 12 m by 6 m, at most 2.6 m/s."""
+    a, b, w = 6.0, 3.0, 0.3
+    return {
+        "pos_enu_m": [a * math.sin(w * t), b * math.sin(2 * w * t), HEIGHT_M],
+        "vel_enu_mps": [a * w * math.cos(w * t), 2 * b * w * math.cos(2 * w * t), 0.0],
+        "acc_enu_mps2": [-a * w * w * math.sin(w * t), -4 * b * w * w * math.sin(2 * w * t), 0.0],
+    }
+
+
+def behind_m(at: tuple[float, float], point: Point) -> float:
+    """How far it is behind the reference, along its way."""
+    (x, y, _), (vx, vy, _) = point["pos_enu_m"], point["vel_enu_mps"]
+    return float(((x - at[0]) * vx + (y - at[1]) * vy) / math.hypot(vx, vy))
+
+
+def track_enu(field: Field, since: float) -> list[tuple[float, float, float]]:
+    """Time, east and north about the first vehicle's place of take-off, from its own frames."""
+    lat_0, lon_0 = HOME[0], HOME[1]
+    east_m = 111_319.5 * math.cos(math.radians(lat_0))
+    track = field.truth(field.one).track
+    return [(t, (lon - lon_0) * east_m, (lat - lat_0) * 111_132.0) for t, lat, lon, _ in track if t >= since]
+
+
+@pytest.mark.parametrize("path", [circle, eight])
+def test_a_moving_reference_in_position(air: Field, figures: dict[str, Any], path: Callable[[float], Point]) -> None:
+    air.order("control.set", air.one, mode="position")
+    try:
+        start = path(0.0)["pos_enu_m"]
+        air.order("vehicles.goto", air.one, enu_m=start)
+        air.wait(lambda: math.dist(air.enu(air.one), start) < 1.0, 30, "it is at the beginning")
+        began = time.monotonic()
+        with Stream(air.daemon.socket, air.one, lambda t: path(time.monotonic() - began), RATE_HZ) as stream:
+            time.sleep(CIRCLE_S)
+        assert not stream.refused, stream.refused[:2]
+        assert air.control(air.one)["control_mode"] == "position"
+        looks = [look for look in track_enu(air, began + BEGINNING_S) if look[0] < began + CIRCLE_S]
+        off = [math.dist((x, y), path(t - began)["pos_enu_m"][:2]) for t, x, y in looks]
+        figures["behind m"] = sum(behind_m((x, y), path(t - began)) for t, x, y in looks) / len(looks)
+        figures["RMS m"] = math.sqrt(sum(d * d for d in off) / len(off))
+        figures["largest m"] = max(off)
+        assert figures["RMS m"] <= CIRCLE_LIMIT_M[air.firmware]
+    finally:
+        air.daemon.call("control.set", targets=air.one, mode="off")
+
+
+def test_a_slow_uplink_during_a_step_by_attitude(air: Field, figures: dict[str, Any]) -> None:
+    """It used to be noticed after 2 s, and an ArduCopter went 10 m beyond its goal."""
+    goal = {"pos_enu_m": [STEP_M, 0.0, HEIGHT_M]}
+    air.order("control.set", air.one, mode="attitude", force=True)
+    try:
+        with Stream(air.daemon.socket, air.one, lambda t: goal, 20.0):
+            air.wait(lambda: air.truth(air.one).speed_mps > 1.8, 10, "it is under way")
+            fault, v = time.monotonic(), air.truth(air.one).speed_mps
+            air.relay.delay_up_s = UPLINK_S
+            time.sleep(10.0)
+            status = air.control(air.one)
+        figures["speed m/s"], figures["flown by"] = v, status["control_mode"]
+        figures["beyond m"] = max(x for _, x, _ in track_enu(air, fault)) - STEP_M
+        assert status["control_mode"] in ("velocity", "position"), status
+        assert figures["beyond m"] <= beyond_m(v)
+    finally:
+        air.relay.clear()
+        air.daemon.call("control.set", targets=air.one, mode="off")
+
+
+@pytest.mark.parametrize("cut_s", [CUT_S, 0.8], ids=["cut of 2 s", "fall to position"])
+def test_telemetry_that_is_cut_under_a_velocity(air: Field, figures: dict[str, Any], cut_s: float) -> None:
+    """0.5 s later the velocity is not flown on: it stops ahead of where it was last seen, and not back there."""
+    air.order("control.set", air.one, mode="velocity")
+    try:
+        with Stream(air.daemon.socket, air.one, lambda t: {"vel_enu_mps": [0.0, SPEED_MPS, 0.0]}, 20.0):
+            time.sleep(7.0)
+            fault, v = time.monotonic(), air.truth(air.one).speed_mps
+            air.relay.cut_down = {air.sysids[0]}
+            time.sleep(cut_s)
+            air.relay.clear()
+            time.sleep(8.0)
+        looks = track_enu(air, fault)
+        (_, x, y), (_, last_x, last_y) = looks[0], looks[-1]
+        figures["speed m/s"] = v
+        figures["farthest m"] = max(math.dist((x, y), look[1:]) for look in looks)
+        figures["at rest after m"] = math.dist((x, y), (last_x, last_y))
+        assert v > 0.8 * SPEED_MPS, "it never flew"
+        assert figures["farthest m"] <= beyond_m(v)
+    finally:
+        air.relay.clear()
+        air.daemon.call("control.set", targets=air.one, mode="off")
