@@ -113,14 +113,15 @@ class EstimateView:
         """Age of the last `estimate`; None without one."""
         return None if self._estimate is None else now - self._at
 
-    def present_place(self, now: float) -> Vector | None:
-        """Its present position, extrapolated from the last report; None without a position."""
+    def place_at_arrival(self, now: float) -> Vector | None:
+        """Where it is when a setpoint that is sent now reaches it, if it goes on as it last reported; None without a
+        position."""
         estimate = self.estimate()
         if estimate is None or not estimate.usable:
             return None
         (x, y, z), (vx, vy, vz) = estimate.pos_enu_m, estimate.vel_enu_mps
-        since_s = self._since_s(now)
-        return x + vx * since_s, y + vy * since_s, z + vz * since_s
+        ahead_s = self._since_s(now) + (self.delay.uplink_s or 0.0)
+        return x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s
 
     def braking_offset(self, vel_enu_mps: Vector, now: float) -> Vector:
         """From the place of the newest state to where the vehicle stands if it is ordered now to stop, and flies with

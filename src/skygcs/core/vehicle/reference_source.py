@@ -136,7 +136,7 @@ class ReferenceSource:
         given = before.pos_enu_m if setpoint.place is None else self._estimate_view.in_local_frame(setpoint.place)
         if not (setpoint.free_xy or setpoint.free_z):
             return given
-        here = self._estimate_view.present_place(now) or before.pos_enu_m
+        here = self._estimate_view.place_at_arrival(now) or before.pos_enu_m
         x, y, z = given
         if setpoint.free_xy:
             x, y, _ = before.pos_enu_m if before.velocity_only_xy and self.streaming else here
@@ -150,7 +150,7 @@ class ReferenceSource:
             yaw = self._estimate_view.yaw_rad()
             off = math.remainder(reference.yaw_rad - yaw, math.tau)
             reference = replace(reference, yaw_rad=yaw + max(-MOST_AHEAD_RAD, min(off, MOST_AHEAD_RAD)))
-        here = self._estimate_view.present_place(now)
+        here = self._estimate_view.place_at_arrival(now)
         if here is None or not reference.velocity_only:
             return reference
         x, y, z = reference.pos_enu_m

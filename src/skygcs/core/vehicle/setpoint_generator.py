@@ -162,7 +162,7 @@ class SetpointGenerator:
         return Tick(message, row=row, before=self.memory, after=self.memory, prediction=step_made)
 
     def _position(self, given: TickInput, row: TraceRow | None) -> Tick:
-        reference, family = given.reference.ahead(given.lead_s), self._vehicle.family
+        reference, family = _led(given.reference, given.lead_s), self._vehicle.family
         place = self._estimate_view.place_of(reference)
         yaw, yaw_rate = _turn(reference)
         velocity = reference.vel_enu_mps if reference.moves else None
@@ -197,6 +197,17 @@ class SetpointGenerator:
 def _boot_ms(at: float) -> int:
     """Neither autopilot looks at it for attitude or velocity; it orders the setpoints in a log."""
     return int(at * 1000) & 0xFFFFFFFF
+
+
+def _led(reference: Reference, lead_s: float) -> Reference:
+    """The reference at the time at which the vehicle flies by it. A position that a velocity has led to is not sent
+    ahead: nobody waits for the vehicle there, and at the end of the velocity it would have to come back."""
+    led = reference.ahead(lead_s)
+    if led is reference or not reference.velocity_only:
+        return led
+    (x, y, z), (led_x, led_y, led_z) = reference.pos_enu_m, led.pos_enu_m
+    across = (x, y) if reference.velocity_only_xy else (led_x, led_y)
+    return replace(led, pos_enu_m=(*across, z if reference.velocity_only_z else led_z))
 
 
 def _turn(reference: Reference) -> tuple[float | None, float | None]:
