@@ -129,7 +129,7 @@ async def test_a_mixed_climb_does_not_swing_at_two_seconds_of_delay(
         if not across:
             goal_m = led_to  # by the velocities and the times of the setpoints
         heights = [look.pos_m[2] for look in gcs.truth[1] if look.at >= began]
-        # a climb that ends at once from 0.5 m/s needs its braking distance: 0.13 m with 1 m/s², and as much for its jerk
+        # a climb that ends at once from 0.5 m/s needs a braking distance: 0.13 m with 1 m/s², and as much for the jerk
         assert max(heights) < goal_m + (0.1 if across else 0.3)
         assert heights[-1] == pytest.approx(goal_m, abs=0.3)
         if across:

@@ -113,15 +113,20 @@ class EstimateView:
         """Age of the last `estimate`; None without one."""
         return None if self._estimate is None else now - self._at
 
+    def present_place(self, now: float) -> Vector | None:
+        """Where it is by now, if it went on as it last reported; None without a position."""
+        return self._place_after(self._since_s(now))
+
     def place_at_arrival(self, now: float) -> Vector | None:
-        """Where it is when a setpoint that is sent now reaches it, if it goes on as it last reported; None without a
-        position."""
+        """Where it is when a setpoint that is sent now reaches it, likewise."""
+        return self._place_after(self._since_s(now) + (self.delay.uplink_s or 0.0))
+
+    def _place_after(self, time_s: float) -> Vector | None:
         estimate = self.estimate()
         if estimate is None or not estimate.usable:
             return None
         (x, y, z), (vx, vy, vz) = estimate.pos_enu_m, estimate.vel_enu_mps
-        ahead_s = self._since_s(now) + (self.delay.uplink_s or 0.0)
-        return x + vx * ahead_s, y + vy * ahead_s, z + vz * ahead_s
+        return x + vx * time_s, y + vy * time_s, z + vz * time_s
 
     def braking_offset(self, vel_enu_mps: Vector, now: float) -> Vector:
         """From the place of the newest state to where the vehicle stands if it is ordered now to stop, and flies with

@@ -345,7 +345,7 @@ def test_a_velocity_that_was_accepted_is_stopped_before_the_wall() -> None:
         stopped = flight.tick(0.1, fresh=False)
         if stopped.events:
             break
-    assert "lead out of the fence" in texts(stopped) and not flight.pilot.streaming
+    assert "out of the fence" in texts(stopped) and not flight.pilot.streaming
     assert flight.reference_enu_m()[0] < 50.0 and flight.tick(0.1).message is not None
 
 
