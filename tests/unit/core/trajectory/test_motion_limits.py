@@ -11,7 +11,7 @@ from skygcs.core.trajectory.bernstein import derivative, error_bound, from_power
 from skygcs.errors import TrajectoryError
 
 coefficients = st.lists(st.floats(-20, 20), min_size=1, max_size=9).map(tuple)
-pieces = st.builds(Piece, st.floats(0.1, 3.0), coefficients, coefficients, coefficients)
+pieces = st.builds(Piece, st.floats(0.1, 2.5), coefficients, coefficients, coefficients)
 trajectories = st.lists(pieces, min_size=1, max_size=3).map(Trajectory)
 
 

@@ -12,7 +12,7 @@ from skygcs.core.trajectory.piecewise import MAX_DEGREE, MAX_PIECES
 from skygcs.errors import TrajectoryError
 
 coefficients = st.lists(st.floats(-20, 20), min_size=1, max_size=9).map(tuple)
-pieces = st.builds(Piece, st.floats(0.1, 3.0), coefficients, coefficients, coefficients, coefficients)
+pieces = st.builds(Piece, st.floats(0.1, 2.5), coefficients, coefficients, coefficients, coefficients)
 trajectories = st.lists(pieces, min_size=1, max_size=4).map(Trajectory)
 
 
