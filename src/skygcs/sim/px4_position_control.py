@@ -28,6 +28,9 @@ DERIVATIVE_HZ = 5.0
 RAMP_S = 1.5
 """Half of MPC_TKO_RAMP_T (Takeoff::updateRamp); the first half is in `Firmware.spool_up_s`."""
 
+MOST_LIFT_MPS2 = 1.2 * GRAVITY_MPS2
+"""Upwards, beside gravity: MPC_THR_MAX 1 of a vehicle that hovers at 0.45."""
+
 INVALID_HOLD_S = 0.2
 """MulticopterPositionControl::Run: so long the last valid setpoint replaces an invalid one, then it stops."""
 
@@ -123,7 +126,7 @@ class Px4PositionControl(PositionControl):
         gains, held = self.gains, self._integral
         pu, vu, au = target.pos_enu_m[2], target.vel_enu_mps[2], target.acc_enu_mps2[2]
         if pu is None and vu is None:
-            return au or 0.0
+            return max(-GRAVITY_MPS2, min(MOST_LIFT_MPS2, au or 0.0))
         climb = limits.climb_mps if self._ramp is None else limits.climb_mps * min(1.0, self._ramp)
         want = (vu or 0.0) + (gains.z_p * (pu - body.up_m) if pu is not None else 0.0)
         error = max(-limits.descent_mps, min(climb, want)) - body.vel_u_mps
@@ -131,9 +134,9 @@ class Px4PositionControl(PositionControl):
         accel = gains.z_vel_p * error + held[2]
         if au is not None and self._ramp is None:
             accel += au
-        if -GRAVITY_MPS2 < accel < GRAVITY_MPS2:  # no integration into the limits of the thrust
+        if -GRAVITY_MPS2 < accel < MOST_LIFT_MPS2:  # no integration into the limits of the thrust
             held[2] += gains.z_vel_i * error * dt_s
-        return accel
+        return max(-GRAVITY_MPS2, min(MOST_LIFT_MPS2, accel))
 
 
 def _wants_up(target: PositionTarget, body: Body) -> bool:

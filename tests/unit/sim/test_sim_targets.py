@@ -7,14 +7,20 @@ The circle's figures were flown with the firmwares' own simulators, without wind
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import degrees, hypot, nan, pi, radians
+from math import degrees, hypot, isfinite, nan, pi, radians
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from skygcs.sim.behaviours import CopterMode, Px4Mode
 from skygcs.sim.body import wrap_pi
+from skygcs.sim.copter_position_control import CopterPositionControl
+from skygcs.sim.kinematics import Limits, Motion
+from skygcs.sim.position_control import NO_AXES, PositionTarget
+from skygcs.sim.px4_position_control import Px4PositionControl
 from skygcs.sim.vehicle import SimVehicle
 from support.behaviour_flights import get_ready
 from support.followed_targets import WAYS, follow, rms, simulated
@@ -274,7 +280,23 @@ def test_it_flies_no_faster_than_its_parameters_say(firmware: str) -> None:
 
 
 @BOTH
-def test_wind_does_not_jolt_it_when_targets_take_over(firmware: str) -> None:
+def test_targets_take_over_a_vehicle_that_leans_against_the_wind_without_a_jolt(firmware: str) -> None:
+    pilot = Pilot(px4() if firmware == "px4" else copter())
+    pilot.hovering()
+    f = Flight(pilot, pilot.vehicles[0])
+    f.body.wind.mean_enu_mps = (5.0, 0.0, 0.0)
+    pilot.run(30.0)
+    place, farthest = f.body.east_m, 0.0
+    f.send(POSITION, y=0.0, z=-10.0)
+    assert firmware == "ardupilot" or pilot.command(mav.MAV_CMD_DO_SET_MODE, 1, 6) == 0
+    for _ in range(25):
+        f.stream(0.2, POSITION, y=0.0, z=-10.0)
+        farthest = max(farthest, abs(f.body.east_m - place))
+    assert farthest < 0.12
+
+
+@BOTH
+def test_wind_does_not_jolt_it_when_targets_end(firmware: str) -> None:
     f = flight(firmware)
     f.body.wind.mean_enu_mps = (5.0, 0.0, 0.0)
     f.stream(20.0, POSITION | VELOCITY, z=-10.0)
@@ -295,3 +317,63 @@ def test_a_gain_that_is_set_in_flight_counts_at_once() -> None:
             f.pilot.run(0.1, step_s=0.02)
         behind[gain] = 0.2 * 60 - f.body.north_m
     assert behind[1.9] < 0.7 * behind[0.95]
+
+
+# -- the controllers by themselves
+
+WILD = st.sampled_from([None, 0.0, 1.0, -1.0, 1e6, -3e38, 3e38]) | st.floats(-50, 50)
+LIMITS = Limits(speed_mps=10.0, accel_mps2=2.5, climb_mps=2.5, descent_mps=1.5)
+
+
+def groups() -> st.SearchStrategy[tuple[float | None, float | None, float | None]]:
+    return st.tuples(WILD, WILD, WILD)
+
+
+@given(
+    targets=st.lists(st.tuples(groups(), groups(), groups(), WILD, WILD), min_size=1, max_size=4),
+    begin=st.tuples(*[st.floats(-30, 30)] * 6),
+)
+@settings(max_examples=150, deadline=None)
+def test_whatever_a_px4_is_given_its_acceleration_stays_within_lean_and_thrust(
+    targets: list[Any], begin: tuple[float, ...]
+) -> None:
+    control, motion = Px4PositionControl(px4().control_gains()), flying(begin)
+    for target in targets:
+        for _ in range(20):
+            asked = control.step(motion, 0.02, PositionTarget(*target), LIMITS)
+            assert hypot(*asked.acc_enu_mps2[:2]) <= control.gains.accel_max_mps2 * 1.001
+            assert -9.82 <= asked.acc_enu_mps2[2] <= 12.0
+            motion.step(0.02, asked, LIMITS)
+        assert all(map(isfinite, (*motion.pos_enu_m, *motion.vel_enu_mps, motion.yaw_rad)))
+
+
+@given(
+    targets=st.lists(st.tuples(st.integers(1, 7), groups(), groups(), groups(), WILD, WILD), min_size=1, max_size=4),
+    begin=st.tuples(*[st.floats(-30, 30)] * 6),
+)
+@settings(max_examples=150, deadline=None)
+def test_whatever_an_arducopter_is_given_its_acceleration_stays_within_lean_and_thrust(
+    targets: list[Any], begin: tuple[float, ...]
+) -> None:
+    control, motion = CopterPositionControl(copter().control_gains()), flying(begin)
+    for take, pos, vel, acc, yaw, rate in targets:
+        whole = [
+            tuple(value or 0.0 for value in group) if take >> i & 1 else NO_AXES
+            for i, group in enumerate((pos, vel, acc))
+        ]
+        target = PositionTarget(*whole, yaw, rate)
+        for i in range(20):
+            if i == 15:
+                control.cease()
+            asked = control.step(motion, 0.02, target, LIMITS)
+            assert hypot(*asked.acc_enu_mps2[:2]) <= control.gains.accel_max_mps2 * 1.001
+            assert abs(asked.acc_enu_mps2[2]) <= 9.82
+            motion.step(0.02, asked, LIMITS)
+        assert all(map(isfinite, (*motion.pos_enu_m, *motion.vel_enu_mps, motion.yaw_rad)))
+
+
+def flying(begin: tuple[float, ...]) -> Motion:
+    motion = Motion()
+    motion.east_m, motion.north_m, motion.up_m, motion.vel_e_mps, motion.vel_n_mps, motion.vel_u_mps = begin
+    motion.up_m = abs(motion.up_m) + 1.0
+    return motion
