@@ -193,9 +193,9 @@ class OffboardEngagement:
             await self._raise_position_rate(POSITION_HZ.get(control_mode))
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
-            self._request_aids(control_mode)
             self._check_entry(self._loop.time())  # what was true before the wait may have changed
             self._begin(control_mode, force=force)
+            self._request_aids(control_mode)
         except RefusedError as error:
             if not self.controller.active:
                 self._streams.want_position(None)

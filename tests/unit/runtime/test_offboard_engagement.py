@@ -201,6 +201,20 @@ async def test_position_is_asked_for_faster_and_given_back(tmp_path: Path) -> No
         assert "control ended: land was ordered" in f.texts()
 
 
+async def test_tilt_and_throttle_are_asked_for_by_attitude_and_given_back(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        assert (await f.offboard.engage(ControlMode.VELOCITY)).ok
+        assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+        assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+        await asyncio.sleep(0.5)
+        f.offboard.release("land was ordered")
+        await asyncio.sleep(0.5)
+        asked = [plan.steps[0].command.params for plan in f.orders if plan.order == "interval"]  # type: ignore[union-attr]
+        intervals = {msgid: [params[1] for params in asked if params[0] == msgid] for msgid in (30.0, 74.0)}
+        assert intervals[30.0][0] == 1e5 and intervals[74.0][0] == 2e5
+        assert [len(times) for times in intervals.values()] == [2, 2], "once, and given back once"
+
+
 async def test_a_vehicle_that_does_not_take_the_mode_is_sent_nothing_more(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         f.enters = False
