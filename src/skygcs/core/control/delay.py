@@ -2,18 +2,19 @@
 
     tick    age of the newest state     ─> window of 3 s                     ┐
     ping    token, remembered           ─> at most 64 under way              ├─> delay p95 = p95(ages) + share · rtt
-    pong    now - sent, once per token  ─> the last 21, none for 5 s: none   ┘   rtt = max(p95(trips), bound)
+    pong    now - sent, once per token  ─> those of 21 s, none for 5 s: none ┘   rtt = max(p95(trips), bound)
     else    a token nobody sent, a second pong, one older than 5 s, a clock that ran backwards: counted or dropped
 
 Round trips are measured by TIMESYNC or PING: five in the first second, then one a second, or five a second while `fast`
-is set (attitude is flown and the link bears it: two messages of 28 B, 140 B/s each way). With 21 of them the 95th
-percentile is the second largest: one late pong is an accident, two are the link.
+is set (attitude is flown and the link bears it: two messages of 28 B, 140 B/s each way). The last 21 count, or five
+times as many. Of 21 the 95th percentile is the second largest: one late pong is an accident, two are the link; of 101
+it is the sixth. More of them make it no quicker: that is for the following.
 
 A pong that does not come says something, too: the ping was lost, or it has been under way for so long already. One ping
 alone cannot tell which. So when the oldest ping since the last answer is overdue (20 ms later than p95), probes go out
 20 times a second, and the age of the seventh ping without an answer is a lower bound of the round trip. Links keep
 their order, so a pong proves that the pings before its own were lost. Probes count for the bound only, not among the
-21: they are sent just when the link is slow, and would make one pause of it look like many.
+trips: they are sent just when the link is slow, and would make one pause of it look like many.
 
     noticed    uplink from 0.01 to 0.585 s, worst phase: the next ping after 0.2 s, overdue 0.04 s later, the seventh
                after 0.25 s more, unanswered for 0.08 s: 0.57 s (limit 0.1 s, states at 50 Hz), and two ticks
@@ -28,6 +29,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
+from itertools import islice
 from statistics import median
 
 WINDOW_S = 3.0
@@ -41,6 +43,10 @@ ROUND_TRIPS = 21
 
 RECENT_TRIPS = 5
 """Of them, those that say how long a round trip takes now: three of five pongs settle it."""
+
+FAST_ROUND_TRIPS = 101
+"""While `fast`: about the same 21 s (0.95 · 100 = 95, the sixth largest). A computer that is late
+now and then is late for five times as many pongs."""
 
 ROUND_TRIP_VALID_S = 5.0
 """Without a pong for so long nothing is known of the link. Five lost in a row: at 10 % loss each way once an hour."""
@@ -109,7 +115,7 @@ class DelayMeter:
         self._ages_at: deque[float] = deque(maxlen=MAX_TICKS)
         self._ages_s: deque[float] = deque(maxlen=MAX_TICKS)
         """Of the tick at the same place in ``_ages_at``; apart from it so that they can be sorted as they are."""
-        self._trips: deque[float] = deque(maxlen=ROUND_TRIPS)
+        self._trips: deque[float] = deque(maxlen=FAST_ROUND_TRIPS)
         self._sent: dict[int, tuple[float, bool]] = {}
         """By token: when, and whether it was a regular ping or a probe."""
         self._unanswered: deque[tuple[int, float]] = deque(maxlen=UNDER_WAY)
@@ -137,6 +143,8 @@ class DelayMeter:
         if self._trips and not 0 <= now - self._last_pong <= ROUND_TRIP_VALID_S:
             self._trips.clear()
             self.rtt_p95_s = None
+        elif not self.fast and len(self._trips) > ROUND_TRIPS:
+            self._keep(ROUND_TRIPS)
         waiting = self._unanswered
         self.bound_s = 0.0 if len(waiting) < UNANSWERED else max(now - waiting[UNANSWERED - 1][1], 0.0)
 
@@ -190,13 +198,19 @@ class DelayMeter:
         self._last_pong = now
         if regular:
             self._trips.append(now - sent)
-            self.rtt_p95_s = p95(self._trips)
+            self._keep(FAST_ROUND_TRIPS if self.fast else ROUND_TRIPS)
+
+    def _keep(self, number: int) -> None:
+        """Of the round trips; the oldest go."""
+        while len(self._trips) > number:
+            self._trips.popleft()
+        self.rtt_p95_s = p95(self._trips)
 
     @property
     def uplink_s(self) -> float | None:
         """How long a message takes to the vehicle: half of the median round trip, since the two ways cannot be told
         apart. For leading a moving reference; the guard judges by `rtt_p95_s`. None without a round trip."""
-        return 0.5 * median(self._trips) if self._trips else None
+        return 0.5 * median(islice(reversed(self._trips), ROUND_TRIPS)) if self._trips else None
 
     @property
     def recent_rtt_s(self) -> float | None:

@@ -181,6 +181,23 @@ def test_pings_cost_a_slow_link_one_a_second_and_a_fast_one_five_and_twenty_only
     assert rate_hz(9.0, 12.0, slow_from=5.0) == pytest.approx(5.0, abs=0.4), "known now, and no doubt any more"
 
 
+def test_while_attitude_is_flown_five_late_pongs_of_101_are_accidents_and_the_last_21_count_after_it() -> None:
+    meter = DelayMeter()
+    meter.fast = True
+    for n in range(101):
+        answered(meter, 0.5 if n in (20, 40, 60, 98, 99) else 0.03, 0.2 * n)
+    assert meter.rtt_p95_s == pytest.approx(0.03) and meter.uplink_s == pytest.approx(0.015)
+    answered(meter, 0.5, 21.0)
+    assert meter.rtt_p95_s == pytest.approx(0.5)
+    answered(meter, 0.03, 21.2)
+    for n in range(3):
+        answered(meter, 0.03, 21.4 + 0.2 * n)
+    meter.fast = False
+    meter.on_tick(0.02, 22.1)
+    assert meter.rtt_p95_s == pytest.approx(0.5), "three of the last 21"
+    assert len(meter._trips) == delay.ROUND_TRIPS
+
+
 @pytest.mark.parametrize("unknown", [None, math.nan, math.inf])
 def test_a_state_of_unknown_age_is_infinitely_old(unknown: float | None) -> None:
     meter = DelayMeter()
