@@ -60,15 +60,15 @@ def run(arguments: list[str], folder: Path) -> tuple[float, float]:
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_ten_times_the_log_takes_no_more_memory(name: str, tmp_path: Path) -> None:
-    told = {}
+    reported = {}
     for megabytes in (LONG_MB // 10, LONG_MB):
         log = long_log(tmp_path / f"{megabytes}.tlog", megabytes)
         out = tmp_path / f"out{megabytes}"
         out.mkdir()
-        told[megabytes] = run([part.format(log=log, out=out) for part in COMMANDS[name]], tmp_path)
+        reported[megabytes] = run([part.format(log=log, out=out) for part in COMMANDS[name]], tmp_path)
         for file in (log, *out.iterdir()):
             file.unlink()
-    (short_mb, short_s), (long_mb, long_s) = told.values()
+    (short_mb, short_s), (long_mb, long_s) = reported.values()
     line = f"{name}: {short_mb:.0f} MB and {short_s:.1f} s for {LONG_MB // 10} MB of log, "
     print(f"\n{line}{long_mb:.0f} MB and {long_s:.1f} s for {LONG_MB} MB")
     note(name, {"short_rss_mb": short_mb, "short_s": short_s, "long_rss_mb": long_mb, "long_s": long_s})

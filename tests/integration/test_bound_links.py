@@ -156,14 +156,14 @@ async def test_who_reaches_for_another_vehicle_is_told_once_and_reaches_nobody(t
         assert not heard
         assert not any(sim.armed for sim in air.link.vehicles)
         assert program.counters["out_of_bounds"] == 5
-        told = air.events("warning")
-        assert len(told) == 3
-        assert told[1] == (
+        reported = air.events("warning")
+        assert len(reported) == 3
+        assert reported[1] == (
             "p6 (memory): 255/0 addressed system 2, and this link is bound to 6 as 1: dropped, as all such frames; "
             "what may be addressed there: 1"
         )
-        assert "addressed system 6" in told[0], "the real id is nobody to who knows its vehicle as 1"
-        assert "addressed system 255" in told[2]
+        assert "addressed system 6" in reported[0], "the real id is nobody to who knows its vehicle as 1"
+        assert "addressed system 255" in reported[2]
 
 
 async def test_two_vehicles_of_one_program_are_never_meant_both(tmp_path: Path) -> None:

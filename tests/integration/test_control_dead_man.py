@@ -66,8 +66,8 @@ async def test_a_ground_stations_heartbeat_keeps_it_quiet_until_it_ceases(tmp_pa
             await asyncio.sleep(1.0)
         assert gcs.control()["state"] == "flying" and not warnings(gcs, since)
         await gcs.until(lambda: gcs.control()["state"] == "off", 8.0)
-        (told,) = warnings(gcs, since)
-        assert "last: ground station 252/190" in told
+        (reported,) = warnings(gcs, since)
+        assert "last: ground station 252/190" in reported
 
 
 async def test_a_recorded_ground_station_is_nobody(tmp_path: Path) -> None:

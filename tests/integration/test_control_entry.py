@@ -182,8 +182,8 @@ async def test_a_fault_of_ours_ends_control_in_a_hold(
         assert gcs.control()["state"] == "off"
         await gcs.ends_safe(within_m=4.0, since=broken)
         assert gcs.sim().mode in (Px4Mode.LOITER, CopterMode.GUIDED)
-        (told,) = gcs.texts(broken, "fault")
-        assert "flight control failed inside skygcs and ends" in told
+        (reported,) = gcs.texts(broken, "fault")
+        assert "flight control failed inside skygcs and ends" in reported
         gcs.told.clear()
 
 
@@ -246,8 +246,8 @@ async def test_thrust_that_becomes_climb_rate_in_flight_ends_attitude(tmp_path: 
         gcs.by_other_station(mav.MAVLink_param_set_message(1, 1, b"GUID_OPTIONS", 0.0, 6))
         await asyncio.sleep(8)
         assert "SET_ATTITUDE_TARGET" not in {s.name for s in gcs.setpoints(changed + 0.2)}
-        (told,) = gcs.texts(changed)
-        assert told.startswith("flown by velocity setpoints: its GUID_OPTIONS is 0")
+        (reported,) = gcs.texts(changed)
+        assert reported.startswith("flown by velocity setpoints: its GUID_OPTIONS is 0")
         assert gcs.farthest_m(changed) < 0.5
 
 

@@ -37,8 +37,8 @@ async def test_another_ground_station_takes_it_home_in_mid_step(
         await asyncio.sleep(60)
         assert not gcs.commands(taken), "it was fought"
         assert gcs.last_setpoint() < taken + 1.2
-        (told,) = gcs.texts(taken)
-        assert told.startswith("control ended: the autopilot left the mode")
+        (reported,) = gcs.texts(taken)
+        assert reported.startswith("control ended: the autopilot left the mode")
         assert gcs.sim().motion.on_ground and not gcs.sim().armed
         assert gcs.farthest_m(taken) < 40.0  # the return's climb
 
@@ -71,8 +71,8 @@ async def test_disarmed_by_somebody_else(tmp_path: Path, kind: dict[str, int]) -
         assert gcs.commands(gone) == [], (
             "both firmwares report a disarmed vehicle on the ground: nothing is left to hold"
         )
-        told = gcs.texts(gone)
-        assert told[0].startswith("control ended: the vehicle is on the ground")
+        reported = gcs.texts(gone)
+        assert reported[0].startswith("control ended: the vehicle is on the ground")
         assert gcs.sim().motion.on_ground and not gcs.sim().armed
 
 
@@ -103,8 +103,8 @@ async def test_not_heard_any_more_while_positions_still_come(tmp_path: Path, kin
         await gcs.until(lambda: gcs.control()["state"] == "off", 10.0)
         ended = gcs.now
         assert ended - gone < 7.0
-        (told,) = gcs.texts(gone)
-        assert told.startswith("control ended: the vehicle is lost: no heartbeat")
+        (reported,) = gcs.texts(gone)
+        assert reported.startswith("control ended: the vehicle is lost: no heartbeat")
         await gcs.ends_safe(within_m=5.0, since=gone)
 
 

@@ -32,8 +32,8 @@ async def held_once(gcs: Flown, since: float, *, latest_s: float, within_m: floa
     held = await gcs.until(lambda: gcs.control()["state"] == "held", latest_s)
     await gcs.ends_safe(within_m=within_m, since=since)
     assert gcs.last_setpoint() <= held
-    (told,) = [t for t in gcs.texts(since) if t.startswith("holding")]
-    assert why in told, told
+    (reported,) = [t for t in gcs.texts(since) if t.startswith("holding")]
+    assert why in reported, reported
     assert {int(c.values["command"]) for c in gcs.commands(since)} == gcs.hold_commands
 
 

@@ -323,7 +323,7 @@ async def test_a_link_that_is_down_is_a_warning_and_not_among_the_open_ones(tmp_
         links={"gcs": MemoryLinkConfig(name="gcs"), "usb": missing},
     )
     daemon = Daemon(config, load_dialect(config.dialect))
-    with structlog.testing.capture_logs() as told:
+    with structlog.testing.capture_logs() as reported:
         task = asyncio.create_task(daemon.run())
         await daemon.ready.wait()
         try:
@@ -332,5 +332,5 @@ async def test_a_link_that_is_down_is_a_warning_and_not_among_the_open_ones(tmp_
         finally:
             daemon.stop()
             await task
-    levels = {line["event"].split(":")[0]: line["log_level"] for line in told}
+    levels = {line["event"].split(":")[0]: line["log_level"] for line in reported}
     assert levels["link usb is down"] == "warning" and levels["link gcs is up"] == "info"

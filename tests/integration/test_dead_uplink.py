@@ -21,8 +21,8 @@ async def test_it_is_told_before_the_vehicle_acts_and_when_it_is_over(tmp_path: 
         assert state["uplink"]["heard"] is True and state["uplink"]["rtt_s"] < 0.5
         began = gcs.now
         gcs.deaf = True
-        told = await gcs.until(lambda: any(t.kind == "uplink_lost" for t in gcs.told), 10.0)
-        assert told - began < 4.0, "the failsafe of an ArduCopter takes 5 s"
+        reported = await gcs.until(lambda: any(t.kind == "uplink_lost" for t in gcs.told), 10.0)
+        assert reported - began < 4.0, "the failsafe of an ArduCopter takes 5 s"
         assert gcs.sim().mode != CopterMode.RTL and gcs.actor().vehicle.connected
         (state,) = await gcs("vehicles.list", targets="all")
         assert state["uplink"]["heard"] is False

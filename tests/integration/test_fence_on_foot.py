@@ -74,13 +74,13 @@ async def test_a_fence_is_set_by_parameters_and_read_back(tmp_path: Path) -> Non
             "FENCE_TYPE": 7,
         }
         await gcs.done("fence.set", targets="all", height_m=0)
-        told = (await gcs("fence.status", targets="all"))["outcomes"]
-        assert [told[n]["fence"]["height_m"] for n in ("v1", "v2")] == [None, None]
+        reported = (await gcs("fence.status", targets="all"))["outcomes"]
+        assert [reported[n]["fence"]["height_m"] for n in ("v1", "v2")] == [None, None]
         assert held(gcs, "v2")["FENCE_TYPE"] == 6
-        assert told["v2"]["fence"]["breached"] is False and told["v2"]["fence"]["breaches"] == 0
+        assert reported["v2"]["fence"]["breached"] is False and reported["v2"]["fence"]["breaches"] == 0
         await gcs.done("fence.set", targets="all", action="none")
-        told = (await gcs("fence.status", targets="all"))["outcomes"]
-        assert {o["message"].split(";")[0] for o in told.values()} == {"the fence is off"}
+        reported = (await gcs("fence.status", targets="all"))["outcomes"]
+        assert {o["message"].split(";")[0] for o in reported.values()} == {"the fence is off"}
         refused = await gcs.outcome("fence.set", "v2", action="terminate")
         assert refused["result"] == "refused" and "no fence action" in refused["message"]
 
@@ -92,30 +92,30 @@ async def test_the_walk_of_an_armed_vehicle_ends_with_what_its_fence_asks_for(tm
         await armed(gcs, name)
         test = begin(gcs, name)
         await walk(gcs, name)
-        told = await test
-        assert told["ok"], told
-        record = recorded(told["record"]["file"])
+        reported = await test
+        assert reported["ok"], reported
+        record = recorded(reported["record"]["file"])
         assert record["breached"] and record["reacted"] and record["restored"] and record["armed"]
         assert 1.5 < record["breached_at_m"] < 4.5
         assert record["signs"], record
         assert held(gcs, name) == before
-        assert Path(told["record"]["file"]).parent == tmp_path / "logs"
+        assert Path(reported["record"]["file"]).parent == tmp_path / "logs"
 
 
 async def test_a_copter_tells_of_the_breach_disarmed_as_well_and_the_test_says_so(tmp_path: Path) -> None:
     async with on_the_ground(tmp_path) as gcs:
         test = begin(gcs, "v2")
         await walk(gcs, "v2")
-        told = await test
-        assert told["ok"] and "it was not armed" in told["message"]
+        reported = await test
+        assert reported["ok"] and "it was not armed" in reported["message"]
 
 
 @BOTH
 async def test_who_stays_inside_has_tested_nothing(tmp_path: Path, name: str) -> None:
     async with on_the_ground(tmp_path) as gcs:
         before = held(gcs, name)
-        told = await begin(gcs, name, timeout_s=10)
-        assert told["result"] == "timeout" and not told["record"]["breached"] and held(gcs, name) == before
+        reported = await begin(gcs, name, timeout_s=10)
+        assert reported["result"] == "timeout" and not reported["record"]["breached"] and held(gcs, name) == before
 
 
 @BOTH
@@ -142,10 +142,10 @@ async def test_a_vehicle_beyond_the_fence_or_in_the_air_is_not_tested(tmp_path: 
         before = held(gcs, name)
         gcs.sim(name).motion.east_m = 6.0
         await asyncio.sleep(3)
-        told = await begin(gcs, name)
-        assert told["result"] == "refused" and "set home where it stands" in told["message"]
+        reported = await begin(gcs, name)
+        assert reported["result"] == "refused" and "set home where it stands" in reported["message"]
         await gcs.done("vehicles.takeoff", targets=name, height_m=5.0, wait_s=60.0)
         await asyncio.sleep(10)
-        told = await begin(gcs, name)
-        assert told["result"] == "refused" and "in the air" in told["message"]
+        reported = await begin(gcs, name)
+        assert reported["result"] == "refused" and "in the air" in reported["message"]
         assert held(gcs, name) == before and not list((tmp_path / "logs").glob("fence-test-*"))

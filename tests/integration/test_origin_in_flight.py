@@ -95,15 +95,15 @@ async def test_a_new_origin_is_everybodys_at_once_and_moves_nobody(tmp_path: Pat
             here = Origin(**status["origin"])
             lat, lon, _ = geodetic_from_enu(50.0, north_m, 0.0, Origin(here.lat_deg, here.lon_deg, here.alt_amsl_m))
             new = {"lat_deg": lat, "lon_deg": lon, "alt_amsl_m": 170.0, "x_heading_deg": heading_deg}
-            told = await gcs("origin.set", **new)
-            assert told == {"origin": new, "generation": status["generation"] + 1}
+            reported = await gcs("origin.set", **new)
+            assert reported == {"origin": new, "generation": status["generation"] + 1}
             states = await gcs("vehicles.list")
             for position in (s["position"] for s in states):
                 seen = enu_from_geodetic(
                     position["lat_deg"], position["lon_deg"], position["alt_amsl_m"], Origin(**new)
                 )
                 assert position["enu_m"] == pytest.approx(seen, abs=0.002)
-                assert position["origin_generation"] == told["generation"]
+                assert position["origin_generation"] == reported["generation"]
             event = next(e for e in reversed(gcs.daemon.event_log.recent) if e["kind"] == "origin")
             assert (event["data"]["old"], event["data"]["new"]) == (status["origin"], new)
             await asyncio.sleep(10)
@@ -175,10 +175,10 @@ async def test_telling_an_armed_vehicle_takes_force_and_ardupilot_says_that_it_k
         refused = (await gcs("origin.push", targets="all"))["outcomes"]
         assert all(o["result"] == "refused" and "armed" in o["message"] for o in refused.values())
         before = gcs.truth()
-        told = (await gcs("origin.push", targets="all", force=True))["outcomes"]
-        assert told["v1"]["ok"] and told["v2"]["ok"], told
-        assert told["v3"]["result"] == "denied"
-        assert "ArduPilot has an origin already" in told["v3"]["message"]
+        reported = (await gcs("origin.push", targets="all", force=True))["outcomes"]
+        assert reported["v1"]["ok"] and reported["v2"]["ok"], reported
+        assert reported["v3"]["result"] == "denied"
+        assert "ArduPilot has an origin already" in reported["v3"]["message"]
         await asyncio.sleep(10)
         for was, now in zip(before, gcs.truth(), strict=True):
             assert math.dist(was, now) < HOLDING_M

@@ -143,8 +143,8 @@ async def test_all_ten_lists_come_one_after_the_other_and_the_station_is_told_th
         station.connect(VEHICLES)
         await flown.air.until(lambda: all(station.has_list(v) for v in VEHICLES), 900)
         station.disconnect()
-        told = flown.third_party
-    assert told["param_lists"]["waiting"] == []
+        reported = flown.third_party
+    assert reported["param_lists"]["waiting"] == []
     ended = [station.listed_at[v] for v in VEHICLES]
     assert ended == sorted(ended), "in the order in which they were asked for"
     assert "parameters of 2 wait: one list at a time" in station.texts
@@ -167,11 +167,11 @@ async def test_what_is_refused_is_counted_per_source_and_told_once_with_what_to_
     assert source["counts"]["refused_streams"] == 420
     assert source["counts"]["needless"] >= 20, "its heartbeats, which are of our own system"
     assert source["counts"]["thinned"] > 150
-    told = flown.air.events("third_party")
-    assert len([text for text in told if "LOG_REQUEST" in text]) == 1
-    assert any("553 B/s that one vehicle can send, 10 MB take 5.0 h" in text for text in told)
-    assert any("links.air.third_party.streams" in text for text in told)
-    assert any("TIMESYNC at 10 Hz, of which 0.2 Hz" in text for text in told)
+    reported = flown.air.events("third_party")
+    assert len([text for text in reported if "LOG_REQUEST" in text]) == 1
+    assert any("553 B/s that one vehicle can send, 10 MB take 5.0 h" in text for text in reported)
+    assert any("links.air.third_party.streams" in text for text in reported)
+    assert any("TIMESYNC at 10 Hz, of which 0.2 Hz" in text for text in reported)
     assert {"no log downloads over this radio", "slowed down on this radio: TIMESYNC"} <= set(station.texts)
 
 
@@ -250,12 +250,12 @@ async def test_corrections_arrive_whole_and_new_and_leave_commands_alone(tmp_pat
         sending = asyncio.create_task(send_corrections(base))
         await flown.watched(60)
         sending.cancel()
-        told = flown.air.air()["up"]["corrections"]
+        reported = flown.air.air()["up"]["corrections"]
         sent_bytes = flown.air.air()["up"]["classes"]["correction"]["sent_bytes"]
     assert len(got) >= 0.8 * 60 * 0.4 * 497 / 756
     assert p95([at - began - epoch for at, epoch in got]) <= 6, "new when it is begun, and four seconds on its way"
     assert [epoch for _, epoch in got] == sorted({epoch for _, epoch in got}), "no older one after a newer"
-    assert told["messages"] >= len(got)
+    assert reported["messages"] >= len(got)
     assert sent_bytes <= 0.4 * 553 * 62 + 756
     assert p95(flown.acks_s) <= flown.ack_limit_s
     assert p95(flown.ages_s) <= AGE_S

@@ -97,6 +97,6 @@ def test_rally_points_and_json(daemon: DaemonProcess, tmp_path: Path) -> None:
     path.write_text(json.dumps({"fileType": "Plan", "version": 1, "rallyPoints": rally, "mission": {"version": 2}}))
     words = ("mission", "upload", "v1", str(path), "--force", "--json")
     code, out = interrupted(daemon, "v1", *words, percent=5)
-    told = json.loads(out[out.index("{") :])
-    assert code == 130 and told["interrupted"] is True
-    assert told["held"]["v1"]["rally"] == {"message": "holds no rally", "items": 0}
+    reported = json.loads(out[out.index("{") :])
+    assert code == 130 and reported["interrupted"] is True
+    assert reported["held"]["v1"]["rally"] == {"message": "holds no rally", "items": 0}

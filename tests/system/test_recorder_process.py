@@ -77,9 +77,9 @@ def test_a_file_that_may_not_grow_ends_with_a_whole_record_and_recording_goes_on
     """RLIMIT_FSIZE cuts a write short and refuses the next, as a full disk does."""
     with start(tmp_path, limit=10_000) as child:
         assert child.stdout is not None and child.stdout.readline() == "begun\n"
-        told = (line for line in child.stdout if not line.strip().isdigit())
-        assert "File too large" in next(told)
-        assert "recording again" in next(told)
+        reported = (line for line in child.stdout if not line.strip().isdigit())
+        assert "File too large" in next(reported)
+        assert "recording again" in next(reported)
         child.send_signal(signal.SIGKILL)
     paths = list(tmp_path.glob("*.tlog"))
     assert len(paths) >= 2  # a new file has room again

@@ -79,12 +79,12 @@ class Check:
             return bool(state != self.wanted)
         return state is not None and bool(state < self.wanted if self.operator == "<" else state > self.wanted)
 
-    def _same(self, told: Any, wanted: Any) -> bool:
+    def _same(self, reported: Any, wanted: Any) -> bool:
         if isinstance(wanted, list):
-            return isinstance(told, list) and all(self._same(t, w) for t, w in zip(told, wanted, strict=True))
+            return isinstance(reported, list) and all(self._same(t, w) for t, w in zip(reported, wanted, strict=True))
         if self.tolerance:
-            return told is not None and abs(told - wanted) <= self.tolerance
-        return bool(told == wanted)
+            return reported is not None and abs(reported - wanted) <= self.tolerance
+        return bool(reported == wanted)
 
 
 @dataclass(frozen=True)
@@ -187,13 +187,13 @@ def test_every_command_of_the_page_does_what_the_page_says(tmp_path: Path, monke
 def fly(row: Row, daemon: DaemonProcess) -> None:
     """Run a row's commands, and look whether what it says came true."""
     label = f"{row.experiment}: {row.commands}"
-    told = ""
+    reported = ""
     for command in row.commands:
         code, output = run(command)
-        told += output
-        assert code == (1 if row.refused else 0), f"{command}: exit {code}: {told}"
-        assert "Traceback" not in told, told
-    assert row.prints in told and row.refused in told, f"{label} told {told}"
+        reported += output
+        assert code == (1 if row.refused else 0), f"{command}: exit {code}: {reported}"
+        assert "Traceback" not in reported, reported
+    assert row.prints in reported and row.refused in reported, f"{label} told {reported}"
     for vehicle in row.vehicles:
         for check in row.checks:
             wait_for(check, vehicle, daemon, label)

@@ -103,8 +103,8 @@ def test_after_sigkill_it_is_told_and_undone_when_somebody_asks(tmp_path: Path, 
     with daemon:
         assert held(daemon, name) == changed != before
         assert "skygcs-cli undo run" in daemon.stderr
-        told = daemon.cli("status")
-        assert told.returncode == 0 and "1 change in vehicles not undone" in told.stderr
+        reported = daemon.cli("status")
+        assert reported.returncode == 0 and "1 change in vehicles not undone" in reported.stderr
         (change,) = json.loads(daemon.cli("undo", "list", "--json").stdout)["changes"]
         assert change["before"].items() <= {**change["before"], **before}.items()
         undone = daemon.cli("undo", "run", "all")

@@ -151,7 +151,7 @@ class AirPlanner:
         free = None if report is None else report.txbuf_free
         radio.downlink.look(self._loss_of_all(radio, members, now) if settled else None, free, now)
         demands = {k: demand for k, actor in members.items() if (demand := self._demand(radio, k, actor)) is not None}
-        radio.air.third_party.unplanned = frozenset(actor.sysid for k, actor in members.items() if k not in demands)
+        radio.air.third_party.set_unplanned(actor.sysid for k, actor in members.items() if k not in demands)
         budget = self._budget(radio)
         if (demands, budget) == (radio.demands, radio.budget):
             return

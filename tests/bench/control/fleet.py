@@ -175,7 +175,7 @@ async def _take_over(gcs: Client) -> None:
     left: list[str] | str = "all"
     for _ in range(ATTEMPTS):
         outcomes = (await gcs.call("control.set", targets=left, mode="attitude"))["outcomes"]
-        left = [name for name, told in outcomes.items() if "flown by attitude" not in told["message"]]
+        left = [name for name, reported in outcomes.items() if "flown by attitude" not in reported["message"]]
         if not left:
             return
 

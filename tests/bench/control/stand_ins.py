@@ -84,10 +84,10 @@ class StandIn:
                 info = self._by_name["COMMAND_LONG"]
                 self._obey(info.unpack(data[HEADER_V2_BYTES : HEADER_V2_BYTES + data[1]]))
 
-    def _obey(self, told: dict[str, Any]) -> None:
-        if told["command"] == SET_MODE:
-            self._mode = int(told["param2"]) << 16 | int(told["param3"]) << 24
-        self._say("COMMAND_ACK", {"command": told["command"], "result": 0})
+    def _obey(self, reported: dict[str, Any]) -> None:
+        if reported["command"] == SET_MODE:
+            self._mode = int(reported["param2"]) << 16 | int(reported["param3"]) << 24
+        self._say("COMMAND_ACK", {"command": reported["command"], "result": 0})
         self._heartbeat_task()
 
     def _heartbeat_task(self) -> None:

@@ -72,8 +72,8 @@ def table(rows: Sequence[Row]) -> str:
             f"{f'{air:g} kbit/s':<28}" + "".join(f"{f'{n} vehicles':>18}" for n in numbers),
             f"{'':<28}" + "".join(f"{'plain':>10}{'skygcs':>8}" for _ in numbers),
         ]
-        for label, told in LINES:
-            pairs = (f"{told(cells[n, 'plain']):>10}{told(cells[n, 'skygcs']):>8}" for n in numbers)
+        for label, reported in LINES:
+            pairs = (f"{reported(cells[n, 'plain']):>10}{reported(cells[n, 'skygcs']):>8}" for n in numbers)
             out.append(f"{label:<28}" + "".join(pairs))
         out.append("")
     return "\n".join(out)
@@ -94,7 +94,7 @@ def judged(row: Row) -> list[Verdict]:
     age, ack, stop = row["age_p95_s"], row["ack_p95_s"], row["emergency_max_s"]
     reached = row["emergency_reached"]
     limits = (two_rounds + ACK_SPARE_S, two_rounds + EMERGENCY_REPEAT_S)
-    told = (
+    reported = (
         (f"position age p95 <= {AGE_S:g} s", f"{_s(age)} s", age is not None and age <= AGE_S),
         (
             f"command ACK p95 <= {limits[0]:.2f} s (two rounds + {ACK_SPARE_S:g} s)",
@@ -112,14 +112,16 @@ def judged(row: Row) -> list[Verdict]:
             reached == row["vehicles"] and stop is not None and stop <= limits[1],
         ),
     )
-    return [Verdict(where, target, got, met, "" if met else _arithmetic(row)) for target, got, met in told]
+    return [Verdict(where, target, got, met, "" if met else _arithmetic(row)) for target, got, met in reported]
 
 
-def summary(told: Sequence[Verdict]) -> str:
+def summary(reported: Sequence[Verdict]) -> str:
     """How many were met, those of the largest cell of each air speed, and every one that was missed."""
-    largest = {where.split(" at ")[1]: where for where, *_ in told}  # of each air speed the last
-    shown = [v.line() for v in told if v.where in largest.values() or not v.met]
-    return "\n".join([f"{sum(v.met for v in told)} of {len(told)} targets of the skygcs column are met", *shown])
+    largest = {where.split(" at ")[1]: where for where, *_ in reported}  # of each air speed the last
+    shown = [v.line() for v in reported if v.where in largest.values() or not v.met]
+    return "\n".join(
+        [f"{sum(v.met for v in reported)} of {len(reported)} targets of the skygcs column are met", *shown]
+    )
 
 
 def collapse(rows: Sequence[Row]) -> list[Verdict]:

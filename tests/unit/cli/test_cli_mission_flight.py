@@ -159,9 +159,9 @@ def test_item_0_is_usage(site: Site) -> None:
 
 
 def test_status_shows_item_and_transfer_of_each_vehicle(site: Site) -> None:
-    told = site.daemon.vehicle("alpha").missions.told
-    told.update(item=3, reached=2, state="active", transfer={"what": "fence upload", "percent": 40, "sent": 9})
-    told["counts"]["mission"] = 12
+    reported = site.daemon.vehicle("alpha").missions.told
+    reported.update(item=3, reached=2, state="active", transfer={"what": "fence upload", "percent": 40, "sent": 9})
+    reported["counts"]["mission"] = 12
     said = site.run("mission", "status")
     assert "alpha       item 3 of 12  reached 2  active  fence upload 40 %" in said
     assert "bravo       no current item reported yet" in said
@@ -198,8 +198,8 @@ def test_fence_status_shows_what_is_held_and_breaches(site: Site) -> None:
     alpha.fence |= {"breached": True, "breaches": 2, "follows_list": False, "last_text": "Circle fence breached"}
     said = site.run("fence", "status", "alpha", code=FAILED)
     assert "not enforced" in said and "2 breaches since boot" in said and 'last text "Circle fence breached"' in said
-    told = json.loads(site.run("fence", "status", "alpha", "--json", code=FAILED))
-    assert told["outcomes"]["alpha"]["fence_items"] == 5
+    reported = json.loads(site.run("fence", "status", "alpha", "--json", code=FAILED))
+    assert reported["outcomes"]["alpha"]["fence_items"] == 5
 
 
 def test_a_fence_is_set_by_what_is_given(site: Site) -> None:
@@ -218,8 +218,8 @@ def test_a_fence_is_tested_only_after_the_propellers_are_confirmed_off(site: Sit
     said = site.run("fence", "test", "alpha", "--yes", "--radius", "3")
     assert site.asked() == ("test_fence", {"radius_m": 3.0, "action": "return", "timeout_s": 120.0})
     assert "recorded in logs/fence-test-alpha.json" in said
-    told = json.loads(site.run("fence", "test", "alpha", "--yes", "--json"))
-    assert told["outcomes"]["alpha"]["record"]["file"]
+    reported = json.loads(site.run("fence", "test", "alpha", "--yes", "--json"))
+    assert reported["outcomes"]["alpha"]["record"]["file"]
 
 
 def test_a_plan_with_a_wrong_version_is_a_wrong_parameter_of_the_rpc(site: Site) -> None:

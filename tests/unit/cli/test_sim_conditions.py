@@ -11,7 +11,7 @@ from skygcs.sim.conditions import Conditions, Dynamics
 
 
 def parse(wind: str = "0", **words: object) -> Conditions:
-    told: dict[str, object] = {
+    reported: dict[str, object] = {
         "dynamics": "rigid",
         "airframe": "f450",
         "attitude_lag_s": None,
@@ -19,7 +19,7 @@ def parse(wind: str = "0", **words: object) -> Conditions:
         "attitude_noise_deg": 0.0,
         "sensor_latency_s": 0.0,
     }
-    return parse_conditions(wind, **(told | words))  # type: ignore[arg-type]
+    return parse_conditions(wind, **(reported | words))  # type: ignore[arg-type]
 
 
 def test_no_options_are_calm_air_and_a_rigid_f450() -> None:

@@ -46,11 +46,11 @@ def flight(tmp_path: Path) -> Path:
 
 def test_a_filter_takes_time_vehicle_and_message(flight: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.tlog"
-    told = run(
+    reported = run(
         "filter", flight, out, "--vehicle", "2", "--message", "attitude,SYS_STATUS", "--from", "10", "--to", "0:20"
     )
     found = records(out)
-    assert told.stdout == f"{out}: {len(found)} of {len(records(flight))} records\n"
+    assert reported.stdout == f"{out}: {len(found)} of {len(records(flight))} records\n"
     assert set(found) < set(records(flight))
     for unix_us, raw in found:
         assert 10.0 <= (unix_us - T0_US) / 1e6 <= 20.01
@@ -72,10 +72,10 @@ def test_names_come_from_the_fleet_file(flight: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.tlog"
     run("filter", flight, out, "--vehicle", "bravo,1", "--fleet", fleet)
     assert {raw[5] for _, raw in records(out)} == {1, 2}
-    told = run("filter", flight, out, "--vehicle", "bravo", "--force", code=USAGE).output
-    assert "names need --fleet" in words(told)
-    told = run("filter", flight, out, "--vehicle", "delta", "--fleet", fleet, "--force", code=USAGE).output
-    assert "the fleet file has bravo, charlie" in words(told)
+    reported = run("filter", flight, out, "--vehicle", "bravo", "--force", code=USAGE).output
+    assert "names need --fleet" in words(reported)
+    reported = run("filter", flight, out, "--vehicle", "delta", "--fleet", fleet, "--force", code=USAGE).output
+    assert "the fleet file has bravo, charlie" in words(reported)
 
 
 @pytest.mark.parametrize(
@@ -119,12 +119,12 @@ def test_what_nobody_vouches_for_stays_unless_a_sender_is_asked_for(tmp_path: Pa
     pieces = [heartbeat(1), bytes(bad), unknown_frame(sysid=1), unknown_frame(sysid=2), heartbeat(1)]
     log, out = tmp_path / "in.tlog", tmp_path / "out.tlog"
     log.write_bytes(b"".join(encode_record(T0_US + n, raw) for n, raw in enumerate(pieces)) + b"\0\0cut")
-    told = run("filter", log, out)
+    reported = run("filter", log, out)
     assert [raw for _, raw in records(out)] == pieces
-    assert "5 bytes belong to no record: at byte" in told.stderr
-    told = run("filter", log, out, "--vehicle", "1", "--force")
+    assert "5 bytes belong to no record: at byte" in reported.stderr
+    reported = run("filter", log, out, "--vehicle", "1", "--force")
     assert [raw for _, raw in records(out)] == [pieces[0], pieces[2], pieces[4]]
-    assert "1 of the records left out have a wrong CRC" in told.stderr
+    assert "1 of the records left out have a wrong CRC" in reported.stderr
 
 
 def test_two_autopilots_of_one_system_are_two_vehicles(tmp_path: Path) -> None:
@@ -154,8 +154,8 @@ def test_a_log_of_thousands_of_vehicles_opens_no_thousands_of_files(tmp_path: Pa
 def test_what_is_cut_from_a_raw_capture_is_no_tlog(tmp_path: Path) -> None:
     log, out = tmp_path / "flight.raw", tmp_path / "out.tlog"
     log.write_bytes(b"".join(heartbeat(n % 2 + 1, seq=n // 2) for n in range(40)))
-    told = run("filter", log, out, code=FAILED).stderr
-    assert "flight.raw is a raw capture, whose frames have no times" in told and "name it out.raw" in told
+    reported = run("filter", log, out, code=FAILED).stderr
+    assert "flight.raw is a raw capture, whose frames have no times" in reported and "name it out.raw" in reported
     assert not out.exists()
     misnamed = log.rename(tmp_path / "flight.tlog")
     run("split", misnamed)
@@ -210,8 +210,8 @@ def test_orders_are_in_the_log_of_the_vehicle_they_were_for(tmp_path: Path) -> N
     pieces.append(heartbeat(1, compid=100, type=30, autopilot=8))
     log = tmp_path / "in.tlog"
     log.write_bytes(b"".join(encode_record(T0_US + n, raw) for n, raw in enumerate(pieces)))
-    told = run("split", log)
-    assert [line.rsplit(": ")[1] for line in told.stdout.splitlines()] == ["3 records", "2 records", "3 records"]
+    reported = run("split", log)
+    assert [line.rsplit(": ")[1] for line in reported.stdout.splitlines()] == ["3 records", "2 records", "3 records"]
     assert [raw for _, raw in records(tmp_path / "in-1.tlog")] == [pieces[0], pieces[2], pieces[7]]
     assert [raw for _, raw in records(tmp_path / "in-2.tlog")] == [pieces[1], pieces[3]]
     assert "no vehicle in it" in run("split", tmp_path / "in-rest.tlog", code=FAILED).stderr
@@ -234,7 +234,7 @@ def records_of(path: Path) -> set[bytes]:
 
 
 def test_help_names_every_tool() -> None:
-    told = CliRunner().invoke(app, ["tlog", "--help"]).output
+    reported = CliRunner().invoke(app, ["tlog", "--help"]).output
     for word in ("info", "filter", "merge", "split", "csv", "plot", "play"):
-        assert word in told
+        assert word in reported
     assert PUBLIC and dialect()

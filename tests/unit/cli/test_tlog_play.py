@@ -109,10 +109,10 @@ def test_no_order_and_no_ground_station_is_played_unasked(tmp_path: Path, ear: E
     pieces = [heartbeat(1), order, heartbeat(255, 190, type=6, autopilot=8), bytes(bad), heartbeat(1)]
     log = tmp_path / "in.tlog"
     log.write_bytes(b"".join(encode_record(T0_US + n, raw) for n, raw in enumerate(pieces)))
-    told = run(log, f"127.0.0.1:{ear.address[1]}", "--speed", "0")
+    reported = run(log, f"127.0.0.1:{ear.address[1]}", "--speed", "0")
     assert ear.heard() == [heartbeat(1), heartbeat(1)]
-    assert told.stdout == f"{log}: 2 frames sent, up to 0.0 s\n"
-    assert "3 frames not played: wrong CRCs, orders" in told.stderr and "wrong CRC" in told.stderr
+    assert reported.stdout == f"{log}: 2 frames sent, up to 0.0 s\n"
+    assert "3 frames not played: wrong CRCs, orders" in reported.stderr and "wrong CRC" in reported.stderr
     run(log, ear.address[1], "--speed", "0", "--all")
     assert ear.heard() == [pieces[0], pieces[1], pieces[2], pieces[4]]
 
@@ -151,8 +151,8 @@ def test_a_loop_goes_on_until_ctrl_c(flight: Path, ear: Ear, monkeypatch: pytest
         return 5
 
     monkeypatch.setattr(Player, "play", play)
-    told = run(flight, ear.address[1], "--loop", code=INTERRUPTED)
-    assert "ended by Ctrl-C: 15 frames sent, up to 0.0 s, round 3" in told.stderr
+    reported = run(flight, ear.address[1], "--loop", code=INTERRUPTED)
+    assert "ended by Ctrl-C: 15 frames sent, up to 0.0 s, round 3" in reported.stderr
 
 
 def test_a_raw_capture_is_played_by_its_senders_clocks(tmp_path: Path, ear: Ear) -> None:

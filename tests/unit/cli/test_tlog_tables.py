@@ -88,12 +88,12 @@ def same(cell: str, wanted: Any) -> bool:
 @pytest.mark.parametrize("name", captures("tlog") + captures("raw"))
 def test_every_log_makes_flights_and_tables_of_the_counts_expected(name: str, tmp_path: Path) -> None:
     path = public_file(f"tlog/{name}")
-    told = run(path, "-o", tmp_path)
+    reported = run(path, "-o", tmp_path)
     files = sorted(tmp_path.iterdir(), key=lambda file: int(file.stem.rsplit("-", 1)[1]))
     assert [file.name for file in files] == [
         f"{path.stem}-{sysid}.csv" for sysid in sorted(int(key.partition("/")[0]) for key in vehicles_of(name))
     ]
-    assert sorted(told.stdout.splitlines()) == sorted(f"{file}: {len(table(file)):,} rows" for file in files)
+    assert sorted(reported.stdout.splitlines()) == sorted(f"{file}: {len(table(file)):,} rows" for file in files)
     for file in files:
         rows = table(file)
         assert list(rows[0]) == ["time", "mode", "lat", "lon", "alt", "vx", "vy", "vz", "roll", "pitch", "yaw"]
@@ -175,8 +175,8 @@ def test_parquet_without_pyarrow_says_how_to_get_it(tmp_path: Path, monkeypatch:
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
     log = tmp_path / "flight.tlog"
     log.write_bytes(FlightLog(1).content(2.0))
-    told = " ".join(run(log, "--parquet", "-o", tmp_path / "out", code=FAILED).stderr.split())
-    assert "pip install 'skygcs[parquet]'" in told
+    reported = " ".join(run(log, "--parquet", "-o", tmp_path / "out", code=FAILED).stderr.split())
+    assert "pip install 'skygcs[parquet]'" in reported
     assert list((tmp_path / "out").iterdir()) == []
     assert "--parquet does not go to stdout" in run(log, "--parquet", "-o", "-", code=USAGE).output
 

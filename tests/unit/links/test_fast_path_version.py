@@ -19,7 +19,7 @@ def test_the_compiled_file_is_the_one_this_version_expects() -> None:
 @pytest.mark.parametrize("compiled", [1, 99])
 def test_one_of_another_version_is_left_aside_and_said(monkeypatch: pytest.MonkeyPatch, compiled: int) -> None:
     monkeypatch.setattr(_fast_path, "INTERFACE", compiled)
-    with structlog.testing.capture_logs() as told:
+    with structlog.testing.capture_logs() as reported:
         assert fast_path.new_table(offline_dialect(), recording=False) is None
-    assert [line["log_level"] for line in told] == ["warning"]
-    assert (told[0]["compiled"], told[0]["wanted"]) == (compiled, fast_path.INTERFACE)
+    assert [line["log_level"] for line in reported] == ["warning"]
+    assert (reported[0]["compiled"], reported[0]["wanted"]) == (compiled, fast_path.INTERFACE)

@@ -28,11 +28,11 @@ async def test_the_status_is_what_its_schema_says_and_json(tmp_path: Path) -> No
         assert ask(air, "link.status") == [] or ask(air, "link.status")[0]["vehicles"] == []
         await air.settled(2)
         await asyncio.sleep(2)
-        (told,) = ask(air, "link.status")
-        json.dumps(told, allow_nan=False)
-        assert set(told) == set(RadioAir.model_fields)
-        assert told["link"] == "air" and len(told["history"]) > 3
-        assert [v["name"] for v in sorted(told["vehicles"], key=lambda v: v["sysid"])] == ["v1", "v2"]
+        (reported,) = ask(air, "link.status")
+        json.dumps(reported, allow_nan=False)
+        assert set(reported) == set(RadioAir.model_fields)
+        assert reported["link"] == "air" and len(reported["history"]) > 3
+        assert [v["name"] for v in sorted(reported["vehicles"], key=lambda v: v["sysid"])] == ["v1", "v2"]
 
 
 async def test_a_selection_takes_the_place_of_the_one_before(tmp_path: Path) -> None:

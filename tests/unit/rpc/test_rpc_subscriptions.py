@@ -53,75 +53,75 @@ async def settle() -> None:
 
 @pytest.mark.looptime
 async def test_telemetry_begins_at_once_and_keeps_its_rate() -> None:
-    told = Told()
-    reader, _ = told.add(topic="telemetry", rate_hz=5)
+    reported = Told()
+    reader, _ = reported.add(topic="telemetry", rate_hz=5)
     await settle()
     first = reader.take()
     assert [n["state"]["name"] for n in first] == ["alpha", "bravo", "carol"]
     assert {n["subscription"] for n in first} == {1} and {n["method"] for n in first} == {"telemetry"}
     await asyncio.sleep(10.01)
     assert len(reader.take()) == pytest.approx(3 * 50, abs=3)
-    told.feeds.close()
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 @pytest.mark.parametrize("rate_hz", [0.3, 1, 2, 3, 7, 15, 20])
 async def test_any_rate_is_kept_on_average(rate_hz: float) -> None:
-    told = Told(1)
-    reader, _ = told.add(topic="telemetry", rate_hz=rate_hz)
+    reported = Told(1)
+    reader, _ = reported.add(topic="telemetry", rate_hz=rate_hz)
     await asyncio.sleep(100)
     assert len(reader.take()) == pytest.approx(100 * rate_hz + 1, abs=2)
-    told.feeds.close()
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_telemetry_is_two_a_second_if_nothing_is_said() -> None:
-    told = Told(1)
-    reader, _ = told.add(topic="telemetry")
+    reported = Told(1)
+    reader, _ = reported.add(topic="telemetry")
     await asyncio.sleep(10.01)
     assert len(reader.take()) == pytest.approx(21, abs=1)
-    told.feeds.close()
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_a_state_is_made_once_per_tick_for_all_subscribers() -> None:
-    told = Told()
+    reported = Told()
     for number in range(20):
-        told.add(number, topic="telemetry", rate_hz=10)
-    told.add(21, topic="telemetry", rate_hz=2)
+        reported.add(number, topic="telemetry", rate_hz=10)
+    reported.add(21, topic="telemetry", rate_hz=2)
     await settle()
-    before = told.daemon.vehicle("alpha").states_made
+    before = reported.daemon.vehicle("alpha").states_made
     await asyncio.sleep(10.01)
-    assert told.daemon.vehicle("alpha").states_made - before == pytest.approx(100, abs=1)
-    told.feeds.close()
+    assert reported.daemon.vehicle("alpha").states_made - before == pytest.approx(100, abs=1)
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_a_slow_reader_gets_fewer_and_fresh_states_and_the_others_all() -> None:
-    told = Told()
-    slow, _ = told.add(1, topic="telemetry", rate_hz=10, names=["mode"])
-    quick, _ = told.add(2, topic="telemetry", rate_hz=10, names=["mode"])
+    reported = Told()
+    slow, _ = reported.add(1, topic="telemetry", rate_hz=10, names=["mode"])
+    quick, _ = reported.add(2, topic="telemetry", rate_hz=10, names=["mode"])
     await settle()
     slow.take()
     slow.writable = False
     for i in range(50):
-        told.daemon.vehicle("alpha").mode = f"MODE{i}"
+        reported.daemon.vehicle("alpha").mode = f"MODE{i}"
         await asyncio.sleep(0.1)
     assert slow.raw == b""
     slow.writable = True
-    told.feeds.resume()
+    reported.feeds.resume()
     await settle()
     update = slow.take()
     assert [n["state"]["name"] for n in update] == ["alpha", "bravo", "carol"]
     assert update[0]["state"]["mode"] == "MODE49"
     assert len(quick.take()) == pytest.approx(3 * 51, abs=3)
-    told.feeds.close()
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_every_vehicle_has_its_turn_with_a_reader_that_takes_little() -> None:
-    told = Told(60)
-    reader, _ = told.add(topic="telemetry", rate_hz=20, names=["mode"])
+    reported = Told(60)
+    reader, _ = reported.add(topic="telemetry", rate_hz=20, names=["mode"])
     seen: dict[str, int] = {}
     original = reader.write
 
@@ -135,85 +135,85 @@ async def test_every_vehicle_has_its_turn_with_a_reader_that_takes_little() -> N
         for n in reader.take():
             seen[n["state"]["name"]] = seen.get(n["state"]["name"], 0) + 1
         reader.writable = True
-        told.feeds.resume()
+        reported.feeds.resume()
     assert len(seen) == 60
     assert max(seen.values()) - min(seen.values()) <= 2
-    told.feeds.close()
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_only_the_wanted_sections_and_vehicles_are_sent() -> None:
-    told = Told()
-    reader, _ = told.add(topic="telemetry", targets="1,carol", names=["battery", "links"])
+    reported = Told()
+    reader, _ = reported.add(topic="telemetry", targets="1,carol", names=["battery", "links"])
     await settle()
     update = reader.take()
     assert [set(n["state"]) for n in update] == [{"name", "sysid", "battery", "links"}] * 2
     assert update[0]["state"]["links"]["radio"]["loss_ratio"] == 0.013
     with pytest.raises(InvalidParams, match=r"no batery.*battery"):
-        told.add(2, topic="telemetry", names=["batery"])
-    told.feeds.close()
+        reported.add(2, topic="telemetry", names=["batery"])
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_vehicles_that_come_later_belong_to_all_and_to_their_group() -> None:
-    told = Told()
-    late = told.daemon.fleet.vehicles.pop(3 << 8 | 1)
-    everyone, _ = told.add(1, topic="telemetry")
-    red, _ = told.add(2, topic="telemetry", targets="red")
+    reported = Told()
+    late = reported.daemon.fleet.vehicles.pop(3 << 8 | 1)
+    everyone, _ = reported.add(1, topic="telemetry")
+    red, _ = reported.add(2, topic="telemetry", targets="red")
     await settle()
     assert len(everyone.take()) == 2 and len(red.take()) == 1
-    told.daemon.fleet.vehicles[3 << 8 | 1] = late
+    reported.daemon.fleet.vehicles[3 << 8 | 1] = late
     await asyncio.sleep(0.6)
     assert {n["state"]["name"] for n in everyone.take()} == {"alpha", "bravo", "carol"}
     assert {n["state"]["name"] for n in red.take()} == {"alpha", "carol"}
-    told.feeds.close()
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_all_may_be_nobody_yet_but_any_other_target_must_name_somebody() -> None:
-    told = Told()
-    told.daemon.fleet.vehicles.clear()
-    reader, _ = told.add(topic="telemetry")
+    reported = Told()
+    reported.daemon.fleet.vehicles.clear()
+    reader, _ = reported.add(topic="telemetry")
     await asyncio.sleep(1)
     assert reader.raw == b""
     for topic in ("telemetry", "events", "messages"):
         with pytest.raises(TargetError):
-            told.add(2, topic=topic, targets="alpha")
-    told.feeds.close()
+            reported.add(2, topic=topic, targets="alpha")
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_a_vehicle_whose_state_fails_does_not_stop_the_others() -> None:
-    told = Told()
-    told.daemon.vehicle("bravo").state_fails = ZeroDivisionError("a bug")
-    reader, _ = told.add(topic="telemetry", rate_hz=1)
+    reported = Told()
+    reported.daemon.vehicle("bravo").state_fails = ZeroDivisionError("a bug")
+    reader, _ = reported.add(topic="telemetry", rate_hz=1)
     await asyncio.sleep(3.01)
     assert {n["state"]["name"] for n in reader.take()} == {"alpha", "carol"}
-    told.feeds.close()
+    reported.feeds.close()
 
 
 @pytest.mark.looptime
 async def test_nothing_runs_and_nobody_listens_without_subscriptions() -> None:
-    told = Told()
-    subscriptions = [told.add(i, topic=t)[1] for i, t in enumerate(("telemetry", "events", "messages"))]
+    reported = Told()
+    subscriptions = [reported.add(i, topic=t)[1] for i, t in enumerate(("telemetry", "events", "messages"))]
     await settle()
     for subscription in subscriptions:
-        told.feeds.remove(subscription)
-        told.feeds.remove(subscription)
+        reported.feeds.remove(subscription)
+        reported.feeds.remove(subscription)
     await settle()
-    made = told.daemon.vehicle("alpha").states_made
+    made = reported.daemon.vehicle("alpha").states_made
     await asyncio.sleep(10)
-    assert told.daemon.vehicle("alpha").states_made == made
-    assert told.daemon.listeners == 0
+    assert reported.daemon.vehicle("alpha").states_made == made
+    assert reported.daemon.listeners == 0
 
 
 @pytest.mark.looptime
 async def test_events_of_the_wanted_kinds_and_vehicles_come_in_order() -> None:
-    told = Told()
-    everything, _ = told.add(1, topic="events")
-    arming, _ = told.add(2, topic="events", names=["armed"], targets="alpha,bravo")
+    reported = Told()
+    everything, _ = reported.add(1, topic="events")
+    arming, _ = reported.add(2, topic="events", names=["armed"], targets="alpha,bravo")
     for kind, vehicle in (("armed", "alpha"), ("mode", "alpha"), ("armed", "carol"), ("link_up", None)):
-        told.daemon.emit(kind, vehicle, f"{kind} {vehicle}", odd=float("nan"))
+        reported.daemon.emit(kind, vehicle, f"{kind} {vehicle}", odd=float("nan"))
     await settle()
     assert [n["event"]["text"] for n in everything.take()] == [
         "armed alpha",
@@ -230,14 +230,14 @@ async def test_events_of_the_wanted_kinds_and_vehicles_come_in_order() -> None:
 @pytest.mark.looptime
 @pytest.mark.parametrize("topic", ["events", "messages"])
 async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many(topic: str) -> None:
-    told = Told()
-    reader, subscription = told.add(topic=topic)
+    reported = Told()
+    reader, subscription = reported.add(topic=topic)
     reader.writable = False
     for i in range(QUEUED + 40):
         if topic == "events":
-            told.daemon.emit("mode", "alpha", str(i))
+            reported.daemon.emit("mode", "alpha", str(i))
         else:
-            told.daemon.hear("ATTITUDE", time_boot_ms=i)
+            reported.daemon.hear("ATTITUDE", time_boot_ms=i)
     await settle()
     assert reader.raw == b""
     reader.writable = True
@@ -252,11 +252,11 @@ async def test_a_slow_reader_loses_the_oldest_and_is_told_how_many(topic: str) -
 
 @pytest.mark.looptime
 async def test_messages_are_decoded_with_their_source_and_age() -> None:
-    told = Told()
-    reader, _ = told.add(topic="messages", names=["attitude", 0])
-    told.daemon.hear("ATTITUDE", roll=float("nan"), pitch=0.5)
-    told.daemon.hear("SYS_STATUS")
-    told.daemon.hear("HEARTBEAT", sysid=255, compid=190)
+    reported = Told()
+    reader, _ = reported.add(topic="messages", names=["attitude", 0])
+    reported.daemon.hear("ATTITUDE", roll=float("nan"), pitch=0.5)
+    reported.daemon.hear("SYS_STATUS")
+    reported.daemon.hear("HEARTBEAT", sysid=255, compid=190)
     await settle()
     attitude, heartbeat = (n["message"] for n in reader.take())
     assert (attitude["vehicle"], attitude["sysid"], attitude["compid"], attitude["name"]) == ("alpha", 1, 1, "ATTITUDE")
@@ -264,15 +264,15 @@ async def test_messages_are_decoded_with_their_source_and_age() -> None:
     assert attitude["age_s"] == 0
     assert (heartbeat["vehicle"], heartbeat["name"]) == (None, "HEARTBEAT")
     with pytest.raises(InvalidParams, match="NONSENSE"):
-        told.add(2, topic="messages", names=["ATTITUDE", "NONSENSE"])
+        reported.add(2, topic="messages", names=["ATTITUDE", "NONSENSE"])
 
 
 @pytest.mark.looptime
 async def test_messages_that_waited_say_how_old_they_are() -> None:
-    told = Told()
-    reader, subscription = told.add(topic="messages")
+    reported = Told()
+    reader, subscription = reported.add(topic="messages")
     reader.writable = False
-    told.daemon.hear("ATTITUDE")
+    reported.daemon.hear("ATTITUDE")
     await asyncio.sleep(1.5)
     reader.writable = True
     subscription.flush()
@@ -281,23 +281,23 @@ async def test_messages_that_waited_say_how_old_they_are() -> None:
 
 @pytest.mark.looptime
 async def test_messages_of_one_target_only() -> None:
-    told = Told()
-    reader, _ = told.add(topic="messages", targets="bravo")
-    told.daemon.hear("ATTITUDE", sysid=1)
-    told.daemon.hear("ATTITUDE", sysid=2)
+    reported = Told()
+    reader, _ = reported.add(topic="messages", targets="bravo")
+    reported.daemon.hear("ATTITUDE", sysid=1)
+    reported.daemon.hear("ATTITUDE", sysid=2)
     await settle()
     assert [n["message"]["vehicle"] for n in reader.take()] == ["bravo"]
 
 
 @pytest.mark.looptime
 async def test_the_rate_of_messages_is_limited_per_name_and_source() -> None:
-    told = Told()
-    limited, _ = told.add(1, topic="messages", rate_hz=2)
-    full, _ = told.add(2, topic="messages")
+    reported = Told()
+    limited, _ = reported.add(1, topic="messages", rate_hz=2)
+    full, _ = reported.add(2, topic="messages")
     for _ in range(100):
         for sysid in (1, 2):
-            told.daemon.hear("ATTITUDE", sysid=sysid)
-        told.daemon.hear("VFR_HUD")
+            reported.daemon.hear("ATTITUDE", sysid=sysid)
+        reported.daemon.hear("VFR_HUD")
         await asyncio.sleep(0.1)
     assert len(full.take()) == 300
     counts: dict[tuple[str, int], int] = {}

@@ -56,8 +56,8 @@ def test_messages_follow_each_other_under_new_sequence_ids() -> None:
 def test_a_message_of_which_a_fragment_was_refused_does_not_count_as_sent() -> None:
     bench = Bench()
     bench.hub.refuses = {1}
-    told = bench.feed.send("a", rtcm_frame(1077, body_bytes=300) + STANDARD_1005)
-    assert (told["messages"], told["refused"], told["types"]) == (1, 1, {"1005": 1})
+    reported = bench.feed.send("a", rtcm_frame(1077, body_bytes=300) + STANDARD_1005)
+    assert (reported["messages"], reported["refused"], reported["types"]) == (1, 1, {"1005": 1})
 
 
 def test_what_is_kept_is_bounded() -> None:

@@ -404,8 +404,8 @@ class TestOrdersForMany:
                 await caller
             await asyncio.sleep(10)
             assert [c for c, _ in vehicle.commands()] == [command] * 3
-            (told,) = [e for e in ground.events if e.kind == "command"]
-            assert (told.data["order"], told.data["ok"]) == (order, True)
+            (reported,) = [e for e in ground.events if e.kind == "command"]
+            assert (reported.data["order"], reported.data["ok"]) == (order, True)
             assert not ground.fleet._kept
 
     async def test_other_orders_end_with_their_caller_and_that_is_told(self) -> None:
@@ -418,8 +418,8 @@ class TestOrdersForMany:
             await asyncio.gather(caller, return_exceptions=True)
             await asyncio.sleep(5)
             assert len(vehicle.got) == 1
-            (told,) = [e for e in ground.events if e.kind == "command"]
-            assert (told.data["order"], told.data["result"]) == ("reboot", "cancelled")
+            (reported,) = [e for e in ground.events if e.kind == "command"]
+            assert (reported.data["order"], reported.data["result"]) == ("reboot", "cancelled")
 
     async def test_orders_that_are_kept_are_bounded_and_end_with_the_fleet(self) -> None:
         async with Ground() as ground:
@@ -450,8 +450,8 @@ class TestOrdersForMany:
             assert (await ground.fleet.command_all("1", VehicleActor.goto, **there))["v1"].ok
             await asyncio.sleep(10)
             assert [c for c, _ in vehicle.commands()] == [21, 192]
-            told = [e.data["result"] for e in ground.events if e.kind == "command" and e.data["order"] == "land"]
-            assert told == ["cancelled"] * 3
+            reported = [e.data["result"] for e in ground.events if e.kind == "command" and e.data["order"] == "land"]
+            assert reported == ["cancelled"] * 3
 
     async def test_two_vehicles_of_one_id_are_given_only_orders_that_end_a_flight(self) -> None:
         async with Ground() as ground:

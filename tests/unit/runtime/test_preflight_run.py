@@ -67,26 +67,26 @@ async def test_fixing_sets_what_was_agreed_to_and_reads_it_back() -> None:
             "MPC_XY_VEL_MAX": (12.0, 5),
         }
         agreed = {"papa": {"COM_RC_IN_MODE": 4, "MPC_XY_VEL_MAX": 4.0}}
-        told = await field.fleet.preflight("all", fix=True, confirmed=agreed)
-        assert {name: o["value"] for name, o in told["papa"]["fixed"].items()} == {"COM_RC_IN_MODE": 4}
-        assert not told["papa"]["ok"] and told["echo"]["fixed"] == {}
+        reported = await field.fleet.preflight("all", fix=True, confirmed=agreed)
+        assert {name: o["value"] for name, o in reported["papa"]["fixed"].items()} == {"COM_RC_IN_MODE": 4}
+        assert not reported["papa"]["ok"] and reported["echo"]["fixed"] == {}
         assert field.vehicle("papa").params["MPC_XY_VEL_MAX"] == 12.0
-        told = await field.fleet.preflight("papa", fix=True)
-        assert told["papa"]["ok"] and field.vehicle("papa").params["MPC_XY_VEL_MAX"] == 5.0
+        reported = await field.fleet.preflight("papa", fix=True)
+        assert reported["papa"]["ok"] and field.vehicle("papa").params["MPC_XY_VEL_MAX"] == 5.0
 
 
 async def test_an_id_is_never_set() -> None:
     ids = {"preflight": {"params": {"MAV_SYS_ID": 3}}}
     async with PreflightField(vehicles={"papa": {"sysid": 1, **ids}, "echo": {"sysid": 2}}) as field:
-        told = (await field.fleet.preflight("papa", fix=True))["papa"]
-        assert not told["ok"] and told["fixes"] == [] and field.vehicle("papa").params["MAV_SYS_ID"] == 1
+        reported = (await field.fleet.preflight("papa", fix=True))["papa"]
+        assert not reported["ok"] and reported["fixes"] == [] and field.vehicle("papa").params["MAV_SYS_ID"] == 1
 
 
 async def test_nothing_is_set_on_a_vehicle_that_is_armed() -> None:
     async with PreflightField(defaults=STRICT) as field:
         assert (await field.actor("papa").arm()).ok
-        told = (await field.fleet.preflight("papa", fix=True))["papa"]
-        assert "it is armed" in told["unfixed"] and field.vehicle("papa").params["COM_RC_IN_MODE"] == 1
+        reported = (await field.fleet.preflight("papa", fix=True))["papa"]
+        assert "it is armed" in reported["unfixed"] and field.vehicle("papa").params["COM_RC_IN_MODE"] == 1
 
 
 async def test_without_a_pass_nothing_arms() -> None:

@@ -169,8 +169,8 @@ async def test_a_stop_goes_on_after_its_client_and_to_a_vehicle_that_is_lost_mea
         vehicle.silent = False
         await asyncio.sleep(8)
         assert vehicle.mode == PX4_LAND
-        told = [e for e in ground.events if e.kind == "command" and e.data["order"] == "stop"]
-        assert told[-1].data["ok"]
+        reported = [e for e in ground.events if e.kind == "command" and e.data["order"] == "stop"]
+        assert reported[-1].data["ok"]
 
 
 async def test_a_kill_of_the_fleet_wants_the_word_for_all_of_it_and_sends_nothing_without() -> None:

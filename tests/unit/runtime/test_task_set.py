@@ -28,8 +28,10 @@ async def test_an_errand_nobody_holds_outlives_the_collector_and_is_forgotten_wh
     assert done == [True] and len(tasks) == 0
 
 
-@pytest.mark.parametrize(("name", "sysid", "told"), [(None, None, "look"), ("alpha", 7, "alpha look")])
-async def test_a_fault_of_ours_is_told_with_whose_errand_it_was(name: str | None, sysid: int | None, told: str) -> None:
+@pytest.mark.parametrize(("name", "sysid", "reported"), [(None, None, "look"), ("alpha", 7, "alpha look")])
+async def test_a_fault_of_ours_is_told_with_whose_errand_it_was(
+    name: str | None, sysid: int | None, reported: str
+) -> None:
     events: list[Event] = []
     tasks = TaskSet(asyncio.get_running_loop(), events.append, name, sysid)
 
@@ -40,7 +42,7 @@ async def test_a_fault_of_ours_is_told_with_whose_errand_it_was(name: str | None
     await asyncio.sleep(0.1)
     (event,) = events
     assert (event.kind, event.vehicle, event.sysid) == ("fault", name, sysid)
-    assert event.text == f"{told} failed inside skygcs: RuntimeError('a bug')"
+    assert event.text == f"{reported} failed inside skygcs: RuntimeError('a bug')"
 
 
 async def test_close_cancels_what_is_under_way_and_tells_nothing() -> None:

@@ -99,8 +99,10 @@ async def test_each_vehicle_is_told_as_itself_and_asked_what_it_has() -> None:
         assert (outcomes["v2"].result, outcomes["v2"].attempts) == ("denied", 1)
         assert "ArduPilot has an origin already" in outcomes["v2"].message
         for sysid, vehicle in enumerate(vehicles, 1):
-            told = [s for s in vehicle.got if s.name == "SET_GPS_GLOBAL_ORIGIN"]
-            assert {(s.target_system, s.latitude, s.altitude) for s in told} == {(sysid, round(HOME[0] * 1e7), 488_100)}
+            reported = [s for s in vehicle.got if s.name == "SET_GPS_GLOBAL_ORIGIN"]
+            assert {(s.target_system, s.latitude, s.altitude) for s in reported} == {
+                (sysid, round(HOME[0] * 1e7), 488_100)
+            }
 
 
 async def test_one_that_got_lost_is_told_again_and_one_that_never_takes_it_fails_with_what_it_has() -> None:

@@ -13,7 +13,7 @@ def at_command_line(kind: Kind = Kind.SIK) -> AtRadio:
     return radio
 
 
-def told(radio: AtRadio, command: bytes, now: float = 0.0) -> bytes:
+def reported(radio: AtRadio, command: bytes, now: float = 0.0) -> bytes:
     radio.hear(command + b"\r", now, 57600)
     return radio.take_output(57600)
 
@@ -42,10 +42,10 @@ def test_plus_signs_count_only_between_two_guard_times(
 
 
 def test_it_echoes_and_tells_its_node_only_where_it_has_one() -> None:
-    assert told(at_command_line(Kind.SIK), b"ats3?") == b"ATS3?\r\n25\r\n"
-    assert told(at_command_line(Kind.SIK_MULTIPOINT), b"AT") == b"AT\r\n[1] OK\r\n"
-    assert told(at_command_line(), b"ATS99=1").endswith(b"ERROR\r\n")
-    assert told(at_command_line(), b"hello") == b"HELLO\r\n"
+    assert reported(at_command_line(Kind.SIK), b"ats3?") == b"ATS3?\r\n25\r\n"
+    assert reported(at_command_line(Kind.SIK_MULTIPOINT), b"AT") == b"AT\r\n[1] OK\r\n"
+    assert reported(at_command_line(), b"ATS99=1").endswith(b"ERROR\r\n")
+    assert reported(at_command_line(), b"hello") == b"HELLO\r\n"
 
 
 def test_a_command_that_is_no_persons_ends_the_command_mode() -> None:
@@ -64,12 +64,12 @@ def test_at_a_wrong_rate_neither_understands_the_other() -> None:
 
 def test_what_is_not_saved_is_gone_after_a_restart_and_a_new_rate_is_from_then_on() -> None:
     radio = at_command_line()
-    told(radio, b"ATS3=7")
-    told(radio, b"ATS1=115")
-    told(radio, b"AT&W")
-    told(radio, b"ATS2=125")
+    reported(radio, b"ATS3=7")
+    reported(radio, b"ATS1=115")
+    reported(radio, b"AT&W")
+    reported(radio, b"ATS2=125")
     assert radio.baud == 57600
-    told(radio, b"ATZ", 5.0)
+    reported(radio, b"ATZ", 5.0)
     assert (radio.live[3], radio.live[2], radio.baud, radio.command_mode) == (7, 64, 115200, False)
     radio.hear(b"lost", 5.0 + BOOT_S / 2, 115200)
     assert radio.traffic == b""
@@ -78,5 +78,5 @@ def test_what_is_not_saved_is_gone_after_a_restart_and_a_new_rate_is_from_then_o
 def test_values_are_corrected_without_a_word_as_the_firmware_does() -> None:
     radio = at_command_line()
     for command, register, held in ((b"ATS11=150", 11, 100), (b"ATS12=5", 12, 25), (b"ATS4=15", 4, 17)):
-        assert told(radio, command).endswith(b"OK\r\n")
+        assert reported(radio, command).endswith(b"OK\r\n")
         assert radio.live[register] == held

@@ -69,8 +69,10 @@ def test_on_its_command_line_it_tells_the_network_it_is_in_and_passes_nothing_on
     bench = Bench()
     bench.read(3.0)
     assert bench.command_line().endswith(b"[1] OK\r\n")
-    told = bench.ask("ATI5")
-    assert all(f"{name}={value}" in told for name, value in (("AIR_SPEED", 64), ("NODEID", 1), ("SERIAL_SPEED", 57)))
+    reported = bench.ask("ATI5")
+    assert all(
+        f"{name}={value}" in reported for name, value in (("AIR_SPEED", 64), ("NODEID", 1), ("SERIAL_SPEED", 57))
+    )
     assert bench.read(3.0) == b""
     assert "NODEID=3" in bench.ask("RTI5,3", 1.0)
     assert bench.ask("RTI5,4", 1.0) == "RTI5,4\r\n", "nobody is there"

@@ -364,8 +364,8 @@ def test_an_ardupilot_tells_of_its_fence_also_on_the_ground() -> None:
     assert pilot.last("SYS_STATUS").onboard_control_sensors_health & geofence
     v.motion.east_m = 3.0
     pilot.run(3.0)
-    told = pilot.last("FENCE_STATUS")
-    assert (told.breach_status, told.breach_count, told.breach_type) == (1, 1, mav.FENCE_BREACH_BOUNDARY)
+    reported = pilot.last("FENCE_STATUS")
+    assert (reported.breach_status, reported.breach_count, reported.breach_type) == (1, 1, mav.FENCE_BREACH_BOUNDARY)
     assert pilot.last("SYS_STATUS").onboard_control_sensors_enabled & geofence
     assert not pilot.last("SYS_STATUS").onboard_control_sensors_health & geofence
 
@@ -398,16 +398,16 @@ def test_clearing_empties_one_list(make: type[SimVehicle]) -> None:
 def test_a_px4s_hash_changes_with_a_parameter_and_back() -> None:
     pilot = Uploader(px4())
 
-    def told() -> bytes:
+    def reported() -> bytes:
         (value,) = pilot.send(mav.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1))
         assert (value.param_type, value.param_index) == (mav.MAV_PARAM_TYPE_UINT32, 65535)
         return bytes(value.get_msgbuf()[10:14])
 
-    before = told()
+    before = reported()
     pilot.send(mav.MAVLink_param_set_message(1, 1, b"MPC_XY_CRUISE", 7.5, mav.MAV_PARAM_TYPE_REAL32))
-    assert told() != before
+    assert reported() != before
     pilot.send(mav.MAVLink_param_set_message(1, 1, b"MPC_XY_CRUISE", 5.0, mav.MAV_PARAM_TYPE_REAL32))
-    assert told() == before
+    assert reported() == before
     pilot.send(mav.MAVLink_param_request_list_message(1, 1))
     pilot.send(mav.MAVLink_param_set_message(1, 1, b"_HASH_CHECK", 0.0, mav.MAV_PARAM_TYPE_UINT32))
     pilot.forget()

@@ -346,8 +346,8 @@ def test_odometry_agrees_with_the_other_messages() -> None:
     assert pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_ODOMETRY) == 0
     assert pilot.command(mav.MAV_CMD_REQUEST_MESSAGE, mav.MAVLINK_MSG_ID_LOCAL_POSITION_NED) == 0
     pilot.run(0.1)
-    told, local = pilot.last("ODOMETRY"), pilot.last("LOCAL_POSITION_NED")
-    assert (told.frame_id, told.child_frame_id) == (mav.MAV_FRAME_LOCAL_NED, mav.MAV_FRAME_BODY_FRD)
-    assert (told.x, told.y, told.z) == pytest.approx((local.x, local.y, local.z), abs=0.5)
+    reported, local = pilot.last("ODOMETRY"), pilot.last("LOCAL_POSITION_NED")
+    assert (reported.frame_id, reported.child_frame_id) == (mav.MAV_FRAME_LOCAL_NED, mav.MAV_FRAME_BODY_FRD)
+    assert (reported.x, reported.y, reported.z) == pytest.approx((local.x, local.y, local.z), abs=0.5)
     forward, right = 2 * cos(1.0) + 1 * sin(1.0), -2 * sin(1.0) + 1 * cos(1.0)
-    assert (told.vx, told.vy) == pytest.approx((forward, right), abs=0.3)
+    assert (reported.vx, reported.vy) == pytest.approx((forward, right), abs=0.3)

@@ -146,15 +146,15 @@ def test_message_intervals_are_set_told_stopped_and_reset(make: type[SimVehicle]
     default = pilot.rate_hz("ATTITUDE")
     ask = mav.MAVLINK_MSG_ID_ATTITUDE
 
-    def told() -> int:
+    def reported() -> int:
         assert pilot.command(mav.MAV_CMD_GET_MESSAGE_INTERVAL, ask) == mav.MAV_RESULT_ACCEPTED
         return int(pilot.last("MESSAGE_INTERVAL").interval_us)
 
-    assert told() == round(1e6 / default)
+    assert reported() == round(1e6 / default)
     assert pilot.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, ask, 100_000) == mav.MAV_RESULT_ACCEPTED
-    assert pilot.rate_hz("ATTITUDE") == pytest.approx(10, abs=0.1) and told() == 100_000
+    assert pilot.rate_hz("ATTITUDE") == pytest.approx(10, abs=0.1) and reported() == 100_000
     assert pilot.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, ask, -1) == mav.MAV_RESULT_ACCEPTED
-    assert pilot.rate_hz("ATTITUDE") == 0 and told() == -1
+    assert pilot.rate_hz("ATTITUDE") == 0 and reported() == -1
     assert pilot.command(mav.MAV_CMD_SET_MESSAGE_INTERVAL, ask, 0) == mav.MAV_RESULT_ACCEPTED
     assert pilot.rate_hz("ATTITUDE") == pytest.approx(default, abs=0.1)
     unknown = mav.MAV_RESULT_FAILED if make is px4 else mav.MAV_RESULT_DENIED

@@ -180,8 +180,8 @@ def test_every_log_gives_its_vehicles_and_bounded_figures(name: str) -> None:
 
 
 def played(*frames: bytes) -> list[bool]:
-    told = ReportFilter()
-    return [told.passes(entry) for entry in LogReader(log(*((0, raw) for raw in frames)), dialect(), "tlog")]
+    reported = ReportFilter()
+    return [reported.passes(entry) for entry in LogReader(log(*((0, raw) for raw in frames)), dialect(), "tlog")]
 
 
 def test_no_order_is_played_whoever_gave_it() -> None:

@@ -10,7 +10,7 @@ Pure: the channel's sender calls `judge` for each frame, reports what comes down
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -166,8 +166,8 @@ class ThirdPartyTraffic:
         self.rules = rules
         self.own_sysid: int | None = None
         """Ours, while our own heartbeat goes into this radio."""
-        self.unplanned: frozenset[int] = frozenset()
-        """Systems without a plan of their streams: others may set them."""
+        self._unplanned: frozenset[int] = frozenset()
+        """See `set_unplanned`."""
         self.lists = ParameterListGate()
         self.files = TurnGate(FILE_SILENCE_S, LONGEST_FILE_S)
         self.notes: deque[Note] = deque(maxlen=MAX_NOTES)
@@ -186,6 +186,10 @@ class ThirdPartyTraffic:
         self._emergencies.set_rate(third_party, now)
 
     # -- up
+
+    def set_unplanned(self, sysids: Iterable[int]) -> None:
+        """Systems without a stream plan: ground stations may set their streams."""
+        self._unplanned = frozenset(sysids)
 
     def judge(self, frame: Frame, now: float, is_waiting: IsWaiting) -> AdmissionDecision:
         """Decide what becomes of one frame. Never raises. An order or emergency is charged to `budget` at once."""
@@ -277,7 +281,7 @@ class ThirdPartyTraffic:
             return REFUSED
         if kind is Kind.LOG and rules.logs == "deny":
             return self._refuse("logs", frame, source)
-        if kind is Kind.STREAM_RATE and rules.streams == "deny" and frame.target not in self.unplanned:
+        if kind is Kind.STREAM_RATE and rules.streams == "deny" and frame.target not in self._unplanned:
             return self._refuse("streams", frame, source)
         if kind is Kind.PARAMETER_LIST and (
             rules.param_lists == "deny" or (rules.param_lists == "one" and not frame.target)

@@ -433,13 +433,13 @@ def test_tells_every_change_once_and_nothing_that_is_no_change(
     config: GuardConfig, wanted: ControlMode, sequence: list[tuple[Facts, float]]
 ) -> None:
     before: tuple[str, ControlMode | None] = ("send", wanted)
-    told: set[str] = set()
+    reported: set[str] = set()
     for _, verdict in run(config, wanted, sequence):
         what = (verdict.action, verdict.control_mode)
         if what != before:
-            told = set()
-        assert verdict.changed is (what != before or not told.issuperset(verdict.kinds))
-        told.update(verdict.kinds)
+            reported = set()
+        assert verdict.changed is (what != before or not reported.issuperset(verdict.kinds))
+        reported.update(verdict.kinds)
         before = what
 
 

@@ -36,8 +36,8 @@ STATE: dict[str, Any] = {
 
 def facts(answers: dict[str, Value | None] | None = None, **state: Any) -> Facts:
     """``answers``: None is a name the vehicle has not."""
-    told = {n: Answer(absent=True) if v is None else Answer(Param(n, v)) for n, v in (answers or {}).items()}
-    return Facts(state={**STATE, **state}, answers=told)
+    reported = {n: Answer(absent=True) if v is None else Answer(Param(n, v)) for n, v in (answers or {}).items()}
+    return Facts(state={**STATE, **state}, answers=reported)
 
 
 WANTED = Expectations()
@@ -163,8 +163,8 @@ def test_an_answer_that_did_not_come_is_not_known() -> None:
 def test_what_is_no_number_is_not_known(value: float) -> None:
     wanted = Expectations(control="attitude", params={"FENCE_TYPE": Rule(bits=1)})
     names = [n for group in needed_params("ardupilot", wanted) for n in group]
-    told = examine(facts(dict.fromkeys(names, value)), wanted)
-    verdicts = {f.check: f.verdict for f in told.findings}
+    reported = examine(facts(dict.fromkeys(names, value)), wanted)
+    verdicts = {f.check: f.verdict for f in reported.findings}
     of_params = ("system id", "gcs id", "rtl height", "geofence", "setpoint timeout", "thrust", "FENCE_TYPE")
     assert {verdicts[check] for check in of_params} == {Verdict.UNKNOWN}
 
@@ -229,8 +229,8 @@ def test_arming_checks(autopilot: str, firmware: str | None, present: bool, heal
         "unhealthy": bit * (present and not healthy),
         "age_s": 1.0,
     }
-    told = facts(autopilot=autopilot, firmware=firmware, sensors=part)
-    assert health.prearm(told, WANTED).verdict is verdict
+    reported = facts(autopilot=autopilot, firmware=firmware, sensors=part)
+    assert health.prearm(reported, WANTED).verdict is verdict
 
 
 def copter_in(mode: str, options: Answer | None = None, **state: Any) -> Facts:
@@ -281,8 +281,8 @@ def test_the_mode_is_judged_of_a_disarmed_copter_only() -> None:
 def test_a_fleet_indoors() -> None:
     inside = Expectations(gps_fix_min="no_gps", estimator=False, home_max_m=0, clock_max_s=0)
     gone = {"estimator", "position", "gps fix", "satellites", "hdop", "home", "clock"}
-    told = {f.check: f.verdict for f in examine(facts(), inside).findings}
-    assert {told[name] for name in gone} == {Verdict.SKIPPED}
+    reported = {f.check: f.verdict for f in examine(facts(), inside).findings}
+    assert {reported[name] for name in gone} == {Verdict.SKIPPED}
 
 
 def test_the_best_of_parallel_links_counts() -> None:
@@ -310,8 +310,8 @@ def test_every_parameter_a_check_looks_at_is_asked_for(family: str) -> None:
     """A check that looks at more than its line of the table says would call it not known."""
     wanted = Expectations(control="attitude", transmitter=False, geofence_required=True)
     asked = {n: Answer(Param(n, 1)) for group in needed_params(family, wanted) for n in group}
-    told = examine(Facts(state={**STATE, "autopilot": family}, answers=asked), wanted)
-    assert not [f.text for f in told.findings if "it was not asked for" in f.text]
+    reported = examine(Facts(state={**STATE, "autopilot": family}, answers=asked), wanted)
+    assert not [f.text for f in reported.findings if "it was not asked for" in f.text]
 
 
 def test_names_of_checks_are_different() -> None:

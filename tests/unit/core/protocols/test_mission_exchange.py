@@ -391,9 +391,9 @@ def test_the_opaque_id_is_read_behind_the_fields_of_every_dialect() -> None:
 
 def test_an_outcome_is_json_able_and_has_what_every_order_tells() -> None:
     vehicle = Px4Mission()
-    told = outcome_of(MissionRig(upload(mission(1), vehicle), vehicle).run()).as_dict()
-    assert {"ok", "result", "message", "attempts", "elapsed_s", "status_texts"} <= told.keys()
-    assert (told["list"], told["state"]) == ("mission", "complete")
+    reported = outcome_of(MissionRig(upload(mission(1), vehicle), vehicle).run()).as_dict()
+    assert {"ok", "result", "message", "attempts", "elapsed_s", "status_texts"} <= reported.keys()
+    assert (reported["list"], reported["state"]) == ("mission", "complete")
 
 
 def test_an_empty_list_is_cleared_and_not_uploaded() -> None:

@@ -308,7 +308,7 @@ def test_nobody_else_sets_the_streams_that_are_planned(name: str, values: dict[s
     (note,) = radio.traffic.notes
     assert (note.kind, note.source, note.target) == ("streams", QGC, 3)
     assert radio.counts()["refused_streams"] == 9
-    radio.traffic.unplanned = frozenset({3})
+    radio.traffic.set_unplanned({3})
     assert radio.offer(name, target_system=3, **values).outcome == "send"
     assert Radio(ThirdPartyRules(streams="allow")).offer(name, target_system=3, **values).outcome == "send"
 

@@ -127,9 +127,9 @@ def test_fewer_vehicles_are_proposed_only_where_they_fit(
 ) -> None:
     wish = demand(vehicles, profile, air_kbps=air, baud=baud, setpoint=setpoint, setpoint_hz=2.0)
     plan = plan_link(wish)
-    told = [text for text in plan.proposals if "instead of" in text and text[0].isdigit()]
-    assert len(told) == (not plan.fits and plan.most_vehicles > 0)
-    for text in told:
+    reported = [text for text in plan.proposals if "instead of" in text and text[0].isdigit()]
+    assert len(reported) == (not plan.fits and plan.most_vehicles > 0)
+    for text in reported:
         assert plan_link(replace(wish, vehicles=int(text.split()[0]))).fits
         assert not plan_link(replace(wish, vehicles=int(text.split()[0]) + 1)).fits
 

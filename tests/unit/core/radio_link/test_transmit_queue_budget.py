@@ -28,7 +28,7 @@ OFFERS = st.lists(
 
 def run(queue: TxQueue[int], offers: list[Offer], until: float = 1e9) -> list[tuple[float, Priority, int, int, float]]:
     """Offer and send as a sender would: (sent at, class, bytes, vehicle, offered at) of everything that went."""
-    told: dict[int, tuple[Priority, int, int, float]] = {}
+    reported: dict[int, tuple[Priority, int, int, float]] = {}
     sent = []
     now = 0.0
 
@@ -39,14 +39,14 @@ def run(queue: TxQueue[int], offers: list[Offer], until: float = 1e9) -> list[tu
             now = at
             entry = queue.pop(now)
             assert entry is not None, "next_send_time is a promise"
-            sent.append((now, *told[entry[0]]))
+            sent.append((now, *reported[entry[0]]))
         now = max(now, limit)
 
     at = 0.0
     for number, (pause_s, priority, size, vehicle) in enumerate(offers):
         at += pause_s
         send_until(at)
-        told[number] = (priority, size, vehicle, at)
+        reported[number] = (priority, size, vehicle, at)
         queue.offer(number, priority, at, size=size, flow=vehicle)
     send_until(until)
     return sent

@@ -22,8 +22,8 @@ from skygcs.core.vehicle.arming_refusals import LASTING_REASONS, todo_for
     ],
 )
 def test_a_lasting_reason_names_what_cures_it(text: str, todo: str) -> None:
-    told = todo_for(["AHRS: waiting for home", text], "alpha")
-    assert told is not None and todo in told
+    reported = todo_for(["AHRS: waiting for home", text], "alpha")
+    assert reported is not None and todo in reported
 
 
 @pytest.mark.parametrize(

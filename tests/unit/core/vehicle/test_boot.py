@@ -33,24 +33,24 @@ def test_the_32_bit_wrap_is_no_reboot() -> None:
 def test_two_vehicles_under_one_id_are_no_reboots(other_ms: int) -> None:
     clock = BootClock()
     clock.on_boot_ms(500_000, 0.0)
-    told = []
+    reported = []
     for n in range(1, 20):
-        told.append(clock.on_boot_ms(other_ms + 1000 * n, n - 0.5))
-        told.append(clock.on_boot_ms(500_000 + 1000 * n, float(n)))
-    assert not any(told)
+        reported.append(clock.on_boot_ms(other_ms + 1000 * n, n - 0.5))
+        reported.append(clock.on_boot_ms(500_000 + 1000 * n, float(n)))
+    assert not any(reported)
     assert clock.two_clocks(20.0)
     for n in range(20, 40):
-        told.append(clock.on_boot_ms(500_000 + 1000 * n, float(n)))
-    assert not any(told)
+        reported.append(clock.on_boot_ms(500_000 + 1000 * n, float(n)))
+    assert not any(reported)
     assert not clock.two_clocks(40.0)
 
 
 def test_a_clock_that_goes_back_without_a_silence_is_a_reboot_once_it_is_alone() -> None:
     clock = BootClock()
     clock.on_boot_ms(500_000, 0.0)
-    told = [clock.on_boot_ms(1_000 + 500 * n, 1.0 + 0.5 * n) for n in range(20)]
-    assert told.index(True) == CONFIRM_S / 0.5
-    assert sum(told) == 1
+    reported = [clock.on_boot_ms(1_000 + 500 * n, 1.0 + 0.5 * n) for n in range(20)]
+    assert reported.index(True) == CONFIRM_S / 0.5
+    assert sum(reported) == 1
 
 
 def test_reboots_in_a_row_are_not_two_vehicles() -> None:

@@ -95,17 +95,17 @@ def test_what_passed_last_is_what_happened_last(ticks: bool, steps: list[tuple[s
     limiter, now = EventLimiter(), 0.0
     happened: dict[str, Event] = {}
     passed: dict[str, Event] = {}
-    told = 0
+    reported = 0
     for i, (kind, pause_s) in enumerate(steps):
         now += pause_s
         new = event(kind, text=kind, number=i)
         happened[groups.get(kind, kind)] = new
         out = [*(limiter.tick(now) if ticks else ()), *limiter.offer(new, now)]
         for e in out:
-            told += 1 + int(str(e.data.get("withheld", 0)))
+            reported += 1 + int(str(e.data.get("withheld", 0)))
             passed[groups.get(e.kind, e.kind)] = e
     for e in limiter.tick(now + 10.0):
-        told += 1 + int(str(e.data.get("withheld", 0)))
+        reported += 1 + int(str(e.data.get("withheld", 0)))
         passed[groups.get(e.kind, e.kind)] = e
     assert {k: e.data["number"] for k, e in passed.items()} == {k: e.data["number"] for k, e in happened.items()}
-    assert told == len(steps)
+    assert reported == len(steps)

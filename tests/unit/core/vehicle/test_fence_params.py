@@ -61,7 +61,7 @@ def test_a_fence_is_switched_on_last_and_off_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("Geofence violation: exceeding maximum distance to Home", True),
         ("Geofence violation: approaching or outside geofence", True),
@@ -74,5 +74,5 @@ def test_a_fence_is_switched_on_last_and_off_first() -> None:
         ("Failsafe activated: entering Hold for 5 seconds", False),
     ],
 )
-def test_a_breach_is_known_by_the_words_of_either_autopilot(text: str, told: bool) -> None:
-    assert fence_params.reports_breach(text) is told
+def test_a_breach_is_known_by_the_words_of_either_autopilot(text: str, reported: bool) -> None:
+    assert fence_params.reports_breach(text) is reported

@@ -76,10 +76,10 @@ def test_what_is_shown_is_what_was_asked_for_wherever_the_anchor_is(
     reference = Reference(
         frame.from_geodetic(place.lat_deg, place.lon_deg, place.alt_amsl_m), setpoint.yaw_enu_rad, setpoint.vel_enu_mps
     )
-    told = shown({**OFF, "reference": reference}, frame, origin)["reference"]
-    assert told["pos_enu_m"] == pytest.approx(pos, abs=2e-3)
-    assert told["vel_enu_mps"] == pytest.approx(vel, abs=1e-3)
-    assert abs(math.remainder(told["yaw_deg"] - yaw_deg, 360)) < 0.011
+    reported = shown({**OFF, "reference": reference}, frame, origin)["reference"]
+    assert reported["pos_enu_m"] == pytest.approx(pos, abs=2e-3)
+    assert reported["vel_enu_mps"] == pytest.approx(vel, abs=1e-3)
+    assert abs(math.remainder(reported["yaw_deg"] - yaw_deg, 360)) < 0.011
 
 
 def test_in_a_frame_whose_x_points_north_x_is_north_and_y_is_west() -> None:
@@ -95,22 +95,22 @@ def test_in_a_frame_whose_x_points_north_x_is_north_and_y_is_west() -> None:
 def test_errors_and_integrals_are_shown_along_the_worlds_axes_and_rounded() -> None:
     north = Origin(HERE.lat_deg, HERE.lon_deg, HERE.alt_amsl_m, x_heading_deg=0.0)
     status = {**OFF, "error_enu_m": [1.0, 2.0, 3.00049], "integral_enu": [0.1, 0.0, 0.2], "rate_hz": 1 / 3}
-    told = shown(status, EnuFrame(HERE), north)
-    assert told["error_enu_m"] == pytest.approx([2.0, -1.0, 3.0])
-    assert told["integral_enu"] == pytest.approx([0.0, -0.1, 0.2])
-    assert told["rate_hz"] == 0.3333
+    reported = shown(status, EnuFrame(HERE), north)
+    assert reported["error_enu_m"] == pytest.approx([2.0, -1.0, 3.0])
+    assert reported["integral_enu"] == pytest.approx([0.0, -0.1, 0.2])
+    assert reported["rate_hz"] == 0.3333
 
 
 def test_what_has_no_number_in_json_is_not_known() -> None:
-    told = shown({**OFF, "state_age_s": math.inf, "rtt_s": math.nan, "thrust": None}, None, None)
-    assert (told["state_age_s"], told["rtt_s"], told["thrust"]) == (None, None, None)
+    reported = shown({**OFF, "state_age_s": math.inf, "rtt_s": math.nan, "thrust": None}, None, None)
+    assert (reported["state_age_s"], reported["rtt_s"], reported["thrust"]) == (None, None, None)
 
 
 def test_without_an_origin_no_place_in_the_world_is_claimed() -> None:
-    told = shown(
+    reported = shown(
         {**OFF, "reference": Reference((1.0, 2.0, 3.0)), "error_enu_m": [1.0004, 0.0, 0.0]}, EnuFrame(HERE), None
     )
-    assert told["reference"] is None and told["error_enu_m"] == [1.0, 0.0, 0.0]
+    assert reported["reference"] is None and reported["error_enu_m"] == [1.0, 0.0, 0.0]
 
 
 def test_axes_that_follow_a_velocity_have_no_place() -> None:
@@ -123,8 +123,8 @@ def test_axes_that_follow_a_velocity_have_no_place() -> None:
     only = setpoint_from_world(HERE, None, (1.0, 0.0, 0.0), None, None)
     assert only.place is None and only.free_xy and only.free_z
     reference = Reference((5.0, 6.0, 7.0), velocity_only_xy=True)
-    told = shown({**OFF, "reference": reference}, EnuFrame(HERE), HERE)["reference"]
-    assert told["pos_enu_m"] == [None, None, pytest.approx(7.0, abs=1e-3)]
+    reported = shown({**OFF, "reference": reference}, EnuFrame(HERE), HERE)["reference"]
+    assert reported["pos_enu_m"] == [None, None, pytest.approx(7.0, abs=1e-3)]
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ def new() -> tuple[Vehicle, Voice]:
     return Vehicle(1, 1, flight_dialect(), name="alpha", groups=("red",), decoder=DECODER), Voice(1)
 
 
-def told(vehicle: Vehicle, *frames: Frame, now: float = 10.0) -> Any:
+def reported(vehicle: Vehicle, *frames: Frame, now: float = 10.0) -> Any:
     """The state after these frames, and proof that it is JSON."""
     for frame in frames:
         vehicle.on_frame(frame, now)
@@ -44,7 +44,7 @@ def kinds(events: tuple[Event, ...]) -> list[str]:
 
 def test_an_unheard_vehicle_knows_nothing_and_says_so() -> None:
     vehicle, _ = new()
-    state = told(vehicle)
+    state = reported(vehicle)
     assert state["connected"] is False
     assert state["last_heartbeat_age_s"] is None
     assert all(state[section.name] is None for section in GROUPS)
@@ -52,12 +52,12 @@ def test_an_unheard_vehicle_knows_nothing_and_says_so() -> None:
 
 def test_the_state_has_exactly_the_keys_it_promises() -> None:
     vehicle, voice = new()
-    assert set(told(vehicle, voice.beat())) == set(typing.get_type_hints(VehicleState))
+    assert set(reported(vehicle, voice.beat())) == set(typing.get_type_hints(VehicleState))
 
 
 def test_a_heartbeat_tells_identity_mode_and_arming() -> None:
     vehicle, voice = new()
-    state = told(vehicle, voice.beat(PX4, PX4_TAKEOFF, armed=True, status=4))
+    state = reported(vehicle, voice.beat(PX4, PX4_TAKEOFF, armed=True, status=4))
     assert (state["autopilot"], state["type"], state["mode"]) == ("px4", "QUADROTOR", "AUTO.TAKEOFF")
     assert state["armed"] is True
     assert state["system_status"] == "active"
@@ -112,7 +112,7 @@ def test_failsafe_is_told_with_the_last_warning() -> None:
 def test_global_position_is_scaled_and_down_becomes_up_once() -> None:
     vehicle, voice = new()
     frame = voice.position(rel_m=9.9, velocity=(120, -50, 30), heading=4210)
-    position = told(vehicle, frame)["position"]
+    position = reported(vehicle, frame)["position"]
     assert position["lat_deg"] == pytest.approx(HOME[0], abs=1e-7)
     assert position["lon_deg"] == pytest.approx(HOME[1], abs=1e-7)
     assert (position["alt_amsl_m"], position["alt_rel_m"], position["heading_deg"]) == (488.1, 9.9, 42.1)
@@ -122,31 +122,31 @@ def test_global_position_is_scaled_and_down_becomes_up_once() -> None:
 
 def test_unknown_position_and_heading_are_none() -> None:
     vehicle, voice = new()
-    position = told(vehicle, voice.position(0.0, 0.0, heading=65535))["position"]
+    position = reported(vehicle, voice.position(0.0, 0.0, heading=65535))["position"]
     assert (position["lat_deg"], position["lon_deg"], position["heading_deg"]) == (None, None, None)
     vehicle.origin = Origin(*HOME)
-    assert told(vehicle)["position"]["enu_m"] is None
+    assert reported(vehicle)["position"]["enu_m"] is None
 
 
 def test_enu_follows_the_origin_at_once() -> None:
     vehicle, voice = new()
     vehicle.on_frame(voice.position(HOME[0] + 1e-4, HOME[1], HOME[2] + 5), 1.0)
     vehicle.origin = Origin(*HOME)
-    assert told(vehicle)["position"]["enu_m"] == pytest.approx([0, 11.12, 5], abs=0.02)
+    assert reported(vehicle)["position"]["enu_m"] == pytest.approx([0, 11.12, 5], abs=0.02)
     vehicle.origin = Origin(HOME[0] + 1e-4, HOME[1], HOME[2])
-    assert told(vehicle)["position"]["enu_m"] == pytest.approx([0, 0, 5], abs=0.02)
+    assert reported(vehicle)["position"]["enu_m"] == pytest.approx([0, 0, 5], abs=0.02)
     vehicle.origin = None
-    assert told(vehicle)["position"]["enu_m"] is None
+    assert reported(vehicle)["position"]["enu_m"] is None
 
 
 def test_gps_markers_for_unknown_are_none() -> None:
     vehicle, voice = new()
     good = mav.MAVLink_gps_raw_int_message(5, 3, 473977420, 85455940, 488100, 121, 200, 0, 0, 12)
-    gps = told(vehicle, voice.say(good))["gps"]
+    gps = reported(vehicle, voice.say(good))["gps"]
     assert (gps["fix"], gps["fix_type"], gps["satellites"], gps["hdop"], gps["vdop"]) == ("3d", 3, 12, 1.21, 2.0)
     assert (gps["lat_deg"], gps["alt_amsl_m"]) == (47.397742, 488.1)
     none = mav.MAVLink_gps_raw_int_message(5, 0, 0, 0, 0, 65535, 65535, 65535, 65535, 255)
-    gps = told(vehicle, voice.say(none))["gps"]
+    gps = reported(vehicle, voice.say(none))["gps"]
     assert gps["fix"] == "no_gps"
     assert [gps[k] for k in ("satellites", "hdop", "vdop", "lat_deg", "alt_amsl_m")] == [None] * 5
 
@@ -155,7 +155,7 @@ def test_local_position_and_attitude_come_out_in_enu_and_degrees() -> None:
     vehicle, voice = new()
     local = mav.MAVLink_local_position_ned_message(1000, 1.0, 2.0, -3.0, 0.1, 0.2, -0.3)
     attitude = mav.MAVLink_attitude_message(1000, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03)
-    state = told(vehicle, voice.say(local), voice.say(attitude))
+    state = reported(vehicle, voice.say(local), voice.say(attitude))
     assert state["local"]["pos_enu_m"] == [2.0, 1.0, 3.0]
     assert state["local"]["vel_enu_mps"] == [0.2, 0.1, 0.3]
     assert state["attitude"]["roll_deg"] == pytest.approx(5.73)
@@ -173,9 +173,9 @@ def test_quaternion_and_euler_messages_say_the_same_attitude(rpy: tuple[float, f
 
     w, x, y, z = QuaternionBase(list(rpy)).q
     by_quaternion, voice = new()
-    a = told(by_quaternion, voice.say(mav.MAVLink_attitude_quaternion_message(1, w, x, y, z, 0, 0, 0)))["attitude"]
+    a = reported(by_quaternion, voice.say(mav.MAVLink_attitude_quaternion_message(1, w, x, y, z, 0, 0, 0)))["attitude"]
     by_euler, voice = new()
-    b = told(by_euler, voice.say(mav.MAVLink_attitude_message(1, *rpy, 0, 0, 0)))["attitude"]
+    b = reported(by_euler, voice.say(mav.MAVLink_attitude_message(1, *rpy, 0, 0, 0)))["attitude"]
     assert b["quaternion"] == pytest.approx([w, x, y, z], abs=1e-4)
     for key in ("roll_deg", "pitch_deg", "yaw_deg"):
         assert math.radians(a[key]) == pytest.approx(math.radians(b[key]), abs=0.002)
@@ -185,9 +185,9 @@ def test_a_stale_alternative_gives_way_to_the_fresh_one() -> None:
     vehicle, voice = new()
     vehicle.on_frame(voice.say(mav.MAVLink_attitude_message(1, 0.5, 0, 0, 0, 0, 0)), 1.0)
     vehicle.on_frame(voice.say(mav.MAVLink_attitude_quaternion_message(1, 1, 0, 0, 0, 0, 0, 0)), 1.5)
-    assert told(vehicle, now=2.0)["attitude"]["roll_deg"] == pytest.approx(28.65)
+    assert reported(vehicle, now=2.0)["attitude"]["roll_deg"] == pytest.approx(28.65)
     vehicle.on_frame(voice.say(mav.MAVLink_attitude_quaternion_message(1, 1, 0, 0, 0, 0, 0, 0)), 9.0)
-    state = told(vehicle, now=9.5)
+    state = reported(vehicle, now=9.5)
     assert (state["attitude"]["roll_deg"], state["attitude"]["age_s"]) == (0.0, 0.5)
 
 
@@ -197,11 +197,11 @@ def sys_status(voltage: int, current: int, left: int, present: int = 0, enabled:
 
 def test_battery_unknowns_are_filled_from_battery_status() -> None:
     vehicle, voice = new()
-    battery = told(vehicle, voice.say(sys_status(12600, 1530, 88)))["battery"]
+    battery = reported(vehicle, voice.say(sys_status(12600, 1530, 88)))["battery"]
     assert (battery["volts"], battery["amps"], battery["percent"]) == (12.6, 15.3, 88)
     cells = [4100, 4100, 4000] + [65535] * 7
     detail = mav.MAVLink_battery_status_message(0, 0, 0, 32767, cells, -1, 378, -1, 42, 0)
-    battery = told(vehicle, voice.say(sys_status(65535, -1, -1)), voice.say(detail))["battery"]
+    battery = reported(vehicle, voice.say(sys_status(65535, -1, -1)), voice.say(detail))["battery"]
     assert (battery["volts"], battery["amps"], battery["percent"]) == (12.2, None, 42)
     assert (battery["consumed_mah"], battery["temperature_degc"]) == (378, None)
 
@@ -209,14 +209,14 @@ def test_battery_unknowns_are_filled_from_battery_status() -> None:
 def test_a_second_battery_does_not_pass_for_the_first() -> None:
     vehicle, voice = new()
     other = mav.MAVLink_battery_status_message(1, 0, 0, 32767, [3000] + [65535] * 9, 5, 1, 1, 7, 0)
-    battery = told(vehicle, voice.say(other))["battery"]
+    battery = reported(vehicle, voice.say(other))["battery"]
     assert (battery["volts"], battery["percent"]) == (None, None)
 
 
 def test_sensors_are_listed_by_name_and_the_bad_ones_apart() -> None:
     vehicle, voice = new()
     gyro, accel, gps = 1, 2, 32
-    sensors = told(vehicle, voice.say(sys_status(0, 0, 0, gyro | accel | gps, gyro | gps, gyro)))["sensors"]
+    sensors = reported(vehicle, voice.say(sys_status(0, 0, 0, gyro | accel | gps, gyro | gps, gyro)))["sensors"]
     assert sensors["present"] == ["3d_gyro", "3d_accel", "gps"]
     assert sensors["enabled"] == ["3d_gyro", "gps"]
     assert sensors["unhealthy"] == ["gps"]
@@ -226,33 +226,33 @@ def test_sensors_are_listed_by_name_and_the_bad_ones_apart() -> None:
 def test_both_estimators_say_whether_they_can_navigate() -> None:
     vehicle, voice = new()
     good = mav.MAVLink_ekf_status_report_message(0x33F, 0.1, 0.1, 0.1, 0.1, 0.0)
-    assert told(vehicle, voice.say(good))["estimator"]["ok"] is True
-    assert "pos_horiz_abs" in told(vehicle)["estimator"]["names"]
+    assert reported(vehicle, voice.say(good))["estimator"]["ok"] is True
+    assert "pos_horiz_abs" in reported(vehicle)["estimator"]["names"]
     const_position = mav.MAVLink_ekf_status_report_message(0x33F | 0x80, 0.1, 0.1, 0.1, 0.1, 0.0)
-    assert told(vehicle, voice.say(const_position))["estimator"]["ok"] is False
+    assert reported(vehicle, voice.say(const_position))["estimator"]["ok"] is False
     large = mav.MAVLink_ekf_status_report_message(0x33F, 0.1, 0.9, 0.1, 0.1, 0.0)
-    assert told(vehicle, voice.say(large))["estimator"]["ok"] is False
+    assert reported(vehicle, voice.say(large))["estimator"]["ok"] is False
     px4, voice = new()
     fine = mav.MAVLink_estimator_status_message(1, 0x33F, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
-    estimator = told(px4, voice.say(fine))["estimator"]
+    estimator = reported(px4, voice.say(fine))["estimator"]
     assert (estimator["ok"], estimator["accuracy_m"]) == (True, [0.4, 0.6])
     at_rest = mav.MAVLink_estimator_status_message(1, 1023, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
-    assert told(px4, voice.say(at_rest))["estimator"]["ok"] is True
+    assert reported(px4, voice.say(at_rest))["estimator"]["ok"] is True
     unaided = mav.MAVLink_estimator_status_message(1, 0x2F | 128, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
-    assert told(px4, voice.say(unaided))["estimator"]["ok"] is False
+    assert reported(px4, voice.say(unaided))["estimator"]["ok"] is False
     glitch = mav.MAVLink_estimator_status_message(1, 0x33F | 1024, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6)
-    assert told(px4, voice.say(glitch))["estimator"]["ok"] is False
+    assert reported(px4, voice.say(glitch))["estimator"]["ok"] is False
 
 
 def test_a_mission_has_a_count_and_the_last_word_on_its_transfer() -> None:
     vehicle, voice = new()
-    mission = told(vehicle, voice.say(mav.MAVLink_mission_count_message(255, 25, 7)))["mission"]
+    mission = reported(vehicle, voice.say(mav.MAVLink_mission_count_message(255, 25, 7)))["mission"]
     assert (mission["seq"], mission["count"], mission["last_ack"]) == (None, 7, None)
     frames = (mav.MAVLink_mission_current_message(3, 9), mav.MAVLink_mission_ack_message(255, 25, 13))
-    mission = told(vehicle, *map(voice.say, frames))["mission"]
+    mission = reported(vehicle, *map(voice.say, frames))["mission"]
     assert (mission["seq"], mission["count"], mission["last_ack"]) == (3, 9, "invalid_sequence")
     for total, count in ((0, 7), (65535, 0)):
-        state = told(vehicle, voice.say(mav.MAVLink_mission_current_message(0, total)))
+        state = reported(vehicle, voice.say(mav.MAVLink_mission_current_message(0, total)))
         assert state["mission"]["count"] == count
 
 
@@ -260,11 +260,12 @@ def test_a_mission_has_a_count_and_the_last_word_on_its_transfer() -> None:
 def test_whose_heartbeats_the_failsafe_watches_is_known_from_its_parameter(name: bytes) -> None:
     vehicle, voice = new()
     assert (
-        told(vehicle, voice.say(mav.MAVLink_param_value_message(b"SYSID_THISMAV", 3.0, 9, 1, 1)))["gcs_sysid"] is None
+        reported(vehicle, voice.say(mav.MAVLink_param_value_message(b"SYSID_THISMAV", 3.0, 9, 1, 1)))["gcs_sysid"]
+        is None
     )
-    assert told(vehicle, voice.say(mav.MAVLink_param_value_message(name, 255.0, 9, 1, 1)))["gcs_sysid"] == 255
+    assert reported(vehicle, voice.say(mav.MAVLink_param_value_message(name, 255.0, 9, 1, 1)))["gcs_sysid"] == 255
     odd = voice.say(mav.MAVLink_param_value_message(name, NAN, 9, 1, 1))
-    assert told(vehicle, odd)["gcs_sysid"] == 255
+    assert reported(vehicle, odd)["gcs_sysid"] == 255
 
 
 def test_rc_imu_servos_mission_and_vfr_have_their_place() -> None:
@@ -273,7 +274,7 @@ def test_rc_imu_servos_mission_and_vfr_have_their_place() -> None:
     imu = mav.MAVLink_scaled_imu_message(1, 0, 0, -1000, 100, 0, 0, 200, 0, 0)
     servo = mav.MAVLink_servo_output_raw_message(1, 0, *range(1000, 1008))
     vfr = mav.MAVLink_vfr_hud_message(1.0, 2.0, 90, 55, 488.0, -0.5)
-    state = told(vehicle, *map(voice.say, (rc, imu, servo, vfr, mav.MAVLink_mission_current_message(3))))
+    state = reported(vehicle, *map(voice.say, (rc, imu, servo, vfr, mav.MAVLink_mission_current_message(3))))
     assert (state["rc"]["channels"], state["rc"]["rssi"]) == ([1500, 1100, None, None], None)
     assert state["imu"]["accel_mps2"] == pytest.approx([0, 0, -9.80665], abs=1e-3)
     assert state["imu"]["gyro_radps"] == [0.1, 0.0, 0.0]
@@ -287,7 +288,7 @@ def test_targets_of_the_autopilot_hide_what_their_mask_ignores() -> None:
     there = mav.MAVLink_position_target_global_int_message(1, 6, 0xDF8, 473977420, 85455940, 12.0, *[9.0] * 8)
     local = mav.MAVLink_position_target_local_ned_message(1, 1, 0xDC7, 9, 9, 9, 1.0, 2.0, -3.0, 0, 0, 0, 0, 0)
     turn = mav.MAVLink_attitude_target_message(1, 0, [1, 0, 0, 0], 0, 0, 0, 0.45)
-    state = told(vehicle, *map(voice.say, (there, local, turn)))
+    state = reported(vehicle, *map(voice.say, (there, local, turn)))
     assert (state["target_global"]["lat_deg"], state["target_global"]["alt_m"]) == (47.397742, 12.0)
     assert (state["target_global"]["vel_enu_mps"], state["target_global"]["yaw_deg"]) == (None, None)
     assert (state["target_local"]["pos_enu_m"], state["target_local"]["vel_enu_mps"]) == (None, [2.0, 1.0, 3.0])
@@ -298,12 +299,12 @@ def test_home_and_the_altitude_heights_are_counted_from() -> None:
     vehicle, voice = new()
     assert vehicle.home_alt_amsl_m() is None
     home = mav.MAVLink_home_position_message(473977420, 85455940, 488100, 0, 0, 0, [NAN] * 4, 0, 0, 0)
-    assert told(vehicle, voice.say(home))["home"]["alt_amsl_m"] == 488.1
+    assert reported(vehicle, voice.say(home))["home"]["alt_amsl_m"] == 488.1
     assert vehicle.home_alt_amsl_m() == 488.1
-    told(vehicle, voice.position(alt_amsl_m=500.0, rel_m=10.0))
+    reported(vehicle, voice.position(alt_amsl_m=500.0, rel_m=10.0))
     assert vehicle.home_alt_amsl_m() == pytest.approx(490.0)
     unset = mav.MAVLink_home_position_message(0, 0, 0, 0, 0, 0, [NAN] * 4, 0, 0, 0)
-    assert told(vehicle, voice.say(unset))["home"] is None
+    assert reported(vehicle, voice.say(unset))["home"] is None
 
 
 def test_system_time_gives_uptime_and_clock_offset() -> None:
@@ -317,10 +318,10 @@ def test_system_time_gives_uptime_and_clock_offset() -> None:
 
 def test_a_reboot_is_told_once_and_forgets_the_life_before() -> None:
     vehicle, voice = new()
-    told(vehicle, voice.beat(ARDUPILOT, 4), voice.position(), voice.landed(2), voice.system_time(500_000), now=1.0)
+    reported(vehicle, voice.beat(ARDUPILOT, 4), voice.position(), voice.landed(2), voice.system_time(500_000), now=1.0)
     (event,) = vehicle.on_frame(voice.system_time(8_000), 40.0)
     assert event.kind == "reboot"
-    state = told(vehicle, now=40.0)
+    state = reported(vehicle, now=40.0)
     assert state["position"] is None
     assert state["time"]["boot_s"] == 8.0
     assert state["mode"] == "GUIDED"
@@ -341,7 +342,7 @@ def test_a_boot_text_tells_a_reboot_where_no_clock_is_streamed() -> None:
 
 def test_a_boot_text_before_the_clock_goes_back_is_one_reboot() -> None:
     vehicle, voice = new()
-    told(vehicle, voice.beat(ARDUPILOT, 0), voice.system_time(500_000), now=1.0)
+    reported(vehicle, voice.beat(ARDUPILOT, 0), voice.system_time(500_000), now=1.0)
     assert kinds(vehicle.on_frame(voice.text("ArduPilot Ready"), 60.0)) == ["statustext", "reboot"]
     assert vehicle.on_frame(voice.system_time(12_000), 61.0) == ()
 
@@ -472,7 +473,7 @@ def test_an_armed_px4_without_landed_state_is_not_guessed() -> None:
     vehicle, voice = new()
     vehicle.on_frame(voice.beat(PX4, PX4_POSCTL, armed=True, status=4), 1.0)
     assert vehicle.in_air(1.0) is None
-    assert told(vehicle)["landed"] == "undefined"
+    assert reported(vehicle)["landed"] == "undefined"
 
 
 def test_high_latency_keeps_it_connected_and_tells_failures() -> None:
@@ -511,7 +512,7 @@ def test_high_latency_keeps_it_connected_and_tells_failures() -> None:
     assert kinds(events) == ["mode", "failsafe"]
     assert vehicle.mode == "AUTO.LOITER"
     assert vehicle.tick(20.0) == ()
-    section = told(vehicle)["high_latency"]
+    section = reported(vehicle)["high_latency"]
     assert section["failures"] == ["gps", "battery"]
     assert (section["heading_deg"], section["groundspeed_mps"], section["battery_percent"]) == (90, 5.0, 77)
     assert kinds(vehicle.tick(30.0)) == ["vehicle_lost"]
@@ -522,7 +523,7 @@ def test_status_texts_are_kept_newest_last_and_bounded() -> None:
     for n in range(MAX_STATUS_TEXTS + 5):
         (event,) = vehicle.on_frame(voice.text(f"text {n}", severity=3), float(n))
         assert event.data == {"severity": "error", "level": 3, "text": f"text {n}"}
-    texts = told(vehicle, now=100.0)["status_texts"]
+    texts = reported(vehicle, now=100.0)["status_texts"]
     assert len(texts) == MAX_STATUS_TEXTS
     assert texts[-1] == {
         "severity": "error",
@@ -550,22 +551,22 @@ def test_rates_and_counts_per_message() -> None:
         if n % 10 == 0:
             vehicle.on_frame(beat, now)
         vehicle.tick(now)
-    rates = told(vehicle, now=10.0)["messages"]
+    rates = reported(vehicle, now=10.0)["messages"]
     assert rates["GLOBAL_POSITION_INT"]["rate_hz"] == pytest.approx(10.0, abs=0.5)
     assert rates["HEARTBEAT"]["rate_hz"] == pytest.approx(1.0, abs=0.3)
     assert rates["GLOBAL_POSITION_INT"]["count"] == 100
     for n in range(100, 300):
         vehicle.tick(n / 10)
-    assert told(vehicle, now=30.0)["messages"]["GLOBAL_POSITION_INT"]["rate_hz"] == 0.0
+    assert reported(vehicle, now=30.0)["messages"]["GLOBAL_POSITION_INT"]["rate_hz"] == 0.0
 
 
 def test_a_section_is_unpacked_once_per_frame() -> None:
     vehicle, voice = new()
-    told(vehicle, voice.position())
+    reported(vehicle, voice.position())
     first = vehicle.telemetry("position")
-    told(vehicle, now=12.0)
+    reported(vehicle, now=12.0)
     assert vehicle.telemetry("position") is first
-    told(vehicle, voice.position(rel_m=1.0))
+    reported(vehicle, voice.position(rel_m=1.0))
     assert vehicle.telemetry("position") is not first
 
 
@@ -580,11 +581,11 @@ def test_a_frame_is_unpacked_once_for_all_that_is_made_of_it(monkeypatch: pytest
 
     monkeypatch.setattr(Decoder, "values", noted)
     detail = mav.MAVLink_battery_status_message(0, 0, 0, 32767, [3000] * 10, -1, 378, -1, 42, 0)
-    told(vehicle, voice.say(sys_status(12600, 1530, 88)))  # battery and sensors
-    told(vehicle, voice.say(detail), voice.position())  # completes the battery
+    reported(vehicle, voice.say(sys_status(12600, 1530, 88)))  # battery and sensors
+    reported(vehicle, voice.say(detail), voice.position())  # completes the battery
     vehicle.tick(11.0)
     vehicle.tick(12.0)
-    told(vehicle, now=12.0)
+    reported(vehicle, now=12.0)
     assert sorted(unpacked) == ["BATTERY_STATUS", "GLOBAL_POSITION_INT", "SYS_STATUS"]
 
 
@@ -605,14 +606,14 @@ def test_a_frame_of_unknown_id_leaves_no_trace() -> None:
 
 def test_the_last_acknowledgement_is_shown_in_words() -> None:
     vehicle, voice = new()
-    state = told(vehicle, voice.ack(22, 4))
+    state = reported(vehicle, voice.ack(22, 4))
     assert state["last_ack"] == {"command": "NAV_TAKEOFF", "result": "failed", "age_s": 0.0}
 
 
 def test_firmware_comes_from_autopilot_version() -> None:
     vehicle, voice = new()
     version = mav.MAVLink_autopilot_version_message(0, 0x040501FF, 0, 0, 0, [0] * 8, [0] * 8, [0] * 8, 0, 0, 0)
-    assert told(vehicle, voice.say(version))["firmware"] == "4.5.1"
+    assert reported(vehicle, voice.say(version))["firmware"] == "4.5.1"
 
 
 DECODED = sorted({name for section in GROUPS for name in section.messages} | set(DECODER.read))
