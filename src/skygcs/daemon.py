@@ -164,8 +164,8 @@ class Daemon:
             clocks.append(group.create_task(self.fleet.monitor.run(), name="monitor"))
             signing = group.create_task(self.signing.run(), name="signing")
             if self.config.daemon.heartbeat:
-                beat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
-                clocks.append(group.create_task(beat, name="heartbeat"))
+                heartbeat = self._every(HEARTBEAT_PERIOD_S, self._heartbeat_task)
+                clocks.append(group.create_task(heartbeat, name="heartbeat"))
             self.links.start(group)
             try:
                 await self.rpc.start()  # after the links: a restart in flight forwards first

@@ -89,7 +89,7 @@ class RefusedError(SkygcsError):
 
 
 class NotReadyError(RefusedError):
-    """An order that is refused now and may be taken in a moment: the vehicle has not told something yet."""
+    """An order that is refused now and may be accepted soon: the vehicle has not reported something yet."""
 
 
 class KeyFileError(RefusedError):

@@ -58,7 +58,7 @@ def read_key(path: Path) -> bytes:
 
 
 def write_new_key(path: Path) -> bytes:
-    """Make a key by chance and a file of mode 0600 for it, in hexadecimal. Raises KeyFileError, also if it exists."""
+    """Make a random key and a file of mode 0600 for it, in hexadecimal. Raises KeyFileError, also if it exists."""
     key = os.urandom(KEY_BYTES)
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

@@ -174,7 +174,7 @@ class LeftoverStreams:
 
     def _report(self, actor: VehicleActor, stream: Stream) -> None:
         what = stream.message or f"its stream group {stream.group}"
-        text = f"still sends {what} at the rate that a program, now gone, had requested, although told to stop"
+        text = f"still sends {what} at the rate that a program, now gone, had requested, although asked to stop"
         self._on_event(Event("warning", actor.name, actor.sysid, text, {"stream": what}))
 
     def _stream(self, frame: Frame) -> Stream | None:

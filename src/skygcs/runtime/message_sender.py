@@ -138,9 +138,9 @@ class MessageSender:
         system, component = target_fields(info)
         sent = 0
         if system is None:
-            ways = dict.fromkeys(route for sysid, compid in meant for route in self._hub.channels_to(sysid, compid))
-            sent = sum(self._on((route,), info, fields) for route in ways)
-            note = self._overheard(info, meant, set(ways))
+            channels = dict.fromkeys(route for sysid, compid in meant for route in self._hub.channels_to(sysid, compid))
+            sent = sum(self._on((route,), info, fields) for route in channels)
+            note = self._overheard(info, meant, set(channels))
         else:
             note = None
             given = int(fields.get(system, 0) or 0)
@@ -155,15 +155,15 @@ class MessageSender:
             raise RefusedError(f"{info.name} was not sent: {self._why_not(*(sysid for sysid, _ in meant))}")
         return self._answer(info, sent, note)
 
-    def _on(self, ways: tuple[int, ...], info: MessageInfo, fields: Mapping[str, Any]) -> bool:
-        return self._hub.send_on(ways, info, fields, Priority.PROTOCOL)
+    def _on(self, channels: tuple[int, ...], info: MessageInfo, fields: Mapping[str, Any]) -> bool:
+        return self._hub.send_on(channels, info, fields, Priority.PROTOCOL)
 
-    def _overheard(self, info: MessageInfo, meant: list[tuple[int, int]], ways: set[int]) -> str | None:
+    def _overheard(self, info: MessageInfo, meant: list[tuple[int, int]], channels: set[int]) -> str | None:
         """Names the other vehicles behind the same channels."""
         others = [
             actor.name
             for key, actor in sorted(self._fleet.vehicles.items())
-            if (actor.sysid, actor.compid) not in meant and ways.intersection(self._hub.router.channels_of(key))
+            if (actor.sysid, actor.compid) not in meant and channels.intersection(self._hub.router.channels_of(key))
         ]
         if not others:
             return None

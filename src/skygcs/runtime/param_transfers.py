@@ -60,9 +60,9 @@ def download(session: int, *, burst: bool, bytes_per_s: float | None, link_bytes
     )
 
 
-def progress_of(exchange: FileDownload, now: float) -> ListProgress:
+def progress_of(download: FileDownload, now: float) -> ListProgress:
     """Progress in parameters, from the vehicle's estimate of the file's size."""
-    progress = exchange.progress(now)
+    progress = download.progress(now)
     count = None if progress.size is None else progress.size // GUESSED_BYTES
     received = progress.received // GUESSED_BYTES
     return ListProgress(

@@ -26,7 +26,7 @@ class SimRadio:
         self._seq = 0
 
     def on_frame(self, frame: Frame, now: float) -> None:
-        """A frame on its way up."""
+        """A frame on the uplink."""
         if frame.name == "HEARTBEAT":
             if now - self._heard_at > HEARTBEAT_TIMEOUT_S:
                 self._next_at = now

@@ -92,8 +92,8 @@ def p95(values: Iterable[float]) -> float | None:
 class DelayMeter:
     """One per vehicle. ``share`` of the round trip is added to the ages.
 
-    0.5, the way up, if ages count from when the vehicle *measured* (its clock known by TIMESYNC). 1 if they count from
-    when the state was *received*: then they lack the way down, and the loop has both.
+    0.5, the uplink, if ages count from when the vehicle *measured* (its clock known by TIMESYNC). 1 if they count from
+    when the state was *received*: then they lack the downlink, and the loop has both.
     """
 
     __slots__ = (
@@ -188,7 +188,7 @@ class DelayMeter:
         return self._token
 
     def on_pong(self, token: int, now: float) -> None:
-        """A pong came in, whoever's."""
+        """Note a pong, of any sender."""
         sent, regular = self._sent.pop(token, (math.inf, False))
         if not 0 <= now - sent <= ROUND_TRIP_VALID_S:
             self.strange += 1
@@ -208,7 +208,7 @@ class DelayMeter:
 
     @property
     def uplink_s(self) -> float | None:
-        """How long a message takes to the vehicle: half of the median round trip, since the two ways cannot be told
+        """How long a message takes to the vehicle: half of the median round trip, since up and down cannot be told
         apart. For leading a moving reference; the guard judges by `rtt_p95_s`. None without a round trip."""
         return 0.5 * median(islice(reversed(self._trips), ROUND_TRIPS)) if self._trips else None
 

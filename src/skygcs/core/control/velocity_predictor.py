@@ -153,7 +153,7 @@ def predicted_setpoint(
     """One step. None, and the memory as it was, for a number that is NaN, infinite or above `LARGEST_INPUT`.
 
     The first step after a new memory sends what velocity control without prediction would send from the state moved
-    on at its measured velocity: entering makes no jump. The reference is moved on by the way up, its velocity and
+    on at its measured velocity: entering makes no jump. The reference is moved on by the uplink, its velocity and
     acceleration by half of ``hold_s`` more; an axis without position follows its velocity alone.
     """
     numbers = (timing.now, timing.state_age_s, timing.round_trip_s, timing.hold_s)

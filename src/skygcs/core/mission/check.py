@@ -57,7 +57,7 @@ FLOWN_PLACE = NEEDS_PLACE | {
 }
 """NAV commands whose x and y are a position to fly to."""
 
-Place = tuple[float, float]
+LatLon = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ def check_plan(
     limits: CheckLimits = DEFAULT_LIMITS,
     *,
     family: Family | None = None,
-    vehicle: Place | None = None,
+    vehicle: LatLon | None = None,
 ) -> tuple[Finding, ...]:
     """All findings, in the order of the items. ``vehicle``: its present (lat_deg, lon_deg)."""
     return (
@@ -125,7 +125,7 @@ def _counts(plan: MissionPlan, limits: CheckLimits, family: Family | None) -> It
 
 
 def _mission(
-    plan: MissionPlan, dialect: Dialect, limits: CheckLimits, family: Family | None, vehicle: Place | None
+    plan: MissionPlan, dialect: Dialect, limits: CheckLimits, family: Family | None, vehicle: LatLon | None
 ) -> Iterator[Finding]:
     commands = dialect.enums.get("MAV_CMD", {})
     reference, what = _reference(plan, vehicle)
@@ -162,7 +162,7 @@ def _start(items: tuple[MissionItem, ...]) -> Iterator[Finding]:
         yield Finding(False, MissionType.MISSION, first[0], text)
 
 
-def _reference(plan: MissionPlan, vehicle: Place | None) -> tuple[Place | None, str]:
+def _reference(plan: MissionPlan, vehicle: LatLon | None) -> tuple[LatLon | None, str]:
     """The point that distances are measured from, and its name."""
     if vehicle is not None:
         return vehicle, "the vehicle"
@@ -240,7 +240,7 @@ def _jump(item: MissionItem, number: int, count: int, tags: set[float | None]) -
         yield True, f"repeats {_shown(repeat)} times; it must be a count, or -1 for ever"
 
 
-def _far(item: MissionItem, reference: Place | None, what: str, limits: CheckLimits) -> Iterator[tuple[bool, str]]:
+def _far(item: MissionItem, reference: LatLon | None, what: str, limits: CheckLimits) -> Iterator[tuple[bool, str]]:
     if reference is None or item.position is None or not _flies_to(item):
         return
     off_m = distance_m(*reference, *item.position)
@@ -257,7 +257,7 @@ def fence_findings(plan: MissionPlan, family: Family | None = None) -> Iterator[
     if not sound or not plan.fence:
         return
     area = FenceArea(plan.fence, any_inclusion=family == "px4")
-    before: Place | None = None
+    before: LatLon | None = None
     for kind in (MissionType.MISSION, MissionType.RALLY):
         for number, item in enumerate(plan.items(kind), 1):
             if item.position is None or not (_flies_to(item) or kind is MissionType.RALLY):
@@ -274,7 +274,7 @@ def fence_findings(plan: MissionPlan, family: Family | None = None) -> Iterator[
         yield Finding(False, MissionType.FENCE, None, f"home {conflict}")
 
 
-def _rally(plan: MissionPlan, limits: CheckLimits, vehicle: Place | None) -> Iterator[Finding]:
+def _rally(plan: MissionPlan, limits: CheckLimits, vehicle: LatLon | None) -> Iterator[Finding]:
     reference, what = _reference(plan, vehicle)
     for number, item in enumerate(plan.rally, 1):
         if item.position is None:

@@ -34,7 +34,7 @@ class Uncertainty:
     tracking_error_m: float = 0.4
     """p99 along a reference with its velocity fed forward (docs/explanation/flight-control.md)."""
     delay_s: float = 0.3
-    """p99 of a setpoint's way up over a radio with few vehicles."""
+    """p99 of a setpoint's uplink delay over a radio with few vehicles."""
     clock_error_s: float = 0.02
     """Between the start of one vehicle and another: a tick of the control loop."""
     acceleration_mps2: float = 2.0

@@ -4,7 +4,7 @@
 `expectations`  everything that is expected of one vehicle; defaults are sensible without a word in the fleet file
 `facts`         everything the checks look at, as plain values
 `report`        findings and what they add up to
-`health`        checks of what the vehicle tells of itself and of its link
+`health`        checks of what the vehicle reports of itself and of its link
 `settings`      checks of its parameters
 `table`         all of them in order, what they need, and `examine`
 `losses`        how much of a source was lost lately

@@ -216,7 +216,7 @@ class CommandProtocol(ProtocolMachine):
 
     def start(self, now: float, *, transmitted: bool = False) -> tuple[Effect, ...]:
         """Begin; ``transmitted`` if a broadcast frame has just carried the command already."""
-        assert self.state is CommandState.IDLE, "an exchange starts once"
+        assert self.state is CommandState.IDLE, "start is called once"
         self.state = CommandState.WAITING
         self._started = now
         effects = self._transmit(now)

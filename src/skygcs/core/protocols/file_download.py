@@ -171,7 +171,7 @@ class FileDownload(ProtocolMachine):
         return FileProgress(sum(map(len, self._blocks.values())), self._size, self.sent, now - self._started)
 
     def start(self, now: float) -> tuple[Effect, ...]:
-        assert self.state is FileState.IDLE, "an exchange starts once"
+        assert self.state is FileState.IDLE, "start is called once"
         self._started = now
         return self._open(now)
 

@@ -1,4 +1,4 @@
-"""What the mission exchanges share: messages, results, waits, and clearing a list, which is the simplest of them.
+"""Parts shared by the machines of the mission protocol: messages, results, waits; and the simplest machine, clearing.
 
     state      what came                                      next         effects
     --------   --------------------------------------------   ----------   -----------------------------------------
@@ -40,7 +40,7 @@ BACKOFF = 1.25
 SAMPLES = 8
 
 MAX_TRIES = 20
-"""Transmissions of one request. With 20 % lost each way, one exchange in 700 million needs more."""
+"""Transmissions of one request. With 20 % lost each way, one transfer in 700 million needs more."""
 
 CLEAR_TRIES = 8
 
@@ -67,12 +67,12 @@ RESULTS = {
 ACCEPTED, ERROR, INVALID_SEQUENCE, DENIED, OPERATION_CANCELLED = 0, 1, 13, 14, 15
 
 ListState = Literal["complete", "cleared", "unchanged", "partial", "unknown"]
-"""What the vehicle holds afterwards, of the list that the exchange was about."""
+"""State of the vehicle's list after the transfer."""
 
 
 @dataclass(frozen=True, slots=True)
 class MissionOutcome:
-    """How an exchange ended. ``message`` is for a person and says what the vehicle holds now where that is in doubt.
+    """Outcome of a transfer. ``message``: for the user, with the state of the vehicle's list if that is in doubt.
 
     ``result``: accepted denied unsupported failed cancelled timeout lost. ``items`` are those downloaded, else None;
     ``opaque_id`` is the vehicle's own number for its list, None where it has none; ``sent``: messages sent.
@@ -158,7 +158,7 @@ class RoundTrip:
 
 
 ANSWERS = ("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_INT", "MISSION_REQUEST", "MISSION_ACK")
-"""Messages of a vehicle that belong to an exchange."""
+"""Messages of a vehicle that belong to a transfer."""
 
 
 class MissionProtocol(ProtocolMachine):

@@ -149,11 +149,12 @@ class ParameterProtocol(ProtocolMachine):
 
     @property
     def quiet_until(self) -> float:
-        """Until when answers to this exchange may still come, and be taken for those to the next of the same name."""
+        """Until when answers to this request may still come, and be taken for answers to the next with the same
+        name."""
         return self.last_sent + LATE_VALUE_S if self.attempts != self.answers else -math.inf
 
     def start(self, now: float) -> tuple[Effect, ...]:
-        assert self.state is ParamState.IDLE, "an exchange starts once"
+        assert self.state is ParamState.IDLE, "start is called once"
         self._started = now
         if self._before is not None and self._value is not None:
             return self._begin_writing(self._before, now)

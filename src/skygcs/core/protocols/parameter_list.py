@@ -148,7 +148,7 @@ class ParamList(ProtocolMachine):
         return ListProgress(received, self.count, self.sent, now - self._started, remaining_s)
 
     def start(self, now: float) -> tuple[Effect, ...]:
-        assert self.state is ListState.IDLE, "an exchange starts once"
+        assert self.state is ListState.IDLE, "start is called once"
         self._started = self._began = self._heard = self._matched = now
         if not self._burst:
             self.state = ListState.FILLING

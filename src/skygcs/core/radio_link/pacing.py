@@ -136,7 +136,7 @@ class Pacer:
     def __init__(self, rates: RadioRates, *, buffer_bytes: int = BUFFER_BYTES) -> None:
         self.rates = rates
         self.vehicles = 0
-        """Behind this radio; set by whoever counts them."""
+        """Number of vehicles behind this radio; set by the air planner."""
         self.history: deque[RadioReport] = deque(maxlen=HISTORY)
         self._buffer_bytes = buffer_bytes
         self._drain: float | None = None

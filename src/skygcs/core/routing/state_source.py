@@ -347,7 +347,7 @@ class StateSource:
         return False not in (self._boot_agrees(heard), self._place_agrees(heard), self._firmware_agrees(heard))
 
     def _answers(self, channel_id: int, now: float) -> bool:
-        """Whether what answers us over this channel is believed."""
+        """True if answers over this channel count as the vehicle's."""
         heard = self._heard.get(channel_id)
         return heard is not None and heard is not self._present and not heard.contradicted and self._agrees(heard)
 

@@ -6,7 +6,7 @@ them, and shows the program a vehicle under the id that it expects; `core.routin
     from the program    a target field of 0 (pymavlink before its first heartbeat) becomes the vehicle's id, if there is
                         exactly one vehicle
     both directions     if the vehicle is shown under another id, the two ids are exchanged in the header and in the
-                        target field; the exchange is its own inverse
+                        target field; this is its own inverse
     renumbered          a message that the dialect does not have is dropped, as the place of its target is not known
 
 A changed frame keeps its sequence number, gets a new CRC and loses its signature, which cannot be renewed here. Ids in

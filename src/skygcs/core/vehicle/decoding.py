@@ -32,7 +32,7 @@ class TelemetryGroupSpec:
 
     name: str
     messages: tuple[str, ...]
-    fold: Callable[[Values, Decoder], TelemetryGroup | None]
+    decode: Callable[[Values, Decoder], TelemetryGroup | None]
     combine: bool = False
 
 

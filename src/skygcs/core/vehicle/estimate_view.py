@@ -146,7 +146,7 @@ class EstimateView:
         return place if self.reference_breach(Reference(place)) is None else estimate.pos_enu_m
 
     def _since_s(self, now: float) -> float:
-        """How long ago the newest state was measured: its age here, and its way down."""
+        """How long ago the newest state was measured: its age here plus the downlink's delay."""
         return min(max(now - self._at, 0.0) + (self.delay.uplink_s or 0.0), LONGEST_S)
 
     def way_out(self, reference: Reference, now: float, *, margin: bool) -> str | None:

@@ -84,9 +84,9 @@ class MessageCache:
     def telemetry_groups(self, now: float) -> dict[str, dict[str, Any] | None]:
         """All telemetry groups, each with its age; the result belongs to the caller."""
         result: dict[str, dict[str, Any] | None] = {}
-        for section in GROUPS:
-            group_values, at = self._group_values(section)
-            result[section.name] = None if group_values is None else {**group_values, "age_s": round(now - at, 3)}
+        for group in GROUPS:
+            group_values, at = self._group_values(group)
+            result[group.name] = None if group_values is None else {**group_values, "age_s": round(now - at, 3)}
         return result
 
     def rates(self, now: float) -> dict[str, dict[str, Any]]:
@@ -112,27 +112,27 @@ class MessageCache:
         slots = [s for s in map(self.slot, messages) if s is not None]
         return max(slots, key=lambda s: s.at) if slots else None
 
-    def _sources(self, section: TelemetryGroupSpec) -> list[Slot]:
+    def _sources(self, group: TelemetryGroupSpec) -> list[Slot]:
         get = self.slots.get
-        slots = [s for i in self._ids[section.name] if (s := get(i)) is not None and s.frame is not None]
-        if section.combine or len(slots) < 2:
+        slots = [s for i in self._ids[group.name] if (s := get(i)) is not None and s.frame is not None]
+        if group.combine or len(slots) < 2:
             return slots
         newest = max(s.at for s in slots)
         return [next(s for s in slots if s.at >= newest - ALTERNATIVE_LAG_S)]
 
-    def _group_values(self, section: TelemetryGroupSpec) -> tuple[TelemetryGroup | None, float]:
-        slots = self._sources(section)
+    def _group_values(self, group: TelemetryGroupSpec) -> tuple[TelemetryGroup | None, float]:
+        slots = self._sources(group)
         if not slots:
             return None, 0.0
         at = slots[0].at if len(slots) == 1 else max(s.at for s in slots)
         frames = [s.frame for s in slots if s.frame is not None]
-        known = self._cache.get(section.name)
+        known = self._cache.get(group.name)
         if known is not None and len(known[0]) == len(frames) and all(map(operator.is_, known[0], frames)):
             return known[1], at
         values = {slot.name: v for slot in slots if (v := self.values(slot))}
-        group_values = section.fold(values, self.decoder) if values else None
-        self._cache[section.name] = (frames, group_values)
+        group_values = group.decode(values, self.decoder) if values else None
+        self._cache[group.name] = (frames, group_values)
         return group_values, at
 
 
-_BY_NAME = {section.name: section for section in GROUPS}
+_BY_NAME = {group.name: group for group in GROUPS}

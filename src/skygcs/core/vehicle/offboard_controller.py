@@ -432,8 +432,8 @@ class OffboardController:
         return self._setpoints.generate(control_mode, self.config.law, given)
 
     def _lead_s(self) -> float:
-        """How much later than now the vehicle flies by a position sent now, on average: its way up, and half of the
-        time for which it is held with the autopilot's response, unless the autopilot itself moves it on."""
+        """How much later than now the vehicle flies by a position sent now, on average: the uplink and half of
+        the time for which it is held with the autopilot's response, unless the autopilot itself moves it on."""
         held_s = 0.0 if moves_setpoints_on(self.vehicle) else 0.5 / self.config.position_hz + PX4_RESPONSE_S
         return min((self.delay.uplink_s or 0.0) + held_s, LONGEST_LEAD_S)
 

@@ -15,8 +15,8 @@ from skygcs.core.vehicle.vehicle import Vehicle
 
 def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -> VehicleState:
     """The whole state at ``now``. ``unix_now`` (wall clock at ``now``) makes clock_offset_s known."""
-    sections = vehicle.message_cache.telemetry_groups(now)
-    position = sections["position"]
+    groups = vehicle.message_cache.telemetry_groups(now)
+    position = groups["position"]
     if position is not None:
         position |= _in_the_world(vehicle, position)
     state: dict[str, Any] = {
@@ -42,7 +42,7 @@ def take_snapshot(vehicle: Vehicle, now: float, unix_now: float | None = None) -
         "control": None,  # filled in by flight control
         "uplink": None,  # filled in by the uplink watch
         "separation": None,  # filled in by the monitor
-        **sections,
+        **groups,
         "last_ack": _last_ack(vehicle, now),
         "status_texts": _texts(vehicle, now),
         "components": vehicle.system(now),

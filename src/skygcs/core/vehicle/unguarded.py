@@ -128,8 +128,10 @@ class Unguarded:
         return None
 
     def _text(self, why: str) -> str:
-        way = f"the checked order is {self.instead}" if not self.instead.startswith("nothing") else "no order does this"
-        return f"{self.what} {why} without the checks of an order: {way}; {FORCE_HINT}"
+        remedy = (
+            f"the checked order is {self.instead}" if not self.instead.startswith("nothing") else "no order does this"
+        )
+        return f"{self.what} {why} without the checks of an order: {remedy}; {FORCE_HINT}"
 
 
 def not_disarmed(vehicle: Vehicle, now: float) -> str | None:
@@ -173,8 +175,8 @@ def require_guarded(
     checks of an order, for any component: an autopilot may act on commands to a component id it does not know."""
     number, what = orders.find_command(dialect, name)
     first = params[0] if params else 0.0
-    way = unguarded_command(number, math.nan if first is None else float(first), what)
-    if way is not None and (refusal := way.refusal(vehicles, now)) is not None:
+    rule = unguarded_command(number, math.nan if first is None else float(first), what)
+    if rule is not None and (refusal := rule.refusal(vehicles, now)) is not None:
         raise RefusedError(refusal)
 
 
