@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 
+from skygcs.core.control.trace import decode
 from skygcs.core.geo import Origin
+from skygcs.errors import RefusedError
 from support.flown import Flown, flown
 
 pytestmark = pytest.mark.looptime
@@ -206,3 +208,58 @@ async def test_sigterm_while_it_flies_holds(tmp_path: Path, kind: dict[str, int]
         await gcs.stopped(4.0)
         assert gcs.hold_commands & {c.values["command"] for c in gcs.commands(ended - 0.01)}
         await gcs.ends_safe(within_m=6.0, since=ended)
+
+
+@KINDS
+async def test_an_own_controller_of_accelerations_flies_a_step(tmp_path: Path, kind: dict[str, int]) -> None:
+    """PD on position and velocity as reported, in the test; gravity and thrust are the autopilot's."""
+    async with flown(tmp_path, **kind) as gcs:
+        await gcs.outcome("control.set", mode="raw")
+        goal = (gcs.place()[0] + 2.0, gcs.place()[1], gcs.place()[2])
+        for _ in range(600):
+            state = gcs.actor().state(gcs.now)["position"]
+            acc = [1.0 * (g - p) - 1.6 * v for g, p, v in zip(goal, state["enu_m"], state["vel_enu_mps"], strict=True)]
+            await gcs.done("control.setpoint", acc_enu_mps2=[max(-3.0, min(3.0, a)) for a in acc])
+            await asyncio.sleep(0.02)
+        assert math.dist(gcs.place(), goal) < 0.5, gcs.place()
+        assert gcs.control()["control_mode"] == "raw" and gcs.control()["raw"] == "acceleration"
+
+
+@KINDS
+async def test_body_rates_that_never_end_are_ended_by_the_tilt_that_is_reported(
+    tmp_path: Path, kind: dict[str, int]
+) -> None:
+    async with flown(tmp_path, control={"raw": {"tilt_max_deg": 10}}, **kind) as gcs:
+        await gcs.outcome("control.set", mode="raw")
+        since = gcs.now
+        refused = await streams(gcs, 2.0, body_rates_deg_s=[30.0, 0.0, 0.0], thrust=0.5)
+        assert refused and "the vehicle tilts by" in refused[0]["message"], refused[:1]
+        (text,) = [t for t in gcs.texts(since) if "flies no more" in t]
+        assert "limit 20°" in text
+        await asyncio.sleep(8.0)
+        assert gcs.control()["control_mode"] == "position" and gcs.farthest_m(since) < 8.0
+        assert math.hypot(*gcs.truth[1][-1].vel_mps) < 0.5
+
+
+async def test_the_trace_has_what_was_sent(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        await gcs("control.record", targets="v1", on=True)
+        await gcs.outcome("control.set", mode="raw")
+        await streams(gcs, 0.3, body_rates_deg_s=[9.0, 0.0, -18.0], thrust=0.5)
+        await streams(gcs, 0.3, acc_enu_mps2=[0.1, 0.2, 0.3])
+        path = Path((await gcs("control.record", targets="v1", on=False))["files"]["v1"])
+        await gcs.done("control.set", mode="off")
+        await asyncio.sleep(1.0)
+        lines = (await asyncio.to_thread(path.read_text)).splitlines(keepends=True)
+        rows = [entry.row for entry in decode(lines) if entry.row.control_mode == "raw"]
+        rates = {row.rates_frd_radps for row in rows if row.rates_frd_radps is not None}
+        assert len(rates) == 1 and rates.pop() == pytest.approx((math.radians(9), 0.0, math.radians(18)))
+        acc = {row.acc_setpoint_enu_mps2 for row in rows if row.acc_setpoint_enu_mps2 is not None}
+        assert len(acc) == 1 and acc.pop() == pytest.approx((0.1, 0.2, 0.3))
+
+
+async def test_messages_that_fly_stay_refused_and_name_the_guarded_way(tmp_path: Path) -> None:
+    async with flown(tmp_path) as gcs:
+        values = {"type_mask": 7, "q": [1.0, 0.0, 0.0, 0.0], "thrust": 0.5}
+        with pytest.raises(RefusedError, match="control set raw"):
+            await gcs("messages.send", name="SET_ATTITUDE_TARGET", target="v1", fields=values)

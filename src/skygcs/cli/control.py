@@ -292,9 +292,14 @@ def track_cells(state: State) -> tuple[str, ...]:
 
 
 def track_reasons(state: State) -> str:
-    """Why the requested mode is not flown; "" if it is."""
+    """Why the requested mode is not flown, and the trajectory it follows; "" if there is nothing to say."""
     control: Mapping[str, Any] = state.get("control") or {}
-    return "; ".join(str(reason) for reason in control.get("reasons") or ())
+    reasons = [str(reason) for reason in control.get("reasons") or ()]
+    trajectory = control.get("trajectory")
+    if trajectory:
+        at, of = trajectory["trajectory_s"], trajectory["duration_s"]
+        reasons.append(f"trajectory {trajectory['name']} {trajectory['state']}, {at:.1f} of {of:.1f} s")
+    return "; ".join(reasons)
 
 
 def track_line(state: State) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,6 +25,9 @@ app = typer.Typer(help="Load timed trajectories and fly them on one clock.", no_
 
 MAX_FILE_BYTES = 64 << 20
 """Larger than any show; a file is read as a whole."""
+
+LARGEST_REQUEST = 1_000_000
+"""Bytes; the daemon's limit of a line is 1 MiB."""
 
 LATEST_START_S = 3600.0
 
@@ -58,6 +62,10 @@ def load(
                 {"duration_s": p.duration_s, "x": p.east, "y": p.north, "up": p.up, "yaw": p.yaw}
                 for p in trajectory.pieces
             ]
+            size = len(json.dumps(pieces))
+            if size > LARGEST_REQUEST:
+                why = f"{name} has {len(pieces)} pieces, {size:,} bytes as a request; the most is {LARGEST_REQUEST:,}"
+                raise PlanFileError(str(file), "", why)
             answer = await gcs.call("trajectory.load", target=name, pieces=pieces, name=file.stem[:64])
             outcomes.update(answer["outcomes"])
         return print_outcomes(outcomes, json_output)

@@ -211,7 +211,7 @@ def test_a_cut_line_is_reported_and_left_out(trace: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "word"), [(b"", "no line of columns"), (b"\xff\x00" * 9000, "longer than 4096"), (b"a,b\n", ":1: ")]
+    ("content", "word"), [(b"", "no line of columns"), (b"\xff\x00" * 9000, "longer than 16384"), (b"a,b\n", ":1: ")]
 )
 def test_what_is_no_trace_is_one_line(tmp_path: Path, content: bytes, word: str) -> None:
     path = tmp_path / "x.csv"

@@ -48,7 +48,8 @@ def _csv(source: str, data: bytes, vehicle: str, limits: MotionLimits, origin: O
         return ReadPlan(TimedPlan(read_log_csv(source, data, origin, vehicle)), FlightSpace(), "log by lat, lon, alt")
     if _is_crazyswarm(source, data):
         return ReadPlan(TimedPlan({vehicle: read_crazyswarm(source, data)}), FlightSpace(), "Crazyswarm polynomials")
-    return ReadPlan(TimedPlan(read_trajectory_csv(source, data, limits)), FlightSpace(), "paths by vehicle,t,x,y,z,yaw")
+    paths = read_trajectory_csv(source, data, limits, vehicle)
+    return ReadPlan(TimedPlan(paths), FlightSpace(), "paths by vehicle,t,x,y,z,yaw")
 
 
 def _is_crazyswarm(source: str, data: bytes) -> bool:

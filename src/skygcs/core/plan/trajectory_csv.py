@@ -2,7 +2,8 @@
 
 vehicle,t,x,y,z,yaw      t in s from the common start; x, y, z in m of the world frame; yaw in degrees,
 alpha,0,0,0,5,90         counter-clockwise from x. t and yaw may be missing, in the whole file (t) or for a
-alpha,10,20,0,5,90       vehicle (yaw). Timed rows are joined by straight lines, others are timed within limits.
+alpha,10,20,0,5,90       vehicle (yaw), the vehicle in a file of one. Timed rows are joined by straight lines,
+                         others are timed within limits.
 
 time,mode,lat,lon,alt,…  a log as it was flown: one vehicle per file unless there is a column vehicle. Degrees, or
                          the integers of GLOBAL_POSITION_INT (degE7 and mm). alt is above the origin, alt_amsl
@@ -58,9 +59,9 @@ class _Header(NamedTuple):
     columns: dict[str, int]
 
 
-def read_trajectory_csv(source: str, data: bytes, limits: MotionLimits) -> Trajectories:
-    """Paths in the world frame. Raises PlanFileError."""
-    paths = read_paths(source, data)
+def read_trajectory_csv(source: str, data: bytes, limits: MotionLimits, vehicle: str | None = None) -> Trajectories:
+    """Paths in the world frame; ``vehicle`` as `read_paths`. Raises PlanFileError."""
+    paths = read_paths(source, data, vehicle)
     return {name: _trajectory(source, name, path, limits) for name, path in paths.items()}
 
 
@@ -69,18 +70,20 @@ def read_points(source: str, data: bytes) -> dict[str, list[Vector]]:
     return {name: path.points for name, path in read_paths(source, data).items()}
 
 
-def read_paths(source: str, data: bytes) -> Mapping[str, _Path]:
-    """The rows by vehicle. Raises PlanFileError."""
+def read_paths(source: str, data: bytes, vehicle: str | None = None) -> Mapping[str, _Path]:
+    """The rows by vehicle. ``vehicle``: whose they are in a file without that column; None: it must be there. Raises
+    PlanFileError."""
     lines = rows(source, text_of(source, data))
     header = _header(source, lines)
     unknown = [name for name in header.columns if name not in COLUMNS]
-    if unknown or not {"vehicle", "x", "y", "z"} <= header.columns.keys():
+    required = {"x", "y", "z"} if vehicle is not None else {"vehicle", "x", "y", "z"}
+    if unknown or not required <= header.columns.keys():
         raise PlanFileError(source, f"line {header.line}", f"the columns are {', '.join(COLUMNS)} (t, yaw optional)")
     paths: dict[str, _Path] = {}
     for number, cells in lines:
         where = f"line {number}"
         row = _row(source, where, header, cells)
-        path = paths.setdefault(vehicle_name(source, where, row["vehicle"]), _Path())
+        path = paths.setdefault(vehicle_name(source, where, row.get("vehicle", vehicle)), _Path())
         path.lines.append(number)
         x, y, z = (number_of(source, where, axis, row[axis]) for axis in ("x", "y", "z"))
         path.points.append((x, y, z))
