@@ -72,7 +72,10 @@ Downwash = Annotated[
 Limits = Annotated[
     str | None,
     typer.Option(
-        "--limits", metavar="V,A,J", help="Speed, acceleration and jerk. [default: 5,2,4]", show_default=False
+        "--limits",
+        metavar="V,A,J",
+        help="Speed, acceleration, jerk: for timing (5,2,4), checked if given.",
+        show_default=False,
     ),
 ]
 OriginOption = Annotated[
@@ -117,8 +120,11 @@ def check(
     added = _space(ceiling, floor, fence, standing)
 
     def command() -> int:
+        from skygcs.core.plan.certify import certify
+
         found = _read(files, motion, place)
-        return _judge(found.plan, rule, _joined(found.space, added), json_output, found.format)
+        certificate = certify(found.plan, rule, _joined(found.space, added), limits=None if limits is None else motion)
+        return _answer(certificate, json_output, found.format)
 
     run_offline(command)
 
@@ -170,10 +176,14 @@ def make(
         raise typer.BadParameter("--formation needs --at X,Y,Z")
 
     def command() -> int:
+        from skygcs.core.plan.certify import certify
+
         starts, goals = _ends(file, wanted)
         if goals is None:
             plan = _read([file], motion, None).plan
-            return _judge(plan, rule, space, json_output, "paths", output)
+            certificate = certify(plan, rule, space, limits=None if limits is None else motion)
+            written = _write(output, plan, space, certificate, motion) if certificate.certified else ""
+            return _answer(certificate, json_output, "paths", written)
         return _search(
             _Question(starts, goals, exchange or shape is not None, kind), rule, motion, space, json_output, output
         )
@@ -360,10 +370,11 @@ def _write(output: Path | None, plan: Plan, space: FlightSpace, certificate: Cer
     else:
         from skygcs.core.plan.crazyswarm import write_crazyswarm
 
-        output.mkdir(exist_ok=True)
-        for name, trajectory in trajectories.items():
+        for name in trajectories:
             if "/" in name or "\\" in name or name.startswith("."):
                 raise RefusedError(f"{name!r} cannot be the name of a file")
+        output.mkdir(exist_ok=True)
+        for name, trajectory in trajectories.items():
             (output / f"{name}.csv").write_text(write_crazyswarm(trajectory))
     return f"written to {output}"
 
@@ -410,15 +421,9 @@ def _search(
     return Exit.DONE
 
 
-def _judge(
-    plan: Plan, rule: MarginRule, space: FlightSpace, json_output: bool, what: str, output: Path | None = None
-) -> int:
-    from skygcs.core.plan.certify import certify
-
-    certificate = certify(plan, rule, space)
-    written = _write(output, plan, space, certificate, MotionLimits()) if certificate.certified else ""
+def _answer(certificate: Certificate, json_output: bool, what: str, written: str = "") -> int:
     if json_output:
-        print_json(certificate.as_dict() | {"format": what})
+        print_json(certificate.as_dict() | {"format": what, "output": written})
     else:
         _print_certificate(certificate, written)
     return Exit.DONE if certificate.certified else Exit.FAILED

@@ -75,10 +75,16 @@ class Certificate:
     """Where refused: the worst pair and others found beside it, not necessarily all."""
     space: tuple[SpaceProblem, ...] = ()
     duration_s: float | None = None
+    motion: tuple[str, ...] = ()
+    """Vehicles that exceed the limits of motion, if these were to be checked."""
 
     def reasons(self) -> list[str]:
         """Why it is refused, a line each."""
-        return [approach.text() for approach in self.too_close] + [problem.text() for problem in self.space]
+        return (
+            [approach.text() for approach in self.too_close]
+            + [problem.text() for problem in self.space]
+            + list(self.motion)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         found = asdict(self)

@@ -18,9 +18,9 @@ from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Motion
 from skygcs.core.plan.segment_distance import SLACK_M, scaled, segment_segment
 from skygcs.core.plan.space_check import Breach, breaches
-from skygcs.core.trajectory import Piece, Trajectory, hover, joints, require_continuous
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, joints, require_continuous, require_within
 from skygcs.core.trajectory.piecewise import Vector
-from skygcs.errors import RefusedError
+from skygcs.errors import RefusedError, TrajectoryError
 
 MAX_NAMED = 20
 """Pairs and walls named in one refusal."""
@@ -32,24 +32,43 @@ STILL = Motion()
 
 
 def certify(
-    plan: Plan, rule: MarginRule, space: FlightSpace | None = None, progress: Progress | None = None
+    plan: Plan,
+    rule: MarginRule,
+    space: FlightSpace | None = None,
+    *,
+    limits: MotionLimits | None = None,
+    progress: Progress | None = None,
 ) -> Certificate:
-    """Judge the plan. Raises TrajectoryError where a trajectory jumps, RefusedError for names that are there twice."""
+    """Judge the plan; ``limits``: the speeds and accelerations of a timed plan as well.
+
+    Raises TrajectoryError where a trajectory jumps, RefusedError for names that are there twice.
+    """
     space = space or FlightSpace()
     names = plan.trajectories if isinstance(plan, TimedPlan) else plan.starts
     if both := names.keys() & space.standing.keys():
         raise RefusedError(f"{min(both)} takes part in the plan and is said to stand")
     if isinstance(plan, TimedPlan):
-        return _certify_timed(plan, rule, space, progress)
+        return _certify_timed(plan, rule, space, limits, progress)
     return _certify_phased(plan, rule, space)
 
 
 # --- timed ------------------------------------------------------------------------------------------------------------
 
 
-def _certify_timed(plan: TimedPlan, rule: MarginRule, space: FlightSpace, progress: Progress | None) -> Certificate:
-    for trajectory in plan.trajectories.values():
-        require_continuous(trajectory)
+def _certify_timed(
+    plan: TimedPlan, rule: MarginRule, space: FlightSpace, limits: MotionLimits | None, progress: Progress | None
+) -> Certificate:
+    too_fast = []
+    for name, trajectory in plan.trajectories.items():
+        try:
+            require_continuous(trajectory)
+        except TrajectoryError as error:
+            raise TrajectoryError(f"vehicle {name}: {error}") from None
+        try:
+            if limits is not None:
+                require_within(trajectory, limits)
+        except TrajectoryError as error:
+            too_fast.append(f"{name}: {error}")
     motions = dict(zip(plan.trajectories, motions_of(list(plan.trajectories.values())), strict=True))
     duration_s = max(t.duration_s for t in plan.trajectories.values())
     fleet = {**plan.trajectories, **{name: hover(place, duration_s) for name, place in space.standing.items()}}
@@ -76,7 +95,7 @@ def _certify_timed(plan: TimedPlan, rule: MarginRule, space: FlightSpace, progre
     problems = tuple(_problem(names, half, breach) for breach in walls[:MAX_NAMED])
     safe = found is None or found.clearance_at_least_m >= 0.0
     return Certificate(
-        safe and not problems,
+        safe and not problems and not too_fast,
         "timed",
         moving,
         rule.downwash_ratio,
@@ -84,6 +103,7 @@ def _certify_timed(plan: TimedPlan, rule: MarginRule, space: FlightSpace, progre
         () if safe or closest is None else (closest,),
         problems,
         duration_s,
+        tuple(too_fast[:MAX_NAMED]),
     )
 
 

@@ -19,7 +19,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from skygcs.core.plan.file_reading import json_of, number_of, refused, require_vehicles, vehicle_name
+from skygcs.core.plan.file_reading import json_of, number_of, refused, require_pieces, require_vehicles, vehicle_name
 from skygcs.core.plan.fleet_plan import MAX_PHASES, FlightSpace, Phase, PhasedPlan, Plan, TimedPlan
 from skygcs.core.trajectory import Piece, Trajectory
 from skygcs.core.trajectory.piecewise import MAX_DEGREE, MAX_DURATION_S, MAX_PIECES, MAX_TERM, Coefficients, Vector
@@ -79,10 +79,13 @@ def _timed(source: str, content: Mapping[str, Any]) -> TimedPlan:
     vehicles = _table(source, "vehicles", content.get("vehicles"))
     require_vehicles(source, len(vehicles))
     trajectories = {}
+    count = 0
     for name, rows in vehicles.items():
         where = f"vehicle {name[:40]}"
         if not isinstance(rows, list) or not 1 <= len(rows) <= MAX_PIECES:
             raise PlanFileError(source, where, f"has 1 to {MAX_PIECES} pieces")
+        count += len(rows)
+        require_pieces(source, where, count)
         pieces = [_piece(source, f"{where}, piece {number}", row) for number, row in enumerate(rows, 1)]
         try:
             trajectories[vehicle_name(source, where, name)] = Trajectory(pieces)

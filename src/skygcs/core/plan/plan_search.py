@@ -68,8 +68,10 @@ def make_plan(task: Task, rule: MarginRule, limits: MotionLimits, space: FlightS
 
     space = space or FlightSpace()
     names = list(task.starts)
-    if not names or set(names) != set(task.goals):
-        raise RefusedError("every vehicle of a plan has a start and a goal")
+    if not names:
+        raise RefusedError("a plan has one vehicle at least")
+    if odd := set(names) ^ set(task.goals):
+        raise RefusedError(f"{min(odd)} has no {'goal' if min(odd) in task.starts else 'start'}")
     starts = [task.starts[name] for name in names]
     goals = [task.goals[name] for name in names]
     if task.exchangeable:

@@ -26,6 +26,7 @@ from skygcs.core.plan.file_reading import (
     json_of,
     number_of,
     refused,
+    require_pieces,
     require_vehicles,
     vehicle_name,
 )
@@ -50,6 +51,7 @@ def read_skyc(source: str, data: bytes) -> Trajectories:
     drones = _get(source, "show.json", _get(source, "show.json", show, "swarm", dict), "drones", list)
     require_vehicles(source, len(drones))
     trajectories: Trajectories = {}
+    count = 0
     for number, drone in enumerate(drones, 1):
         where = f"drone {number}"
         settings = _get(source, where, drone, "settings", dict)
@@ -63,6 +65,8 @@ def read_skyc(source: str, data: bytes) -> Trajectories:
             trajectories[name] = _trajectory(source, f"drone {name}", found)
         except TrajectoryError as error:
             raise refused(source, f"drone {name}", error) from None
+        count += len(trajectories[name].pieces)
+        require_pieces(source, f"drone {name}", count)
     return trajectories
 
 

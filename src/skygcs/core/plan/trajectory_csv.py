@@ -22,6 +22,7 @@ from skygcs.core.plan.file_reading import (
     Trajectories,
     number_of,
     refused,
+    require_pieces,
     require_vehicles,
     rows,
     text_of,
@@ -80,8 +81,9 @@ def read_paths(source: str, data: bytes, vehicle: str | None = None) -> Mapping[
     if unknown or not required <= header.columns.keys():
         raise PlanFileError(source, f"line {header.line}", f"the columns are {', '.join(COLUMNS)} (t, yaw optional)")
     paths: dict[str, _Path] = {}
-    for number, cells in lines:
+    for count, (number, cells) in enumerate(lines, 1):
         where = f"line {number}"
+        require_pieces(source, where, count)
         row = _row(source, where, header, cells)
         path = paths.setdefault(vehicle_name(source, where, row.get("vehicle", vehicle)), _Path())
         path.lines.append(number)
@@ -116,8 +118,9 @@ def read_log_csv(source: str, data: bytes, origin: Origin, vehicle: str) -> Traj
         raise PlanFileError(source, f"line {header.line}", "a log has the columns time, lat, lon and alt or alt_amsl")
     paths: dict[str, _Path] = {}
     first_time = None
-    for number, cells in lines:
+    for count, (number, cells) in enumerate(lines, 1):
         where = f"line {number}"
+        require_pieces(source, where, count)
         row = _row(source, where, header, cells)
         path = paths.setdefault(vehicle_name(source, where, row.get("vehicle") or vehicle), _Path())
         time = _time(source, where, row["time"])

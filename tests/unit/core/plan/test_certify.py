@@ -14,7 +14,7 @@ from skygcs.core.plan.certify import certify, motions_of
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.margins import MarginRule, Motion, Uncertainty
 from skygcs.core.plan.space_check import breaches
-from skygcs.core.trajectory import Piece, Trajectory, hover, motion_peaks
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, motion_peaks
 from skygcs.errors import RefusedError, TrajectoryError
 
 RULE = MarginRule(fixed_m=2.5)
@@ -111,8 +111,16 @@ def test_a_vehicle_that_takes_part_cannot_stand() -> None:
 
 def test_a_trajectory_that_jumps_is_refused() -> None:
     jump = Trajectory([Piece(1.0, (0.0,), (0.0,), (10.0,)), Piece(1.0, (1.0,), (0.0,), (10.0,))])
-    with pytest.raises(TrajectoryError, match="piece 2: the position jumps by 1 m at 1 s"):
+    with pytest.raises(TrajectoryError, match="vehicle a: piece 2: the position jumps by 1 m at 1 s"):
         certify(TimedPlan({"a": jump}), RULE)
+
+
+def test_limits_of_motion_are_part_of_the_judgement_where_they_are_asked_for() -> None:
+    plan = TimedPlan({"a": line((0, 0, 10), (60, 0, 10), 10.0), "b": line((0, 30, 10), (40, 30, 10), 10.0)})
+    assert certify(plan, RULE).certified
+    certificate = certify(plan, RULE, limits=MotionLimits(speed_mps=5.0))
+    assert not certificate.certified
+    assert certificate.reasons() == ["a: piece 1: speed of 6 m/s at 0 s; the limit is 5 m/s"]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from skygcs.core.geo import Origin, geodetic_from_enu
-from skygcs.core.plan import skyc
+from skygcs.core.plan import file_reading, skyc
 from skygcs.core.plan.crazyswarm import HEADER, read_crazyswarm, write_crazyswarm
 from skygcs.core.plan.fleet_plan import FlightSpace, Phase, PhasedPlan, TimedPlan
 from skygcs.core.plan.plan_files import read_plan
@@ -317,6 +317,25 @@ def test_a_plan_that_is_none_is_refused(change: dict[str, object], words: str) -
     with pytest.raises(PlanFileError) as refused:
         read_plan_json("p.json", json.dumps(GOOD | change).encode())
     assert words in str(refused.value)
+
+
+def test_a_fleet_has_a_bounded_number_of_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(file_reading, "MAX_FLEET_PIECES", 5)
+    pieces = [[1.0, [0], [0], [5], None]] * 3
+    points = [[t, [t, 0, 0], []] for t in range(4)]
+    drones = [{"settings": {"name": n, "trajectory": {"version": 1, "points": points}}} for n in "ab"]
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("show.json", json.dumps({"version": 1, "swarm": {"drones": drones}}))
+    rows = "".join(f"{n},{i},0,5\n" for n in "ab" for i in range(3))
+    for name, data in (
+        ("p.json", json.dumps(GOOD | {"vehicles": {"a": pieces, "b": pieces}}).encode()),
+        ("p.skyc", file.getvalue()),
+        ("p.csv", f"vehicle,x,y,z\n{rows}".encode()),
+        ("log.csv", log_rows(False).replace("\n", "\n#\n").encode() + b"1e9,G,47.4,8.5,5\n" * 2),
+    ):
+        with pytest.raises(PlanFileError, match="more than 5 pieces of all vehicles together"):
+            read_plan(name, data, LIMITS, ORIGIN)
 
 
 @pytest.mark.parametrize(

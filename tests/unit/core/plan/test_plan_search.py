@@ -133,6 +133,11 @@ def test_nobody_crosses_on_the_ground() -> None:
 
 
 def test_a_task_that_is_none_is_refused() -> None:
-    for wrong in (Task({}, {}), Task({"a": (0.0, 0.0, 0.0)}, {"b": (0.0, 0.0, 0.0)})):
-        with pytest.raises(RefusedError, match="has a start and a goal"):
-            make_plan(wrong, RULE, LIMITS)
+    place = (0.0, 0.0, 0.0)
+    for starts, goals, words in (
+        ({}, {}, "one vehicle at least"),
+        ({"a": place, "b": place}, {"b": place}, "a has no goal"),
+        ({"b": place}, {"b": place, "c": place}, "c has no start"),
+    ):
+        with pytest.raises(RefusedError, match=words):
+            make_plan(Task(starts, goals), RULE, LIMITS)
