@@ -238,7 +238,7 @@ def _validate(path: Path, content: bytes) -> None:
     schema_path = _pymavlink_dir() / "generator" / "mavschema.xsd"
     tree = etree.parse(str(schema_path))
     for element in tree.iterfind('{*}attribute[@name="units"]'):
-        element.set("type", "xs:string")  # as mavgen does unless told to be strict about units
+        element.set("type", "xs:string")  # as mavgen does by default, without strict units
     schema = etree.XMLSchema(tree)
     if not schema.validate(document):
         first = schema.error_log[0]

@@ -41,7 +41,7 @@ LEAST_CONE_SLOPE = 0.5
 """RTL_MIN_CONE_SLOPE (ArduCopter/config.h)."""
 
 PREARM_EVERY_S = 30.0
-"""Failing pre-arm checks are told this often."""
+"""Failing pre-arm checks are reported this often."""
 
 BOOT_TEXTS = ("ArduCopter V4.6.3 (skygcs01)", "Frame: QUAD/X", "EKF3 IMU0 initialised", "AHRS: EKF3 active")
 """Ground stations read the firmware and its version from the first."""
@@ -325,7 +325,7 @@ class CopterVehicle(SimVehicle):
         self.failsafe = False
         self.taking_off = False
         self.guided.forget()
-        self.send_soon("HEARTBEAT")  # a mode change is told at once
+        self.send_soon("HEARTBEAT")  # a mode change is reported at once
         motion = self.estimated
         if mode == CopterMode.LAND:
             speed = self.params["LAND_SPEED"] / 100

@@ -98,7 +98,7 @@ class AtRadio:
     """Every command that was taken, for tests to look at."""
     restarts: int = 0
     unique_id: str = "0x0123456789ABCDEF"
-    """What ATI8 tells; RFD900x firmware only."""
+    """What ATI8 prints; RFD900x firmware only."""
     command_mode: bool = False
     traffic: bytes = b""
     """What was heard as data and passed on to the air."""

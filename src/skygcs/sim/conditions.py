@@ -38,9 +38,9 @@ class Conditions:
     gps_noise_m: float = 0.0
     """Standard deviation of the slow wander of the estimated position; the vehicle flies by the estimate."""
     attitude_noise_rad: float = 0.0
-    """Standard deviation of the told roll and pitch."""
+    """Standard deviation of the reported roll and pitch."""
     sensor_latency_s: float = 0.0
-    """Age of position, velocity and attitude when they are told. The autopilot's own loops do not feel it."""
+    """Age of position, velocity and attitude when they are reported. The autopilot's own loops do not feel it."""
 
     def __post_init__(self) -> None:
         for name, value, most in (

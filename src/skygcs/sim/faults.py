@@ -20,11 +20,11 @@ class Faults:
     hdop: float = 0.75
     """Of its GPS: so many satellites under open sky."""
     unhealthy_sensors: int = 0
-    """Bits of MAV_SYS_STATUS_SENSOR that SYS_STATUS tells as there, enabled and not healthy."""
+    """Bits of MAV_SYS_STATUS_SENSOR that SYS_STATUS reports as present, enabled and not healthy."""
     clock_error_s: float = 0.0
     """Its clock (SYSTEM_TIME) minus the true one."""
     nan_attitude: bool = False
-    """ATTITUDE and ATTITUDE_QUATERNION tell NaN."""
+    """ATTITUDE and ATTITUDE_QUATERNION report NaN."""
     mute: bool = False
     """The vehicle lives on and hears, but nothing it sends arrives (its sequence number goes on): telemetry is cut."""
     deaf: bool = False

@@ -49,7 +49,8 @@ class MissionRun(ABC):
 
     first_seq = 0
     reports_reached_items = False
-    """Whether items that do not move it are told as reached, too; only the last of several reached at once is told."""
+    """Whether items that do not move it are reported as reached, too; of several reached at once only the last is
+    reported."""
 
     reports_each = False
     """Whether items that do not move it are reported as reached, each in turn (PX4)."""

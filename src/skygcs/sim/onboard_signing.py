@@ -14,7 +14,7 @@ from skygcs.core.mavlink.msgids import RADIO, RADIO_STATUS
 from skygcs.core.mavlink.signing import TICKS_PER_S, Gate, SignatureStreams, SignatureVerdict, SigningClock, sign
 
 AHEAD_TICKS = 60 * TICKS_PER_S
-"""ArduPilot goes on a minute after the time it was told (GCS_Signing.cpp), so that what was heard before is old."""
+"""ArduPilot goes on a minute after the time it was given (GCS_Signing.cpp), so that what was heard before is old."""
 
 
 class BoardSigning:

@@ -38,7 +38,7 @@ def param_set(file: ParamFile, source: str) -> ParamSet:
 
 
 def _param(entry: Entry) -> Param:
-    """Of its own type where the file tells one that simulated vehicles have; else a float, which holds them all."""
+    """Of its own type where the file names one that simulated vehicles have; else a float, which holds them all."""
     type_ = m.MAV_PARAM_TYPE_REAL32 if entry.type is None else int(entry.type)
     value = float(entry.value)
     low, high = INTEGER_RANGE.get(type_, (0, -1))

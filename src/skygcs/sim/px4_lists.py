@@ -3,7 +3,7 @@
     state     what came                                 next      what it does
     -------   ---------------------------------------   -------   ------------------------------------------------
     IDLE      count                                     TAKING    asks for item 0; no space: ack; 0: clears, ack
-    IDLE      request of the list                       GIVING    tells the count
+    IDLE      request of the list                       GIVING    sends the count
     IDLE      the last item of the last upload again    IDLE      the same ack again; another item: ack error
     IDLE      a request of an item                      IDLE      -
     IDLE      clear                                     IDLE      ack

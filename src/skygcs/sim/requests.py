@@ -27,7 +27,7 @@ PARAMS_PER_TICK = 2
 """100 a second: the rate of a list over USB; a telemetry port is slower."""
 
 ORIGIN_S = 0.1
-"""Until PX4's estimator has an origin it was told; its vehicle_command passes two modules."""
+"""Until PX4's estimator has an origin it was given; its vehicle_command passes two modules."""
 
 MIN_INTERVAL_US = 20_000
 """A tick: faster streams are sent at this rate."""

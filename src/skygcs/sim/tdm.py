@@ -1,6 +1,6 @@
 """An emulated multipoint network of SiK-like radios: one at the ground, one on each vehicle, sharing the air in turns.
 
-Pure, in whatever time it is told; seeded. The model is open SiK multipoint's: strict round-robin, a slot of two packets
+Pure, time is an argument; seeded. The model is open SiK multipoint's: strict round-robin, a slot of two packets
 of 252 bytes for each node and a sync slot, ArduPilot/SiK's serial buffers. It is calibrated only against published
 figures (docs/explanation/airtime.md says which, and what it leaves out); the closed RFD900x firmware may be otherwise.
 
@@ -283,7 +283,7 @@ class TdmNetwork:
         if now - node.heard_heartbeat_at > HEARTBEAT_TIMEOUT_S or now < node.next_report:
             return
         node.next_report = max(node.next_report + REPORT_EVERY_S, now)
-        peer = number or 1 + node.seq % (self.config.nodes - 1)  # of whom nothing tells: the one heard last
+        peer = number or 1 + node.seq % (self.config.nodes - 1)  # not known: the one heard last
         signal = round(self.rssi(peer) + self._rng.spread(4))
         fields = {
             "rssi": min(254, max(0, signal)),

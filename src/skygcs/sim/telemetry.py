@@ -1,6 +1,6 @@
 """What a simulated vehicle says of itself, message by message: state in, wire fields out.
 
-A builder returns None while there is nothing to tell (no home yet, no position estimate yet).
+A builder returns None while there is nothing to report (no home yet, no position estimate yet).
 """
 
 from __future__ import annotations

@@ -337,7 +337,7 @@ class VehicleState(ABC):
 
     @property
     def local_origin(self) -> Home:
-        """What its local frame is about: what a ground station told it, else where it was first powered."""
+        """What its local frame is about: what a ground station set, else where it was first powered."""
         return self.local_zero or Home(0.0, 0.0, 0.0)
 
     def true_position(self) -> tuple[float, float, float]:

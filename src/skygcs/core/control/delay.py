@@ -11,7 +11,7 @@ times as many. Of 21 the 95th percentile is the second largest: one late pong is
 it is the sixth. More of them make it no quicker: that is for the following.
 
 A pong that does not come says something, too: the ping was lost, or it has been under way for so long already. One ping
-alone cannot tell which. So when the oldest ping since the last answer is overdue (20 ms later than p95), probes go out
+alone does not show which. When the oldest ping since the last answer is overdue (20 ms later than p95), probes go out
 20 times a second, and the age of the seventh ping without an answer is a lower bound of the round trip. Links keep
 their order, so a pong proves that the pings before its own were lost. Probes count for the bound only, not among the
 trips: they are sent just when the link is slow, and would make one pause of it look like many.

@@ -28,7 +28,7 @@ class LinkFacts:
     """One link on which the vehicle is heard.
 
     ``loss``: 0..1 of its frames of the last while, None with too few of them. ``margin_db``: the lower of signal above
-    noise at either end of a radio, None if it is none or told nothing lately. Of several vehicles behind one radio the
+    noise at either end of a radio, None without a radio or recent report. Of several vehicles behind one radio the
     margin is the radio's own word for whom it heard last.
     """
 

@@ -91,11 +91,11 @@ class EstimatorOrigin:
             self._compare()
 
     def _take_origin(self) -> None:
-        told = self._vehicle.telemetry("ekf_origin")
-        if told is None:
+        reported = self._vehicle.telemetry("ekf_origin")
+        if reported is None:
             self._origin = None  # it has rebooted
             return
-        origin = Origin(told["lat_deg"], told["lon_deg"], told["alt_amsl_m"])
+        origin = Origin(reported["lat_deg"], reported["lon_deg"], reported["alt_amsl_m"])
         before = self._origin
         if before is not None:
             moved_m = math.hypot(

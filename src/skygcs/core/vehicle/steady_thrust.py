@@ -36,7 +36,7 @@ THROTTLE_FRESH_S = 2.0
 """Nor the throttle, which changes less than the tilt."""
 
 LEAST_SPAN_S = 0.4
-"""Between the first and the last velocity, to tell an acceleration from their steps of 1 cm/s."""
+"""Between the first and the last velocity, to distinguish an acceleration from their steps of 1 cm/s."""
 
 MAX_SAMPLES = 200
 """2 s at 100 Hz."""
