@@ -53,6 +53,15 @@ def behind_m(at: tuple[float, float], point: Point) -> float:
     return float(((x - at[0]) * vx + (y - at[1]) * vy) / math.hypot(vx, vy))
 
 
+def at_top_speed(field: Field) -> tuple[float, float]:
+    """Time and speed when the speed has ceased to rise: what accelerates goes on doing so while nothing reaches it."""
+    before = 0.0
+    while (speed := field.truth(field.one).speed_mps) > before:
+        before = speed
+        time.sleep(0.1)
+    return time.monotonic(), speed
+
+
 def track_enu(field: Field, since: float) -> list[tuple[float, float, float]]:
     """Time, east and north about the first vehicle's place of take-off, from its own frames."""
     lat_0, lon_0 = HOME[0], HOME[1]
@@ -85,17 +94,18 @@ def test_a_moving_reference_in_position(air: Field, figures: dict[str, Any], pat
 
 def test_a_slow_uplink_during_a_step_by_attitude(air: Field, figures: dict[str, Any]) -> None:
     """It used to be noticed after 2 s, and an ArduCopter went 10 m beyond its goal."""
-    goal = {"pos_enu_m": [STEP_M, 0.0, HEIGHT_M]}
+    goal = {"pos_enu_m": [0.0, STEP_M, HEIGHT_M]}
     air.order("control.set", air.one, mode="attitude", force=True)
     try:
-        with Stream(air.daemon.socket, air.one, lambda t: goal, 20.0):
-            air.wait(lambda: air.truth(air.one).speed_mps > 1.8, 10, "it is under way")
-            fault, v = time.monotonic(), air.truth(air.one).speed_mps
+        with Stream(air.daemon.socket, air.one, lambda t: goal, 20.0) as stream:
+            air.wait(lambda: stream.refused or air.truth(air.one).speed_mps > 1.8, 10, "it is under way")
+            assert not stream.refused, stream.refused[:2]
+            fault, v = at_top_speed(air)
             air.relay.delay_up_s = UPLINK_S
             time.sleep(10.0)
             status = air.control(air.one)
         figures["speed m/s"], figures["flown by"] = v, status["control_mode"]
-        figures["beyond m"] = max(x for _, x, _ in track_enu(air, fault)) - STEP_M
+        figures["beyond m"] = max(y for _, _, y in track_enu(air, fault)) - STEP_M
         assert status["control_mode"] in ("velocity", "position"), status
         assert figures["beyond m"] <= beyond_m(v)
     finally:
@@ -121,7 +131,7 @@ def test_telemetry_that_is_cut_under_a_velocity(air: Field, figures: dict[str, A
         figures["farthest m"] = max(math.dist((x, y), look[1:]) for look in looks)
         figures["at rest after m"] = math.dist((x, y), (last_x, last_y))
         assert v > 0.8 * SPEED_MPS, "it never flew"
-        assert figures["farthest m"] <= beyond_m(v)
+        assert figures["farthest m"] <= beyond_m(max(v, SPEED_MPS))  # PX4's simulator has got up to 1.7 m/s by then
     finally:
         air.relay.clear()
         air.daemon.call("control.set", targets=air.one, mode="off")
