@@ -30,13 +30,18 @@ class WatchedVehicle:
         self.footprint = Footprint(**footprint)
         self.priority = 0
         self.destination: tuple[float, float, float] | None = None
+        self.trajectory: list[tuple[float, float, float]] = []
         self._parser = FrameParser(self.dialect)
         self._frame = EnuFrame(ORIGIN)
         self._seq = 0
 
     @property
     def member(self) -> Member:
-        return Member(self.vehicle, self.footprint, self.priority, self.destination)
+        return Member(self.vehicle, self.footprint, self.priority, self.destination, self.trajectory)
+
+    def geodetic_of(self, *place_m: float) -> tuple[float, float, float]:
+        """lat_deg, lon_deg, alt_amsl_m of a place east, north, up of ORIGIN."""
+        return self._frame.to_geodetic(*place_m)
 
     def heartbeat(
         self, now: float, *, armed: bool = True, mode: int = GUIDED, status: int = ACTIVE, kind: int = 2

@@ -14,7 +14,7 @@ from skygcs.config.separation import MonitorConfig
 from skygcs.core.monitor.conflict_levels import HORIZON_S
 from skygcs.core.monitor.monitor import KIND, HoldRequest, Monitor
 from skygcs.core.monitor.order_check import Mover, Other, goto_conflict, setpoint_conflict, takeoff_conflict
-from skygcs.core.monitor.tracks import Member, Place
+from skygcs.core.monitor.tracks import PLAN_STEP_S, Member, Place
 from skygcs.core.separation import Footprint
 from skygcs.core.vehicle.geodetic_position import Setpoint
 from skygcs.core.vehicle.orders import FORCE_HINT, POSITION_FRESH_S
@@ -115,9 +115,19 @@ class SeparationMonitor:
     def _members(self) -> Iterator[Member]:
         for key, actor in list(self._actors.items()):
             footprint, priority = self._settings(key, actor)
-            yield Member(actor.vehicle, footprint, priority, self._destination(key))
+            yield Member(actor.vehicle, footprint, priority, self._destination(key), self._trajectory(actor))
         for key in self._footprints.keys() - self._actors.keys():
             del self._footprints[key]
+
+    def _trajectory(self, actor: VehicleActor) -> list[Place]:
+        """Where it will be if it follows its trajectory; empty: it follows none, or that stands."""
+        controller = actor.offboard.controller
+        flight, frame = controller.flight, controller.frame
+        now = self._loop.time()
+        if flight is None or frame is None or flight.clock.at(now).rate == 0.0:
+            return []
+        steps = round(HORIZON_S / PLAN_STEP_S)
+        return [frame.to_geodetic(*point) for point in flight.ahead(now, PLAN_STEP_S, steps)]
 
     def _settings(self, key: int, actor: VehicleActor) -> tuple[Footprint, int]:
         known = self._footprints.get(key)

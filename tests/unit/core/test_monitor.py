@@ -156,6 +156,52 @@ def test_within_a_tenth_above_the_margin_a_level_stays() -> None:
     assert pair.levels() == ["warning", "none"]
 
 
+def test_two_that_are_sent_to_one_place_are_reported_before_the_first_has_arrived() -> None:
+    first, second = WatchedVehicle(1), WatchedVehicle(2)
+    pair = Watched(first, second)
+    first.destination = second.destination = first.geodetic_of(0.0, 0.0, 20.0)
+    # straight on they would miss each other by 4 m
+    pair.run(6.0, flying((-16.0, 0.0, 20.0), (2.0, 0.0, 0.0)), flying((0.0, -22.0, 20.0), (0.0, 2.0, 0.0)))
+    assert "warning" in pair.levels()
+    alone = Watched(WatchedVehicle(1), WatchedVehicle(2))
+    alone.run(6.0, flying((-16.0, 0.0, 20.0), (2.0, 0.0, 0.0)), flying((0.0, -22.0, 20.0), (0.0, 2.0, 0.0)))
+    assert alone.levels() == []
+
+
+def test_who_is_sent_to_a_place_before_another_is_no_more_than_a_notice() -> None:
+    sent = WatchedVehicle(1)
+    pair = Watched(sent, WatchedVehicle(2))
+    sent.destination = sent.geodetic_of(-3.0, 0.0, 20.0)
+    pair.run(7.0, flying((-20.0, 0.0, 20.0), (2.0, 0.0, 0.0)), standing(0.0, 0.0, 20.0))
+    assert set(pair.levels()) <= {"notice"}
+    sent.destination = sent.geodetic_of(30.0, 0.0, 20.0)
+    pair.run(2.0, flying((-20.0, 0.0, 20.0), (2.0, 0.0, 0.0)), standing(0.0, 0.0, 20.0))
+    assert pair.levels()[-1] in ("warning", "action")
+
+
+def test_who_follows_a_trajectory_is_expected_along_it_while_it_is_on_it() -> None:
+    """It flies at another one and turns away 6 m before."""
+
+    def place(at: float) -> tuple[float, float, float]:
+        return (-20.0 + 2.0 * min(at, 7.0), 2.0 * max(0.0, at - 7.0), 20.0)
+
+    def motion(at: float) -> tuple[Sequence[float], Sequence[float]]:
+        return place(at), (2.0, 0.0, 0.0) if at < 7.0 else (0.0, 2.0, 0.0)
+
+    def fly(off_m: float) -> list[str]:
+        planned = WatchedVehicle(1)
+        pair = Watched(planned, WatchedVehicle(2))
+        for step in range(48):
+            at = step * STEP_S
+            points = [place(at + 0.5 * i) for i in range(21)]
+            planned.trajectory = [planned.geodetic_of(x, y - off_m, z) for x, y, z in points]
+            pair.run(STEP_S, motion, standing(0.0, 0.0, 20.0))
+        return pair.levels()
+
+    assert fly(0.0) == []
+    assert "warning" in fly(8.0), "it does not follow that one"
+
+
 # --- silence ----------------------------------------------------------------------------------------------------------
 
 

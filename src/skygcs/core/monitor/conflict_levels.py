@@ -99,8 +99,7 @@ def rank(a: Track, b: Track, widened: float = 1.0) -> tuple[float, float] | None
     """(time until the margin is lost, closest distance) of what may be a conflict, for a choice among many: a part of
     `find_conflict`, which may find none after all. None: there is none."""
     if a.has_goal or b.has_goal:
-        conflict = find_conflict(a, b, widened)
-        return None if conflict is None else (conflict.enters_s, conflict.closest_m)
+        return _rank_with_goals(a, b, widened)
     # as pair_margin, without making one
     p, q, r, s = a.place_m, b.place_m, a.footprint, b.footprint
     ratio = max(r.downwash_ratio, s.downwash_ratio)
@@ -108,6 +107,19 @@ def rank(a: Track, b: Track, widened: float = 1.0) -> tuple[float, float] | None
     offset = (q[0] - p[0], q[1] - p[1], (q[2] - p[2]) / ratio)
     velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
     approach = closest_approach(offset, velocity, margin_m * widened + a.ball_m + b.ball_m, HORIZON_S)
+    return None if approach.enters_s == math.inf else (approach.enters_s, approach.separation_m)
+
+
+def _rank_with_goals(a: Track, b: Track, widened: float) -> tuple[float, float] | None:
+    margin = pair_margin(a.footprint, b.footprint)
+    ratio, p, q = margin.downwash_ratio, a.place_m, b.place_m
+    radius_m = margin.total_m * widened + a.ball_m + b.ball_m
+    offset = scaled((q[0] - p[0], q[1] - p[1], q[2] - p[2]), ratio)
+    paths = scaled_pieces(a.path, ratio), scaled_pieces(b.path, ratio)
+    approach = closest_on_paths(offset, *paths, radius_m, HORIZON_S)
+    if approach.enters_s == math.inf and not (a.planned or b.planned):
+        velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
+        approach = closest_approach(offset, velocity, radius_m, HORIZON_S)
     return None if approach.enters_s == math.inf else (approach.enters_s, approach.separation_m)
 
 
@@ -122,7 +134,10 @@ def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
     velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
     approach = closest_approach(offset, velocity, radius_m, HORIZON_S)
     if a.has_goal or b.has_goal:
-        return _with_goals(a, b, offset, margin, certain_m) or _overshoot(a, b, approach, offset, margin)
+        conflict = _with_goals(a, b, offset, margin, certain_m)
+        if conflict is None and not (a.planned or b.planned):  # who follows a trajectory does not fly straight on
+            conflict = _overshoot(a, b, approach, offset, margin)
+        return conflict
     if math.isinf(approach.enters_s):
         return None
     difference_s = abs(a.at - b.at)

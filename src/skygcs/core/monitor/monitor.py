@@ -326,10 +326,10 @@ def _box(track: Track, ratio: float) -> _Box:
     x, y, z = track.place_m
     u, v, w = track.velocity_mps
     ends = [(x + u * HORIZON_S, y + v * HORIZON_S, z + w * HORIZON_S)]
-    if track.has_goal:
-        duration_s, (u, v, w) = track.path[0]
-        duration_s = min(duration_s, HORIZON_S)
-        ends.append((x + u * duration_s, y + v * duration_s, z + w * duration_s))
+    if track.planned:
+        ends = list(_points(track))
+    elif track.has_goal:
+        ends += _points(track)
     return _Box(
         min(x, *(end[0] for end in ends)) - reach_m,
         max(x, *(end[0] for end in ends)) + reach_m,
@@ -339,6 +339,18 @@ def _box(track: Track, ratio: float) -> _Box:
         max(z, *(end[2] for end in ends)) + reach_m * ratio,
         track,
     )
+
+
+def _points(track: Track) -> Iterator[tuple[float, float, float]]:
+    """The ends of the pieces of its path, within the horizon."""
+    x, y, z = track.place_m
+    left_s = HORIZON_S
+    for piece in track.path:
+        duration_s = min(piece.duration_s, left_s)
+        u, v, w = piece.velocity_mps
+        x, y, z = x + u * duration_s, y + v * duration_s, z + w * duration_s
+        left_s -= duration_s
+        yield x, y, z
 
 
 def _overlap(a: _Box, b: _Box) -> bool:

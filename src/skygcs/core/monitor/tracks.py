@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from statistics import median_low
 from typing import NamedTuple
@@ -46,6 +46,12 @@ TOWARDS = math.cos(math.radians(20.0))
 
 LEAST_SPEED_MPS = 0.5
 """... and is no drift."""
+
+PLAN_STEP_S = 0.5
+"""Between the points of a trajectory that are looked at: a curve of 3 m/s² bows by 0.1 m between them."""
+
+OFF_PLAN_M = 2.0
+"""A vehicle farther than this from its trajectory is not seen to follow it."""
 
 Place = tuple[float, float, float]
 """lat_deg, lon_deg, alt_amsl_m."""
@@ -84,7 +90,9 @@ class Track:
     path: tuple[Piece, ...] = ()
     """How it will fly from there: straight on, or to where it was sent."""
     has_goal: bool = False
-    """The path ends where skygcs has sent it."""
+    """The path ends where skygcs has sent it, or is its trajectory."""
+    planned: bool = False
+    """The path is its trajectory."""
 
     @property
     def key(self) -> int:
@@ -120,6 +128,8 @@ class Member(NamedTuple):
     priority: int
     destination: Place | None = None
     """Where skygcs has sent it, if it is on its way there."""
+    trajectory: Sequence[Place] = ()
+    """Where it will be now and every `PLAN_STEP_S` from now on, if it follows a trajectory."""
 
 
 class TrackTable:
@@ -138,7 +148,7 @@ class TrackTable:
         """Read every vehicle and place it; yields after each, so that nobody waits for all of them. Complete only when
         it has ended."""
         tracks: dict[int, Track] = {}
-        destinations: dict[int, Place] = {}
+        wanted: dict[int, Member] = {}
         unwatched: dict[int, tuple[str, str, bool]] = {}
         for member in members:
             vehicle = member.vehicle
@@ -149,15 +159,14 @@ class TrackTable:
             why = _read(track, now)
             if why is None:
                 tracks[vehicle.key] = track
-                if member.destination is not None:
-                    destinations[vehicle.key] = member.destination
+                wanted[vehicle.key] = member
             else:
                 unwatched[vehicle.key] = (vehicle.name, why, is_flying(vehicle, now))
             yield
-        yield from self._place(tracks, destinations, now)
+        yield from self._place(tracks, wanted, now)
         self.tracks, self.unwatched = tracks, unwatched
 
-    def _place(self, tracks: dict[int, Track], destinations: dict[int, Place], now: float) -> Iterator[None]:
+    def _place(self, tracks: dict[int, Track], wanted: dict[int, Member], now: float) -> Iterator[None]:
         """Carry every position on to ``now``, in a frame about the middle of all."""
         if not tracks:
             self.frame = None
@@ -167,8 +176,14 @@ class TrackTable:
         self.frame = frame = EnuFrame(Origin(lat_deg, lon_deg, 0.0))
         for key, track in tracks.items():
             carry_on(track, frame.from_ecef(track.ecef_m), now)
-            goal = destinations.get(key)
-            track.path, track.has_goal = path_of(track, None if goal is None else frame.from_geodetic(*goal))
+            member = wanted[key]
+            points = [frame.from_geodetic(*place) for place in member.trajectory]
+            track.planned = follows(track, points)
+            if track.planned:
+                track.path, track.has_goal = planned_path(track, points), True
+            else:
+                goal = None if member.destination is None else frame.from_geodetic(*member.destination)
+                track.path, track.has_goal = path_of(track, goal)
             yield
 
 
@@ -199,6 +214,22 @@ def path_of(track: Track, goal_m: Vector | None) -> tuple[tuple[Piece, ...], boo
         return straight_on, False
     share = speed_mps / away_m
     return (Piece(away_m / speed_mps, (way[0] * share, way[1] * share, way[2] * share)),), True
+
+
+def follows(track: Track, points: Sequence[Vector]) -> bool:
+    """Whether it is seen to be on its trajectory, of which these are the points from now on."""
+    return len(points) > 1 and not track.parked and math.dist(track.place_m, points[0]) <= OFF_PLAN_M + track.ball_m
+
+
+def planned_path(track: Track, points: Sequence[Vector]) -> tuple[Piece, ...]:
+    """From where it is onto its trajectory, and along that."""
+    pieces: list[Piece] = []
+    here = track.place_m
+    for there in points[1:]:
+        velocity = tuple((q - p) / PLAN_STEP_S for p, q in zip(here, there, strict=True))
+        pieces.append(Piece(PLAN_STEP_S, (velocity[0], velocity[1], velocity[2])))
+        here = there
+    return tuple(pieces)
 
 
 def is_flying(vehicle: Vehicle, now: float) -> bool:

@@ -150,6 +150,13 @@ class TrajectoryFlight:
             yaw_rate_radps=point.yaw_rate_radps,
         )
 
+    def ahead(self, now: float, step_s: float, steps: int) -> list[Vector]:
+        """Where it shall be now and after each of so many steps, if its clock goes on as fast as it does now."""
+        time = self.clock.at(now)
+        last_s = self.duration_s
+        at_s = (min(time.trajectory_s + i * step_s * time.rate, last_s) for i in range(steps + 1))
+        return [self._to_local(self.loaded.trajectory.at(s).pos_enu_m) for s in at_s]
+
     def over(self, now: float) -> bool:
         """Whether its clock has come to an end: it stands there from now on."""
         return self.clock.at(now).state in OVER

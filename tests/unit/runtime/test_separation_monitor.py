@@ -1,0 +1,137 @@
+"""The task of the monitor: it goes on after a fault, gives others their turn, and is bounded. On both event loops."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from skygcs.config.models import FleetConfig
+from skygcs.core.mavlink.parser import FrameParser
+from skygcs.events import Event
+from skygcs.runtime.fleet import Fleet
+from skygcs.runtime.separation_monitor import SHARE, SeparationMonitor
+from support.vehicles import flight_dialect
+from support.watched_fleet import WatchedVehicle
+
+pytestmark = pytest.mark.looptime
+
+
+class Sky:
+    """A fleet that hears vehicles made of frames."""
+
+    def __init__(self, count: int, mode: str = "acting") -> None:
+        self.loop = asyncio.get_running_loop()
+        self.events: list[Event] = []
+        config = FleetConfig.model_validate({"monitor": {"mode": mode}})
+        self.fleet = Fleet(config, flight_dialect(), self._send, self.loop, self.events.append)
+        self.sent = 0
+        self.vehicles = [Heard(i + 1, self.fleet) for i in range(count)]
+
+    def _send(self, *_: Any, **__: Any) -> bool:
+        self.sent += 1
+        return True
+
+    @property
+    def monitor(self) -> SeparationMonitor:
+        return self.fleet.monitor
+
+
+class Heard(WatchedVehicle):
+    def __init__(self, sysid: int, fleet: Fleet) -> None:
+        super().__init__(sysid)
+        self._fleet = fleet
+        self._hear = FrameParser(self.dialect)
+
+    def send(self, name: str, now: float, **values: Any) -> None:
+        from skygcs.core.mavlink.frame import encode
+
+        self._seq += 1
+        raw = encode(self.dialect.by_name[name], values, sysid=self.vehicle.sysid, compid=1, seq=self._seq & 0xFF)
+        for frame in self._hear.feed_datagram(raw):
+            self._fleet.on_frame(frame.sysid << 8 | frame.compid, frame, "air", now)
+
+
+async def crowd(sky: Sky, seconds: float) -> None:
+    """All of them at one place, in the air."""
+    end = sky.loop.time() + seconds
+    while sky.loop.time() < end:
+        now = sky.loop.time()
+        for i, vehicle in enumerate(sky.vehicles):
+            vehicle.heartbeat(now)
+            vehicle.position(now, (0.01 * i, 0.0, 20.0))
+        await asyncio.sleep(0.5)
+
+
+async def test_a_full_fleet_at_one_place_is_evaluated_in_turns_and_bounded() -> None:
+    sky = Sky(250)
+    await crowd(sky, 0.1)
+    turns = 0
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    busy = asyncio.create_task(other())
+    await sky.monitor.evaluate()
+    busy.cancel()  # before time goes on: while it is never idle, virtual time stands
+    assert turns > 20, "others had their turn many times during one evaluation"
+    watch = asyncio.create_task(sky.monitor.run(), name="monitor")
+    await crowd(sky, 3.0)
+    status = sky.monitor.status()
+    assert status["watched"] == 250 and len(status["conflicts"]) <= 250 * 8
+    assert status["counters"]["pairs_dropped"] > 0
+    assert sky.monitor.took_s / SHARE > 0
+    watch.cancel()
+    sky.fleet.close()
+
+
+async def test_a_fault_is_reported_once_and_the_watch_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    sky = Sky(2)
+    await crowd(sky, 0.5)
+    whole, faults = sky.monitor.monitor.evaluate, 0
+
+    def broken(*_: Any) -> Iterator[None]:
+        nonlocal faults
+        faults += 1
+        raise ZeroDivisionError("of ours")
+
+    monkeypatch.setattr(sky.monitor.monitor, "evaluate", broken)
+    watch = asyncio.create_task(sky.monitor.run())
+    await asyncio.sleep(3.0)
+    assert faults > 5
+    assert [e.text for e in sky.events if e.kind == "fault"] == [
+        "the monitor failed inside skygcs: ZeroDivisionError('of ours')"
+    ]
+    monkeypatch.setattr(sky.monitor.monitor, "evaluate", whole)
+    await crowd(sky, 4.0)
+    assert any(e.kind == "separation" for e in sky.events)
+    watch.cancel()
+    sky.fleet.close()
+
+
+async def test_vehicles_that_are_forgotten_while_they_are_looked_at_leave_nothing_behind() -> None:
+    sky = Sky(20)
+    watch = asyncio.create_task(sky.monitor.run())
+    await crowd(sky, 4.0)
+    assert sky.monitor.status()["conflicts"]
+    sky.fleet.forget("all", force=True)
+    await asyncio.sleep(2.0)
+    assert sky.monitor.monitor.pairs == {} and sky.monitor.status()["watched"] == 0
+    assert not [e for e in sky.events if e.kind == "fault"]
+    watch.cancel()
+    sky.fleet.close()
+
+
+async def test_off_ends_at_once_and_every_order_passes() -> None:
+    sky = Sky(2, "off")
+    await asyncio.wait_for(sky.monitor.run(), 1.0)
+    await crowd(sky, 1.0)
+    vehicle = sky.fleet.find("v1").vehicle
+    assert sky.monitor.goto_refusal(vehicle, (43.78, -79.46, 200.0), frozenset()) is None
+    assert sky.monitor.takeoff_refusal(vehicle, 10.0) is None
+    sky.fleet.close()
