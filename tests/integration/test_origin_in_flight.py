@@ -124,7 +124,7 @@ async def test_a_place_in_a_turned_frame_is_the_right_place_on_earth(tmp_path: P
         )
         goals = {1: [20.0, -15.0, 22.0], 3: [-10.0, 12.0, 19.0]}
         for sysid, goal in goals.items():
-            await gcs.done("vehicles.goto", targets=str(sysid), enu_m=goal)
+            await gcs.done("vehicles.goto", targets=str(sysid), enu_m=goal, force=True)  # past v2
         await asyncio.sleep(40)
         for sysid, goal in goals.items():
             lat, lon, alt = geodetic_from_enu(goal[0], goal[1], goal[2], origin)

@@ -57,13 +57,23 @@ class Piece(NamedTuple):
 
 
 def closest_on_paths(
-    offset_m: Vector, first: Sequence[Piece], second: Sequence[Piece], radius_m: float, horizon_s: float
+    offset_m: Vector,
+    first: Sequence[Piece],
+    second: Sequence[Piece],
+    radius_m: float,
+    horizon_s: float,
+    noise_mps: float = 0.0,
 ) -> Approach:
-    """The same where both fly piece by piece; after its last piece each of them stays where it is."""
+    """The same where both fly piece by piece; after its last piece each of them stays where it is. ``noise_mps``: so
+    much of each relative velocity is not believed."""
     begun_s, least = 0.0, Approach(math.inf, 0.0, math.inf)
     here = offset_m
     for duration_s, a, b in _steps(first, second, horizon_s):
         velocity = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+        if noise_mps > 0.0:
+            speed_mps = math.hypot(*velocity)
+            share = 1.0 - noise_mps / speed_mps if speed_mps > noise_mps else 0.0
+            velocity = (velocity[0] * share, velocity[1] * share, velocity[2] * share)
         part = closest_approach(here, velocity, radius_m, duration_s)
         enters_s = min(least.enters_s, begun_s + part.enters_s)
         if part.separation_m < least.separation_m:

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-from skygcs.core.monitor.approach import Approach, Vector, closest_approach, closest_on_paths
-from skygcs.core.monitor.tracks import Track
+from skygcs.core.monitor.approach import Approach, Piece, Vector, closest_approach, closest_on_paths
+from skygcs.core.monitor.tracks import Track, path_of
 from skygcs.core.monitor.yielding import BRAKE_MPS2, REACT_S, scaled, scaled_pieces
 from skygcs.core.separation import Margin, pair_margin, separation_m
 
@@ -116,7 +116,7 @@ def _rank_with_goals(a: Track, b: Track, widened: float) -> tuple[float, float] 
     radius_m = margin.total_m * widened + a.ball_m + b.ball_m
     offset = scaled((q[0] - p[0], q[1] - p[1], q[2] - p[2]), ratio)
     paths = scaled_pieces(a.path, ratio), scaled_pieces(b.path, ratio)
-    approach = closest_on_paths(offset, *paths, radius_m, HORIZON_S)
+    approach = closest_on_paths(offset, *paths, radius_m, HORIZON_S, NOISE_MPS)
     if approach.enters_s == math.inf and not (a.planned or b.planned):
         velocity = _believed(a.velocity_mps, b.velocity_mps, ratio)
         approach = closest_approach(offset, velocity, radius_m, HORIZON_S)
@@ -157,13 +157,25 @@ def find_conflict(a: Track, b: Track, widened: float = 1.0) -> Conflict | None:
 def _with_goals(a: Track, b: Track, offset: Vector, margin: Margin, certain_m: float) -> Conflict | None:
     """The same where at least one flies to where it was sent, and stays there."""
     ratio = margin.downwash_ratio
+    radius_m = certain_m + a.ball_m + b.ball_m
     paths = scaled_pieces(a.path, ratio), scaled_pieces(b.path, ratio)
-    approach = closest_on_paths(offset, *paths, certain_m + a.ball_m + b.ball_m, HORIZON_S)
+    approach = closest_on_paths(offset, *paths, radius_m, HORIZON_S, NOISE_MPS)
+    if SAME_TIME_S < abs(a.at - b.at) <= OLD_S and not math.isinf(approach.enters_s):
+        at = min(a.at, b.at)
+        earlier = scaled_pieces(_path_at(a, at), ratio), scaled_pieces(_path_at(b, at), ratio)
+        then = closest_on_paths(offset, *earlier, radius_m, HORIZON_S, NOISE_MPS)
+        if then.enters_s > approach.enters_s:
+            approach, paths = then, earlier
     if math.isinf(approach.enters_s):
         return None
-    certain = closest_on_paths(offset, *paths, certain_m, HORIZON_S)
-    soon = closest_on_paths(offset, *paths, certain_m, DEEP_S)
+    certain = closest_on_paths(offset, *paths, certain_m, HORIZON_S, NOISE_MPS)
+    soon = closest_on_paths(offset, *paths, certain_m, DEEP_S, NOISE_MPS)
     return _conflict(a, b, (approach, certain, soon), separation_m(*offset, 1.0), margin, certain_m)
+
+
+def _path_at(track: Track, at: float) -> tuple[Piece, ...]:
+    """Its path with its velocity of an earlier time."""
+    return track.path if track.planned or track.parked else path_of(track, track.velocity_at(at))[0]
 
 
 def _overshoot(a: Track, b: Track, approach: Approach, offset: Vector, margin: Margin) -> Conflict | None:

@@ -30,6 +30,9 @@ AHEAD_S = 3.0
 NEARER_M = 0.2
 """Two that are within their margin already may be sent anywhere that is not nearer by more than this."""
 
+FRESH_S = 1.0
+"""The ball of a vehicle grows from this age on: an order must not depend on when the last position came."""
+
 OLD_S = 2.0
 """A position older than this is named as a reason."""
 
@@ -113,7 +116,7 @@ def _conflict(mover: Mover, frame: EnuFrame, path: _Path, others: Iterable[Other
         margin = pair_margin(mover.footprint, track.footprint)
         ratio = margin.downwash_ratio
         age_s = 0.0 if track.parked else max(0.0, now - track.at)
-        radius_m = margin.total_m + (0.0 if track.parked else track.footprint.ball_m(age_s))
+        radius_m = margin.total_m + track.footprint.ball_m(max(0.0, age_s - FRESH_S))
         # too far away to be reached by either of them
         theirs_m = 0.0 if track.parked else math.hypot(*track.reported_mps) * (path.duration_s + path.ahead_s + age_s)
         away_m = math.dist(here_m, track.ecef_m)

@@ -89,6 +89,8 @@ class Track:
     """Zero while it is parked."""
     path: tuple[Piece, ...] = ()
     """How it will fly from there: straight on, or to where it was sent."""
+    goal_m: Vector | None = None
+    """Where skygcs has sent it, in the common frame."""
     has_goal: bool = False
     """The path ends where skygcs has sent it, or is its trajectory."""
     planned: bool = False
@@ -182,8 +184,8 @@ class TrackTable:
             if track.planned:
                 track.path, track.has_goal = planned_path(track, points), True
             else:
-                goal = None if member.destination is None else frame.from_geodetic(*member.destination)
-                track.path, track.has_goal = path_of(track, goal)
+                track.goal_m = None if member.destination is None else frame.from_geodetic(*member.destination)
+                track.path, track.has_goal = path_of(track, track.velocity_mps)
             yield
 
 
@@ -200,13 +202,14 @@ def carry_on(track: Track, reported_m: Vector, now: float) -> None:
     track.velocity_mps = track.reported_mps
 
 
-def path_of(track: Track, goal_m: Vector | None) -> tuple[tuple[Piece, ...], bool]:
-    """How it will fly, and whether that ends at its goal (in the common frame): only if it is seen to fly there."""
-    straight_on = (Piece(math.inf, track.velocity_mps),)
-    speed_mps = math.hypot(*track.velocity_mps)
+def path_of(track: Track, velocity: Vector) -> tuple[tuple[Piece, ...], bool]:
+    """How it will fly if this is its velocity, and whether that ends at its goal: only if it is seen to fly there."""
+    goal_m = track.goal_m
+    straight_on = (Piece(math.inf, velocity),)
+    speed_mps = math.hypot(*velocity)
     if goal_m is None or speed_mps < LEAST_SPEED_MPS:
         return straight_on, False
-    here, velocity = track.place_m, track.velocity_mps
+    here = track.place_m
     way = (goal_m[0] - here[0], goal_m[1] - here[1], goal_m[2] - here[2])
     away_m = math.hypot(*way)
     along = sum(w * v for w, v in zip(way, velocity, strict=True))
