@@ -186,6 +186,10 @@ class OffboardEngagement:
                 self.release(SUPERSEDED)
             turn = self._next_turn()
             if self.controller.state is OffboardState.FLYING:
+                law = self.controller.config.law
+                hover_thrust = self._config_now().law.hover_thrust  # position and velocity were begun without it
+                if hover_thrust != law.hover_thrust:
+                    self.controller.change_law(replace(law, hover_thrust=hover_thrust))
                 self._check_gains(control_mode, force=force)
                 return await self._change(control_mode, turn)
             # faster position, then the stream
@@ -386,8 +390,9 @@ class OffboardEngagement:
 
     def _limit_delay(self) -> None:
         """Have attitude flown with no more delay than the gains bear, on the vehicle's own hover thrust and at the rate
-        that the link leaves."""
-        bears_s = None if self._gains_forced else _bearable_delay_s(self._law_in_use())
+        that the link leaves. Raw flight has a controller of its own."""
+        law_counts = not self._gains_forced and self.controller.wanted is not ControlMode.RAW
+        bears_s = _bearable_delay_s(self._law_in_use()) if law_counts else None
         limit_s = self._attitude_delay_s if bears_s is None else min(self._attitude_delay_s, bears_s)
         self.controller.limit_attitude_delay(max(limit_s, SHORTEST_DELAY_S))
 
@@ -483,7 +488,23 @@ class OffboardEngagement:
     def _begin(self, control_mode: ControlMode, *, force: bool) -> None:
         """Start the stream of setpoints. Raises RefusedError if the vehicle's own hover thrust cannot be right, or the
         gains do not bear the delay with it."""
-        # the control law, with gains that were changed before
+        self.controller.config = self._config_now()
+        self.refresh_budget()
+        self._check_gains(control_mode, force=force)
+        # the fence, the controller, its clock and its trace
+        origin = self._vehicle.origin
+        assert origin is not None
+        self._fence = _shared(self._settings.fence_at(origin))
+        self.controller.engage(control_mode, self._fence)
+        self._limit_delay()
+        if self._vehicle.family == "ardupilot" and self._vehicle.telemetry("ekf_origin") is None:
+            self._tasks.start(self._ask_origin(), "estimator origin")
+        self.clock.start()
+        self._trace.begin()
+
+    def _config_now(self) -> OffboardConfig:
+        """The control law with gains that were changed before, and the vehicle's own hover thrust unless one is set.
+        Raises RefusedError if that cannot be right."""
         hover_thrust = offboard_entry.reported_hover_thrust(self._vehicle)
         try:
             config = _offboard_config(self._settings, hover_thrust)
@@ -497,18 +518,7 @@ class OffboardEngagement:
             raise RefusedError(
                 f"it says its hover thrust is {hover_thrust:g}, and {why}; give hover_thrust in the fleet file"
             ) from None
-        self.controller.config = config
-        self.refresh_budget()
-        self._check_gains(control_mode, force=force)
-        # the fence, the controller, its clock and its trace
-        origin = self._vehicle.origin
-        assert origin is not None
-        self._fence = _shared(self._settings.fence_at(origin))
-        self.controller.engage(control_mode, self._fence)
-        if self._vehicle.family == "ardupilot" and self._vehicle.telemetry("ekf_origin") is None:
-            self._tasks.start(self._ask_origin(), "estimator origin")
-        self.clock.start()
-        self._trace.begin()
+        return config
 
     async def _enter(self, control_mode: ControlMode, turn: int, back_to: int) -> Outcome:
         """Stream, measure, change the vehicle's mode and verify it."""
@@ -540,6 +550,7 @@ class OffboardEngagement:
             if (ended := await self._settle(control_mode, turn, PAUSE_S)) is not None:
                 return ended
             self.controller.want(control_mode)
+        self._limit_delay()
         return await self._first_verdict(control_mode)
 
     async def _settle(self, control_mode: ControlMode, turn: int, least_s: float) -> Outcome | None:

@@ -311,6 +311,18 @@ async def test_gains_that_bear_no_link_on_this_vehicle_are_refused_at_entry_unle
         assert f.offboard.controller.config.guard.attitude_delay_s == 0.1
 
 
+async def test_the_vehicles_hover_thrust_counts_for_attitude_after_position(tmp_path: Path) -> None:
+    async with field(tmp_path) as f:
+        assert (await f.offboard.engage(ControlMode.POSITION)).ok
+        assert f.offboard.gains()["hover_thrust"] == 0.45, "it was not asked"
+        f.hover_thrust = 0.3
+        assert (await f.offboard.engage(ControlMode.ATTITUDE)).ok
+        assert f.offboard.gains()["hover_thrust"] == pytest.approx(0.3)
+        assert f.offboard.controller.config.guard.attitude_delay_s < 0.07
+        assert (await f.offboard.engage(ControlMode.RAW)).ok
+        assert f.offboard.controller.config.guard.attitude_delay_s == 0.1, "its controller is not this law"
+
+
 async def test_gains_that_somebody_insisted_on_are_flown_with_the_delay_that_is_set(tmp_path: Path) -> None:
     async with field(tmp_path) as f:
         stiff = {"z": {"vel_p": 1.5}}
