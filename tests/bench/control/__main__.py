@@ -1,6 +1,6 @@
 """`make bench-control`: what flight control does and what it costs. Tables on stdout, all in build/bench/control.json.
 
-python -m bench.control [--only steps|moving|fleet|hundred] [--profile] [--realtime]
+python -m bench.control [--only steps|moving|fleet|hundred] [--write-docs] [--profile] [--realtime]
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from bench.control.docs_tables import differences, write_tables
 from bench.control.figures import Section, virtual_sections
 from bench.control.fleet import ROOT, Load, carry
 from bench.control.fleet_report import fleet_section
@@ -25,6 +26,7 @@ LOADS = (Load(10, 50.0, 0.1), Load(50, 20.0, 0.5))
 what fifty cost."""
 HUNDRED = Load(100, 50.0, 0.1, stand_ins=True)
 OUT = ROOT / "build" / "bench"
+DOCS = ROOT / "docs" / "explanation" / "control-figures.md"
 WHAT = (
     "steps, moving: virtual time; fleet: processes and sockets; hundred: that with 100 vehicles that are not simulated"
 )
@@ -33,6 +35,7 @@ WHAT = (
 def main() -> int:
     parser = argparse.ArgumentParser(prog="bench.control", description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=("steps", "moving", "fleet", "hundred"), help=WHAT)
+    parser.add_argument("--write-docs", action="store_true", help="put the tables of moving references into the docs")
     parser.add_argument("--profile", action="store_true", help="the daemon under cProfile, which makes it slower")
     parser.add_argument("--realtime", action="store_true", help="daemon and simulator before all others; needs root")
     options = parser.parse_args()
@@ -44,8 +47,15 @@ def main() -> int:
         for section in virtual_sections():
             _show(section, told, missed)
     if options.only in (None, "moving"):
+        moving = []
         for section in moving_sections():
             _show(section, told, missed)
+            moving.append(section)
+        if options.write_docs:
+            write_tables(DOCS, moving)
+        else:
+            for note in differences(DOCS, moving):
+                print(f"  docs: {note}")
     loads = {None: (*LOADS, HUNDRED), "steps": (), "moving": (), "fleet": LOADS, "hundred": (HUNDRED,)}[options.only]
     for load in loads:
         profile = OUT / f"control-profile-{load.vehicles}.txt" if options.profile else None

@@ -91,8 +91,16 @@ def figure_of_eight(t: float) -> Motion:
 
 
 def rounded_square(t: float) -> Motion:
-    """12 m a side at 2 m/s, its corners rounded with 2.5 m: there 1.6 m/s² begin and end at once."""
-    side, radius = 12.0, 2.5
+    """16 m a side at 2 m/s, its corners rounded with 4 m: there 1 m/s² begins and ends at once."""
+    return _square(t, 16.0, 4.0)
+
+
+def sharp_square(t: float) -> Motion:
+    """12 m a side at 2 m/s, its corners rounded with 2.5 m: 1.6 m/s², of the 2.5 that an ArduCopter uses by default."""
+    return _square(t, 12.0, 2.5)
+
+
+def _square(t: float, side: float, radius: float) -> Motion:
     straight, corner = side - 2 * radius, radius * math.pi / 2
     quarter, way = divmod(SPEED_MPS * t, straight + corner)
     if way <= straight:

@@ -59,11 +59,18 @@ class Flown:
 class WiredPilot:
     """A pilot, its vehicle, and the simulated one at the other end of ``delay_s`` (there and back)."""
 
-    def __init__(self, dialect: Dialect, conditions: Conditions, delay_s: float, guard: GuardConfig) -> None:
+    def __init__(
+        self,
+        dialect: Dialect,
+        conditions: Conditions,
+        delay_s: float,
+        guard: GuardConfig,
+        law: ControlConfig | None = None,
+    ) -> None:
         self.now = 0.0
         self.sim = Px4Vehicle(dialect, 1, FIELD, rng=Rng(1), conditions=conditions)
         self.vehicle = Vehicle(1, 1, dialect)
-        self.pilot = OffboardController(self.vehicle, OffboardConfig(ControlConfig(), guard))
+        self.pilot = OffboardController(self.vehicle, OffboardConfig(law or ControlConfig(), guard))
         self.events: list[str] = []
         self._dialect = dialect
         self._one_way_s = delay_s / 2
