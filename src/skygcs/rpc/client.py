@@ -27,7 +27,7 @@ import socket
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Literal, Self, cast
 
 from skygcs.errors import DaemonForbidden, DaemonUnreachable, RpcError
 from skygcs.rpc.address import client_address, tcp_address
@@ -35,6 +35,8 @@ from skygcs.rpc.address import client_address, tcp_address
 _OnAnswer = Callable[[Any, "RpcError | None"], None]
 Targets = str | int | Sequence[str | int]
 Outcomes = dict[str, dict[str, Any]]
+
+TrajectoryOrder = Literal["start", "pause", "resume", "speed", "abort", "unload"]
 """By vehicle name: ok, result, message, attempts, elapsed_s, status_texts. Orders never raise for a vehicle's "no"."""
 
 
@@ -222,6 +224,25 @@ class Client:
         place: dict[str, Any] = {"lat_deg": lat_deg, "lon_deg": lon_deg, "height_m": height_m, "yaw_deg": yaw_deg}
         place |= {"force": force, "same_place": same_place, "together": together}
         return await self._order("goto", targets, enu_m=None if enu_m is None else list(enu_m), **place)
+
+    async def setpoint(self, targets: Targets, **setpoint: Any) -> Outcomes:
+        """One setpoint of a stream; ``setpoint``: the parameters of control.setpoint."""
+        outcomes: Outcomes = (await self.call("control.setpoint", targets=_plain(targets), **setpoint))["outcomes"]
+        return outcomes
+
+    async def load_trajectory(
+        self, target: str | int, pieces: Sequence[Mapping[str, Any]], *, name: str = "trajectory"
+    ) -> Outcomes:
+        """Keep a trajectory for a vehicle; ``pieces`` as in trajectory.load."""
+        plain = [dict(piece) for piece in pieces]
+        outcomes: Outcomes = (await self.call("trajectory.load", target=target, pieces=plain, name=name))["outcomes"]
+        return outcomes
+
+    async def trajectory(self, order: TrajectoryOrder, targets: Targets, **params: Any) -> Outcomes:
+        """Fly what was loaded; ``params`` of start: after_s or at_s, speed; of speed: speed."""
+        answer = await self.call(f"trajectory.{order}", targets=_plain(targets), **params)
+        outcomes: Outcomes = answer["outcomes"]
+        return outcomes
 
     async def reboot(self, targets: Targets, *, force: bool = False) -> Outcomes:
         """``force``: although it is armed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import pytest
 
 from skygcs.cli.control import track_reasons
 from skygcs.core.trajectory import Trajectory
+from skygcs.rpc.client import connect
 from support.controlled import FLYING, Commanded, commanded
 from support.fake_daemon import FakeOutcome, FakeVehicle
 
@@ -162,3 +164,18 @@ def test_status_says_what_is_loaded_and_flown(fleet: Commanded) -> None:
 def test_track_shows_the_trajectory() -> None:
     trajectory = {"name": "leg", "state": "paused", "trajectory_s": 3.25, "duration_s": 12.0}
     assert track_reasons({"control": {**FLYING, "trajectory": trajectory}}) == "trajectory leg paused, 3.2 of 12.0 s"
+
+
+def test_the_python_client_asks_the_same(fleet: Commanded) -> None:
+    async def ask() -> None:
+        async with connect(str(fleet.socket)) as gcs:
+            piece = {"duration_s": 2.0, "x": [0.0, 1.0], "y": [0.0], "up": [5.0]}
+            assert (await gcs.load_trajectory("alpha", [piece], name="line"))["alpha"]["ok"]
+            assert (await gcs.trajectory("start", "alpha", at_s=9.0, speed=2.0))["alpha"]["ok"]
+            assert (await gcs.trajectory("speed", ["alpha", "bravo"], speed=0.5))["bravo"]["ok"]
+            assert (await gcs.setpoint("alpha", acc_enu_mps2=[0.0, 0.0, 0.1]))["alpha"]["ok"]
+
+    asyncio.run(ask())
+    assert fake(fleet).loaded["alpha"][1] == "line"
+    assert fake(fleet).asked == [("start", ["alpha"], 9.0, 2.0), ("speed", ["alpha", "bravo"], 0.5)]
+    assert fleet.vehicles["alpha"].setpoints == [{"acc_enu_mps2": [0.0, 0.0, 0.1], "valid_s": 0.5}]

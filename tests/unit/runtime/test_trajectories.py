@@ -1,0 +1,85 @@
+"""Loaded trajectories: what is kept, how much, and what happens while bounds are computed in a thread."""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any, cast
+
+from skygcs.core.trajectory import Piece, Trajectory
+from skygcs.runtime import trajectories
+from skygcs.runtime.trajectories import LARGE_PIECES, MAX_PIECES, Trajectories
+from skygcs.runtime.vehicle_actor import VehicleActor
+
+
+class Fake(SimpleNamespace):
+    """A key of a dict, as an actor is."""
+
+    __hash__ = object.__hash__  # type: ignore[assignment]
+
+
+def actor(name: str) -> VehicleActor:
+    made = Fake(
+        name=name,
+        sysid=1,
+        vehicle=SimpleNamespace(replayed=False),
+        offboard=SimpleNamespace(controller=SimpleNamespace(flight=None)),
+    )
+    return cast(VehicleActor, made)
+
+
+def line(pieces: int) -> Trajectory:
+    return Trajectory([Piece(1.0, (float(i), 1.0), (0.0,), (5.0,)) for i in range(pieces)])
+
+
+def keeping(*actors: VehicleActor) -> Trajectories:
+    return Trajectories(lambda: actors, asyncio.get_running_loop(), lambda event: None)
+
+
+async def test_a_large_one_leaves_the_loop_to_the_ticks_and_is_refused_if_it_flies_by_then() -> None:
+    alpha = actor("alpha")
+    kept = keeping(alpha)
+    loading = asyncio.create_task(kept.load(alpha, line(300), "long"))
+    await asyncio.sleep(0)
+    assert not loading.done() and LARGE_PIECES < 300
+    cast(Any, alpha.offboard.controller).flight = object()
+    outcome = await loading
+    assert not outcome.ok and "it follows a trajectory" in outcome.message
+    cast(Any, alpha.offboard.controller).flight = None
+    assert (await kept.load(alpha, line(300), "long")).ok
+
+
+async def test_what_all_keep_together_is_bounded(monkeypatch: Any) -> None:
+    monkeypatch.setattr(trajectories, "MAX_ALL_PIECES", 5)
+    alpha, bravo, gone = actor("alpha"), actor("bravo"), actor("gone")
+    kept = keeping(alpha, bravo)
+    assert (await kept.load(alpha, line(3), "a")).ok
+    assert not (await kept.load(bravo, line(3), "b")).ok
+    assert (await kept.load(alpha, line(2), "a")).ok, "it takes the place of its own"
+    assert (await kept.load(bravo, line(3), "b")).ok
+    assert not (await kept.load(gone, line(1), "c")).ok
+    outcome = await kept.load(bravo, line(MAX_PIECES + 1), "b")
+    assert not outcome.ok and str(MAX_PIECES) in outcome.message
+
+
+async def test_a_vehicle_that_was_forgotten_keeps_nothing() -> None:
+    alpha = actor("alpha")
+    there = [alpha]
+    kept = Trajectories(lambda: there, asyncio.get_running_loop(), lambda event: None)
+    assert (await kept.load(alpha, line(2), "a")).ok and len(kept.status([alpha])) == 1
+    there.clear()
+    kept.tick(0.0)
+    assert kept.status([alpha]) == []
+    assert not kept.unload([alpha])["alpha"].ok
+
+
+async def test_a_start_in_the_past_or_never_starts_nothing() -> None:
+    alpha = actor("alpha")
+    kept = keeping(alpha)
+    await kept.load(alpha, line(2), "a")
+    cast(Any, alpha.offboard).trajectory_refusal = lambda loaded, factor: None
+    cast(Any, alpha.offboard).trajectory_limits = lambda: SimpleNamespace(brake_mps2=1.0)
+    now = asyncio.get_running_loop().time()
+    for at_s in (now - 1.0, now + 1e6, float("inf"), float("nan")):
+        outcome = kept.start([alpha], at_s, 1.0)["alpha"]
+        assert not outcome.ok and "the start is" in outcome.message
