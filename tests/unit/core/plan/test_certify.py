@@ -103,6 +103,14 @@ def test_all_pairs_that_are_too_close_in_a_phase_are_named() -> None:
     assert [approach.vehicles for approach in certificate.too_close] == [("v0", "v1"), ("v1", "v2"), ("v2", "v3")]
 
 
+def test_no_leg_may_pass_a_standing_vehicle() -> None:
+    space = FlightSpace(standing={"p": (10.0, 2.0, 10.0), "q": (11.0, 2.0, 10.0)})
+    plan = PhasedPlan({"a": (0.0, 0.0, 10.0)}, (Phase("cross", {"a": (20.0, 0.0, 10.0)}),))
+    certificate = certify(plan, RULE, space)
+    assert [approach.vehicles for approach in certificate.too_close] == [("a", "p"), ("a", "q")]
+    assert certify(plan, MarginRule(fixed_m=1.9), space).certified  # the two that stand are not compared
+
+
 def test_a_vehicle_that_takes_part_cannot_stand() -> None:
     plan = TimedPlan({"a": hover((0.0, 0.0, 10.0), 1.0)})
     with pytest.raises(RefusedError, match="a takes part"):
