@@ -213,7 +213,7 @@ async def test_a_message_for_somebody_is_not_sent_to_everybody_unless_that_is_sa
             daemon.message_sender.send("MANUAL_CONTROL", {"x": 1})
         with pytest.raises(RefusedError, match="not both"):
             daemon.message_sender.send("COMMAND_LONG", {"command": 400}, "7", "radio")
-        with pytest.raises(RefusedError, match="another target"):
+        with pytest.raises(RefusedError, match="the target 8 differ"):
             daemon.message_sender.send("COMMAND_LONG", {"command": 512, "target_system": 7}, "8")
         await asyncio.sleep(0.05)
         assert sent_to(daemon, "radio", "COMMAND_LONG") == sent_to(daemon, "other", "COMMAND_LONG") == []
