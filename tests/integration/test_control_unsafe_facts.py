@@ -85,17 +85,17 @@ async def test_gps_is_lost(tmp_path: Path, kind: dict[str, int], mode: str) -> N
 @KINDS
 @pytest.mark.parametrize("mode", ["attitude", "velocity"])
 async def test_a_stream_of_velocities_flies_at_the_wall(tmp_path: Path, kind: dict[str, int], mode: str) -> None:
-    """Ten metres to the wall at 3 m/s; what it takes to stop depends on the autopilot."""
-    async with flown(tmp_path, control={"fence": {"x_m": [-10.0, 10.0], "y_m": [-10.0, 10.0]}}, **kind) as gcs:
+    """Twenty metres to the wall at 3 m/s: setpoints that would carry it out are refused, and it stops before it."""
+    async with flown(tmp_path, control={"fence": {"x_m": [-20.0, 20.0], "y_m": [-20.0, 20.0]}}, **kind) as gcs:
         await gcs.fly(mode)
         began, refused = gcs.now, ""
         while gcs.now < began + 12.0:
             outcome = await gcs.outcome("control.setpoint", vel_enu_mps=[3.0, 0.0, None], pos_enu_m=[None, None, 10.0])
             refused = refused or ("" if outcome["ok"] else outcome["message"])
             await asyncio.sleep(0.05)
-        assert "it is held: the vehicle is at x 10." in refused and "limit -10..10 m" in refused
-        await held_once(gcs, began, latest_s=0.1, within_m=15.0, why="the vehicle is at x 10.")
-        assert 10.0 < max(t.pos_m[0] for t in gcs.truth[1]) < 14.0
+        assert "with this velocity" in refused and "the vehicle is at x " in refused, refused
+        assert 5.0 < max(t.pos_m[0] for t in gcs.truth[1]) < 20.0
+        assert gcs.control()["state"] == "flying"
 
 
 @KINDS

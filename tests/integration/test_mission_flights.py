@@ -221,7 +221,7 @@ async def test_each_firmware_gets_what_it_takes_and_the_outcome_says_what_was_ch
     )
     async with on_the_ground(tmp_path) as gcs:
         outcome = (await gcs("missions.upload", targets="v1", plan=text))["outcomes"]["v1"]
-        assert outcome["ok"] and "4 mission items taken; mission item 4: the place of" in outcome["message"]
+        assert outcome["ok"] and "4 mission items taken; mission item 4: the position of" in outcome["message"]
         outcome = (await gcs("missions.upload", targets="v2", plan=text))["outcomes"]["v2"]
         assert outcome["ok"] and "3 mission items taken; mission item 2: SET_CAMERA_MODE" in outcome["message"]
         assert [item.command for item in gcs.sim("v2").lists.mission] == [22, 16, 20]
