@@ -29,11 +29,9 @@ from skygcs.core.geo import EnuFrame
 from skygcs.core.mavlink.frame import Frame
 from skygcs.core.protocols.command import Outcome
 from skygcs.core.radio_link.capacity import FRAME_BYTES
-from skygcs.core.radio_link.stream_rates import POSITION, intended_rate
 from skygcs.core.radio_link.transmit_queue import Priority
 from skygcs.core.trajectory import TrajectoryClock
 from skygcs.core.vehicle import offboard_entry, orders
-from skygcs.core.vehicle.estimator_origin import ORIGIN_MESSAGE
 from skygcs.core.vehicle.geodetic_position import GeodeticPosition, Setpoint
 from skygcs.core.vehicle.offboard_controller import OffboardConfig, OffboardController, OffboardState
 from skygcs.core.vehicle.offboard_tick import Tick
@@ -49,6 +47,7 @@ from skygcs.errors import ConfigError, RefusedError
 from skygcs.events import Event
 from skygcs.runtime.command_client import SUPERSEDED, CommandClient
 from skygcs.runtime.control_clock import ControlClock
+from skygcs.runtime.control_streams import ControlStreams
 from skygcs.runtime.order_runner import OrderRunner
 from skygcs.runtime.stream_requester import StreamRequester
 from skygcs.runtime.task_set import TaskSet
@@ -77,16 +76,6 @@ PAUSE_S = 1.0
 
 MEASURED_PINGS = 4
 """Pings of the burst in the first second, after which the measured round trip is used."""
-
-RATE_SETTLES_S = 20.0
-"""After the position's rate was restored, its smoothed measure still includes the time before for so long."""
-
-POSITION_HZ = {ControlMode.RAW: 50.0, ControlMode.ATTITUDE: 50.0, ControlMode.VELOCITY: 10.0}
-"""GLOBAL_POSITION_INT asked for: the age of the state is half a period of it on average. Position setpoints need none:
-the autopilot closes the loop, the nav profile's 2 Hz stay."""
-
-ATTITUDE_AIDS_HZ = {"ATTITUDE": 10.0, "VFR_HUD": 5.0}
-"""Requested while attitude is wanted: tilt and throttle, from which the law's integral begins (`steady_thrust`)."""
 
 LATE_ENTRY_S = 2.5
 """After a mode was commanded in vain, or given up while the command was on its way, the vehicle may still take it: the
@@ -127,7 +116,6 @@ class OffboardEngagement:
         self._commands = commands
         self._orders = order_runner
         order_runner.before_moving = self.release
-        self._streams = streams
         self._services = services
         self._loop = services.loop
         self._on_event = services.on_event
@@ -136,6 +124,7 @@ class OffboardEngagement:
         """Key in the link's queue: a newer setpoint replaces one that still waits."""
         self._trace = Recording(self.controller, services.log_dir, services.on_event)
         self._tasks = TaskSet(services.loop, services.on_event, vehicle.name, vehicle.sysid)
+        self._streams = ControlStreams(vehicle, config.streams, order_runner, streams, services, self._tasks)
         self._turn = 0
         """Counts beginnings and ends of control: a sequence that began under another number goes no further."""
         self._attitude_delay_s = settings.guard().attitude_delay_s
@@ -146,14 +135,6 @@ class OffboardEngagement:
         self._hover_thrust_set = False
         self._followed_at = -math.inf
         self._frozen = False
-        self._position_hz = config.streams.get(POSITION)
-        self._before_hz = self._position_hz or 0.0
-        """The position's rate before it was raised: an own 5 Hz of PX4, or what a program asked for."""
-        self._raised = False
-        self._restored_at = -math.inf
-        self._stream_rates_hz = config.streams
-        self._aids_before_hz: dict[str, float] = {}
-        """Rates of the messages that are requested for attitude, from before."""
 
     @property
     def flying(self) -> bool:
@@ -194,15 +175,15 @@ class OffboardEngagement:
                 return await self._change(control_mode, turn)
             # faster position, then the stream
             back_to = self._vehicle.custom_mode
-            await self._raise_position_rate(POSITION_HZ.get(control_mode))
+            await self._streams.raise_position_rate(control_mode)
             if self._turn != turn:
                 return _superseded(self._loop.time() - started)
             self._check_entry(self._loop.time())  # what was true before the wait may have changed
             self._begin(control_mode, force=force)
-            self._request_aids(control_mode)
+            self._streams.request_aids(control_mode)
         except RefusedError as error:
             if not self.controller.active:
-                self._streams.want_position(None)
+                self._streams.leave_position_rate()
             return Outcome.refused(str(error))
         # the mode and its verification
         outcome: Outcome | None = None
@@ -498,7 +479,7 @@ class OffboardEngagement:
         self.controller.engage(control_mode, self._fence)
         self._limit_delay()
         if self._vehicle.family == "ardupilot" and self._vehicle.telemetry("ekf_origin") is None:
-            self._tasks.start(self._ask_origin(), "estimator origin")
+            self._streams.request_estimator_origin()
         self.clock.start()
         self._trace.begin()
 
@@ -544,8 +525,8 @@ class OffboardEngagement:
         slower = BY_DELAY.index(control_mode) > BY_DELAY.index(self.controller.wanted)
         if slower:
             self.controller.want(control_mode)
-        await self._raise_position_rate(POSITION_HZ.get(control_mode))
-        self._request_aids(control_mode)
+        await self._streams.raise_position_rate(control_mode)
+        self._streams.request_aids(control_mode)
         if not slower:
             if (ended := await self._settle(control_mode, turn, PAUSE_S)) is not None:
                 return ended
@@ -602,64 +583,6 @@ class OffboardEngagement:
         if following and self._vehicle.armed and self._turn == turn:
             await self._orders.attempt_in_control(lambda now: offboard_entry.leave(self._vehicle, back_to))
 
-    # -- the position's rate
-
-    async def _raise_position_rate(self, rate_hz: float | None) -> None:
-        """Ask for the position this often, unless a radio's plan sees to it; None: as often as it comes."""
-        if self._streams.want_position(rate_hz) or rate_hz is None:
-            return
-        now = self._loop.time()
-        if not self._raised and now - self._restored_at > RATE_SETTLES_S:
-            slot = self._vehicle.slot(POSITION)
-            measured_hz = 0.0 if slot is None else slot.rate_hz
-            self._before_hz = max(intended_rate(measured_hz), self._position_hz or 0.0)
-        self._raised = True
-        await self._request_position(max(rate_hz, self._before_hz))
-
-    def _restore_position_rate(self) -> None:
-        """Ask for the earlier rate again, in the background."""
-        if not self._streams.want_position(None) and self._vehicle.connected and self._raised:
-            self._raised, self._restored_at = False, self._loop.time()
-            self._tasks.start(self._request_position(self._before_hz or None), "position rate")
-
-    async def _ask_origin(self) -> None:
-        """Ask where its estimator has its origin, which moving references need; without it they go without their
-        acceleration."""
-        await self._orders.attempt_in_control(
-            lambda now: orders.request_message(self._vehicle, now, self._services.dialect, ORIGIN_MESSAGE)
-        )
-
-    async def _request_position(self, rate_hz: float | None) -> None:
-        await self._request_rate(POSITION, rate_hz)
-
-    def _request_aids(self, control_mode: ControlMode) -> None:
-        """Have tilt and throttle come faster for attitude, in the background, unless a radio's plan sets the rates."""
-        if control_mode is not ControlMode.ATTITUDE or self._streams.planned:
-            return
-        wanted: dict[str, float] = {}
-        for name, rate_hz in ATTITUDE_AIDS_HZ.items():
-            slot = self._vehicle.slot(name)
-            before_hz = 0.0 if slot is None else slot.rate_hz
-            if name not in self._aids_before_hz and name in self._services.dialect.by_name and before_hz < rate_hz:
-                self._aids_before_hz[name] = max(intended_rate(before_hz), self._stream_rates_hz.get(name, 0.0))
-                wanted[name] = rate_hz
-        if wanted:
-            self._tasks.start(self._request_rates(wanted), "attitude rate")
-
-    def _restore_aids(self) -> None:
-        before, self._aids_before_hz = self._aids_before_hz, {}
-        if before and self._vehicle.connected and not self._streams.planned:
-            self._tasks.start(self._request_rates(before), "attitude rate")
-
-    async def _request_rates(self, rates_hz: Mapping[str, float]) -> None:
-        for name, rate_hz in rates_hz.items():
-            await self._request_rate(name, rate_hz or None)
-
-    async def _request_rate(self, name: str, rate_hz: float | None) -> None:
-        await self._orders.attempt_in_control(
-            lambda now: orders.message_interval(self._vehicle, now, self._services.dialect, name, rate_hz)
-        )
-
     # -- ticks
 
     def _tick(self, now: float) -> None:
@@ -685,8 +608,7 @@ class OffboardEngagement:
             self.clock.stop()
             self._displace()
             self._trace.end()
-            self._restore_position_rate()
-            self._restore_aids()
+            self._streams.restore()
         for event in tick.events:
             self._on_event(event)
         if tick.hold:

@@ -39,7 +39,12 @@ def fleet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Commanded
 
 def test_one_setpoint_is_streamed_and_its_end_reported(fleet: Commanded) -> None:
     text = fleet.run("setpoint", "alpha", "--pos", "1", "-2", "5", "--yaw", "90", "--for", "0.2", "--rate", "50")
-    assert fleet.vehicles["alpha"].setpoints[0] == {"pos_enu_m": [1.0, -2.0, 5.0], "yaw_deg": 90.0, "valid_s": 0.5}
+    assert fleet.vehicles["alpha"].setpoints[0] == {
+        "pos_enu_m": [1.0, -2.0, 5.0],
+        "yaw_deg": 90.0,
+        "valid_s": 0.5,
+        "force": False,
+    }
     assert "setpoints in 0." in text
     assert "alpha stays where it is from 0.5 s after the last setpoint on" in text
 
@@ -47,7 +52,7 @@ def test_one_setpoint_is_streamed_and_its_end_reported(fleet: Commanded) -> None
 def test_axes_may_be_left_to_a_velocity(fleet: Commanded) -> None:
     fleet.run("setpoint", "alpha", "--vel", "-1", "0", "-", "--pos", "-", "-", "10", "--for", "0", "--valid", "1")
     assert fleet.vehicles["alpha"].setpoints == [
-        {"pos_enu_m": [None, None, 10.0], "vel_enu_mps": [-1.0, 0.0, None], "valid_s": 1.0}
+        {"pos_enu_m": [None, None, 10.0], "vel_enu_mps": [-1.0, 0.0, None], "valid_s": 1.0, "force": False}
     ]
 
 
