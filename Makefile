@@ -4,12 +4,16 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor soak fuzz clean format
+.PHONY: demo test test-system test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor soak fuzz clean format
 demo: $(STAMP)
 	$(BIN)/skygcs demo
 
 test: $(STAMP)
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n auto --dist worksteal --ignore tests/system
+
+# Real processes, sockets and ptys in real time: most of it is waiting
+test-system: $(STAMP)
+	$(BIN)/pytest -n auto --dist worksteal tests/system
 
 # MAVSDK (3 over gRPC, and 4), DroneKit, MAVProxy and pymavlink themselves, each in an environment of its own
 test-clients: $(STAMP)
