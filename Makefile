@@ -9,7 +9,7 @@ demo: $(STAMP)
 	$(BIN)/skygcs demo
 
 test: $(STAMP)
-	$(BIN)/pytest -n auto --dist worksteal --ignore tests/system
+	$(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration
 
 # Real processes, sockets and ptys in real time: most of it is waiting
 test-system: $(STAMP)
