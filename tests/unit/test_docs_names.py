@@ -189,7 +189,7 @@ def test_what_a_docstring_names_exists(path: Path) -> None:
 def test_a_name_that_does_not_exist_is_found() -> None:
     assert not exists("core.vehicle.pilot.OffboardConfig")
     assert not exists("core.pacing")
-    assert not exists("Vehicle.worldview")
+    assert not exists("Vehicle.no_such_attribute")
     assert exists("core.radio_link.pacing")
     assert exists("Vehicle.on_frame")
     assert exists("rpc.discover")

@@ -98,7 +98,7 @@ class DelayMeter:
 
     __slots__ = (
         *("_ages_at", "_ages_s", "_last_ping", "_last_pong", "_regular_at", "_sent", "_token", "_trips", "_unanswered"),
-        *("bound_s", "fast", "pings", "rtt_p95_s", "share", "strange"),
+        *("bound_s", "fast", "pings", "rtt_p95_s", "share", "strange", "uplink_s"),
     )
 
     def __init__(self, *, share: float = 0.5) -> None:
@@ -110,6 +110,9 @@ class DelayMeter:
         """Pongs nobody waited for: of another station, twice, too late, or before their ping."""
         self.rtt_p95_s: float | None = None
         """None: not measured yet, or not any more (as of the last tick)."""
+        self.uplink_s: float | None = None
+        """How long a message takes to the vehicle: half of the median round trip, since uplink and downlink cannot be
+        distinguished. For leading a moving reference; the guard judges by `rtt_p95_s`. None without a round trip."""
         self.bound_s = 0.0
         """The round trip takes at least so long, by pings that are not answered (as of the last tick). 0: no news."""
         self._ages_at: deque[float] = deque(maxlen=MAX_TICKS)
@@ -142,7 +145,7 @@ class DelayMeter:
             ages_s.popleft()
         if self._trips and not 0 <= now - self._last_pong <= ROUND_TRIP_VALID_S:
             self._trips.clear()
-            self.rtt_p95_s = None
+            self.rtt_p95_s = self.uplink_s = None
         elif not self.fast and len(self._trips) > ROUND_TRIPS:
             self._keep(ROUND_TRIPS)
         waiting = self._unanswered
@@ -205,12 +208,8 @@ class DelayMeter:
         while len(self._trips) > number:
             self._trips.popleft()
         self.rtt_p95_s = p95(self._trips)
-
-    @property
-    def uplink_s(self) -> float | None:
-        """How long a message takes to the vehicle: half of the median round trip, since up and down cannot be told
-        apart. For leading a moving reference; the guard judges by `rtt_p95_s`. None without a round trip."""
-        return 0.5 * median(islice(reversed(self._trips), ROUND_TRIPS)) if self._trips else None
+        # Every tick reads it several times: a median each time would be sorted anew.
+        self.uplink_s = 0.5 * median(islice(reversed(self._trips), ROUND_TRIPS))
 
     @property
     def recent_rtt_s(self) -> float | None:

@@ -55,7 +55,7 @@ def read_wpl(text: str, source: str) -> MissionPlan:
 
 
 def write_wpl(plan: MissionPlan, kind: MissionType) -> str:
-    """One list of the plan, after home (zeros if there is none: every reader takes the first line for home)."""
+    """One list of the plan, after home (zeros without a home: every reader takes the first line for home)."""
     home = plan.home or PlannedHome(0.0, 0.0, 0.0)
     place = (home.lat_deg, home.lon_deg, home.alt_amsl_m)
     rows = [_row(0, 1, GLOBAL, mav_cmd.NAV_WAYPOINT, (0.0, 0.0, 0.0, 0.0, *place), True)]

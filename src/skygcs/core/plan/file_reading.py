@@ -71,7 +71,7 @@ def vehicle_name(source: str, where: str, name: Any) -> str:
 
 
 def require_vehicles(source: str, count: int) -> None:
-    """Raise PlanFileError if there are none or too many."""
+    """Raise PlanFileError for an empty list or too many."""
     if not count:
         raise PlanFileError(source, "", "it names no vehicle")
     if count > MAX_VEHICLES:

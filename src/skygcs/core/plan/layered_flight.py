@@ -116,7 +116,7 @@ def _conflicts(
 
 
 def _assign(conflicts: _Conflicts, rounds: int) -> tuple[list[int], list[int]] | int:
-    """Layer and round of each vehicle, the most constrained first; or the vehicle for which there is none."""
+    """Layer and round of each vehicle, the most constrained first; or the vehicle that fits into no layer."""
     count = len(conflicts.same_round)
     degree = conflicts.same_round.sum(axis=1)
     free = np.repeat(~conflicts.layer[:, None, :], rounds, axis=1)  # [vehicle, round, layer]

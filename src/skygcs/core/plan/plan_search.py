@@ -63,7 +63,7 @@ class Task:
 
 
 def make_plan(task: Task, rule: MarginRule, limits: MotionLimits, space: FlightSpace | None = None) -> Found:
-    """Search in the order of the table. Raises RefusedError for a task that is none."""
+    """Search in the order of the table. Raises RefusedError for an invalid task."""
     from skygcs.core.plan.straight_flight import assigned
 
     space = space or FlightSpace()

@@ -33,7 +33,7 @@ SLACK = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """What a type of vehicle can follow. Raises TrajectoryError for a limit that is none."""
+    """What a type of vehicle can follow. Raises TrajectoryError for an invalid limit."""
 
     speed_mps: float = 5.0
     """PX4's MPC_XY_CRUISE and ArduCopter's WPNAV_SPEED in their defaults, rounded down."""
@@ -162,7 +162,7 @@ def _square_of_derivative(piece: Piece, order: int) -> tuple[list[float], float,
 
 
 def _largest_rate(trajectory: Trajectory, sign: float) -> Peak:
-    """The largest climb (sign 1) or descent rate (sign -1); 0 if there is none."""
+    """The largest climb (sign 1) or descent rate (sign -1); 0 for a trajectory that never climbs or descends."""
     intervals, slack = [], 0.0
     for number, (piece, begin) in enumerate(zip(trajectory.pieces, trajectory.begins_s, strict=True), 1):
         n = max(len(piece.up) - 1, 1)
