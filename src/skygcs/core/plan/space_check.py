@@ -164,6 +164,7 @@ def _from_fence(corners: Array, points: Array) -> Array:
         nearest = np.minimum(nearest, np.sqrt(((points - begin - part[:, None] * along) ** 2).sum(axis=1)))
         if begin[1] != end[1]:  # crossings of a ray to the east
             above = (begin[1] > points[:, 1]) != (end[1] > points[:, 1])
-            x = begin[0] + (points[:, 1] - begin[1]) * (along[0] / along[1])
-            crossings += above & (points[:, 0] < x)
+            # the side's part below the point, within [0, 1] where it counts: a slope would overflow on a flat side
+            part = np.where(above, points[:, 1] - begin[1], 0.0) / along[1]
+            crossings += above & (points[:, 0] < begin[0] + part * along[0])
     return np.where(crossings % 2 == 1, nearest, -nearest)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bench.plans.random_plans import judge
@@ -160,6 +160,7 @@ def test_walls_are_kept_between_all_samples(space: FlightSpace, what: str | None
     st.lists(st.floats(-8, 8), min_size=4, max_size=4).map(tuple),
     st.lists(st.tuples(st.floats(-15, 15), st.floats(-15, 15)), min_size=3, max_size=7).map(tuple),
 )
+@example((0.0,) * 4, (0.0,) * 4, ((0.0, 0.0), (0.0, 2.225073858507203e-309), (1.0, 0.0)))
 def test_no_sample_is_beyond_a_fence_that_was_kept(east, north, fence) -> None:
     trajectory = Trajectory([Piece(1.0, east, north, (10.0,))])
     kept = not breaches([trajectory], [0.5], FlightSpace(fence=fence))
