@@ -94,7 +94,7 @@ class SeparationMonitor:
         """One evaluation. Others get their turn every `TURN_S` of it."""
         took_s = longest_s = 0.0
         begun = time.thread_time()
-        for _ in self.monitor.evaluate(self._members(), self._loop.time()):
+        for _ in self._work():
             turn_s = time.thread_time() - begun
             if turn_s < TURN_S:
                 continue
@@ -103,12 +103,18 @@ class SeparationMonitor:
             begun = time.thread_time()
         turn_s = time.thread_time() - begun
         self.took_s, self.longest_turn_s = took_s + turn_s, max(longest_s, turn_s)
+
+    def _work(self) -> Iterator[None]:
+        """One evaluation and what comes of it; yields where others may have their turn. Holds come first."""
+        yield from self.monitor.evaluate(self._members(), self._loop.time())
         events, self.monitor.events = self.monitor.events, []
         holds, self.monitor.holds = self.monitor.holds, []
-        for event in events:
-            self._on_event(event)
         for hold in holds:
             self._hold(hold)
+            yield
+        for event in events:
+            self._on_event(event)
+            yield
         for key in self._destinations.keys() - self._actors.keys():
             del self._destinations[key]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import statistics
 import time
 from collections.abc import Iterator
@@ -25,6 +26,8 @@ def cost_rows() -> Iterator[dict[str, Any]]:
 
 def _measure(count: int, layout: str) -> dict[str, Any]:
     fleet = [WatchedVehicle(i + 1) for i in range(count)]
+    gc.collect()
+    gc.freeze()  # as a daemon does when it has started: modules and dialects are no part of a later collection
     monitor = Monitor(acting=False)
     took, longest = [], 0.0
     for n in range(ROUNDS):

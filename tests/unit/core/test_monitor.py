@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 import pytest
 
-from skygcs.core.monitor.conflict_levels import CLEAR_S, Level
-from skygcs.core.monitor.monitor import MAX_CONFLICTS, REHOLD_S, HoldRequest, Monitor
+from skygcs.core.monitor.conflict_levels import CLEAR_S, Level, Pair
+from skygcs.core.monitor.monitor import CONFLICTS_A_TURN, MAX_CONFLICTS, REHOLD_S, HoldRequest, Monitor
 from skygcs.core.monitor.tracks import SILENT_S
 from skygcs.events import Event
 from support.watched_fleet import ACTIVE, CRITICAL, GUIDED, LAND, LOITER, ORIGIN, RTL, STANDBY, WatchedVehicle
@@ -391,6 +391,39 @@ def test_many_at_one_place_are_bounded_and_a_real_conflict_among_them_is_found()
     assert len(fleet.monitor.pairs) <= 100 * MAX_CONFLICTS
     assert fleet.monitor.counters.pairs_dropped > 0
     assert any(set(event.data["vehicles"]) == {"v99", "v100"} for _, event in fleet.events)
+
+
+def test_no_turn_of_an_evaluation_grows_with_the_conflicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    crowd = [WatchedVehicle(i + 1) for i in range(60)]
+    fleet = Watched(*crowd)
+    places = [standing(0.01 * i, 0.0, 20.0) for i in range(60)]
+    done: list[int] = []
+    advance, report = Pair.advance, Monitor._report
+    monkeypatch.setattr(Pair, "advance", lambda *args: done.append(1) or advance(*args))
+    monkeypatch.setattr(Monitor, "_report", lambda *args: done.append(1) or report(*args))
+    fleet.run(2.25, *places)  # from now on every conflict is confirmed and reported in one evaluation
+    done.clear()
+    most = 0
+    for _ in fleet.monitor.evaluate([v.member for v in crowd], fleet.now + 1.0):
+        most, _ = max(most, len(done)), done.clear()
+    assert len(fleet.monitor.pairs) > 200
+    assert 0 < max(most, len(done)) <= 2 * CONFLICTS_A_TURN
+
+
+def test_a_pair_that_gives_way_to_more_urgent_ones_is_not_called_clear() -> None:
+    a, b, crowd = WatchedVehicle(1), WatchedVehicle(2), [WatchedVehicle(10 + i) for i in range(20)]
+    fleet = Watched(a, b, *crowd)
+    apart = [standing(300.0 + 20.0 * i, 0.0, 20.0) for i in range(20)]
+    fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(2.2, 0.0, 20.0), *apart)
+    assert fleet.levels() == ["warning"]
+    among = [standing(0.3 + 0.08 * i, 0.1, 20.0) for i in range(20)]
+    fleet.events.clear()
+    fleet.run(1.0, standing(0.0, 0.0, 20.0), standing(2.2, 0.0, 20.0), *among)
+    about = [event.text for _, event in fleet.events if event.data["vehicles"] == ["v1", "v2"]]
+    assert about == ["v1 and v2 are in conflict still, each of them more urgently with 8 others"]
+    fleet.events.clear()
+    fleet.run(4.0, standing(0.0, 0.0, 20.0), standing(2.2, 0.0, 20.0), *among)
+    assert not [event for _, event in fleet.events if "clear" in event.text]
 
 
 def test_a_vehicle_that_is_forgotten_or_renamed_takes_its_pairs_with_it() -> None:

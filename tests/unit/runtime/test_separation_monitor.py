@@ -90,6 +90,28 @@ async def test_a_full_fleet_at_one_place_is_evaluated_in_turns_and_bounded() -> 
     sky.fleet.close()
 
 
+async def test_the_reports_of_a_crowd_are_published_in_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("skygcs.runtime.separation_monitor.TURN_S", 0.0)
+    sky = Sky(60)
+    turns, at = 0, list[int]()
+
+    async def other() -> None:
+        nonlocal turns
+        while True:
+            turns += 1
+            await asyncio.sleep(0)
+
+    monkeypatch.setattr(sky.monitor, "_on_event", lambda event: at.append(turns))
+    end = sky.loop.time() + 4.0
+    while sky.loop.time() < end and not at:
+        await crowd(sky, 0.4)
+        busy = asyncio.create_task(other())
+        await sky.monitor.evaluate()
+        busy.cancel()
+    assert len(at) > 200 and at[-1] - at[0] > 100, "others had their turn between the events"
+    sky.fleet.close()
+
+
 async def test_a_fault_is_reported_once_and_the_watch_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     sky = Sky(2)
     await crowd(sky, 0.5)
