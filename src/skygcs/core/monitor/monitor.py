@@ -266,7 +266,8 @@ class Monitor:
         del self.pairs[key]
         if pair.level is Level.NONE:
             return
-        text = f"{pair.a.name} and {pair.b.name} are in conflict still, each of them more urgently with {MAX_CONFLICTS} others"
+        names = f"{pair.a.name} and {pair.b.name}"
+        text = f"{names} are in conflict still, each of them more urgently with {MAX_CONFLICTS} others"
         pair.level, pair.conflict = Level.NONE, None
         self.events.append(Event(KIND, pair.b.name, pair.b.vehicle.sysid, text, pair.describe()))
 
