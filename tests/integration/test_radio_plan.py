@@ -238,7 +238,7 @@ async def test_how_many_are_flown_decides_whether_a_further_one_can_be(tmp_path:
         first, *others = [actor.vehicle for actor in air.daemon.fleet.resolve("all")]
 
         def why(count: int) -> str | None:
-            return view.stream_refusal(first, others[:count])
+            return view.stream_refusal(first, lambda: others[:count])
 
         assert why(0) is None and why(2) is None
         assert "leaves 62 B/s to setpoints for it, and 1 Hz of 65 bytes are 65" in (why(3) or "")

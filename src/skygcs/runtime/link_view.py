@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from skygcs.core.mavlink.frame import Frame
@@ -140,7 +140,7 @@ class LinkView:
         links = [self._hub.channels[i].config for i in self._hub.channels_to(vehicle.sysid, vehicle.compid)]
         return why_silent(None if slot is None else slot.frame, links)
 
-    def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
+    def stream_refusal(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> str | None:
         """Why this vehicle's radio cannot carry a stream of setpoints; None if it can."""
         px4 = vehicle.family == "px4"
         least_hz = OFFBOARD_MIN_HZ if px4 else GUIDED_MIN_HZ
@@ -169,7 +169,7 @@ class LinkView:
                 )
         return None
 
-    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
+    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> float:
         """This vehicle's share of the narrowest channel that leads to it; infinite where none is serial or a radio."""
         ids = (vehicle.sysid, vehicle.compid)
         least = math.inf
@@ -186,7 +186,7 @@ class LinkView:
                 setpoints *= SIGNED_SHARE
             others = sum(
                 channel_id in self._hub.channels_to(other.sysid, other.compid)
-                for other in flown
+                for other in flown()
                 if (other.sysid, other.compid) != ids
             )
             least = min(least, setpoints / (others + 1))

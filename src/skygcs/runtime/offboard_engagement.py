@@ -363,7 +363,7 @@ class OffboardEngagement:
         """Update how many attitude setpoints a second the link can carry, and whether pings five times a second beside
         them, which come out of the same share."""
         controller, frame_bytes = self.controller, FRAME_BYTES["SET_ATTITUDE_TARGET"]
-        bytes_per_s = self._services.links.setpoint_bytes_per_s(self._vehicle, self._services.flown())
+        bytes_per_s = self._services.links.setpoint_bytes_per_s(self._vehicle, self._services.flown)
         left = bytes_per_s - PING_BYTES / FAST_PERIOD_S
         controller.fast_pings = left >= controller.config.rate_min_hz * frame_bytes
         controller.attitude_hz_allowed = (left if controller.fast_pings else bytes_per_s) / frame_bytes
@@ -413,7 +413,7 @@ class OffboardEngagement:
 
     def _check_links(self) -> None:
         """Raises RefusedError where its radio cannot carry a stream of setpoints."""
-        refusal = self._services.links.stream_refusal(self._vehicle, self._services.flown())
+        refusal = self._services.links.stream_refusal(self._vehicle, self._services.flown)
         if refusal is not None:
             raise RefusedError(refusal)
 

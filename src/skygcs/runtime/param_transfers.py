@@ -427,7 +427,7 @@ class VehicleParams:
     async def _load_file(self, *, burst: bool, bytes_per_s: float | None) -> Loaded:
         self._file_session = (self._file_session + 16) & 0xFF  # a download may need several attempts
         started, services = self._loop.time(), self._services
-        link = services.links.setpoint_bytes_per_s(self._vehicle, services.flown())
+        link = services.links.setpoint_bytes_per_s(self._vehicle, services.flown)
         protocol = download(self._file_session, burst=burst, bytes_per_s=bytes_per_s, link_bytes_per_s=link)
         self._changed.clear()
         self._file_running = True

@@ -562,7 +562,7 @@ class VehicleActor:
             if uplink.verdict(now, last_frame_at) is not None:
                 self._on_uplink("lost")
         links = self._services.links
-        narrow = math.isfinite(links.setpoint_bytes_per_s(self.vehicle, self._services.flown()))
+        narrow = math.isfinite(links.setpoint_bytes_per_s(self.vehicle, self._services.flown))
         if uplink.due(now, armed=self.vehicle.armed, thin=narrow):
             token = uplink.token()
             if self.commands.transmit("TIMESYNC", {"tc1": 0, "ts1": token}):

@@ -24,11 +24,12 @@ OnEvent = Callable[[Event], None]
 class VehicleLinks(Protocol):
     """The links to a fleet's vehicles (`link_view.LinkView`). ``flown``: all vehicles that are flown by setpoints."""
 
-    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
-        """The rate available for setpoints on the links to this vehicle; infinite if none is slow."""
+    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> float:
+        """The rate available for setpoints on the links to this vehicle; infinite if none is slow. ``flown`` walks the
+        whole fleet: it is called only for a slow link."""
         ...
 
-    def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
+    def stream_refusal(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> str | None:
         """Why its radio cannot carry a stream of setpoints; None if it can."""
         ...
 
@@ -56,10 +57,10 @@ class VehicleLinks(Protocol):
 class WideLinks:
     """Links without limits and without known properties."""
 
-    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> float:
+    def setpoint_bytes_per_s(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> float:
         return math.inf
 
-    def stream_refusal(self, vehicle: Vehicle, flown: Iterable[Vehicle]) -> str | None:
+    def stream_refusal(self, vehicle: Vehicle, flown: Callable[[], Iterable[Vehicle]]) -> str | None:
         return None
 
     def facts(self, key: int, now: float) -> Mapping[str, LinkFacts]:

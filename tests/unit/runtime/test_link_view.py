@@ -68,7 +68,7 @@ class Air:
 
     def rate_hz(self, sysid: int) -> float:
         view = LinkView(self.hub, cast(LinkTable, None), LinkWatch(self.hub))
-        return view.setpoint_bytes_per_s(flown(sysid), self.vehicles) / FRAME_BYTES["SET_ATTITUDE_TARGET"]
+        return view.setpoint_bytes_per_s(flown(sysid), lambda: self.vehicles) / FRAME_BYTES["SET_ATTITUDE_TARGET"]
 
 
 @pytest.mark.parametrize(("count", "rate_hz"), [(1, 28), (2, 14), (3, 9), (9, 3)])
