@@ -4,9 +4,19 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test test-system test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor soak fuzz clean format
+.PHONY: demo test test-system test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web
 demo: $(STAMP)
+	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
+
+# The web page, with Node >= 20 from PATH or fetched into build/
+web: $(STAMP)
+	$(BIN)/python build_page.py
+
+# Wheel and source package, with the built page in both
+dist: $(STAMP)
+	$(BIN)/python build_page.py
+	$(BIN)/python -m build
 
 test: $(STAMP)
 	$(BIN)/pytest -n auto --dist worksteal tests/unit tests/integration
@@ -19,6 +29,11 @@ test-system: $(STAMP)
 test-clients: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m clients.environments
 	$(BIN)/pytest tests/clients -n 8 --dist worksteal
+
+# The page in a real browser: the system's Chromium. Pictures: build/web-screens
+test-web: $(STAMP)
+	$(BIN)/python build_page.py --check
+	$(BIN)/pytest tests/web
 
 # Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
 test-firmware: $(STAMP)
@@ -45,6 +60,10 @@ bench-plans: $(STAMP)
 bench-monitor: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m bench.monitor
 
+bench-web: $(STAMP)
+	$(BIN)/python build_page.py
+	PYTHONPATH=tests $(BIN)/python -m bench.web
+
 soak: $(STAMP)   # SOAK_MINUTES=60 SOAK_VEHICLES=20 SOAK_RATE=2000 SOAK_SEED=1
 	PYTHONPATH=tests $(BIN)/python -m bench.soak
 
@@ -62,4 +81,4 @@ $(STAMP): pyproject.toml hatch_build.py $(wildcard src/skygcs/links/_fast_path*.
 	touch $@
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) src/skygcs/web/static src/skygcs/web/page/node_modules build dist .pytest_cache .mypy_cache .ruff_cache

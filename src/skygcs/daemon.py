@@ -239,6 +239,7 @@ class Daemon:
             "dialect": self.dialect.name,
             "fleet_file": self.source,
             "socket": str(self.socket_path),
+            "operator_timeout_s": own.operator_timeout_s,
             "uptime_s": round(self.now() - self.started_at, 1),
             "vehicles": len(self.fleet.vehicles),
             "faults": self.hub.faults,

@@ -20,6 +20,7 @@ from skygcs.cli.process import (
     serve_until_signal,
     without_collections,
 )
+from skygcs.cli.web import add_web
 from skygcs.errors import SkygcsError
 
 
@@ -50,6 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_demo(commands)
     _add_sim(commands)
     _add_sitl(commands)
+    add_web(commands)
     return parser
 
 

@@ -28,6 +28,7 @@ from skygcs.rpc import dispatch
 from skygcs.rpc.context import Context, JsonObject, Services
 from skygcs.rpc.dispatch import Dispatcher, InvalidParams, LimitExceeded, error_reply, parse
 from skygcs.rpc.models import SubscribeParams
+from skygcs.rpc.operator import RELAY
 from skygcs.rpc.subscriptions import Feeds, Subscription
 
 MAX_SESSIONS = 64
@@ -129,6 +130,7 @@ class Session(asyncio.Protocol):
         self._answered = False
         self._unread_since = 0.0
         self._in_flight = 0
+        self._relays_operator = False
         self._subscriptions: dict[int, Subscription] = {}
         self._next_subscription = 1
         self._deadline: asyncio.TimerHandle | None = None
@@ -204,6 +206,10 @@ class Session(asyncio.Protocol):
             have = ", ".join(map(str, self._subscriptions)) or "none"
             raise InvalidParams(("subscription", f"this client has no subscription {number}; it has: {have}"))
         self._hub.feeds.remove(subscription)
+
+    def relay_operator(self) -> None:
+        """Its requests come from a program on behalf of a person who may have left: they show nobody's presence."""
+        self._relays_operator = True
 
     def close(self) -> None:
         """Close; what was written still goes out, unless the client does not read."""
@@ -362,7 +368,8 @@ class Session(asyncio.Protocol):
             request_id = request.get("id") if isinstance(request, dict) else None
             text = f"{MAX_IN_FLIGHT} requests of this client are not finished yet"
             return error_reply(request_id, dispatch.LIMIT_EXCEEDED, text)
-        self._hub.services.operator_watchdog.on_client()
+        if not self._relays_operator and not _is_relay(request):
+            self._hub.services.operator_watchdog.on_client()
         if self._hub.services.stopping and isinstance(request, dict):
             method, request_id = request.get("method"), request.get("id")
             answered = self._hub.dispatcher.while_stopping
@@ -490,6 +497,11 @@ class Session(asyncio.Protocol):
             task.cancel()
         self._buffer.clear()
         self._scanned = 0
+
+
+def _is_relay(request: object) -> bool:
+    """True for operator.relay, which is the first request of its connection and shows nobody's presence either."""
+    return isinstance(request, dict) and request.get("method") == RELAY
 
 
 def _joined(replies: list[bytes]) -> bytes:

@@ -1,0 +1,87 @@
+"""One check of a dropped file in a process of its own, so that no file costs the web process time or memory.
+
+python -m skygcs.web.check_process NAME     parameters as JSON on standard input, the answer on standard output
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import resource
+import sys
+from typing import Any
+
+from skygcs.errors import RefusedError, SkygcsError
+
+CHECK_TIMEOUT_S = 30.0
+"""The certificate of a plan for 50 vehicles takes some seconds on a slow computer."""
+
+CHECK_MEMORY_BYTES = 1 << 30
+MAX_ANSWER_BYTES = 8 << 20
+AT_ONCE = 2
+"""Checks at the same time; further ones are refused."""
+
+
+class CheckRunner:
+    """Runs the checks of `file_checks` in processes."""
+
+    def __init__(self) -> None:
+        self._running = 0
+
+    async def run(self, name: str, params: dict[str, Any]) -> Any:
+        """The answer of a check. Raises SkygcsError with a text for a person."""
+        if self._running >= AT_ONCE:
+            raise RefusedError(f"{AT_ONCE} files are being checked; wait a moment")
+        self._running += 1
+        try:
+            return await _run(name, params)
+        finally:
+            self._running -= 1
+
+
+async def _run(name: str, params: dict[str, Any]) -> Any:
+    process = await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "skygcs.web.check_process",
+        name,
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        limit=MAX_ANSWER_BYTES,
+    )
+    try:
+        async with asyncio.timeout(CHECK_TIMEOUT_S):
+            output, _ = await process.communicate(json.dumps(params).encode())
+    except TimeoutError:
+        raise SkygcsError(f"the check took longer than {CHECK_TIMEOUT_S:g} s and was ended") from None
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+    if process.returncode != 0 or len(output) > MAX_ANSWER_BYTES:
+        raise SkygcsError("the file could not be checked: it is too large, or not what its name says")
+    answer = json.loads(output)
+    if "problem" in answer:
+        raise SkygcsError(answer["problem"])
+    return answer["result"]
+
+
+def main() -> None:
+    """The process."""
+    from skygcs.web.file_checks import CHECKS
+
+    resource.setrlimit(resource.RLIMIT_AS, (CHECK_MEMORY_BYTES, CHECK_MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(CHECK_TIMEOUT_S), int(CHECK_TIMEOUT_S)))
+    params = json.load(sys.stdin)
+    try:
+        answer: dict[str, Any] = {"result": CHECKS[sys.argv[1]](params)}
+    except SkygcsError as error:
+        answer = {"problem": str(error)}
+    json.dump(answer, sys.stdout, allow_nan=False)
+
+
+if __name__ == "__main__":
+    main()

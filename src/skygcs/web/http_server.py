@@ -1,0 +1,412 @@
+"""The HTTP side of `skygcs web`: sign-in, the built page, the map and the WebSocket, for known hosts and origins only.
+
+    GET /?token=T     a token once: a cookie and 303 to /
+    GET /             the page; without a cookie 403 and how to get one
+    GET /assets/NAME  its files
+    GET /map          the image beneath the fleet view
+    GET /ws           the WebSocket (`page_clients`)
+
+Anything else is 404, another verb 405. Connections are bounded: those that have shown no cookie are closed after
+UNKNOWN_S, and first when all places are taken, so that a flood of them keeps nobody out who is signed in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gzip
+import hashlib
+import socket
+import ssl
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import structlog
+from aiohttp import WSMsgType, web
+from aiohttp.web_protocol import RequestHandler
+
+from skygcs.web.allow_list import AllowList
+from skygcs.web.map_image import MapImage
+from skygcs.web.page_clients import PageClient, PageClients
+from skygcs.web.request_limits import MAX_MESSAGE_BYTES
+from skygcs.web.sign_in import Role, SignIn
+
+STATIC = Path(__file__).with_name("static")
+"""The built page; `make web` makes it."""
+
+MAX_CONNECTIONS = 128
+"""A browser opens six and its WebSockets."""
+
+MAX_SOCKETS, MAX_SOCKETS_EACH = 16, 4
+"""WebSockets in all, and of one browser."""
+
+UNKNOWN_S = 5.0
+"""Time for a new connection to show a cookie or a token."""
+
+SWEEP_S = 1.0
+
+KEEP_ALIVE_S = 30.0
+
+PING_S = 20.0
+"""A phone that has left the network is noticed within one and a half of these."""
+
+MAX_HEADER_BYTES = 8190
+MAX_ASSET_BYTES = 8 << 20
+
+TYPES = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".json": "application/json",
+    ".png": "image/png",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain; charset=utf-8",
+    ".webmanifest": "application/manifest+json",
+    ".woff2": "font/woff2",
+}
+"""What the built page may consist of; anything else is not served."""
+
+COMPRESSED = {".css", ".html", ".js", ".json", ".svg", ".txt", ".webmanifest"}
+
+NOT_BUILT = "The page is not built: run make web in the source folder, or install a built package."
+
+SIGN_IN = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>skygcs</title></head><body>
+<h1>skygcs</h1><p>This browser is not signed in. Open the address that <code>skygcs web</code> printed, or get
+another one on the ground station's computer with <code>skygcs web link</code>. An address works once.</p>
+<p>Opened it from another page? <a href="/">Continue</a>.</p></body></html>"""
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asset:
+    mtime_ns: int
+    content_type: str
+    body: bytes
+    compressed: bytes | None
+    etag: str
+
+
+class Assets:
+    """Files of the built page, kept in memory; one that was built anew is read anew."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._kept: dict[str, _Asset] = {}
+
+    def find(self, name: str) -> _Asset | None:
+        """A file directly in the folder or in its assets; None for anything else."""
+        parts = name.split("/")
+        if len(parts) > 2 or (len(parts) == 2 and parts[0] != "assets") or any(p in ("", ".", "..") for p in parts):
+            return None
+        suffix = Path(parts[-1]).suffix
+        if suffix not in TYPES or "\0" in name or "\\" in name:
+            return None
+        path = self._folder / name
+        try:
+            stat = path.stat(follow_symlinks=False)
+            kept = self._kept.get(name)
+            if kept is not None and kept.mtime_ns == stat.st_mtime_ns:
+                return kept
+            if stat.st_size > MAX_ASSET_BYTES:
+                return None
+            body = path.read_bytes()
+        except OSError:
+            return None
+        compressed = gzip.compress(body, 9, mtime=0) if suffix in COMPRESSED else None
+        etag = f'"{hashlib.sha256(body).hexdigest()[:32]}"'
+        asset = self._kept[name] = _Asset(stat.st_mtime_ns, TYPES[suffix], body, compressed, etag)
+        return asset
+
+
+class _Refusing(asyncio.Protocol):
+    """A connection for which there is no place."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.close()
+
+
+class Places:
+    """The open connections. ``limit`` of them; unknown ones go first."""
+
+    def __init__(self, limit: int = MAX_CONNECTIONS) -> None:
+        self.refused = 0
+        self._limit = limit
+        self._open: dict[RequestHandler, float] = {}
+        self._known: set[RequestHandler] = set()
+
+    def admit(self, handler: RequestHandler, now: float) -> bool:
+        """Give it a place; False: there is none."""
+        self._forget_closed(now)
+        if len(self._open) >= self._limit:
+            unknown = next((other for other in self._open if other not in self._known), None)
+            self.refused += 1
+            if unknown is None:
+                return False
+            self._drop(unknown)
+        self._open[handler] = now
+        return True
+
+    def know(self, handler: RequestHandler) -> None:
+        """It has shown a cookie."""
+        self._known.add(handler)
+
+    def sweep(self, now: float) -> None:
+        """Close those that have shown nothing for too long."""
+        self._forget_closed(now)
+        for handler in [h for h, at in self._open.items() if h not in self._known and now - at > UNKNOWN_S]:
+            self._drop(handler)
+
+    def _drop(self, handler: RequestHandler) -> None:
+        self._open.pop(handler, None)
+        handler.force_close()
+
+    def _forget_closed(self, now: float) -> None:
+        for handler in [h for h, at in self._open.items() if h.transport is None and now - at > SWEEP_S]:
+            del self._open[handler]
+            self._known.discard(handler)
+
+
+class _PageSocket:
+    """An aiohttp WebSocket as a page's tasks see it."""
+
+    def __init__(self, ws: web.WebSocketResponse, request: web.Request) -> None:
+        self._ws = ws
+        self._request = request
+
+    async def send_frame(self, data: bytes) -> None:
+        await self._ws.send_frame(data, WSMsgType.TEXT)
+
+    def abort(self) -> None:
+        if self._request.transport is not None:
+            self._request.transport.abort()
+
+
+class HttpServer:
+    """Serves `pages` at one listening socket. `start`, then `close`."""
+
+    def __init__(
+        self,
+        pages: PageClients,
+        sign_in: SignIn,
+        allowed: AllowList,
+        *,
+        unix_time: Callable[[], float],
+        on_sign_in: Callable[[], None],
+        map_image: MapImage | None = None,
+        static: Path = STATIC,
+    ) -> None:
+        self.places = Places()
+        self.port = 0
+        self._pages = pages
+        self._sign_in = sign_in
+        self._allowed = allowed
+        self._unix_time = unix_time
+        self._on_sign_in = on_sign_in
+        self._map = map_image
+        self._assets = Assets(static)
+        self._loop = asyncio.get_running_loop()
+        self._server: asyncio.Server | None = None
+        self._sweeping: asyncio.Task[None] | None = None
+        self._secure = False
+        application = web.Application(middlewares=[self._guard], client_max_size=1024)
+        application.router.add_get("/", self._index, allow_head=False)
+        application.router.add_get("/assets/{name}", self._asset, allow_head=False)
+        application.router.add_get("/map", self._map_image, allow_head=False)
+        application.router.add_get("/ws", self._websocket, allow_head=False)
+        application.on_response_prepare.append(self._on_prepare)
+        self._runner = web.AppRunner(
+            application,
+            access_log=None,  # an address with its token must stand in no log
+            keepalive_timeout=KEEP_ALIVE_S,
+            max_line_size=MAX_HEADER_BYTES,
+            max_field_size=MAX_HEADER_BYTES,
+            shutdown_timeout=1.0,
+            handle_signals=False,
+        )
+
+    async def start(self, sock: socket.socket, tls: ssl.SSLContext | None) -> None:
+        """Serve on a bound socket."""
+        await self._runner.setup()
+        self._secure = tls is not None
+        self.port = sock.getsockname()[1]
+        self._server = await self._loop.create_server(
+            self._connection,
+            sock=sock,
+            ssl=tls,
+            backlog=128,
+            ssl_handshake_timeout=None if tls is None else UNKNOWN_S,
+        )
+        self._sweeping = self._loop.create_task(self._sweep(), name="sweep of connections")
+
+    async def close(self) -> None:
+        if self._sweeping is not None:
+            self._sweeping.cancel()
+        if self._server is not None:
+            self._server.close()
+        await self._runner.cleanup()
+
+    @property
+    def cookie_name(self) -> str:
+        """Browsers keep one jar for all ports of a host."""
+        return f"skygcs_{self.port}"
+
+    def _connection(self) -> asyncio.Protocol:
+        server = self._runner.server
+        assert server is not None
+        handler = server()
+        return handler if self.places.admit(handler, self._loop.time()) else _Refusing()
+
+    async def _sweep(self) -> None:
+        while True:
+            await asyncio.sleep(SWEEP_S)
+            self.places.sweep(self._loop.time())
+            self._pages.wake_all()  # which finds pages that take nothing
+
+    # -- every request
+
+    @web.middleware
+    async def _guard(
+        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
+        headers = request.headers
+        hosts, origins = headers.getall("Host", []), headers.getall("Origin", [])
+        websocket = request.path == "/ws"
+        refusal = (
+            "one Host and one Origin, please"
+            if len(hosts) > 1 or len(origins) > 1
+            else self._allowed.refusal(
+                hosts[0] if hosts else None,
+                origins[0] if origins else None,
+                websocket=websocket,
+                site=headers.get("Sec-Fetch-Site"),
+            )
+        )
+        if refusal is not None:
+            return _plain(403, refusal)
+        if request.method != "GET":
+            return _plain(405, "only GET is served here", Allow="GET")
+        try:
+            return await handler(request)
+        except web.HTTPException as error:
+            return _plain(error.status, error.reason)
+
+    async def _on_prepare(self, request: web.Request, response: web.StreamResponse) -> None:
+        own = request.headers.get("Host", "")
+        scheme = "wss" if self._secure else "ws"
+        websocket = f"{scheme}://{own}" if own in self._allowed.hosts else ""
+        headers = response.headers
+        headers["Content-Security-Policy"] = (
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; font-src 'self'; "
+            f"connect-src 'self' {websocket}; manifest-src 'self'; media-src 'self'; worker-src 'none'; "
+            "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        )
+        headers["X-Content-Type-Options"] = "nosniff"
+        headers["X-Frame-Options"] = "DENY"
+        headers["Referrer-Policy"] = "no-referrer"
+        headers["Cross-Origin-Opener-Policy"] = "same-origin"
+        headers["Cross-Origin-Resource-Policy"] = "same-origin"
+        headers["Permissions-Policy"] = "camera=(), microphone=(), geolocation=(), payment=(), usb=()"
+        headers.setdefault("Cache-Control", "no-store")
+        headers["Server"] = "skygcs"
+        if self._secure:
+            headers["Strict-Transport-Security"] = "max-age=86400"
+
+    def _cookie(self, request: web.Request) -> tuple[str, Role] | None:
+        """(identity, role) of a signed-in browser."""
+        cookie = request.cookies.get(self.cookie_name, "")
+        role = self._sign_in.role_of(cookie, self._unix_time()) if cookie else None
+        if role is None:
+            return None
+        self.places.know(request.protocol)
+        return self._sign_in.identity(cookie), role
+
+    # -- what is served
+
+    async def _index(self, request: web.Request) -> web.StreamResponse:
+        if "token" in request.query:
+            return self._exchange(request)
+        if self._cookie(request) is None:
+            return web.Response(status=403, text=SIGN_IN, content_type="text/html")
+        return self._file(request, "index.html") or _plain(503, NOT_BUILT)
+
+    def _exchange(self, request: web.Request) -> web.StreamResponse:
+        cookie = self._sign_in.exchange(request.query["token"], self._unix_time())
+        if cookie is None:
+            return web.Response(status=403, text=SIGN_IN, content_type="text/html")
+        self._on_sign_in()
+        response = web.Response(status=303, headers={"Location": "/"})
+        response.set_cookie(
+            self.cookie_name, cookie, path="/", httponly=True, samesite="Strict", secure=self._secure, max_age=7 * 86400
+        )
+        return response
+
+    async def _asset(self, request: web.Request) -> web.StreamResponse:
+        if self._cookie(request) is None:
+            return _plain(403, "not signed in")
+        return self._file(request, f"assets/{request.match_info['name']}") or _plain(404, "no such file")
+
+    async def _map_image(self, request: web.Request) -> web.StreamResponse:
+        if self._cookie(request) is None:
+            return _plain(403, "not signed in")
+        if self._map is None:
+            return _plain(404, "no map")
+        headers = {"Cache-Control": "private, max-age=3600"}
+        return web.Response(body=self._map.body, content_type=self._map.content_type, headers=headers)
+
+    def _file(self, request: web.Request, name: str) -> web.Response | None:
+        asset = self._assets.find(name)
+        if asset is None:
+            return None
+        headers = {"ETag": asset.etag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding"}
+        if request.headers.get("If-None-Match") == asset.etag:
+            return web.Response(status=304, headers=headers)
+        headers["Content-Type"] = asset.content_type
+        if asset.compressed is not None and "gzip" in request.headers.get("Accept-Encoding", ""):
+            headers["Content-Encoding"] = "gzip"
+            return web.Response(body=asset.compressed, headers=headers)
+        return web.Response(body=asset.body, headers=headers)
+
+    async def _websocket(self, request: web.Request) -> web.StreamResponse:
+        known = self._cookie(request)
+        if known is None:
+            return _plain(403, "not signed in")
+        identity, role = known
+        clients = self._pages.clients
+        if len(clients) >= MAX_SOCKETS or sum(c.identity == identity for c in clients) >= MAX_SOCKETS_EACH:
+            return _plain(429, "too many pages are open; close some")
+        ws = web.WebSocketResponse(max_msg_size=MAX_MESSAGE_BYTES, heartbeat=PING_S, compress=False, timeout=1.0)
+        if not ws.can_prepare(request).ok:
+            return _plain(426, "this is a WebSocket")
+        client = PageClient(self._pages, _PageSocket(ws, request), role, identity)
+        clients[client] = None  # before the first await: the places are counted
+        try:
+            await ws.prepare(request)
+            sending = self._loop.create_task(_sending(client), name="page sending")
+            try:
+                async for message in ws:
+                    if message.type is not WSMsgType.TEXT:
+                        await ws.close(code=1003, message=b"text only")
+                        break
+                    client.on_message(message.data)
+            finally:
+                sending.cancel()
+        finally:
+            client.close()
+        return ws
+
+
+async def _sending(client: PageClient) -> None:
+    """The sending side of one page; its failure ends the page only."""
+    try:
+        await client.send()
+    except (ConnectionError, RuntimeError):  # aiohttp: the socket has closed
+        pass
+    except Exception as error:
+        _log.error("page cannot be sent to", exc_info=error)
+    finally:
+        client.close()
+
+
+def _plain(status: int, text: str, **headers: str) -> web.Response:
+    return web.Response(status=status, text=text + "\n", headers=headers)

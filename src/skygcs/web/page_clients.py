@@ -1,0 +1,380 @@
+"""The pages connected by WebSocket: their requests, and what they are sent. Knows nothing of HTTP.
+
+A page has one sending task. What waits for it is bounded: replies by the requests that may wait (`request_limits`),
+events by EVENTS_WAITING (the oldest go, and are counted), states by one number (`state_batches`). A page that does not
+read for STUCK_S is closed; nothing else changes because of it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from typing import Any, Protocol
+
+import structlog
+from pydantic_core import from_json, to_json
+
+from skygcs.errors import DaemonUnreachable, RpcError, SkygcsError
+from skygcs.web.request_limits import PageLimits, deadline_problem
+from skygcs.web.roles import ENDS_FLIGHT, READ, access, may
+from skygcs.web.sign_in import Role
+from skygcs.web.state_batches import LatestStates, PageStates
+
+PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS = -32700, -32600, -32601, -32602
+INTERNAL_ERROR, REFUSED, LIMIT_EXCEEDED = -32603, -32002, -32005
+NO_DAEMON, NOT_PERMITTED, TOO_LATE = -32010, -32011, -32012
+
+EVENTS_WAITING = 256
+"""As the daemon's own bound for a subscription."""
+
+LEAST_RATE_HZ, MAX_RATE_HZ, DEFAULT_RATE_HZ = 0.2, 20.0, 10.0
+
+STUCK_S = 30.0
+"""A page that takes nothing for so long is closed; one that wakes up connects again and gets everything anew."""
+
+OPERATOR_EVERY_S = 0.5
+"""A person's input is reported to the daemon so often at most."""
+
+MAX_ECHO_CHARS = 80
+
+_log = structlog.get_logger(__name__)
+
+Request = dict[str, Any]
+OwnMethod = Callable[["PageClient", dict[str, Any]], Awaitable[Any]]
+"""A method that the web process answers. Raises SkygcsError."""
+
+
+class Socket(Protocol):
+    """A WebSocket, as a page's tasks see it."""
+
+    async def send_frame(self, data: bytes) -> None:
+        """Send one text frame; returns when it may be followed by another. Raises ConnectionError."""
+        ...
+
+    def abort(self) -> None: ...
+
+
+class Source(Protocol):
+    """Where states and answers come from: a daemon or a recording."""
+
+    connected: bool
+    text: str
+    since: float
+
+    async def call(self, method: str, params: dict[str, Any]) -> Any: ...
+    def operator_active(self) -> None: ...
+
+
+class PageClients:
+    """All pages. ``source`` answers what ``own`` does not."""
+
+    def __init__(self, states: LatestStates, source: Source, own: Mapping[str, OwnMethod]) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.states = states
+        self.source = source
+        self.own = own
+        self.clients: dict[PageClient, None] = {}
+        self.orders: set[asyncio.Task[None]] = set()
+        """Orders in progress: they go on to their outcome when their page leaves."""
+        self.counters = {"closed_stuck": 0, "closed_flooding": 0, "events_dropped": 0, "late_orders": 0}
+        self._round: asyncio.TimerHandle | None = None
+        self._operator_at = float("-inf")
+
+    # -- fed by the daemon's connection or by a recording
+
+    def on_states(self) -> None:
+        """A state has come: pages get it when the round is complete."""
+        if self._round is None:
+            self._arm_round()
+
+    def on_event(self, event: dict[str, Any]) -> None:
+        body = b'{"jsonrpc":"2.0","method":"event","params":{"event":' + _encode(event)
+        for client in self.clients:
+            client.offer_event(body)
+
+    def on_daemon(self) -> None:
+        """The connection to the daemon has come or gone."""
+        self.notify("web.daemon", self.daemon_status())
+        self.wake_all()
+
+    def notify(self, method: str, params: Any) -> None:
+        """Send something to all pages; of one method only the newest waits."""
+        body = b'{"jsonrpc":"2.0","method":%b,"params":%b}' % (_encode(method), _encode(params))
+        for client in self.clients:
+            client.offer_notice(method, body)
+
+    def wake_all(self) -> None:
+        for client in self.clients:
+            client.wake()
+
+    def daemon_status(self) -> dict[str, Any]:
+        source = self.source
+        return {"connected": source.connected, "text": source.text, "since_s": round(source.since, 3)}
+
+    def rate_hz(self) -> float | None:
+        """The highest rate that a page wants; None: no page wants states."""
+        return max((client.page_states.rate_hz for client in self.clients if client.page_states), default=None)
+
+    def operator_active(self, client: PageClient) -> None:
+        now = self.loop.time()
+        if client.role == "command" and now - self._operator_at >= OPERATOR_EVERY_S:
+            self._operator_at = now
+            self.source.operator_active()
+
+    def _arm_round(self) -> None:
+        due = self.states.round_complete_at()
+        self._round = None if due is None else self.loop.call_at(due, self._on_round)
+
+    def _on_round(self) -> None:
+        self._round = None
+        due = self.states.round_complete_at()
+        if due is not None and due > self.loop.time() + 0.0005:
+            self._arm_round()
+            return
+        self.states.end_round()
+        self.wake_all()
+
+    async def close(self) -> None:
+        """End every page's tasks. Orders in progress are no longer waited for; what was sent stays sent."""
+        for client in list(self.clients):
+            client.close()
+        for task in list(self.orders):
+            task.cancel()
+        if self._round is not None:
+            self._round.cancel()
+        await asyncio.gather(*self.orders, return_exceptions=True)
+
+
+class PageClient:
+    """One WebSocket. `on_message` for each text frame; `send` runs as its task until the socket ends."""
+
+    def __init__(self, pages: PageClients, socket: Socket, role: Role, identity: str) -> None:
+        self.pages = pages
+        self.role = role
+        self.identity = identity
+        self.page_states: PageStates | None = None
+        self._socket = socket
+        self._loop = pages.loop
+        self._limits = PageLimits(self._loop.time())
+        self._wake = asyncio.Event()
+        self._replies: deque[tuple[bytes, bool | None]] = deque()
+        """With each whether its request ends a flight; None: a refusal. A request waits until its reply is sent."""
+        self._notices: dict[str, bytes] = {}
+        self._events: deque[bytes] = deque()
+        self._dropped = 0
+        self._reads: set[asyncio.Task[None]] = set()
+        self._due: asyncio.TimerHandle | None = None
+        self._sending_since: float | None = None
+        self._closed = False
+
+    # -- what it is sent
+
+    def subscribe(self, rate_hz: float) -> int:
+        if self.page_states is None:
+            self.page_states = PageStates(self.pages.states, rate_hz)
+        else:
+            self.page_states.again(rate_hz)
+        self.wake()
+        return self.page_states.seq
+
+    def offer_event(self, body: bytes) -> None:
+        if self.page_states is None:
+            return
+        if len(self._events) >= EVENTS_WAITING:
+            self._events.popleft()
+            self._dropped += 1
+            self.pages.counters["events_dropped"] += 1
+        self._events.append(body)
+        self.wake()
+
+    def offer_notice(self, method: str, body: bytes) -> None:
+        self._notices[method] = body
+        self.wake()
+
+    def wake(self) -> None:
+        """There may be something to send. A page that has not taken the last for STUCK_S is closed."""
+        self._wake.set()
+        if self._sending_since is not None and self._loop.time() - self._sending_since > STUCK_S and not self._closed:
+            self.pages.counters["closed_stuck"] += 1
+            _log.info("page closed: it takes nothing", seconds=STUCK_S)
+            self.close()
+
+    async def send(self) -> None:
+        """Send what waits, until the socket ends."""
+        while not self._closed:
+            data = self._next()
+            if data is None:
+                self._wake.clear()
+                await self._wake.wait()
+                continue
+            self._sending_since = self._loop.time()
+            await self._socket.send_frame(data)
+            self._sending_since = None
+
+    def _next(self) -> bytes | None:
+        """Replies first, then news of the connection, events, states."""
+        if self._replies:
+            reply, ends_flight = self._replies.popleft()
+            if ends_flight is not None:
+                self._limits.end(ends_flight=ends_flight)
+            return reply
+        if self._notices:
+            return self._notices.pop(next(iter(self._notices)))
+        if self._events:
+            body = self._events.popleft()
+            dropped, self._dropped = self._dropped, 0
+            return body + (b',"dropped":%d}}' % dropped if dropped else b"}}")
+        return self._next_states()
+
+    def _next_states(self) -> bytes | None:
+        states = self.page_states
+        if states is None or (due := states.due_at()) is None:
+            return None
+        now = self._loop.time()
+        if due > now:
+            if self._due is None:
+                self._due = self._loop.call_at(due, self._on_due)
+            return None
+        full, changed, gone = states.batch(now)
+        return (
+            b'{"jsonrpc":"2.0","method":"web.state","params":{"seq":%d,"full":%b,"now_s":%.4f,"heard_s":%.4f,"vehicles":['
+            % (states.seq, b"true" if full else b"false", now, self.pages.states.heard_at)
+            + b",".join(changed)
+            + b'],"gone":%b}}' % _encode(list(gone))
+        )
+
+    def _on_due(self) -> None:
+        self._due = None
+        self.wake()
+
+    # -- what it asks
+
+    def on_message(self, text: str | bytes) -> None:
+        """One frame. Never raises for what is in it."""
+        received_at = self._loop.time()
+        try:
+            request = from_json(text, allow_inf_nan=False)
+        except ValueError as error:
+            self._refuse(None, PARSE_ERROR, f"not JSON: {error}")
+            return
+        if not isinstance(request, dict) or not isinstance(request.get("method"), str):
+            self._refuse(None, INVALID_REQUEST, "a message is one JSON-RPC request")
+            return
+        method, request_id = request["method"], request.get("id")
+        if method == "operator.active":
+            self.pages.operator_active(self)
+            return
+        if isinstance(request_id, bool) or not isinstance(request_id, str | int | float):
+            self._refuse(None, INVALID_REQUEST, "a request needs an id: a string or a number")
+            return
+        params = request.get("params", {})
+        if not isinstance(params, dict):
+            self._refuse(request_id, INVALID_PARAMS, "params must be an object")
+            return
+        refusal = self._refusal(method, request, received_at)
+        if refusal is not None:
+            self._refuse(request_id, *refusal)
+            return
+        ends_flight = method in ENDS_FLIGHT
+        exceeded = self._limits.begin(received_at, ends_flight=ends_flight)
+        if exceeded is not None:
+            self._refuse(request_id, LIMIT_EXCEEDED, exceeded)
+            return
+        self._start(self._answer(method, params, request_id, ends_flight), order=self._is_order(method))
+
+    def _is_order(self, method: str) -> bool:
+        return method not in self.pages.own and access(method) in ("order", "ends flight")
+
+    def _refusal(self, method: str, request: Request, now: float) -> tuple[int, str] | None:
+        """Why it is not carried out, as (code, text)."""
+        name = method[:MAX_ECHO_CHARS]
+        if method in self.pages.own:
+            if self.role != "command" and method in OWN_COMMANDS:
+                return (
+                    NOT_PERMITTED,
+                    f"{name}: this page may only look; skygcs web link prints an address that may more",
+                )
+            return None
+        if method.startswith(("web.", "replay.")):
+            return METHOD_NOT_FOUND, f"no method {name}"
+        if access(method) == "refused":
+            return REFUSED, f"{name} is not for pages"
+        if not may(self.role, method):
+            return NOT_PERMITTED, f"{name}: this page may only look; skygcs web link prints an address that may more"
+        if method not in READ and (problem := deadline_problem(request.get("deadline_s"), now)) is not None:
+            self.pages.counters["late_orders"] += 1
+            return TOO_LATE, f"{name}: {problem}"
+        if not self.pages.source.connected:
+            return NO_DAEMON, f"{name}: {self.pages.source.text}"
+        return None
+
+    def _refuse(self, request_id: object, code: int, text: str) -> None:
+        self._limits.refused += 1
+        if self._limits.exceeded:
+            self.pages.counters["closed_flooding"] += 1
+            _log.warning("page closed: too many requests were refused")
+            self.close()
+            return
+        if len(self._replies) < EVENTS_WAITING:  # further refusals are not worth the memory
+            self._reply(_error(request_id, code, text), None)
+
+    def _start(self, answer: Coroutine[Any, Any, None], *, order: bool) -> None:
+        group = self.pages.orders if order else self._reads
+        task = self._loop.create_task(answer, name="page order" if order else "page request")
+        group.add(task)
+        task.add_done_callback(group.discard)
+
+    async def _answer(self, method: str, params: dict[str, Any], request_id: object, ends_flight: bool) -> None:
+        try:
+            own = self.pages.own.get(method)
+            result = await (self.pages.source.call(method, params) if own is None else own(self, params))
+            reply = b'{"jsonrpc":"2.0","id":%b,"result":%b}' % (_encode(request_id), _encode(result))
+        except DaemonUnreachable as error:
+            reply = _error(request_id, NO_DAEMON, str(error))
+        except RpcError as error:
+            reply = _error(request_id, error.code, error.message, error.data)
+        except SkygcsError as error:
+            reply = _error(request_id, INVALID_PARAMS, str(error))
+        except Exception as error:
+            _log.error("page request failed", method=method, exc_info=error)
+            reply = _error(
+                request_id, INTERNAL_ERROR, f"{method[:MAX_ECHO_CHARS]} failed inside skygcs web; see its log"
+            )
+        self._reply(reply, ends_flight)
+
+    def _reply(self, reply: bytes, ends_flight: bool | None) -> None:
+        if not self._closed:
+            self._replies.append((reply, ends_flight))
+            self.wake()
+
+    def close(self) -> None:
+        """Forget the page: what it reads is cancelled, its orders go on. Idempotent."""
+        if self._closed:
+            return
+        self._closed = True
+        self.pages.clients.pop(self, None)
+        for task in list(self._reads):
+            task.cancel()
+        if self._due is not None:
+            self._due.cancel()
+        self._replies.clear()
+        self._events.clear()
+        self._notices.clear()
+        self._wake.set()
+        self._socket.abort()
+
+
+OWN_COMMANDS = frozenset({"replay.play", "replay.pause", "replay.seek", "replay.speed"})
+"""Methods of the web process that the role view may not call."""
+
+
+def _error(request_id: object, code: int, text: str, data: object = None) -> bytes:
+    error: dict[str, object] = {"code": code, "message": text}
+    if data is not None:
+        error["data"] = data
+    return b'{"jsonrpc":"2.0","id":%b,"error":%b}' % (_encode(request_id), _encode(error))
+
+
+def _encode(value: object) -> bytes:
+    return to_json(value, inf_nan_mode="null", serialize_unknown=True)

@@ -1,0 +1,78 @@
+"""How much one page may ask: rates, requests that wait, the size of a message. Pure.
+
+An order that ends a flight has an allowance of its own, so that no flood of other requests is in front of it.
+"""
+
+from __future__ import annotations
+
+from skygcs.core.token_bucket import TokenBucket
+
+MAX_MESSAGE_BYTES = 4 << 20
+"""A plan for a fleet of 50 with its trajectories is some 2 MB as text."""
+
+REQUESTS_PER_S, REQUEST_BURST = 50.0, 200.0
+"""A page asks a few times a second; opening a panel asks ten times at once."""
+
+ENDING_PER_S, ENDING_BURST = 20.0, 40.0
+"""For STOP and its like: a key that repeats sends 30 a second."""
+
+MAX_WAITING, MAX_ENDING_WAITING = 16, 16
+"""Requests without an answer yet."""
+
+HOPELESS = 2000
+"""Refused requests after which the page is closed: nobody reads the refusals."""
+
+DEADLINE_MAX_S = 30.0
+"""An order may not lie about for longer than STOP repeats itself."""
+
+
+class PageLimits:
+    """The allowance of one page."""
+
+    def __init__(self, now: float) -> None:
+        self._requests = TokenBucket(REQUESTS_PER_S, REQUEST_BURST, now)
+        self._ending = TokenBucket(ENDING_PER_S, ENDING_BURST, now)
+        self._waiting = self._ending_waiting = 0
+        self.refused = 0
+
+    @property
+    def exceeded(self) -> bool:
+        """True if the page is to be closed."""
+        return self.refused >= HOPELESS
+
+    def begin(self, now: float, *, ends_flight: bool) -> str | None:
+        """Why a request is refused; None: it may go, and `end` is called when it was answered."""
+        bucket, waiting, most = (
+            (self._ending, self._ending_waiting, MAX_ENDING_WAITING)
+            if ends_flight
+            else (self._requests, self._waiting, MAX_WAITING)
+        )
+        if not bucket.take(now):
+            self.refused += 1
+            return f"at most {bucket.rate:g} requests a second; this one was not carried out"
+        if waiting >= most:
+            self.refused += 1
+            return f"at most {most} requests may wait for their answer; this one was not carried out"
+        if ends_flight:
+            self._ending_waiting += 1
+        else:
+            self._waiting += 1
+        return None
+
+    def end(self, *, ends_flight: bool) -> None:
+        """A request was answered."""
+        if ends_flight:
+            self._ending_waiting -= 1
+        else:
+            self._waiting -= 1
+
+
+def deadline_problem(deadline_s: object, now: float) -> str | None:
+    """Why an order with this deadline is not carried out; None: it is in time."""
+    if isinstance(deadline_s, bool) or not isinstance(deadline_s, int | float):
+        return "an order needs deadline_s, in the clock of web.hello"
+    if not deadline_s - now <= DEADLINE_MAX_S:
+        return f"deadline_s is {deadline_s - now:.0f} s ahead; at most {DEADLINE_MAX_S:g}"
+    if deadline_s < now:
+        return f"came {now - deadline_s:.1f} s after its deadline; it was not carried out"
+    return None

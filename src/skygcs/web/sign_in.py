@@ -1,0 +1,101 @@
+"""Who may use the web page: one-time tokens of printed addresses, exchanged for cookies that have a role. Pure.
+
+    issue(role)        -> token, for an address that `skygcs web` prints; good once, for TOKEN_LIFE_S
+    exchange(token)    -> cookie of that role; a second time None
+    role_of(cookie)    -> the role, until it was not used for COOKIE_LIFE_S
+
+Only digests are kept, so that neither a lookup's time nor the saved file gives a secret away.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+Role = Literal["view", "command"]
+
+ROLES: tuple[Role, ...] = ("view", "command")
+
+TOKEN_LIFE_S = 3600.0
+"""Somebody starts the process, walks to the field and opens the address there."""
+
+COOKIE_LIFE_S = 7 * 86400.0
+"""A flight camp. Each use starts it anew."""
+
+MAX_TOKENS = 64
+"""Addresses printed and not used; the oldest goes for a new one."""
+
+MAX_COOKIES = 64
+"""Browsers signed in; the one unused for longest goes for a new one."""
+
+MAX_SECRET_CHARS = 128
+"""Longer ones are wrong without being looked at."""
+
+
+@dataclass(slots=True)
+class _Granted:
+    role: Role
+    at: float
+
+
+class SignIn:
+    """Tokens and cookies. ``new_secret`` returns a new unguessable text (`secrets.token_urlsafe`)."""
+
+    def __init__(self, new_secret: Callable[[], str]) -> None:
+        self._new_secret = new_secret
+        self._tokens: dict[str, _Granted] = {}
+        self._cookies: dict[str, _Granted] = {}
+
+    def issue(self, role: Role, now: float) -> str:
+        """A token for one browser."""
+        token = self._new_secret()
+        while len(self._tokens) >= MAX_TOKENS:
+            del self._tokens[next(iter(self._tokens))]
+        self._tokens[_digest(token)] = _Granted(role, now)
+        return token
+
+    def exchange(self, token: str, now: float) -> str | None:
+        """The cookie for a token; None for one that is unknown, used or too old."""
+        granted = self._tokens.pop(_digest(token), None)
+        if granted is None or now - granted.at > TOKEN_LIFE_S:
+            return None
+        cookie = self._new_secret()
+        if len(self._cookies) >= MAX_COOKIES:
+            del self._cookies[min(self._cookies, key=lambda key: self._cookies[key].at)]
+        self._cookies[_digest(cookie)] = _Granted(granted.role, now)
+        return cookie
+
+    def role_of(self, cookie: str, now: float) -> Role | None:
+        """The role of a cookie; None for one that is unknown or was unused for too long."""
+        key = _digest(cookie)
+        granted = self._cookies.get(key)
+        if granted is None:
+            return None
+        if now - granted.at > COOKIE_LIFE_S:
+            del self._cookies[key]
+            return None
+        granted.at = now
+        return granted.role
+
+    def identity(self, cookie: str) -> str:
+        """What distinguishes browsers without being a secret."""
+        return _digest(cookie)
+
+    def saved(self) -> dict[str, Any]:
+        """The cookies as digests, for a process that takes over from this one; JSON-able."""
+        return {key: [granted.role, granted.at] for key, granted in self._cookies.items()}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Take over what `saved` returned; anything else in it is left out."""
+        for key, entry in list(saved.items())[:MAX_COOKIES]:
+            match entry:
+                case ["view" | "command" as role, int() | float() as at] if isinstance(key, str) and len(key) == 64:
+                    self._cookies[key] = _Granted(role, float(at))
+
+
+def _digest(secret: str) -> str:
+    if len(secret) > MAX_SECRET_CHARS:
+        return ""
+    return hashlib.sha256(secret.encode("utf-8", "replace")).hexdigest()

@@ -1,0 +1,265 @@
+"""`skygcs web`: composition of the web process, its life and its signals."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import secrets
+import signal
+import socket
+import ssl
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from skygcs import __version__
+from skygcs.errors import LinkError, RpcError, SkygcsError
+from skygcs.web.allow_list import LOOPBACK, allow_list, check_address
+from skygcs.web.check_process import CheckRunner
+from skygcs.web.control_socket import ControlSocket, control_path
+from skygcs.web.daemon_connection import DaemonConnection
+from skygcs.web.file_checks import CHECKS
+from skygcs.web.http_server import HttpServer
+from skygcs.web.map_image import MapImage
+from skygcs.web.page_clients import (
+    DEFAULT_RATE_HZ,
+    INVALID_PARAMS,
+    LEAST_RATE_HZ,
+    MAX_RATE_HZ,
+    OwnMethod,
+    PageClient,
+    PageClients,
+)
+from skygcs.web.request_limits import DEADLINE_MAX_S, MAX_MESSAGE_BYTES
+from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ
+from skygcs.web.sign_in import Role, SignIn
+from skygcs.web.state_batches import LatestStates
+
+DEFAULT_PORT = 8750
+
+SECRET_BYTES = 32
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class WebOptions:
+    """How the process was asked to run."""
+
+    socket: str
+    """Address of the daemon."""
+    token: str | None = None
+    """Of a daemon on TCP."""
+    host: str = "127.0.0.1"
+    port: int = DEFAULT_PORT
+    """0: a free one."""
+    names: tuple[str, ...] = ()
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+    map_image: MapImage | None = None
+    print_address: bool = True
+    open_browser: bool = False
+
+
+class WebProcess:
+    """Everything of the process. `run` until `stop`."""
+
+    def __init__(self, options: WebOptions) -> None:
+        check_address(options.host, options.names, tls=options.tls_cert is not None)
+        self.options = options
+        self.loop = asyncio.get_running_loop()
+        self.states = LatestStates()
+        self.sign_in = SignIn(lambda: secrets.token_urlsafe(SECRET_BYTES))
+        self.daemon = DaemonConnection(options.socket, options.token, self.states)
+        self.checks = CheckRunner()
+        self.pages = PageClients(self.states, self.daemon, self._own_methods())
+        self.port = 0
+        self._stopping = asyncio.Event()
+
+    # -- methods of its own
+
+    def _own_methods(self) -> dict[str, OwnMethod]:
+        methods: dict[str, OwnMethod] = {
+            "web.hello": self._hello,
+            "web.subscribe": self._subscribe,
+            "web.ping": self._ping,
+        }
+        return methods | {name: self._check(name) for name in CHECKS}
+
+    def _check(self, name: str) -> OwnMethod:
+        async def run(_: PageClient, params: dict[str, Any]) -> Any:
+            return await self.checks.run(name, params)
+
+        return run
+
+    async def _hello(self, page: PageClient, _: dict[str, Any]) -> dict[str, Any]:
+        image = self.options.map_image
+        return {
+            "role": page.role,
+            "version": __version__,
+            "fleet": self.daemon.info.get("fleet_file"),
+            "replay": False,
+            "now_s": round(self.loop.time(), 4),
+            "seq": 0 if page.page_states is None else page.page_states.seq,
+            "daemon": self.pages.daemon_status(),
+            "map": None if image is None else image.as_dict(),
+            "methods": {
+                "read": sorted(READ),
+                "ends_flight": sorted(ENDS_FLIGHT),
+                "refused": sorted(NOT_PASSED_ON),
+            },
+            "limits": {"message_bytes": MAX_MESSAGE_BYTES, "deadline_s": DEADLINE_MAX_S},
+            "operator_timeout_s": self.daemon.info.get("operator_timeout_s"),
+        }
+
+    async def _subscribe(self, page: PageClient, params: dict[str, Any]) -> dict[str, Any]:
+        rate_hz = params.get("rate_hz", DEFAULT_RATE_HZ)
+        numeric = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool)
+        if not numeric or not LEAST_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+            raise RpcError(INVALID_PARAMS, f"rate_hz must be a number from {LEAST_RATE_HZ:g} to {MAX_RATE_HZ:g}")
+        return {"seq": page.subscribe(float(rate_hz))}
+
+    async def _ping(self, _: PageClient, __: dict[str, Any]) -> dict[str, Any]:
+        return {"now_s": round(self.loop.time(), 4)}
+
+    # -- life
+
+    def link(self, role: Role) -> str:
+        """A further address with its token."""
+        return f"{self.base}/?token={self.sign_in.issue(role, time.time())}"
+
+    @property
+    def base(self) -> str:
+        scheme = "http" if self.options.tls_cert is None else "https"
+        host = self.options.host if self.options.host in LOOPBACK else (*self.options.names, self.options.host)[0]
+        return f"{scheme}://{f'[{host}]' if ':' in host else host}:{self.port}"
+
+    async def run(self, on_ready: Callable[[WebProcess], None] | None = None) -> None:
+        """Serve until `stop`. Raises SkygcsError before it serves."""
+        options = self.options
+        tls = _tls(options.tls_cert, options.tls_key)
+        sock = _bound(options.host, options.port)
+        self.port = sock.getsockname()[1]
+        cookies = Path(f"{control_path(_local_base(options.socket), self.port)}.cookies")
+        self.sign_in.restore(_read_cookies(cookies))
+        http = HttpServer(
+            self.pages,
+            self.sign_in,
+            allow_list(options.host, self.port, options.names, tls=tls is not None),
+            unix_time=time.time,
+            on_sign_in=lambda: _write_cookies(cookies, self.sign_in.saved()),
+            map_image=options.map_image,
+        )
+        control = ControlSocket(control_path(_local_base(options.socket), self.port), self.link)
+        feeding = None
+        try:
+            await control.start()
+            await http.start(sock, tls)
+            feeding = asyncio.create_task(self.daemon.run(self.pages), name="daemon connection")
+            if on_ready is not None:
+                on_ready(self)
+            stopping = asyncio.create_task(self._stopping.wait(), name="stop")
+            await asyncio.wait({stopping, feeding}, return_when=asyncio.FIRST_COMPLETED)
+            stopping.cancel()
+            if feeding.done():
+                feeding.result()
+        finally:
+            if feeding is not None:
+                feeding.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await feeding
+            await self.pages.close()
+            await http.close()
+            await control.close()
+            _write_cookies(cookies, self.sign_in.saved())
+            sock.close()
+
+    def stop(self) -> None:
+        """End `run`. Idempotent; safe as a signal handler of the loop."""
+        self._stopping.set()
+
+
+async def serve_web(options: WebOptions) -> None:
+    """Run the process until SIGINT or SIGTERM."""
+    web = WebProcess(options)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, web.stop)
+
+    def announce(web: WebProcess) -> None:
+        if options.print_address:
+            print(web.link("command"), flush=True)
+        else:
+            print(f"{web.base}/", flush=True)
+        if options.open_browser:
+            import webbrowser
+
+            loop.run_in_executor(None, webbrowser.open, web.link("command"))
+
+    await web.run(announce)
+
+
+def _local_base(address: str) -> str:
+    """What names the control socket's place: the daemon's socket, or a file for a daemon on TCP."""
+    from skygcs.rpc.address import default_socket_path
+
+    return str(default_socket_path()) if "://" in address else address
+
+
+def _bound(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
+    except OSError as error:
+        sock.close()
+        raise LinkError(
+            f"web page on {host} port {port}: {error.strerror or error}; choose another with --port"
+        ) from None
+    sock.setblocking(False)
+    return sock
+
+
+def _tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:
+    if cert is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        context.load_cert_chain(cert, key)
+    except (OSError, ssl.SSLError) as error:
+        raise SkygcsError(f"web.tls_cert {cert}: {error}") from None
+    return context
+
+
+def _read_cookies(path: Path) -> dict[str, Any]:
+    """What an earlier process on this port has saved; {} where there is none, or others could have written it."""
+    try:
+        stat = path.stat(follow_symlinks=False)
+        if stat.st_uid != os.geteuid() or stat.st_mode & 0o077 or stat.st_size > 1 << 20:
+            return {}
+        saved = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return saved if isinstance(saved, dict) else {}
+
+
+def _write_cookies(path: Path, saved: dict[str, Any]) -> None:
+    """Whole or not at all, 0600. Without a disk for it, browsers sign in again after a restart."""
+    temporary = path.with_name(path.name + ".new")
+    try:
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
+        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        with open(handle, "w") as file:
+            json.dump(saved, file)
+        temporary.replace(path)
+    except OSError as error:
+        _log.warning("browsers will have to sign in again after a restart", reason=str(error))
