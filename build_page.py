@@ -1,4 +1,4 @@
-"""Build the web page: src/skygcs/web/page -> src/skygcs/web/static. Needs Python only: Node.js is fetched if it is absent.
+"""Build the web page: src/skygcs/web/page to src/skygcs/web/static. Without Node.js it is fetched.
 
     python build_page.py [--or-warn] [--check]
 
