@@ -146,8 +146,10 @@ class WebProcess:
         tls = _tls(options.tls_cert, options.tls_key)
         sock = _bound(options.host, options.port)
         self.port = sock.getsockname()[1]
-        cookies = Path(f"{control_path(_local_base(options.socket), self.port)}.cookies")
-        self.sign_in.restore(_read_cookies(cookies))
+        cookies = None  # a free port is another one next time
+        if options.port:
+            cookies = Path(f"{control_path(_local_base(options.socket), self.port)}.cookies")
+            self.sign_in.restore(_read_cookies(cookies))
         http = HttpServer(
             self.pages,
             self.sign_in,
@@ -251,8 +253,10 @@ def _read_cookies(path: Path) -> dict[str, Any]:
     return saved if isinstance(saved, dict) else {}
 
 
-def _write_cookies(path: Path, saved: dict[str, Any]) -> None:
+def _write_cookies(path: Path | None, saved: dict[str, Any]) -> None:
     """Whole or not at all, 0600. Without a disk for it, browsers sign in again after a restart."""
+    if path is None:
+        return
     temporary = path.with_name(path.name + ".new")
     try:
         with contextlib.suppress(FileNotFoundError):
