@@ -92,6 +92,7 @@ class DaemonConnection:
 
     def __init__(self, address: str, token: str | None, states: LatestStates) -> None:
         self.address = address
+        self.takes_orders = True
         self.connected = False
         self.text = "not connected yet"
         self.loop = asyncio.get_running_loop()

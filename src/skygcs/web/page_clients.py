@@ -59,6 +59,7 @@ class Source(Protocol):
     """Where states and answers come from: a daemon or a recording."""
 
     connected: bool
+    takes_orders: bool
     text: str
     since: float
 
@@ -302,6 +303,8 @@ class PageClient:
             return REFUSED, f"{name} is not for pages"
         if not may(self.role, method):
             return NOT_PERMITTED, f"{name}: this page may only look; skygcs web link prints an address that may more"
+        if method not in READ and not self.pages.source.takes_orders:
+            return REFUSED, f"{name}: this is a replay; nothing can be ordered"
         if method not in READ and (problem := deadline_problem(request.get("deadline_s"), now)) is not None:
             self.pages.counters["late_orders"] += 1
             return TOO_LATE, f"{name}: {problem}"

@@ -19,6 +19,8 @@ from typing import Any
 import structlog
 
 from skygcs import __version__
+from skygcs.config.dialects import load_dialect
+from skygcs.config.models import FleetConfig
 from skygcs.errors import LinkError, RpcError, SkygcsError
 from skygcs.web.allow_list import LOOPBACK, allow_list, check_address
 from skygcs.web.check_process import CheckRunner
@@ -36,6 +38,7 @@ from skygcs.web.page_clients import (
     PageClient,
     PageClients,
 )
+from skygcs.web.replay_source import ReplaySource
 from skygcs.web.request_limits import DEADLINE_MAX_S, MAX_MESSAGE_BYTES
 from skygcs.web.roles import ENDS_FLIGHT, NOT_PASSED_ON, READ
 from skygcs.web.sign_in import Role, SignIn
@@ -63,6 +66,8 @@ class WebOptions:
     tls_cert: Path | None = None
     tls_key: Path | None = None
     map_image: MapImage | None = None
+    replay: Path | None = None
+    """A recording in place of the daemon."""
     print_address: bool = True
     open_browser: bool = False
 
@@ -76,9 +81,13 @@ class WebProcess:
         self.loop = asyncio.get_running_loop()
         self.states = LatestStates()
         self.sign_in = SignIn(lambda: secrets.token_urlsafe(SECRET_BYTES))
-        self.daemon = DaemonConnection(options.socket, options.token, self.states)
+        self.source: DaemonConnection | ReplaySource
+        if options.replay is None:
+            self.source = DaemonConnection(options.socket, options.token, self.states)
+        else:
+            self.source = ReplaySource(options.replay, load_dialect(FleetConfig().dialect), self.states)
         self.checks = CheckRunner()
-        self.pages = PageClients(self.states, self.daemon, self._own_methods())
+        self.pages = PageClients(self.states, self.source, self._own_methods())
         self.port = 0
         self._stopping = asyncio.Event()
 
@@ -90,6 +99,8 @@ class WebProcess:
             "web.subscribe": self._subscribe,
             "web.ping": self._ping,
         }
+        if isinstance(self.source, ReplaySource):
+            methods |= self.source.own_methods()
         return methods | {name: self._check(name) for name in CHECKS}
 
     def _check(self, name: str) -> OwnMethod:
@@ -103,8 +114,8 @@ class WebProcess:
         return {
             "role": page.role,
             "version": __version__,
-            "fleet": self.daemon.info.get("fleet_file"),
-            "replay": False,
+            "fleet": self.source.info.get("fleet_file"),
+            "replay": isinstance(self.source, ReplaySource),
             "now_s": round(self.loop.time(), 4),
             "seq": 0 if page.page_states is None else page.page_states.seq,
             "daemon": self.pages.daemon_status(),
@@ -115,7 +126,7 @@ class WebProcess:
                 "refused": sorted(NOT_PASSED_ON),
             },
             "limits": {"message_bytes": MAX_MESSAGE_BYTES, "deadline_s": DEADLINE_MAX_S},
-            "operator_timeout_s": self.daemon.info.get("operator_timeout_s"),
+            "operator_timeout_s": self.source.info.get("operator_timeout_s"),
         }
 
     async def _subscribe(self, page: PageClient, params: dict[str, Any]) -> dict[str, Any]:
@@ -163,7 +174,7 @@ class WebProcess:
         try:
             await control.start()
             await http.start(sock, tls)
-            feeding = asyncio.create_task(self.daemon.run(self.pages), name="daemon connection")
+            feeding = asyncio.create_task(self.source.run(self.pages), name="source of states")
             if on_ready is not None:
                 on_ready(self)
             stopping = asyncio.create_task(self._stopping.wait(), name="stop")
