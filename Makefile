@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test test-system test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web
+.PHONY: demo test test-system test-lab test-clients test-firmware check bench bench-control bench-radio bench-plans bench-monitor bench-web soak fuzz clean format web dist test-web
 demo: $(STAMP)
 	$(BIN)/python build_page.py --or-warn
 	$(BIN)/skygcs demo
@@ -34,6 +34,10 @@ test-clients: $(STAMP)
 test-web: $(STAMP)
 	$(BIN)/python build_page.py --check
 	$(BIN)/pytest tests/web
+
+# Programs of a lab (a real Prometheus), of which it names those that are missing; LAB_SCRAPE_S=120
+test-lab: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m lab
 
 # Real autopilots: SKYGCS_PX4 and SKYGCS_ARDUCOPTER name the binaries; FULL=1: also what takes minutes
 test-firmware: $(STAMP)

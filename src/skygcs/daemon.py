@@ -20,6 +20,7 @@ from skygcs.core.control.deadman import DeadMan
 from skygcs.core.mavlink.dialect import Dialect
 from skygcs.core.mavlink.msgids import HEARTBEAT, RADIO, RADIO_STATUS
 from skygcs.errors import LinkError
+from skygcs.metrics.endpoint import MetricsEndpoint
 from skygcs.rpc.address import default_socket_path
 from skygcs.rpc.server import RpcServer
 from skygcs.runtime.admission_reports import AdmissionReports
@@ -114,7 +115,12 @@ class Daemon:
         self.corrections = CorrectionFeed(self.hub, self.fleet, self.now)
         self.message_sender = MessageSender(self.hub, self.fleet, self.links, self.now)
         self.socket_path = own.socket or default_socket_path()
-        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=_read_token(own.token_file))
+        token = _read_token("daemon", own.token_file)
+        self.rpc = RpcServer(self, self.socket_path, tcp_port=own.tcp_port, token=token)
+        self.metrics: MetricsEndpoint | None = None
+        if config.metrics is not None:
+            token = _read_token("metrics", config.metrics.token_file)
+            self.metrics = MetricsEndpoint(config.metrics, token, self.event_log, self.now)
 
     def _observe(self) -> None:
         """Give frames and events to what reads them."""
@@ -131,8 +137,10 @@ class Daemon:
     async def run(self) -> None:
         """Run until `stop`. Raises LinkError/ConfigError-like SkygcsErrors only before `ready` is set."""
         self.rpc.claim()
-        self.fleet.undo.report()
         try:
+            if self.metrics is not None:
+                self.metrics.claim()
+            self.fleet.undo.report()
             async with asyncio.TaskGroup() as outer:
                 recording = None
                 if self.recorder is not None:
@@ -145,6 +153,8 @@ class Daemon:
                         await self.recorder.close()
         finally:
             self.event_log.flush()
+            if self.metrics is not None:
+                await self.metrics.close()
             await self.rpc.close()
 
     async def _run_inner(self) -> None:
@@ -169,6 +179,8 @@ class Daemon:
             self.links.start(group)
             try:
                 await self.rpc.start()  # after the links: a restart in flight forwards first
+                if self.metrics is not None:
+                    await self.metrics.start(self)
                 self.ready.set()
                 await self._stopping.wait()
                 await self.fleet.wind_down(UNDO_S)  # while the links are open
@@ -248,8 +260,8 @@ class Daemon:
         }
 
 
-def _read_token(path: Path | None) -> str | None:
-    """The RPC token; raises LinkError if the file is missing, empty or readable by others."""
+def _read_token(table: str, path: Path | None) -> str | None:
+    """The token of a table of the fleet file; raises LinkError if the file is missing, empty or readable by others."""
     if path is None:
         return None
     try:
@@ -257,11 +269,11 @@ def _read_token(path: Path | None) -> str | None:
             mode = os.fstat(file.fileno()).st_mode
             token = file.read(MAX_TOKEN_BYTES).decode().strip()
     except OSError as error:
-        raise LinkError(f"daemon.token_file {path}: {error.strerror}") from None
+        raise LinkError(f"{table}.token_file {path}: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise LinkError(f"daemon.token_file {path}: is not text") from None
+        raise LinkError(f"{table}.token_file {path}: is not text") from None
     if mode & 0o077:
-        raise LinkError(f"daemon.token_file {path}: others can read it; chmod 600 {path}")
+        raise LinkError(f"{table}.token_file {path}: others can read it; chmod 600 {path}")
     if len(token) < 16:
-        raise LinkError(f"daemon.token_file {path}: the token needs at least 16 characters")
+        raise LinkError(f"{table}.token_file {path}: the token needs at least 16 characters")
     return token

@@ -113,9 +113,13 @@ def _notes(config: FleetConfig) -> list[str]:
                 notes.append(f"links.{name}.signing: {error}; skygcs does not start with this error")
     notes += [f"links.{name}: {text}" for name, text in link_warnings(config).items()]
     notes += [f"links.{name}: {text}" for name, text in open_servers(config).items()]
-    token = config.daemon.token_file
-    if token is not None and not token.is_file():
-        notes.append(f"daemon.token_file: the file {token} does not exist now")
+    tokens = {
+        "daemon": config.daemon.token_file,
+        "metrics": None if config.metrics is None else config.metrics.token_file,
+    }
+    for owner, token in tokens.items():
+        if token is not None and not token.is_file():
+            notes.append(f"{owner}.token_file: the file {token} does not exist now")
     return notes
 
 

@@ -56,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """The commands that read a fleet file: run, check, import-router."""
+    """The commands about fleet files and what belongs to a daemon: run, check, import-router, metrics."""
     run = commands.add_parser("run", help="run the daemon with a fleet file")
     run.add_argument("file", type=Path, metavar="FLEET.toml")
     run.add_argument("--socket", type=Path, help="JSON-RPC socket instead of the file's or the default one")
@@ -74,6 +74,10 @@ def _add_fleet_files(commands: argparse._SubParsersAction[argparse.ArgumentParse
     router.add_argument("-o", "--output", type=Path, metavar="FLEET.toml", help="default: standard output")
     router.add_argument("--force", action="store_true", help="overwrite the output")
     router.set_defaults(run=_import_router)
+
+    metrics = commands.add_parser("metrics", help="print the Grafana dashboard or the alert rules for Prometheus")
+    metrics.add_argument("what", choices=("dashboard", "rules"))
+    metrics.set_defaults(run=_metrics)
 
 
 def _add_demo(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -196,6 +200,14 @@ def _import_router(args: argparse.Namespace) -> int:
     from skygcs.cli.fleet_files import import_router_file
 
     return import_router_file(args.file, args.output, force=args.force)
+
+
+def _metrics(args: argparse.Namespace) -> int:
+    from importlib.resources import files
+
+    name = {"dashboard": "dashboard.json", "rules": "alerts.yml"}[args.what]
+    print(files("skygcs.metrics").joinpath(name).read_text(encoding="utf-8"), end="")
+    return EXIT_OK
 
 
 def _demo(args: argparse.Namespace) -> int:

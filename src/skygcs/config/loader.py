@@ -18,6 +18,7 @@ from pydantic_core import ErrorDetails
 from skygcs.config.checks import conflicts, dialect_problems, message_problems, stream_problems
 from skygcs.config.control import ControlFenceSettings, ControlSettings, GainSettings
 from skygcs.config.dialects import load_dialect
+from skygcs.config.metrics import MetricsConfig
 from skygcs.config.models import (
     AnyLink,
     DaemonConfig,
@@ -323,6 +324,8 @@ def _model_at(path: KeyPath, table: dict[str, Any]) -> type[BaseModel] | None:
             return VehicleEntry
         case ("monitor",):
             return MonitorConfig
+        case ("metrics",):
+            return MetricsConfig
         case (*_, "separation"):
             return SeparationSettings
         case (*_, "preflight"):
@@ -368,11 +371,15 @@ def _with_paths(config: FleetConfig, folder: Path) -> tuple[FleetConfig, list[Pr
         if (value := getattr(daemon, key)) is not None
     }
     links = {name: _link_with_paths(name, link, absolute) for name, link in config.links.items()}
+    metrics = config.metrics
+    if metrics is not None and metrics.token_file is not None:
+        token_file = absolute(metrics.token_file, ("metrics", "token_file"))
+        metrics = metrics.model_copy(update={"token_file": token_file})
     dialect = tuple(
         os.path.normpath(folder / os.path.expanduser(name)) if "/" in name or name.endswith(".xml") else name
         for name in _listed(config.dialect)
     )
-    update = {"daemon": daemon.model_copy(update=paths), "links": links, "dialect": dialect}
+    update = {"daemon": daemon.model_copy(update=paths), "links": links, "dialect": dialect, "metrics": metrics}
     return config.model_copy(update=update), problems
 
 

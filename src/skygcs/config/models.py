@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from skygcs.config.control import ControlSettings
+from skygcs.config.metrics import MetricsConfig
 from skygcs.config.preflight import PreflightSettings
 from skygcs.config.radio import EmulatedRadio, RadioKeys, RateHz
 from skygcs.config.separation import MonitorConfig, SeparationSettings
@@ -343,6 +344,7 @@ class FleetConfig(Model):
 
     daemon: DaemonConfig = DaemonConfig()
     monitor: MonitorConfig = MonitorConfig()
+    metrics: MetricsConfig | None = None
     dialect: str | tuple[str, ...] = ("ardupilotmega", "px4-extras")
     origin: OriginConfig | None = None
     links: dict[str, AnyLink] = Field(default_factory=dict)

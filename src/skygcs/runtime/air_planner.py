@@ -120,6 +120,21 @@ class AirPlanner:
         """Every radio: uplink and downlink, its vehicles, its history."""
         return [self._status_of(radio, now) for radio in self._radios.values()]
 
+    def radios(self, now: float) -> list[dict[str, Any]]:
+        """`status` without the single vehicles, what others send, and the history: it costs the same for any number
+        of vehicles but one sum over them."""
+        return [
+            {
+                "link": radio.channel.link.name,
+                "vehicles": len(radio.planned),
+                "down": self._down_of(radio),
+                "up": radio.air.pacer.status(now),
+                "classes": radio.air.queue.status(),
+                "poor": len(radio.poor),
+            }
+            for radio in self._radios.values()
+        ]
+
     # -- the inside
 
     def _sender(self, channel_id: int) -> Callable[[MessageInfo, Mapping[str, Any]], bool]:
@@ -239,8 +254,19 @@ class AirPlanner:
         text = f"still streams messages that it was requested to stop ({names}; {wasted:.0f} B/s of the radio): {how}"
         self._on_event(Event("warning", actor.name, actor.sysid, text, {"link": radio.channel.link.name}))
 
-    def _status_of(self, radio: _Radio, now: float) -> dict[str, Any]:
+    def _down_of(self, radio: _Radio) -> dict[str, float]:
+        """What comes down from all vehicles of a radio."""
         total, each = radio.budget
+        planned = sum(plan_bytes_per_s(rates, self._bytes) for rates in radio.planned.values())
+        return {
+            "budget_bytes_per_s": round(total, 1),
+            "per_vehicle_bytes_per_s": round(each, 1),
+            "planned_bytes_per_s": round(planned, 1),
+            "measured_bytes_per_s": round(sum(s.bytes_per_s for s in radio.channel.sources.values()), 1),
+            "factor": round(radio.downlink.factor, 2),
+        }
+
+    def _status_of(self, radio: _Radio, now: float) -> dict[str, Any]:
         planned = {k: plan_bytes_per_s(rates, self._bytes) for k, rates in radio.planned.items()}
         # each vehicle of the plan
         sources = radio.channel.sources
@@ -266,18 +292,11 @@ class AirPlanner:
                 }
             )
         # the radio as a whole
-        measured = sum(s.bytes_per_s for s in sources.values())
         return {
             "link": radio.channel.link.name,
             "peer": radio.channel.peer,
             "vehicles": vehicles,
-            "down": {
-                "budget_bytes_per_s": round(total, 1),
-                "per_vehicle_bytes_per_s": round(each, 1),
-                "planned_bytes_per_s": round(sum(planned.values()), 1),
-                "measured_bytes_per_s": round(measured, 1),
-                "factor": round(radio.downlink.factor, 2),
-            },
+            "down": self._down_of(radio),
             "up": radio.air.status(now),
             "poor": sorted(radio.poor),
             "history": [report.as_dict(now) for report in list(radio.air.pacer.history)[-60:]],

@@ -71,6 +71,15 @@ class CorrectionFeed:
             "links": channels,
         }
 
+    @property
+    def totals(self) -> dict[str, int]:
+        """Messages and bytes sent since the daemon's start, and what was refused or damaged."""
+        return dict(self._sent)
+
+    def age_s(self) -> float | None:
+        """Time since the last message; None before the first."""
+        return None if self._last_at is None else self._clock() - self._last_at
+
     def status(self) -> dict[str, Any]:
         """Messages sent since the daemon's start, those that each radio carried, and the fix of each vehicle."""
         now = self._clock()

@@ -33,6 +33,8 @@ class EventLog:
     def __init__(self, now: Callable[[], float]) -> None:
         self.recent: list[dict[str, Any]] = []
         """Oldest first, at most MAX_EVENTS."""
+        self.counts: Counter[str] = Counter()
+        """Events by kind since the start, those not logged included."""
         self._kept: Counter[str] = Counter()
         self._now = now
         self._limiter = EventLimiter()
@@ -41,6 +43,7 @@ class EventLog:
 
     def publish(self, event: Event) -> None:
         """Call the handlers, then log the event unless too many of its kind came (`EventLimiter`)."""
+        self.counts[event.kind] += 1
         for handler in self._handlers.get(event.kind, ()):
             handler(event)
         self._log_all(self._limiter.offer(event, self._now()))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -162,6 +163,34 @@ WHOLE_DATAGRAM_BYTES = 1472
 _DROPPED = (RoutingVerdict.DUPLICATE, RoutingVerdict.CONFLICT, RoutingVerdict.FILTERED_IN, RoutingVerdict.OUT_OF_BOUNDS)
 
 
+CHANNEL_TOTALS = (
+    "rx_frames",
+    "rx_bytes",
+    "tx_frames",
+    "tx_bytes",
+    "tx_dropped",
+    "bad_crc",
+    "unknown",
+    "skipped_bytes",
+)
+"""Counters of a channel that are added up for its link; those of `Channel.counters`."""
+
+
+def channel_totals(channel: Channel) -> dict[str, int]:
+    """`CHANNEL_TOTALS` of one channel."""
+    stats = channel.parser.stats
+    return {
+        "rx_frames": channel.rx_frames,
+        "rx_bytes": channel.rx_bytes,
+        "tx_frames": channel.tx_frames,
+        "tx_bytes": channel.tx_bytes,
+        "tx_dropped": channel.tx_dropped,
+        "bad_crc": stats.bad_crc,
+        "unknown": stats.unknown,
+        "skipped_bytes": stats.skipped_bytes,
+    }
+
+
 class Hub:
     """The links' host: routes every frame, records it, and passes it to the fleet.
 
@@ -210,6 +239,8 @@ class Hub:
         self._fault_kinds: set[str] = set()
         self._next_id = 1
         self._closed_channels: dict[tuple[str, str], dict[int, SourceStats]] = {}
+        self._closed_totals: dict[str, Counter[str]] = {}
+        """By link, the counters of its channels that have closed."""
         self._observers = FrameObservers(self.forget_flows)
 
     def connect(self, fleet: Fleet | None, reports: RouteReports) -> None:
@@ -262,6 +293,8 @@ class Hub:
     def detach(self, channel: Channel, reason: str) -> None:
         """Remove a closed channel and its routes. Idempotent."""
         if self.channels.pop(channel.id, None) is not None:
+            self.after_fast_path()
+            self._add_to_totals(channel)
             self.router.close(channel.id)
             self._renumbering.pop(channel.id, None)
             closed = self._closed_channels
@@ -269,6 +302,22 @@ class Hub:
             kept = sum(map(len, closed.values()))
             while len(closed) > MAX_CLOSED_CHANNELS or (kept > MAX_CLOSED_SOURCES and len(closed) > 1):
                 kept -= len(closed.pop(next(iter(closed))))
+
+    def _add_to_totals(self, channel: Channel) -> None:
+        """Keep the counters of a channel that closes: those of its link must not decrease."""
+        totals = self._closed_totals.pop(channel.link.name, Counter())
+        totals.update(channel_totals(channel))
+        self._closed_totals[channel.link.name] = totals
+        while len(self._closed_totals) > MAX_CLOSED_CHANNELS:
+            del self._closed_totals[next(iter(self._closed_totals))]
+
+    def link_totals(self, link: str) -> Counter[str]:
+        """Counters of a link (`CHANNEL_TOTALS`) since the daemon's start: its open channels and those that closed."""
+        totals = Counter(self._closed_totals.get(link, {}))
+        for channel in self.channels.values():
+            if channel.link.name == link:
+                totals.update(channel_totals(channel))
+        return totals
 
     def on_frames(self, channel: Channel, frames: list[Frame], now: float) -> None:
         """Handle the frames of one read. Hot: no decoding, no await, no log; a fault is contained in its frame."""

@@ -70,6 +70,10 @@ class LinkTable:
         """The present configuration of all links, including those switched off."""
         return {name: entry.config for name, entry in self._entries.items()}
 
+    def supervisors(self) -> dict[str, LinkSupervisor]:
+        """Of each link that is not switched off, by name."""
+        return {n: e.supervisor for n, e in self._entries.items() if e.supervisor is not None}
+
     def open_names(self) -> list[str]:
         """Names of the links that are open now."""
         return [n for n, e in self._entries.items() if e.supervisor is not None and e.supervisor.state == "up"]

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from skygcs.config import control, models, preflight, separation, signing
+from skygcs.config import control, metrics, models, preflight, separation, signing
 from skygcs.config.loader import load_fleet
 from skygcs.errors import ConfigError
 from support.public_data import ROOT
@@ -35,6 +35,7 @@ LINKS = get_args(models.LinkConfig)
         control.TrajectorySettings,
         preflight.PreflightSettings,
         preflight.RuleSettings,
+        metrics.MetricsConfig,
         separation.MonitorConfig,
         separation.SeparationSettings,
         signing.SigningSettings,

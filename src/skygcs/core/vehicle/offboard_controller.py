@@ -18,6 +18,7 @@ rest.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
@@ -26,7 +27,7 @@ from skygcs.core.control.cascade import Estimate, Memory, Reference, Vector
 from skygcs.core.control.control_fence import Fence
 from skygcs.core.control.delay import DelayMeter
 from skygcs.core.control.gains import ControlConfig
-from skygcs.core.control.guard import CONTROL_MODES, ControlMode, Facts, Guard, GuardConfig, Verdict
+from skygcs.core.control.guard import BY_DELAY, CONTROL_MODES, ControlMode, Facts, Guard, GuardConfig, Verdict
 from skygcs.core.geo import EnuFrame
 from skygcs.core.vehicle.estimate_view import EstimateView
 from skygcs.core.vehicle.flight_evidence import contradiction
@@ -127,6 +128,9 @@ class OffboardController:
         self._last = _Last()
         self._velocity_ended = False
         """The guard has fallen back to position setpoints, by which no velocity is flown."""
+        self.guard_falls: Counter[str] = Counter()
+        """How often the guard fell back to "velocity" or "position", ordered to "hold", or ended control ("release"),
+        since the vehicle is known."""
 
     # -- orders
 
@@ -334,8 +338,7 @@ class OffboardController:
                 )
         verdict = self._guard.check(self._facts(estimate, age_s, now), now)
         if verdict.action == "release":
-            ended = self.release("; ".join(verdict.reasons))
-            return Tick(events=(*events, *ended.events), left="mode" in verdict.kinds)
+            return self._released(verdict, events)
         if self.state is ENGAGING:
             return self._send(verdict.control_mode or POSITION, dt_s, following=False)
         self.reasons = verdict.reasons
@@ -506,13 +509,22 @@ class OffboardController:
         )
         return self._estimate_view.way_out(moving, now, margin=True)
 
+    def _released(self, verdict: Verdict, events: list[Event]) -> Tick:
+        """The guard ended control."""
+        self.guard_falls["release"] += 1
+        ended = self.release("; ".join(verdict.reasons))
+        return Tick(events=(*events, *ended.events), left="mode" in verdict.kinds)
+
     def _on_change(self, verdict: Verdict) -> list[Event]:
         first = self.control_mode is None and verdict.control_mode is self.wanted
         why = "; ".join(verdict.reasons)
         if verdict.action == "hold":
+            self.guard_falls["hold"] += 1
             return [self._event(f"holding, nothing more is sent: {why}", "held")]
         if verdict.control_mode is None or first:
             return []  # that it flies as it was wanted is the order's own outcome
+        if BY_DELAY.index(verdict.control_mode) > BY_DELAY.index(self.control_mode or self.wanted):
+            self.guard_falls[verdict.control_mode.value] += 1
         text = f"flown by {verdict.control_mode.value} setpoints" + (f": {why}" if why else " again")
         if verdict.control_mode is POSITION and self.wanted is RAW:
             text = f"its own controller flies no more, it holds its position: {why}"

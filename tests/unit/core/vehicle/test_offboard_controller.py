@@ -210,6 +210,7 @@ def test_what_is_not_ours_any_more_is_released_and_given_no_order(what: str) -> 
     tick = flight.tick()
     assert tick.message is None and not tick.hold and why in texts(tick)
     assert flight.pilot.state is OffboardState.OFF and flight.tick() == Tick()
+    assert flight.pilot.guard_falls == {"release": 1}
 
 
 HOLDS: dict[str, tuple[Callable[[Flight], object], str]] = {
@@ -254,6 +255,7 @@ def test_what_is_unsafe_is_held_once_and_then_left_alone(what: str) -> None:
     assert flight.pilot.state is OffboardState.HELD and not flight.pilot.active
     assert why in " ".join(flight.pilot.reasons)
     assert flight.tick() == Tick()  # the order is given once
+    assert flight.pilot.guard_falls == {"hold": 1}
 
 
 @pytest.mark.parametrize("what", HOLDS)
@@ -321,10 +323,12 @@ def test_the_wanted_way_is_tried_again_when_it_is_ordered_again() -> None:
     for _ in range(20):
         flight.tick(0.2)
     assert flight.pilot.control_mode is ControlMode.POSITION
+    assert flight.pilot.guard_falls == {"position": 1}
     flight.pilot.want(ControlMode.VELOCITY)
     assert flight.pilot.reasons == ()
     tick = flight.tick()
     assert tick.message is not None and tick.message[0] == MESSAGES[ControlMode.VELOCITY]
+    assert flight.pilot.guard_falls == {"position": 1}, "a rise is no fall"
 
 
 def test_the_memory_is_forgotten_on_a_change_of_way_and_only_then() -> None:

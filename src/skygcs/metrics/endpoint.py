@@ -1,0 +1,198 @@
+"""The HTTP address that Prometheus scrapes: GET /metrics and nothing else, with bounds on all that a client can cause.
+
+This module is light; the collector and prometheus-client are imported by `MetricsEndpoint.start`, beside the loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import importlib
+import importlib.util
+import socket
+from collections import Counter
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import structlog
+
+from skygcs.config.metrics import MetricsConfig
+from skygcs.errors import LinkError
+from skygcs.events import Event
+from skygcs.runtime.event_log import EventLog
+
+if TYPE_CHECKING:  # imports prometheus-client, which is an extra
+    from skygcs.metrics.collector import Measured, MetricsCollector
+
+MAX_CONNECTIONS = 8
+"""Scrapers at one time; a further connection is closed at once."""
+
+MAX_REQUEST_BYTES = 8192
+"""Request line and headers; Prometheus sends some 300 bytes."""
+
+REQUEST_S = 5.0
+"""For a client to send its request ..."""
+
+ANSWER_S = 10.0
+"""... and to take the answer: Prometheus gives up after 10 s as well (scrape_timeout)."""
+
+FRESH_S = 1.0
+"""An answer serves all requests of this time: more scrapers, or faster ones, cost nothing."""
+
+MAX_ORDER_RESULTS = 512
+"""Pairs of order and result that are counted apart: 40 orders have a dozen results. Further ones are "other"."""
+
+CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+
+_log = structlog.get_logger(__name__)
+
+
+class MetricsEndpoint:
+    """One daemon's. `claim`, then `start`, then `close`. Make it before links open: it counts orders from then on."""
+
+    def __init__(self, config: MetricsConfig, token: str | None, event_log: EventLog, now: Callable[[], float]) -> None:
+        self.address: tuple[str, int] | None = None
+        """Where it listens; known after `claim`."""
+        self.orders: Counter[tuple[str, str]] = Counter()
+        self._config = config
+        self._token = None if token is None else token.encode()
+        self._now = now
+        self._listener: socket.socket | None = None
+        self._server: asyncio.Server | None = None
+        self._collector: MetricsCollector | None = None
+        self._clients: set[asyncio.Task[None]] = set()
+        self._rendering = asyncio.Lock()
+        self._answer = b""
+        self._answered_at = float("-inf")
+        event_log.on("command", self._on_order)
+
+    def claim(self) -> None:
+        """Bind the address before anything else begins. Raises LinkError if it is taken, or prometheus-client is not
+        installed."""
+        if importlib.util.find_spec("prometheus_client") is None:
+            raise LinkError("[metrics] needs prometheus-client: pip install 'skygcs[metrics]'")
+        host, port = self._config.host, self._config.port
+        listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind((host, port))
+            listener.setblocking(False)
+        except OSError as error:
+            listener.close()
+            raise LinkError(f"[metrics]: cannot listen on {host}:{port}: {error.strerror or error}") from None
+        self._listener = listener
+        self.address = listener.getsockname()[:2]
+
+    async def start(self, services: Measured) -> None:
+        """Listen. Raises LinkError if another process has begun to listen there."""
+        assert self._listener is not None
+        await asyncio.to_thread(importlib.import_module, "skygcs.metrics.collector")
+        from skygcs.metrics.collector import MetricsCollector
+
+        self._collector = MetricsCollector(services, self.orders)
+        try:
+            self._server = await asyncio.start_server(self._accept, sock=self._listener, limit=MAX_REQUEST_BYTES)
+        except OSError as error:
+            raise LinkError(f"[metrics]: cannot listen on {self.address}: {error.strerror or error}") from None
+        self._listener = None  # the server's now
+        _log.info("metrics listening", address=self.address)
+
+    async def close(self) -> None:
+        """Stop listening and close all connections. Idempotent."""
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+        server, self._server = self._server, None
+        if server is not None:
+            server.close()
+        clients = list(self._clients)
+        for client in clients:
+            client.cancel()
+        await asyncio.gather(*clients, return_exceptions=True)
+
+    def _on_order(self, event: Event) -> None:
+        result = event.data.get("result")
+        if result is None or result == "in_progress":
+            return
+        pair = (str(event.data.get("order", "command")), str(result))
+        if pair not in self.orders and len(self.orders) >= MAX_ORDER_RESULTS:
+            pair = ("other", "other")
+        self.orders[pair] += 1
+
+    # -- one connection
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if self._server is None or len(self._clients) >= MAX_CONNECTIONS:
+            writer.transport.abort()
+            return
+        task = asyncio.get_running_loop().create_task(self._serve(reader, writer), name="metrics client")
+        self._clients.add(task)
+        task.add_done_callback(self._clients.discard)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """One request, one answer; a client that is slow or breaks off loses its connection."""
+        try:
+            try:
+                async with asyncio.timeout(REQUEST_S):
+                    request = await reader.readuntil(b"\r\n\r\n")
+            except asyncio.LimitOverrunError:
+                response = _response("431 Request Header Fields Too Large", b"the request is too long\n")
+            else:
+                response = await self._respond(request)
+            async with asyncio.timeout(ANSWER_S):
+                writer.write(response)
+                await writer.drain()
+                writer.close()
+                await writer.wait_closed()
+        except (TimeoutError, OSError, asyncio.IncompleteReadError):
+            pass  # the client's loss; it may come again
+        finally:
+            writer.transport.abort()
+
+    async def _respond(self, request: bytes) -> bytes:
+        line, _, headers = request.partition(b"\r\n")
+        words = line.split(b" ")
+        if len(words) != 3 or not words[2].startswith(b"HTTP/1."):
+            return _response("400 Bad Request", b"not a request of HTTP/1\n")
+        method, path = words[0], words[1].partition(b"?")[0]
+        if self._token is not None and not hmac.compare_digest(_bearer(headers), self._token):
+            return _response("401 Unauthorized", b"a token is needed\n", ("WWW-Authenticate: Bearer",))
+        if method not in (b"GET", b"HEAD"):
+            return _response("405 Method Not Allowed", b"only GET\n", ("Allow: GET, HEAD",))
+        if path != b"/metrics":
+            return _response("404 Not Found", b"the metrics are at /metrics\n")
+        response = _response("200 OK", await self._rendered(), content_type=CONTENT_TYPE)
+        return response.partition(b"\r\n\r\n")[0] + b"\r\n\r\n" if method == b"HEAD" else response
+
+    async def _rendered(self) -> bytes:
+        """The numbers, at most FRESH_S old; one collection at a time."""
+        async with self._rendering:
+            if self._now() - self._answered_at >= FRESH_S:
+                assert self._collector is not None
+                self._answer = await self._collector.render()
+                self._answered_at = self._now()
+            return self._answer
+
+
+def _bearer(headers: bytes) -> bytes:
+    """The token of the Authorization header, or b""."""
+    for line in headers.split(b"\r\n"):
+        name, _, value = line.partition(b":")
+        if name.strip().lower() == b"authorization":
+            scheme, _, token = value.strip().partition(b" ")
+            return token.strip() if scheme.lower() == b"bearer" else b""
+    return b""
+
+
+def _response(
+    status: str, body: bytes, headers: tuple[str, ...] = (), *, content_type: str = "text/plain; charset=utf-8"
+) -> bytes:
+    head = (
+        f"HTTP/1.1 {status}",
+        f"Content-Type: {content_type}",
+        f"Content-Length: {len(body)}",
+        "Connection: close",
+        "X-Content-Type-Options: nosniff",
+        *headers,
+    )
+    return "\r\n".join(head).encode() + b"\r\n\r\n" + body
