@@ -32,6 +32,24 @@ serve.serve_until_signal = served
 serve.main(["run", "-q", sys.argv[1]])
 """
 
+WITH_A_VEHICLE = """
+import asyncio, sys
+from skygcs.cli import process, serve
+from skygcs.rpc.client import Client
+watched = sys.argv[3:]
+async def served(daemon):
+    running = asyncio.create_task(daemon.run())
+    await daemon.ready.wait()
+    async with Client(sys.argv[2]) as gcs:
+        while not any((state.get("position") or {}).get("enu_m") for state in await gcs.call("vehicles.list")):
+            await asyncio.sleep(0.1)
+    print("loaded", *[m for m in watched if m in sys.modules])
+    daemon.stop()
+    await running
+serve.serve_until_signal = served
+serve.main(["run", "-q", sys.argv[1]])
+"""
+
 
 def loaded(code: str, *arguments: str) -> list[set[str]]:
     """The words of each line that the code printed, without the first."""
@@ -47,6 +65,17 @@ def test_a_daemon_loads_nothing_heavy_and_what_its_socket_needs_last(tmp_path: P
     before, after = loaded(RUN, str(fleet), *HEAVY, *SOCKET_SIDE)
     assert before == set()
     assert after == set(SOCKET_SIDE)
+
+
+def test_a_vehicle_with_a_place_in_the_world_loads_nothing_heavy(tmp_path: Path) -> None:
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(
+        f'[daemon]\nsocket = "{tmp_path}/s"\nlog_dir = "{tmp_path}/logs"\n'
+        "[origin]\nlat_deg = 43.7806\nlon_deg = -79.4653\nalt_amsl_m = 180.0\n"
+        '[links.field]\ntype = "simulated"\npx4 = 1\n'
+    )
+    loaded(RUN, str(fleet))  # makes the dialect's table
+    assert loaded(WITH_A_VEHICLE, str(fleet), f"{tmp_path}/s", *HEAVY) == [set()]
 
 
 def test_rich_can_be_imported_after_the_log_was_set_up() -> None:

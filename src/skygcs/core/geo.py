@@ -5,14 +5,15 @@ The x axis of the world points along `Origin.x_heading_deg`, y is 90 degrees to 
 
 Heights are AMSL throughout: an ellipsoid height differs from it by the geoid's undulation, which over a flying site is
 one constant that cancels between a point and the origin.
-pymap3d does the geodesy; it is imported on first use because it brings numpy with it. `EnuFrame` does the same without
-it where conversions are made at the rate of a control loop.
+No library does this arithmetic: pymap3d, the oracle of the tests, brings numpy with it, which is 11 MB of a daemon's memory,
+and takes ten times as long for one point.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 Vector = tuple[float, float, float]
 
@@ -43,12 +44,7 @@ class Origin:
 
 def enu_from_geodetic(lat_deg: float, lon_deg: float, alt_amsl_m: float, origin: Origin) -> Vector:
     """(x, y, up) in metres of a point along the origin's axes; east, north, up if its x axis points east."""
-    import pymap3d
-
-    east, north, up = pymap3d.geodetic2enu(
-        lat_deg, lon_deg, alt_amsl_m, origin.lat_deg, origin.lon_deg, origin.alt_amsl_m
-    )
-    return world_from_enu((float(east), float(north), float(up)), origin)
+    return _frame(origin).from_geodetic(lat_deg, lon_deg, alt_amsl_m)
 
 
 def geodetic_from_enu(x_m: float, y_m: float, up_m: float, origin: Origin) -> Vector:
@@ -56,11 +52,7 @@ def geodetic_from_enu(x_m: float, y_m: float, up_m: float, origin: Origin) -> Ve
 
     There and back is good to 1 mm within 10 km of the origin.
     """
-    import pymap3d
-
-    east_m, north_m, up_m = enu_from_world((x_m, y_m, up_m), origin)
-    lat, lon, alt = pymap3d.enu2geodetic(east_m, north_m, up_m, origin.lat_deg, origin.lon_deg, origin.alt_amsl_m)
-    return float(lat), float(lon), float(alt)
+    return _frame(origin).to_geodetic(x_m, y_m, up_m)
 
 
 def world_from_enu(vector: Vector, origin: Origin) -> Vector:
@@ -97,11 +89,11 @@ def _x_axis(origin: Origin) -> tuple[float, float]:
 
 
 class EnuFrame:
-    """`enu_from_geodetic` and `geodetic_from_enu` about one origin for the hot path: control loops, one per vehicle.
+    """`enu_from_geodetic` and `geodetic_from_enu` about one origin, whose ECEF position and axes are computed once.
 
-    The origin's ECEF position and axes are worked out once, and no arrays are made. For one point pymap3d (3.2, CPython
-    3.11) takes 8.2 us there and 92 us back, this 0.7 us and 0.9 us: both ways for 100 vehicles at 50 Hz are 8 ms of
-    each second instead of 500. Within 0.1 mm of pymap3d (measured: 1 um) up to 20 km away.
+    For one point pymap3d (3.2, CPython 3.11) takes 8.2 us there and 92 us back, this 0.7 us and 0.9 us: both ways for
+    100 vehicles at 50 Hz are 8 ms of each second instead of 500. Within 0.1 mm of pymap3d (measured: 1 um) up to 20 km
+    away.
     """
 
     __slots__ = ("_cos_lat", "_cos_lon", "_ecef", "_sin_lat", "_sin_lon", "_x_east", "_x_north", "origin")
@@ -140,6 +132,12 @@ class EnuFrame:
             y0 + self._sin_lon * outward + self._cos_lon * east,
             z0 + self._cos_lat * north + self._sin_lat * up_m,
         )
+
+
+@lru_cache(maxsize=64)
+def _frame(origin: Origin) -> EnuFrame:
+    """A fleet has one origin; a vehicle's control frame and a plan file may have others."""
+    return EnuFrame(origin)
 
 
 def ecef(lat_deg: float, lon_deg: float, alt_m: float) -> Vector:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import pymap3d
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -38,16 +39,18 @@ def ecef_enu(lat: float, lon: float, alt: float, origin: Origin) -> tuple[float,
 
 
 @given(places, offsets, headings)
-def test_both_ways_of_converting_agree_and_come_back_within_a_millimetre(
+def test_conversions_agree_with_pymap3d_and_come_back_within_a_millimetre(
     place: tuple[float, float, float], offset: tuple[float, float, float], heading: float
 ) -> None:
     origin = Origin(*place, x_heading_deg=heading)
-    frame = geo.EnuFrame(origin)
-    fast, slow = frame.to_geodetic(*offset), geo.geodetic_from_enu(*offset, origin)
-    assert frame.from_geodetic(*slow) == pytest.approx(offset, abs=1e-4)
-    assert geo.enu_from_geodetic(*fast, origin) == pytest.approx(offset, abs=1e-4)
-    assert frame.from_geodetic(*fast) == pytest.approx(offset, abs=1e-3)
-    assert geo.enu_from_geodetic(*slow, origin) == pytest.approx(offset, abs=1e-3)
+    ours = geo.geodetic_from_enu(*offset, origin)
+    theirs = [float(v) for v in pymap3d.enu2geodetic(*geo.enu_from_world(offset, origin), *place)]
+    assert geo.EnuFrame(origin).to_geodetic(*offset) == ours
+    assert geo.EnuFrame(origin).from_geodetic(*ours) == geo.enu_from_geodetic(*ours, origin)
+    assert geo.enu_from_geodetic(*theirs, origin) == pytest.approx(offset, abs=1e-4)
+    back = [float(v) for v in pymap3d.geodetic2enu(*ours, *place)]
+    assert geo.world_from_enu((back[0], back[1], back[2]), origin) == pytest.approx(offset, abs=1e-4)
+    assert geo.enu_from_geodetic(*ours, origin) == pytest.approx(offset, abs=1e-3)
 
 
 @given(places, offsets, headings)
