@@ -5,8 +5,8 @@ The x axis of the world points along `Origin.x_heading_deg`, y is 90 degrees to 
 
 Heights are AMSL throughout: an ellipsoid height differs from it by the geoid's undulation, which over a flying site is
 one constant that cancels between a point and the origin.
-No library does this arithmetic: pymap3d, the oracle of the tests, brings numpy with it, which is 11 MB of a daemon's memory,
-and takes ten times as long for one point.
+No library does this arithmetic: pymap3d, the oracle of the tests, brings numpy with it, which is 11 MB of a daemon's
+memory, and takes ten times as long for one point.
 """
 
 from __future__ import annotations
