@@ -322,11 +322,12 @@ async def flown(
     params: Mapping[str, float] | None = None,
     links: Mapping[str, Mapping[str, Any]] | None = None,
     tables: Mapping[str, Any] | None = None,
+    takeoff: bool = True,
 ) -> AsyncIterator[Flown]:
     """Vehicles that hover at ``height_m`` in the mode a take-off leaves them in. ``control``, ``settings``: the tables
     defaults.control and daemon. ``delay_s``: of the link, each way. ``params`` of the vehicles: floats of a PX4,
     any of an ArduCopter, which is set up for attitude setpoints. PX4s come first: v1, v2, … ``links``: further
-    ones. ``tables``: further tables of the fleet file."""
+    ones. ``tables``: further tables of the fleet file. ``takeoff``: without it they stand on the ground."""
     config = FleetConfig.model_validate(
         {
             "daemon": {"socket": tmp_path / "s", "log_dir": tmp_path / "logs", "record": False, **(settings or {})},
@@ -361,8 +362,9 @@ async def flown(
     try:
         await gcs.until(lambda: len(daemon.fleet.vehicles) == len(sims))
         await asyncio.sleep(7)  # the estimators converge
-        await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
-        await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)
+        if takeoff:
+            await gcs.done("vehicles.takeoff", targets="all", height_m=height_m, wait_s=90.0)
+            await gcs.until(lambda: all(abs(s.motion.up_m - height_m) < 0.5 for s in sims), 60.0)
         await asyncio.sleep(5)  # nothing moves any more
         yield gcs
         assert all(s.state in ("engaging", "flying") for s in gcs.sent if s.name in SETPOINTS), (

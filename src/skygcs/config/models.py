@@ -274,6 +274,13 @@ LinkConfig = (
 AnyLink = Annotated[LinkConfig, Field(discriminator="type")]
 
 
+PLAIN_KEYS = (
+    *("autopilot", "takeoff_height_m", "goto_limit_m", "streams", "require_preflight"),
+    *("flight_time_min", "battery_reserve_percent"),
+)
+"""Keys of a vehicle of which the highest level counts as a whole."""
+
+
 class VehicleSettings(Model):
     """Settings of [defaults] and [types.NAME]; None: not set at this level."""
 
@@ -291,6 +298,10 @@ class VehicleSettings(Model):
     """As in [daemon], for these vehicles."""
     separation: SeparationSettings | None = None
     """The space it needs and its priority; laid over the lower levels' key by key."""
+    flight_time_min: Annotated[float, Field(gt=0, le=600)] | None = None
+    """How long a full battery lasts in flight, for plans; what was measured in flight counts before it."""
+    battery_reserve_percent: Annotated[float, Field(ge=0, le=90)] | None = None
+    """Charge that a plan has to leave."""
 
 
 class VehicleEntry(VehicleSettings):
@@ -317,6 +328,8 @@ class VehicleConfig(Model):
     preflight: PreflightSettings = PreflightSettings()
     require_preflight: bool = False
     separation: SeparationSettings = SeparationSettings()
+    flight_time_min: float | None = None
+    battery_reserve_percent: float | None = None
     named: bool = False
     """Whether it is in the fleet file."""
 
@@ -392,7 +405,7 @@ class FleetConfig(Model):
         }
         groups: list[str] = []
         for layer in layers:
-            for key in ("autopilot", "takeoff_height_m", "goto_limit_m", "streams", "require_preflight"):
+            for key in PLAIN_KEYS:
                 value = getattr(layer, key)
                 if value is not None:
                     merged[key] = value

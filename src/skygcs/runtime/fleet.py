@@ -28,6 +28,7 @@ from skygcs.links.base import StateUpdate
 from skygcs.runtime.command_client import BroadcastCommand, SendFn
 from skygcs.runtime.components import ComponentActor, Components
 from skygcs.runtime.param_cache import ParamCache
+from skygcs.runtime.plan_runner import PlanRunner
 from skygcs.runtime.preflight_run import Unheard, examine_all
 from skygcs.runtime.separation_monitor import SeparationMonitor
 from skygcs.runtime.task_set import TaskSet, fault
@@ -146,6 +147,7 @@ class Fleet:
         self._duplicates: dict[int, str] = {}
         """By key, where two autopilots send with these ids; the vehicles read it, too (`Vehicle.duplicates`)."""
         self.trajectories = Trajectories(self.vehicles.values, loop, on_event)
+        self.plans = PlanRunner(self, self.trajectories, self._links, loop, on_event)
         self._decoder = Decoder(dialect)
         self.components = Components(self._services, self._decoder, self._name_of_system, self.vehicles_of)
         """All components beside the autopilots of ``vehicles``."""
@@ -181,6 +183,7 @@ class Fleet:
                 fault = fault or error
         self.components.tick(now)
         self.trajectories.tick(now)
+        self.plans.tick(now)
         if fault is not None:
             raise fault
 
@@ -191,6 +194,7 @@ class Fleet:
         tasks = {
             self._loop.create_task(actor.wind_down(), name=f"{actor.name} undo") for actor in self.vehicles.values()
         }
+        tasks.add(self._loop.create_task(self.plans.wind_down(), name="the plan's undo"))
         if not tasks:
             return
         done, late = await asyncio.wait(tasks, timeout=timeout_s)
@@ -214,6 +218,7 @@ class Fleet:
             actor.close()
         self.components.close()
         self.monitor.close()
+        self.plans.close()
         self._kept.close()
 
     def set_duplicate(self, key: int, where: str | None) -> None:
@@ -429,6 +434,10 @@ class Fleet:
     def preflight_status(self, expression: str | int | Sequence[str | int]) -> dict[str, Any]:
         """See `Preflight.status`. Raises TargetError."""
         return {actor.name: actor.preflight.status() for actor in self.resolve(expression)}
+
+    def everybody(self) -> list[VehicleActor]:
+        """All vehicles that are known."""
+        return list(self.vehicles.values())
 
     def flown(self) -> list[VehicleActor]:
         """The vehicles that are controlled by setpoints, or about to be."""

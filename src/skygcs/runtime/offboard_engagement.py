@@ -259,6 +259,14 @@ class OffboardEngagement:
             or loaded.outside(origin, self._fence)
         )
 
+    def path_refusal(self, loaded: LoadedTrajectory, speed_factor: float) -> str | None:
+        """Why it may not be sent along this trajectory at all, wherever it is now; None if it may."""
+        origin = self._vehicle.origin
+        if origin is None:
+            return "the fleet has no origin yet, so there is no fence: set [origin], or `skygcs-cli origin from`"
+        fence = _shared(self._settings.fence_at(origin))
+        return loaded.why_not(self.trajectory_limits(), speed_factor) or loaded.outside(origin, fence)
+
     def trajectory_limits(self) -> TrajectoryLimits:
         """What it may be sent along."""
         return self._settings.trajectory_limits()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,7 +42,7 @@ LATEST_START_S = 3600.0
 
 
 @dataclass(eq=False)
-class _Group:
+class TrajectoryGroup:
     """The vehicles of one start, and their clock."""
 
     clock: TrajectoryClock
@@ -51,6 +51,8 @@ class _Group:
     """As was reported last."""
     left: list[str] = field(default_factory=list)
     """Vehicles that left it."""
+    plan: str | None = None
+    """The plan it is a step of, which reports its changes; None: of no plan."""
 
     def following(self, actor: VehicleActor) -> bool:
         return actor.offboard.controller.flight is self.flights.get(actor)
@@ -69,7 +71,7 @@ class Trajectories:
         self._loop = loop
         self._on_event = on_event
         self._loaded: dict[VehicleActor, LoadedTrajectory] = {}
-        self._groups: list[_Group] = []
+        self._groups: list[TrajectoryGroup] = []
 
     # -- what is loaded
 
@@ -126,33 +128,52 @@ class Trajectories:
 
     def start(self, actors: Sequence[VehicleActor], at_s: float, speed_factor: float) -> dict[str, Outcome]:
         """Let all of them begin at ``at_s`` of the daemon's clock, or none."""
-        now = self._loop.time()
-        refusals = {actor: self._start_refusal(actor, speed_factor) for actor in actors}
-        refused = {actor: why for actor, why in refusals.items() if why is not None}
-        clock: TrajectoryClock | None = None
+        refused: dict[VehicleActor, str] = {}
+        chosen: dict[VehicleActor, LoadedTrajectory] = {}
+        for actor in actors:
+            loaded = self._loaded.get(actor)
+            if loaded is None:
+                refused[actor] = f"no trajectory is loaded: `skygcs-cli trajectory load FILE {actor.name}` first"
+            else:
+                chosen[actor] = loaded
         if not refused:
-            try:
-                brake = min(actor.offboard.trajectory_limits().brake_mps2 for actor in actors)
-                clock = common_clock([self._loaded[actor] for actor in actors], brake, speed_factor)
-                clock.start(now, at_s)
-            except (RefusedError, TrajectoryError) as error:
-                refused = dict.fromkeys(actors, str(error))
-        if refused or clock is None:
-            return self._none_starts(actors, refused)
-        flights = {actor: actor.offboard.follow_trajectory(self._loaded[actor], clock) for actor in actors}
-        self._groups.append(_Group(clock, flights))
+            begun = self.begin(chosen, at_s, speed_factor)
+            if isinstance(begun, TrajectoryGroup):
+                text = f"begins in {at_s - self._loop.time():.1f} s"
+                return {actor.name: Outcome(True, "accepted", text) for actor in actors}
+            refused = begun
+        return self._none_starts(actors, refused)
+
+    def begin(
+        self,
+        chosen: Mapping[VehicleActor, LoadedTrajectory],
+        at_s: float,
+        speed_factor: float,
+        *,
+        plan: str | None = None,
+    ) -> TrajectoryGroup | dict[VehicleActor, str]:
+        """Let all of them begin these trajectories, or none: then why not, by vehicle. ``plan``: the plan it belongs
+        to, which reports what becomes of it and alone may let it go on."""
+        now = self._loop.time()
+        found = {actor: actor.offboard.trajectory_refusal(loaded, speed_factor) for actor, loaded in chosen.items()}
+        refused = {actor: why for actor, why in found.items() if why is not None}
+        if refused:
+            return refused
+        try:
+            brake = min(actor.offboard.trajectory_limits().brake_mps2 for actor in chosen)
+            clock = common_clock(list(chosen.values()), brake, speed_factor)
+            clock.start(now, at_s)
+        except (RefusedError, TrajectoryError) as error:
+            return dict.fromkeys(chosen, str(error))
+        flights = {actor: actor.offboard.follow_trajectory(loaded, clock) for actor, loaded in chosen.items()}
+        group = TrajectoryGroup(clock, flights, plan=plan)
+        self._groups.append(group)
         for actor, flight in flights.items():
             text = (
                 f"{flight.loaded.name} begins in {at_s - now:.1f} s and takes {flight.duration_s / speed_factor:.1f} s"
             )
-            self._publish(actor, text, ClockState.WAITING)
-        return {actor.name: Outcome(True, "accepted", f"begins in {at_s - now:.1f} s") for actor in actors}
-
-    def _start_refusal(self, actor: VehicleActor, speed_factor: float) -> str | None:
-        loaded = self._loaded.get(actor)
-        if loaded is None:
-            return f"no trajectory is loaded: `skygcs-cli trajectory load FILE {actor.name}` first"
-        return actor.offboard.trajectory_refusal(loaded, speed_factor)
+            self._publish(group, actor, text, ClockState.WAITING)
+        return group
 
     def _none_starts(self, actors: Sequence[VehicleActor], refused: dict[VehicleActor, str]) -> dict[str, Outcome]:
         first = ", ".join(actor.name for actor in list(refused)[:5])
@@ -167,7 +188,12 @@ class Trajectories:
 
     def resume(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
         """Let their groups go on; those that left a group stay out of it."""
-        return self._order(actors, lambda group, now: group.clock.resume(now), "goes on")
+
+        def resume(group: TrajectoryGroup, now: float) -> None:
+            _require_no_plan(group)
+            group.clock.resume(now)
+
+        return self._order(actors, resume, "goes on")
 
     def abort(self, actors: Sequence[VehicleActor]) -> dict[str, Outcome]:
         """Stop their groups on their paths, for good."""
@@ -176,7 +202,8 @@ class Trajectories:
     def set_speed(self, actors: Sequence[VehicleActor], speed_factor: float) -> dict[str, Outcome]:
         """Fly their groups at this multiple of the planned speed. Refused where a limit would be exceeded."""
 
-        def change(group: _Group, now: float) -> None:
+        def change(group: TrajectoryGroup, now: float) -> None:
+            _require_no_plan(group)
             limits = [actor.offboard.trajectory_limits() for actor in group.flights]
             require_speed(list(group.flights.values()), limits, speed_factor)
             group.clock.set_speed(now, speed_factor)
@@ -184,11 +211,11 @@ class Trajectories:
         return self._order(actors, change, f"flies at {speed_factor:g} times the planned speed")
 
     def _order(
-        self, actors: Sequence[VehicleActor], order: Callable[[_Group, float], None], done: str
+        self, actors: Sequence[VehicleActor], order: Callable[[TrajectoryGroup, float], None], done: str
     ) -> dict[str, Outcome]:
         """Give an order to the groups of these vehicles; the outcome of every member of them."""
         now, outcomes = self._loop.time(), dict[str, Outcome]()
-        meant: list[_Group] = []
+        meant: list[TrajectoryGroup] = []
         for actor in actors:
             group = self._group_of(actor)
             if group is None:
@@ -205,7 +232,7 @@ class Trajectories:
             self._report(group, now)
         return outcomes
 
-    def _group_of(self, actor: VehicleActor) -> _Group | None:
+    def _group_of(self, actor: VehicleActor) -> TrajectoryGroup | None:
         return next((group for group in self._groups if actor in group.flights and group.following(actor)), None)
 
     # -- as time comes
@@ -223,14 +250,14 @@ class Trajectories:
             for actor in [key for key in self._loaded if key not in there]:
                 del self._loaded[actor]
 
-    def _see_who_left(self, group: _Group, now: float) -> None:
+    def _see_who_left(self, group: TrajectoryGroup, now: float) -> None:
         gone = [actor for actor in group.flights if not group.following(actor)]
         for actor in gone:
             del group.flights[actor]
             group.left.append(actor.name)
             controller = actor.offboard.controller
             why = "; ".join(controller.reasons) or f"control is {controller.state.value}"
-            self._publish(actor, f"it left its trajectory: {why}", ClockState.ABORTED)
+            self._publish(group, actor, f"it left its trajectory: {why}", ClockState.ABORTED)
         if not gone or not group.flights:
             return
         names = ", ".join(actor.name for actor in gone)
@@ -238,18 +265,20 @@ class Trajectories:
             group.clock.pause(now)
         for actor in group.flights:
             text = f"it stops on its path, because {names} left: resume or abort the trajectory"
-            self._publish(actor, text, group.clock.at(now).state)
+            self._publish(group, actor, text, group.clock.at(now).state)
 
-    def _report(self, group: _Group, now: float) -> None:
+    def _report(self, group: TrajectoryGroup, now: float) -> None:
         """Publish a change of the clock's state, once for each vehicle."""
         state = group.clock.at(now).state
         if state is group.state:
             return
         group.state = state
         for actor, flight in group.flights.items():
-            self._publish(actor, f"{flight.loaded.name} is {state.value}", state)
+            self._publish(group, actor, f"{flight.loaded.name} is {state.value}", state)
 
-    def _publish(self, actor: VehicleActor, text: str, state: ClockState) -> None:
+    def _publish(self, group: TrajectoryGroup, actor: VehicleActor, text: str, state: ClockState) -> None:
+        if group.plan is not None:
+            return  # a step of a plan is one change for all of them
         loaded = self._loaded.get(actor)
         data = {"state": state.value, "name": None if loaded is None else loaded.name}
         self._on_event(Event("trajectory", actor.name, actor.sysid, text, data))
@@ -282,6 +311,13 @@ class Trajectories:
                 }
             )
         return found
+
+
+def _require_no_plan(group: TrajectoryGroup) -> None:
+    """Raise RefusedError for the vehicles of a plan: what is faster than certified, or goes on after a stop, is decided
+    there."""
+    if group.plan is not None:
+        raise RefusedError(f"it flies the plan {group.plan}: `skygcs-cli plan resume` and `plan speed` are for that")
 
 
 def _finite(value: float) -> float | None:

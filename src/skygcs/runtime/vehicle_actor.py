@@ -273,12 +273,19 @@ class VehicleActor:
         return await self._orders.run("mode", lambda now: orders.set_mode(self.vehicle, now, name))
 
     async def takeoff(
-        self, height_m: float | None = None, *, arm: bool = True, wait_s: float = 0.0, force: bool = False
+        self,
+        height_m: float | None = None,
+        *,
+        arm: bool = True,
+        wait_s: float = 0.0,
+        force: bool = False,
+        engage: bool = True,
     ) -> Outcome:
         """Take off to a height above the ground; None: the fleet file's takeoff_height_m. ``arm``: arms first.
 
         ``wait_s`` as for `arm`: an ArduCopter accepts GUIDED only with a position. ``force``: without a preflight
         required by the fleet file, and although another vehicle is in the way; the autopilot's own checks stay.
+        ``engage``: begin control afterwards, if the fleet file says so.
         """
         height = self.config.takeoff_height_m if height_m is None else height_m
 
@@ -292,7 +299,8 @@ class VehicleActor:
         self._after_takeoff.cancel()
         position = self.vehicle.telemetry("position")
         outcome = await self._orders.retry("takeoff", planner, wait_s)
-        self._after_takeoff.begin(outcome, None if position is None else position["alt_amsl_m"], height)
+        if engage:
+            self._after_takeoff.begin(outcome, None if position is None else position["alt_amsl_m"], height)
         return outcome
 
     async def land(self) -> Outcome:

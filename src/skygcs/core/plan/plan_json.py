@@ -38,7 +38,11 @@ def is_plan_json(content: Any) -> bool:
 
 def read_plan_json(source: str, data: bytes) -> tuple[Plan, FlightSpace]:
     """The plan and where it may be flown. Raises PlanFileError."""
-    content = json_of(source, data)
+    return plan_from_json(source, json_of(source, data))
+
+
+def plan_from_json(source: str, content: Any) -> tuple[Plan, FlightSpace]:
+    """`read_plan_json` of what was parsed already; ``source`` names it in errors."""
     if not is_plan_json(content):
         raise PlanFileError(source, "", f'not a plan of skygcs: "format" is not "{FORMAT}"')
     if content.get("version") != VERSION:

@@ -1,0 +1,609 @@
+"""A plan being flown, as a state machine. Pure: it is called with what happened and returns what is to be ordered.
+
+    state        what is done                                        what ends it
+    ----------   -------------------------------------------------   --------------------------------------------------
+    arming       vehicles on the ground arm; nobody moves            all armed → takeoff; one is not → aborted (disarm)
+    takeoff      they climb vertically, each to its layer            all there → engaging; one is not → stopped
+    engaging     each is taken under control and stands at its place all there → to_starts, returning or flying
+    to_starts    way there, step by step                             the last barrier → flying
+    returning    way back after a stop                               the barrier → the interrupted step
+    flying       the steps of the plan                               the last barrier → finished
+    paused       the clock stops; on order                           resume → the step; abort, land
+    stopped      the clock stops: one is late, lost, held or taken   resume (by a new certificate, or where nobody left
+                                                                     its place) → the step; abort, land
+    aborting     the clock stops for good                            all stand → each is ordered to hold → aborted
+    landing      the clock stops, the landing is certified           refused → stopped; all on the ground → landed
+    finished     all were at their goals: each was ordered to hold   land
+    aborted      each was ordered to hold, or is on the ground       land
+    landed       all are on the ground                               –
+
+In a step that flies (to_starts, returning, flying) and while it is paused:
+
+    a vehicle                                                        is in trouble
+    --------------------------------------------------------------   -------------------------------------------
+    is farther from its reference (or straight way) than its tube    for `LATE_S`, or at twice the tube at once
+    has sent no position                                             for `SILENT_S`
+    does not follow any more: guard, pilot, an order, lost           at once
+    has not come to its place at the barrier                         for `BARRIER_S`
+
+Trouble stops the clock of all; nothing but an order goes on from there. A barrier opens when every vehicle was measured
+within its tube of its place, slow, for `SETTLED_S`. `Left` says why a vehicle does not follow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+from skygcs.core.plan.flight_steps import FlightStep, StepKind
+from skygcs.core.separation import separation_m
+from skygcs.core.trajectory import ClockState
+from skygcs.core.trajectory.piecewise import Vector
+from skygcs.errors import RefusedError
+
+LATE_S = 1.0
+"""A gust, or one position of a bad fix, is over by then; at 2 m/s it is less than the margin of a pair."""
+
+SILENT_S = 3.0
+"""Radios with gaps of a second lose two positions in a row; the ball of the monitor is 13 m by then."""
+
+BARRIER_S = 30.0
+"""Ten times what settling takes after a leg."""
+
+SETTLED_S = 0.6
+"""Two or three positions."""
+
+SLOW_MPS = 0.6
+"""At a barrier: gusts move a vehicle that holds by some tenths."""
+
+START_LEAD_S = 1.0
+"""From the order to the common start of a step: setpoints of all vehicles are at the start by then."""
+
+NEAR = 2.0
+"""Pairs are named that are within so many margins of each other when one is in trouble."""
+
+MAX_PAIRS = 5
+
+
+class PlanState(StrEnum):
+    ARMING = "arming"
+    TAKEOFF = "takeoff"
+    ENGAGING = "engaging"
+    TO_STARTS = "to_starts"
+    RETURNING = "returning"
+    FLYING = "flying"
+    PAUSED = "paused"
+    STOPPED = "stopped"
+    ABORTING = "aborting"
+    LANDING = "landing"
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    LANDED = "landed"
+
+
+OVER = frozenset({PlanState.FINISHED, PlanState.ABORTED, PlanState.LANDED})
+STEPPING = frozenset({PlanState.TO_STARTS, PlanState.RETURNING, PlanState.FLYING})
+BEFORE_FLIGHT = frozenset({PlanState.ARMING, PlanState.TAKEOFF, PlanState.ENGAGING})
+
+STATE_OF = {
+    StepKind.WAY_THERE: PlanState.TO_STARTS,
+    StepKind.WAY_BACK: PlanState.RETURNING,
+    StepKind.PLAN: PlanState.FLYING,
+}
+
+
+class OrderKind(StrEnum):
+    """What the runtime is to do; ``vehicles`` of the order say with which."""
+
+    ARM = "arm"
+    DISARM = "disarm"
+    TAKEOFF = "takeoff"
+    ENGAGE = "engage"
+    FLY = "fly"
+    """Start the step on one clock."""
+    STOP_CLOCK = "stop clock"
+    GO_ON = "go on"
+    END_CLOCK = "end clock"
+    HOLD = "hold"
+    CERTIFY_LANDING = "certify landing"
+    LAND = "land"
+
+
+class Order(NamedTuple):
+    kind: OrderKind
+    vehicles: tuple[str, ...] = ()
+
+
+class Why(StrEnum):
+    """Why a vehicle does not follow any more."""
+
+    LOST = "lost"
+    PILOT = "pilot"
+    GUARD = "guard"
+    ORDER = "order"
+
+
+class Left(NamedTuple):
+    why: Why
+    text: str
+
+
+class Sight(NamedTuple):
+    """A vehicle as it was measured, in the frame of the plan; the place is carried on to now."""
+
+    place_m: Vector | None
+    age_s: float = 0.0
+    speed_mps: float = 0.0
+    armed: bool = True
+    on_ground: bool = False
+    takeoff: str | None = None
+    """climbs, reached, or what disturbed it; None: no take-off of this plan."""
+    left: Left | None = None
+    """Set where it should follow and does not."""
+
+
+class Pair(NamedTuple):
+    """Two vehicles near each other; the distance is in the downwash metric."""
+
+    vehicles: tuple[str, str]
+    distance_m: float
+    margin_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tubes:
+    """By vehicle: ``half_m``, its part of each margin, and ``tube_m``, how far it may be from its reference in a timed
+    step and from its way else."""
+
+    half_m: Mapping[str, float]
+    timed_m: Mapping[str, float]
+    free_m: Mapping[str, float]
+    downwash_ratio: float
+
+    def tube_m(self, name: str, *, timed: bool) -> float:
+        return (self.timed_m if timed else self.free_m)[name]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A state change, to be reported once."""
+
+    state: PlanState
+    text: str
+    vehicle: str | None = None
+    pairs: tuple[Pair, ...] = ()
+
+
+@dataclass(slots=True)
+class _Watch:
+    """Since when something is so, by vehicle."""
+
+    late: dict[str, float] = field(default_factory=dict)
+    settled: dict[str, float] = field(default_factory=dict)
+    barrier_since: float | None = None
+
+    def clear(self) -> None:
+        self.late.clear()
+        self.settled.clear()
+        self.barrier_since = None
+
+
+class Execution:
+    """One run of a plan. Call `begin`, then `tick` some times a second and `outcome` for each order's outcome.
+
+    ``changes`` collects state changes; the caller reports and clears them.
+    """
+
+    def __init__(self, steps: Sequence[FlightStep], grounded: Collection[str], tubes: Tubes) -> None:
+        """``grounded``: vehicles that have to take off, to where the first step has them."""
+        self.steps = list(steps)
+        self.tubes = tubes
+        self.names = tuple(steps[0].trajectories)
+        self.grounded = tuple(name for name in self.names if name in grounded)
+        self.state = PlanState.ARMING if self.grounded else PlanState.ENGAGING
+        self.index = 0
+        self.reason = ""
+        self.left: dict[str, Left] = {}
+        self.waits_for: tuple[str, ...] = self.names
+        self.pairs: tuple[Pair, ...] = ()
+        self.changes: list[Change] = []
+        self._done: set[str] = set()
+        """Vehicles whose order of this state has ended well."""
+        self._armed: set[str] = set()
+        """Vehicles that this run has armed and that were not seen to leave the ground."""
+        self._started = False
+        """Whether the step's clock was started."""
+        self._rounds: list[tuple[str, ...]] | None = None
+        """Of a landing that was certified; the first is under way."""
+        self._asked = False
+        """Whether the landing's certificate was asked for, or the hold of an abort ordered."""
+        self._watch = _Watch()
+
+    # -- what is shown
+
+    @property
+    def step(self) -> FlightStep:
+        return self.steps[self.index]
+
+    @property
+    def over(self) -> bool:
+        return self.state in OVER
+
+    @property
+    def resumable(self) -> bool:
+        """Whether it stands in a step."""
+        return self.state in (PlanState.PAUSED, PlanState.STOPPED) and self._started
+
+    def tube_m(self, name: str) -> float:
+        return self.tubes.tube_m(name, timed=self.step.timed)
+
+    # -- orders of people
+
+    def begin(self) -> list[Order]:
+        """What is ordered first."""
+        if self.state is PlanState.ARMING:
+            self._report(f"arming {_named(self.grounded)}")
+            return [Order(OrderKind.ARM, self.grounded)]
+        return self._engage()
+
+    def pause(self) -> list[Order]:
+        """Stop on the way. Raises RefusedError."""
+        if self.state not in STEPPING:
+            raise RefusedError(f"the plan is {self.state}: there is nothing to pause")
+        self._enter(PlanState.PAUSED, "stopping on the way, as ordered")
+        return [Order(OrderKind.STOP_CLOCK)] if self._started else []
+
+    def go_on(self) -> list[Order]:
+        """Go on where it stands, with everybody at its place. Raises RefusedError."""
+        if self.state not in (PlanState.PAUSED, PlanState.STOPPED):
+            raise RefusedError(f"the plan is {self.state}: only a paused or stopped one can be resumed")
+        if not self.resumable:
+            raise RefusedError("it was stopped before it flew: `plan abort`, then `plan run` from where they are")
+        if self.left:
+            raise RefusedError(f"{_named(tuple(self.left))} left: it takes a new certificate")
+        self._watch.clear()
+        self._enter(STATE_OF[self.step.kind], "going on")
+        return [Order(OrderKind.GO_ON)]
+
+    def abort(self, why: str = "as ordered") -> list[Order]:
+        """Stop for good and hold. Raises RefusedError."""
+        if self.over or self.state is PlanState.ABORTING:
+            raise RefusedError(f"the plan is {self.state} already")
+        before = self.state
+        self._enter(PlanState.ABORTING, f"stopping for good: {why}")
+        if before in (PlanState.ARMING, PlanState.TAKEOFF):
+            return self._drop_takeoff(before)
+        if before is PlanState.LANDING:
+            return self._hold_now()
+        return [Order(OrderKind.END_CLOCK)] if self._started else self._hold_now()
+
+    def land(self) -> list[Order]:
+        """Stop, then land where a certificate allows it. Raises RefusedError."""
+        if self.state in (PlanState.LANDED, PlanState.LANDING):
+            raise RefusedError(f"the plan is {self.state}")
+        if self.state in (PlanState.ARMING, PlanState.TAKEOFF, PlanState.ABORTING):
+            raise RefusedError(f"the plan is {self.state}: wait a moment, or abort it; `land` itself is never refused")
+        moving = self.state in STEPPING and self._started
+        self._rounds, self._asked = None, False
+        self._enter(PlanState.LANDING, "landing: stopping first" if moving else "landing")
+        return [Order(OrderKind.STOP_CLOCK)] if moving else []
+
+    def landing(self, rounds: Sequence[Sequence[str]]) -> list[Order]:
+        """The landing is certified: in these rounds, each after the one before is on the ground."""
+        if self.state is not PlanState.LANDING or self._rounds is not None:
+            return []
+        self._rounds = [tuple(names) for names in rounds if names]
+        self._done.clear()
+        return self._next_round()
+
+    def landing_refused(self, reasons: Sequence[str], pairs: Sequence[Pair] = ()) -> list[Order]:
+        """The landing is not certified: they stay where they are."""
+        if self.state is PlanState.LANDING and self._rounds is None:
+            self.pairs = tuple(pairs)
+            self._enter(PlanState.STOPPED, "they do not land: " + "; ".join(reasons[:3]), pairs=self.pairs)
+        return []
+
+    # -- outcomes and time
+
+    def outcome(self, kind: OrderKind, name: str, ok: bool, text: str) -> list[Order]:
+        """An order to one vehicle has ended."""
+        if kind is OrderKind.ARM:
+            return self._on_armed(name, ok, text)
+        if kind is OrderKind.TAKEOFF:
+            if not ok and self.state is PlanState.TAKEOFF:
+                return self._stop(name, f"{name} does not take off: {text}")
+            return []
+        if kind is OrderKind.ENGAGE and self.state is PlanState.ENGAGING:
+            if not ok:
+                return self._stop(name, f"{name} is not under control: {text}")
+            self._done.add(name)
+        if kind is OrderKind.HOLD and self.state is PlanState.ABORTING:
+            return self._on_held(name, ok, text)
+        if kind is OrderKind.LAND and not ok and self.state is PlanState.LANDING:
+            self._report(f"{name} does not land: {text}", name)
+        return []
+
+    def start_failed(self, text: str) -> list[Order]:
+        """A step could not be started."""
+        self._started = False
+        return self._stop(None, text) if self.state in STEPPING else []
+
+    def tick(
+        self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Sight]
+    ) -> list[Order]:
+        """``clock``: the state of the step's clock; None: none runs."""
+        for name in list(self._armed):
+            if not sights[name].on_ground or not sights[name].armed:
+                self._armed.discard(name)
+        match self.state:
+            case PlanState.TAKEOFF:
+                return self._tick_takeoff(sights)
+            case PlanState.ENGAGING:
+                return self._tick_engaging(now, sights)
+            case PlanState.PAUSED | PlanState.STOPPED:
+                return self._tick_standing(now, trajectory_s, sights)
+            case PlanState.ABORTING:
+                still = clock in (None, ClockState.ABORTED, ClockState.FINISHED)
+                return self._hold_now() if still and not self._asked else []
+            case PlanState.LANDING:
+                return self._tick_landing(clock, sights)
+        if self.state in STEPPING:
+            return self._tick_step(now, clock, trajectory_s, sights)
+        return []
+
+    # -- before the flight
+
+    def _on_armed(self, name: str, ok: bool, text: str) -> list[Order]:
+        if self.state is not PlanState.ARMING:  # it came too late
+            return [Order(OrderKind.DISARM, (name,))] if ok else []
+        if not ok:
+            self._enter(PlanState.ABORTED, f"nobody takes off: {name} does not arm: {text}", name)
+            return self._disarm()
+        self._armed.add(name)
+        self._done.add(name)
+        self.waits_for = tuple(n for n in self.grounded if n not in self._done)
+        if self.waits_for:
+            return []
+        self._enter(
+            PlanState.TAKEOFF, f"{_named(self.grounded)} take off" if len(self.grounded) > 1 else f"{name} takes off"
+        )
+        self.waits_for = self.grounded
+        return [Order(OrderKind.TAKEOFF, self.grounded)]
+
+    def _disarm(self) -> list[Order]:
+        armed = tuple(sorted(self._armed))
+        return [Order(OrderKind.DISARM, armed)] if armed else []
+
+    def _drop_takeoff(self, before: PlanState) -> list[Order]:
+        """Of an abort: who still stands is disarmed, who climbs holds."""
+        standing = self._disarm()
+        climbing = tuple(n for n in self.names if n not in self._armed) if before is PlanState.TAKEOFF else ()
+        self._asked = True
+        self._done = set(self.names) - set(climbing)
+        if not climbing:
+            self._enter(PlanState.ABORTED, "nobody took off")
+            return standing
+        return [*standing, Order(OrderKind.HOLD, climbing)]
+
+    def _tick_takeoff(self, sights: Mapping[str, Sight]) -> list[Order]:
+        waits = []
+        for name in self.grounded:
+            seen = sights[name].takeoff
+            if seen in ("climbs", None):
+                waits.append(name)
+            elif seen != "reached":
+                return self._stop(name, f"the take-off of {name} ended: {seen}")
+        self.waits_for = tuple(waits)
+        return [] if waits else self._engage()
+
+    def _engage(self) -> list[Order]:
+        self._enter(PlanState.ENGAGING, f"taking {_named(self.names)} under control")
+        self.waits_for = self.names
+        return [Order(OrderKind.ENGAGE, self.names)]
+
+    def _tick_engaging(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+        for name in self._done:
+            if (left := sights[name].left) is not None:
+                self.left[name] = left
+                return self._stop(name, f"{name} left: {left.text}")
+        starts = self.step.starts()
+        if len(self._done) < len(self.names):
+            self.waits_for = tuple(n for n in self.names if n not in self._done)
+            return []
+        if not self._all_at(now, starts, sights):
+            return self._barrier_trouble(now, sights)
+        return self._begin_step()
+
+    # -- steps
+
+    def _begin_step(self) -> list[Order]:
+        self._watch.clear()
+        self._started = True
+        self.waits_for = ()
+        step = self.step
+        self._enter(STATE_OF[step.kind], f"{step.name}: {step.duration_s:.0f} s for {len(self.names)} vehicles")
+        return [Order(OrderKind.FLY, self.names)]
+
+    def _tick_step(
+        self, now: float, clock: ClockState | None, trajectory_s: float, sights: Mapping[str, Sight]
+    ) -> list[Order]:
+        if (trouble := self._trouble(now, trajectory_s, sights)) is not None:
+            return self._stop(*trouble)
+        if clock in (ClockState.PAUSING, ClockState.PAUSED):  # by an order to the trajectory
+            self._enter(PlanState.PAUSED, "stopping on the way, as ordered")
+            return []
+        if clock in (ClockState.ABORTING, ClockState.ABORTED):
+            self._enter(PlanState.ABORTING, "stopping for good: its trajectories were aborted")
+            return []
+        if clock is not ClockState.FINISHED:
+            return []
+        if not self._all_at(now, self.step.places(), sights):
+            return self._barrier_trouble(now, sights)
+        if self.index + 1 < len(self.steps):
+            self.index += 1
+            return self._begin_step()
+        self._started = False
+        self.waits_for = ()
+        self._enter(PlanState.FINISHED, "all are at their goals and hold")
+        return [Order(OrderKind.HOLD, self.names)]
+
+    def _tick_standing(self, now: float, trajectory_s: float, sights: Mapping[str, Sight]) -> list[Order]:
+        """Paused or stopped: report who leaves meanwhile."""
+        if not self._started:
+            return []
+        for name in self.names:
+            left = sights[name].left
+            if left is not None and name not in self.left:
+                return self._leave(name, left, sights)
+        if self.state is PlanState.PAUSED and (trouble := self._trouble(now, trajectory_s, sights)) is not None:
+            return self._stop(*trouble)
+        return []
+
+    def _trouble(
+        self, now: float, trajectory_s: float, sights: Mapping[str, Sight]
+    ) -> tuple[str, str, Mapping[str, Sight]] | None:
+        """The first vehicle in trouble, and what it is."""
+        for name in self.names:
+            sight = sights[name]
+            if sight.left is not None:
+                self.left[name] = sight.left
+                return name, f"{name} left: {sight.left.text}", sights
+            if sight.place_m is None or sight.age_s > SILENT_S:
+                return name, f"{name} is silent: no position for {sight.age_s:.1f} s", sights
+            off_m, tube_m = self.step.off_m(name, sight.place_m, trajectory_s), self.tube_m(name)
+            if off_m <= tube_m:
+                self._watch.late.pop(name, None)
+                continue
+            since = self._watch.late.setdefault(name, now)
+            if now - since >= LATE_S or off_m > 2.0 * tube_m:
+                what = "from its reference" if self.step.timed else "from its way"
+                return name, f"{name} is {off_m:.2f} m {what}; {tube_m:.2f} m are allowed", sights
+        return None
+
+    def _all_at(self, now: float, places: Mapping[str, Vector], sights: Mapping[str, Sight]) -> bool:
+        """The barrier: whether all were measured at their places for a moment."""
+        waits = []
+        for name, place in places.items():
+            sight = sights[name]
+            there = (
+                sight.place_m is not None
+                and sight.age_s <= SILENT_S
+                and sight.speed_mps <= SLOW_MPS
+                and math.dist(sight.place_m, place) <= self.tubes.free_m[name]
+            )
+            if not there:
+                self._watch.settled.pop(name, None)
+            if not there or now - self._watch.settled.setdefault(name, now) < SETTLED_S:
+                waits.append(name)
+        self.waits_for = tuple(waits)
+        return not waits
+
+    def _barrier_trouble(self, now: float, sights: Mapping[str, Sight]) -> list[Order]:
+        if self._watch.barrier_since is None:
+            self._watch.barrier_since = now
+        waited_s = now - self._watch.barrier_since
+        if waited_s < BARRIER_S:
+            return []
+        name = self.waits_for[0]
+        return self._stop(name, f"{_named(self.waits_for)} did not come to its place in {waited_s:.0f} s", sights)
+
+    # -- trouble
+
+    def _stop(self, name: str | None, text: str, sights: Mapping[str, Sight] | None = None) -> list[Order]:
+        """Stop the clock of all, and name the pairs in danger."""
+        self.pairs = () if name is None or sights is None else self.pairs_near(name, sights)
+        self._enter(PlanState.STOPPED, text + _pairs_text(self.pairs), name, self.pairs)
+        return [Order(OrderKind.STOP_CLOCK)] if self._started else []
+
+    def _leave(self, name: str, left: Left, sights: Mapping[str, Sight]) -> list[Order]:
+        self.left[name] = left
+        return self._stop(name, f"{name} left: {left.text}", sights)
+
+    def pairs_near(self, name: str, sights: Mapping[str, Sight]) -> tuple[Pair, ...]:
+        """The pairs of this vehicle with those near it, the nearest first; as they were measured."""
+        here = sights[name].place_m
+        if here is None:
+            return ()
+        found = []
+        for other in self.names:
+            there = sights[other].place_m
+            if other == name or there is None:
+                continue
+            offset = [a - b for a, b in zip(here, there, strict=True)]
+            distance_m = separation_m(offset[0], offset[1], offset[2], self.tubes.downwash_ratio)
+            margin_m = self.tubes.half_m[name] + self.tubes.half_m[other]
+            if distance_m <= NEAR * margin_m:
+                found.append(Pair((name, other), distance_m, margin_m))
+        return tuple(sorted(found, key=lambda pair: pair.distance_m - pair.margin_m)[:MAX_PAIRS])
+
+    # -- the end
+
+    def _hold_now(self) -> list[Order]:
+        self._asked = True
+        self._done.clear()
+        staying = tuple(n for n in self.names if n not in self.left)
+        self._done.update(self.left)
+        if not staying:
+            self._enter(PlanState.ABORTED, "nobody follows it any more")
+            return []
+        return [Order(OrderKind.HOLD, staying)]
+
+    def _on_held(self, name: str, ok: bool, text: str) -> list[Order]:
+        if not ok:
+            self._report(f"{name} was ordered to hold, but: {text}", name)
+        self._done.add(name)
+        self.waits_for = tuple(n for n in self.names if n not in self._done)
+        if not self.waits_for:
+            self._enter(PlanState.ABORTED, "aborted: they hold where they are")
+        return []
+
+    def _tick_landing(self, clock: ClockState | None, sights: Mapping[str, Sight]) -> list[Order]:
+        if self._rounds is None:
+            still = clock not in (ClockState.RUNNING, ClockState.PAUSING, ClockState.ABORTING)
+            if still and not self._asked:
+                self._asked = True
+                return [Order(OrderKind.CERTIFY_LANDING)]
+            return []
+        self.waits_for = tuple(n for names in self._rounds for n in names if not sights[n].on_ground)
+        if self._rounds and all(sights[n].on_ground for n in self._rounds[0]):
+            del self._rounds[0]
+            return self._next_round()
+        return []
+
+    def _next_round(self) -> list[Order]:
+        if not self._rounds:
+            self._started = False
+            self._enter(PlanState.LANDED, "all are on the ground")
+            return []
+        self._report(f"{_named(self._rounds[0])} land" + ("s" if len(self._rounds[0]) == 1 else ""))
+        return [Order(OrderKind.LAND, self._rounds[0])]
+
+    # -- reports
+
+    def _enter(self, state: PlanState, text: str, vehicle: str | None = None, pairs: tuple[Pair, ...] = ()) -> None:
+        if state is not self.state:
+            self._done.clear()
+        self.state, self.reason = state, text
+        self._report(text, vehicle, pairs)
+
+    def _report(self, text: str, vehicle: str | None = None, pairs: tuple[Pair, ...] = ()) -> None:
+        self.changes.append(Change(self.state, text, vehicle, pairs))
+
+
+def _named(names: Sequence[str]) -> str:
+    """At most five of them."""
+    more = len(names) - 5
+    return ", ".join(names[:5]) + (f" and {more} more" if more > 0 else "")
+
+
+def _pairs_text(pairs: Sequence[Pair]) -> str:
+    if not pairs:
+        return ""
+    found = ", ".join(
+        f"{pair.vehicles[0]} and {pair.vehicles[1]} ({pair.distance_m:.1f} m, margin {pair.margin_m:.1f} m)"
+        for pair in pairs
+    )
+    return f"; near each other: {found}"

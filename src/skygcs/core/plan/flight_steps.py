@@ -1,0 +1,155 @@
+"""The steps in which a plan is flown: straight ways and trajectories, each on one clock, with a barrier after each.
+
+    step         what each vehicle flies                                             certified
+    ----------   -----------------------------------------------------------------   --------------------------------
+    way there    climb, cross and descend from where it stands to its start          timing-free, with measured places
+    way back     straight to where it has to be on its way, after a stop             timing-free, with measured places
+    plan         the phases of a phased plan, or the trajectories of a timed one     as the plan is
+
+A vehicle that has nothing to do in a step stands. The next step begins when all were measured at their places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from skygcs.core.plan.fleet_plan import Phase, PhasedPlan, Plan, TimedPlan
+from skygcs.core.trajectory import MotionLimits, Piece, Trajectory, hover, path_within
+from skygcs.core.trajectory.piecewise import MIN_PIECE_S, Coefficients, Vector
+from skygcs.core.trajectory.timing import SAME_PLACE_M
+
+Places = Mapping[str, Vector]
+
+
+class StepKind(StrEnum):
+    WAY_THERE = "way there"
+    WAY_BACK = "way back"
+    PLAN = "plan"
+
+
+@dataclass(frozen=True, slots=True)
+class FlightStep:
+    """One step. ``trajectories`` has every vehicle; ``timed``: it has to be at a place at a time, else only on its
+    straight way."""
+
+    name: str
+    kind: StepKind
+    trajectories: Mapping[str, Trajectory]
+    timed: bool = False
+
+    @property
+    def duration_s(self) -> float:
+        return max(trajectory.duration_s for trajectory in self.trajectories.values())
+
+    def places(self) -> dict[str, Vector]:
+        """Where each vehicle is at its end."""
+        return {name: trajectory.end_enu_m for name, trajectory in self.trajectories.items()}
+
+    def starts(self) -> dict[str, Vector]:
+        """Where each vehicle is at its begin."""
+        return {name: trajectory.start_enu_m for name, trajectory in self.trajectories.items()}
+
+    def off_m(self, name: str, place_m: Vector, trajectory_s: float) -> float:
+        """How far a vehicle is from where it may be: from its reference, or from its straight way."""
+        trajectory = self.trajectories[name]
+        if self.timed:
+            return math.dist(place_m, trajectory.at(trajectory_s).pos_enu_m)
+        return distance_to_leg(place_m, trajectory.start_enu_m, trajectory.end_enu_m)
+
+
+def steps_of(plan: Plan, limits: MotionLimits) -> list[FlightStep]:
+    """The steps of a plan itself; phases are flown within ``limits``."""
+    if isinstance(plan, TimedPlan):
+        return [FlightStep("trajectories", StepKind.PLAN, dict(plan.trajectories), timed=True)]
+    return phased_steps(plan, StepKind.PLAN, limits)
+
+
+def phased_steps(plan: PhasedPlan, kind: StepKind, limits: MotionLimits) -> list[FlightStep]:
+    """A step of each phase in which anybody moves."""
+    found = []
+    for name, legs in plan.legs():
+        ways = {v: path_within(leg, limits) for v, leg in legs.items() if math.dist(*leg) > SAME_PLACE_M}
+        if not ways:
+            continue
+        took_s = max(way.duration_s for way in ways.values())
+        standing = {v: hover(leg[1], took_s) for v, leg in legs.items() if v not in ways}
+        found.append(FlightStep(name, kind, {v: ways.get(v) or standing[v] for v in legs}))
+    return found
+
+
+def starts_of(plan: Plan) -> dict[str, Vector]:
+    """The first place of each vehicle."""
+    if isinstance(plan, TimedPlan):
+        return {name: trajectory.start_enu_m for name, trajectory in plan.trajectories.items()}
+    return dict(plan.starts)
+
+
+def renamed(plan: Plan, names: Mapping[str, str]) -> Plan:
+    """The plan of these vehicles only: ``names`` maps names in the plan to names of the fleet."""
+    if isinstance(plan, TimedPlan):
+        return TimedPlan({names[name]: t for name, t in plan.trajectories.items() if name in names})
+    phases = tuple(
+        Phase(phase.name, {names[name]: goal for name, goal in phase.goals.items() if name in names})
+        for phase in plan.phases
+    )
+    return PhasedPlan({names[name]: start for name, start in plan.starts.items() if name in names}, phases)
+
+
+def rest_of(steps: list[FlightStep], trajectory_s: float, names: frozenset[str]) -> list[FlightStep]:
+    """What is left of the steps for these vehicles, of which the first one has been flown up to ``trajectory_s``."""
+    if not steps:
+        return []
+    first, *others = steps
+    left = {v: remainder(t, trajectory_s) for v, t in first.trajectories.items() if v in names}
+    rest = [FlightStep(first.name, first.kind, left, first.timed)]
+    for step in others:
+        own = {v: t for v, t in step.trajectories.items() if v in names}
+        rest.append(FlightStep(step.name, step.kind, own, step.timed))
+    return rest
+
+
+def plan_of(step: FlightStep) -> Plan:
+    """What is certified of a step."""
+    if step.timed:
+        return TimedPlan(step.trajectories)
+    return PhasedPlan(step.starts(), (Phase(step.name, step.places()),))
+
+
+def remainder(trajectory: Trajectory, from_s: float) -> Trajectory:
+    """What is left of a trajectory from this time on; standing at its end, if nothing is."""
+    pieces: list[Piece] = []
+    for begin_s, piece in zip(trajectory.begins_s, trajectory.pieces, strict=True):
+        skipped_s = max(0.0, from_s - begin_s)
+        left_s = piece.duration_s - skipped_s
+        if left_s < MIN_PIECE_S:
+            continue
+        if skipped_s == 0.0:
+            pieces.append(piece)
+            continue
+        axes = [_shifted(c, skipped_s) for c in (piece.east, piece.north, piece.up)]
+        yaw = None if piece.yaw is None else _shifted(piece.yaw, skipped_s)
+        pieces.append(Piece(left_s, axes[0], axes[1], axes[2], yaw))
+    if pieces:
+        return Trajectory(pieces)
+    return hover(trajectory.end_enu_m, 1.0, trajectory.at(trajectory.duration_s).yaw_rad)
+
+
+def _shifted(coefficients: Coefficients, by_s: float) -> Coefficients:
+    """The same polynomial with its time counted from ``by_s`` (Taylor's shift, by repeated synthetic division)."""
+    c = list(coefficients)
+    for low in range(len(c) - 1):
+        for k in range(len(c) - 2, low - 1, -1):
+            c[k] += by_s * c[k + 1]
+    return tuple(c)
+
+
+def distance_to_leg(place_m: Vector, begin_m: Vector, end_m: Vector) -> float:
+    """Of a place from a straight way."""
+    way = [b - a for a, b in zip(begin_m, end_m, strict=True)]
+    square = sum(w * w for w in way)
+    offset = [p - a for p, a in zip(place_m, begin_m, strict=True)]
+    part = 0.0 if square == 0.0 else min(1.0, max(0.0, sum(o * w for o, w in zip(offset, way, strict=True)) / square))
+    return math.dist(offset, [part * w for w in way])

@@ -1,0 +1,215 @@
+"""The methods that fly a plan of the fleet. `METHODS` is their part of the table."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from skygcs.core.trajectory.trajectory_clock import MAX_SPEED_FACTOR, MIN_SPEED_FACTOR
+from skygcs.errors import PlanFileError
+from skygcs.rpc import dispatch
+from skygcs.rpc.context import Context, JsonObject
+from skygcs.rpc.dispatch import InvalidParams, Method
+from skygcs.rpc.models import MethodParams, NoParams, Result, Target
+from skygcs.runtime.plan_runner import FlightRequest
+
+SpeedFactor = Annotated[float, Field(ge=MIN_SPEED_FACTOR, le=MAX_SPEED_FACTOR)]
+
+
+class PlanLoadParams(MethodParams):
+    plan: dict[str, Any] = Field(description="A plan in skygcs' own JSON format (docs/explanation/plans.md).")
+    name: Annotated[str, Field(min_length=1, max_length=64)] = Field(
+        "plan", description="For people: in texts and status."
+    )
+
+
+class PlanFlightParams(MethodParams):
+    plan: str | None = Field(None, description="What plan.load answered; null: the plan that is loaded.")
+    vehicles: dict[str, Target] | None = Field(
+        None,
+        description="Names in the plan and the vehicles that fly them; those left out do not fly. null: all, by name.",
+    )
+    mode: Literal["position", "velocity", "attitude"] = Field("position", description="The control mode.")
+    speed: SpeedFactor = Field(1.0, description="Multiple of the planned speed; certified with it.")
+    margin_m: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        None, description="The margin of each pair, in place of its terms."
+    )
+    force: bool = Field(False, description="Although checks refuse it that can be insisted on.")
+
+
+class PlanRunParams(PlanFlightParams):
+    set_return_heights: bool = Field(
+        False, description="Set the return heights of vehicles that would return too near each other."
+    )
+
+
+class PlanSpeedParams(MethodParams):
+    speed: SpeedFactor = Field(description="Multiple of the planned speed, at most the one it was run with.")
+
+
+class PlanForceParams(MethodParams):
+    force: bool = Field(False, description="Without what a certificate asks for; the text says what that is.")
+
+
+class LoadedPlan(Result):
+    plan: str = Field(description="Its number, for plan.check and plan.run.")
+    name: str
+    kind: Literal["timed", "phased"]
+    vehicles: list[str]
+    duration_s: float | None = Field(description="null: phases have no times.")
+    phases: list[str]
+
+
+class PlanReport(Result):
+    """What was found before a flight."""
+
+    ok: bool = Field(description="Whether it may be flown (with force: if that was given).")
+    findings: list[dict[str, Any]] = Field(
+        description="vehicle (null: all), check, severity (ok, note, warning, refused), text, todo, insist (whether "
+        "force passes it)."
+    )
+    certificate: dict[str, Any] | None = Field(description="Of the plan, with what is measured now.")
+    way_there: dict[str, Any] | None = Field(description="The certificate of the way to the starts.")
+    margins: dict[str, dict[str, list[Any]]] = Field(
+        description="By vehicle: each term, and whether it is measured, of the fleet file or a default."
+    )
+    duration_s: float = Field(description="Way and plan, at the planned speed.")
+    steps: list[dict[str, Any]] = Field(description="name, duration_s, goals; the first 50.")
+    return_heights: dict[str, list[Any]] = Field(description="By vehicle: is, offered (m), the parameter.")
+
+
+class PlanStarted(Result):
+    started: bool = Field(description="False: the report says why; nothing has moved.")
+    report: PlanReport
+
+
+class PlanAnswer(Result):
+    ok: bool
+    message: str
+    reasons: list[str] = Field(description="Why not: each pair with its distance and margin, each vehicle.")
+
+
+class PlanStatus(Result):
+    now_s: float = Field(description="The daemon's clock.")
+    plan: str | None
+    name: str | None
+    kind: str | None
+    state: str = Field(
+        description="none, loaded; in flight arming, takeoff, engaging, to_starts, flying, paused, stopped, returning, "
+        "aborting, landing; over: finished, aborted, landed."
+    )
+    busy: str | None = Field(description="A check or a certificate that is under way.")
+    phase: str | None = Field(description="The name of the step.")
+    step: int
+    steps: int
+    reason: str = Field(description="What the last change of the state was.")
+    mode: str | None
+    speed: float | None
+    clock: dict[str, Any] | None = Field(
+        description="Of the step: state, trajectory_s, duration_s, rate, speed_factor, finishes_in_s."
+    )
+    waits_for: list[str] = Field(description="Vehicles that are not where they have to be before it goes on.")
+    pairs: list[dict[str, Any]] = Field(description="In danger when it was stopped: vehicles, distance_m, margin_m.")
+    vehicles: list[dict[str, Any]] = Field(
+        description="vehicle, state, error_m (from its reference or its way), tube_m (how far it may be), pos_enu_m, "
+        "goal_enu_m, position_age_s, left (why it does not follow)."
+    )
+
+
+async def plan_load(context: Context, params: PlanLoadParams) -> JsonObject:
+    """Keep a plan, in place of the one before; nothing moves. Refused while one is flown."""
+    try:
+        return await context.services.fleet.plans.load(params.plan, params.name)
+    except PlanFileError as error:
+        raise InvalidParams(("plan", str(error))) from None
+
+
+def plan_unload(context: Context, _: NoParams) -> JsonObject:
+    """Forget the plan. Refused while it is flown."""
+    return _done(context.services.fleet.plans.unload())
+
+
+async def plan_check(context: Context, params: PlanFlightParams) -> JsonObject:
+    """Everything that is looked at before the plan is flown; nothing moves.
+
+    Preflight, positions, batteries, return heights, links, limits, and the certificates of the way to the starts and of
+    the plan, with what is measured now. Vehicles that take no part are obstacles where they were measured.
+    """
+    return await context.services.fleet.plans.check(_request(params))
+
+
+async def plan_run(context: Context, params: PlanRunParams) -> JsonObject:
+    """Check the plan, and fly it if the check passes: arm, take off in layers, fly to the starts, begin together.
+
+    Answered when vehicles begin to arm; it is the daemon's from then on: the client may leave. See plan.status, the
+    topic "plan" and events of kind plan.
+    """
+    started, report = await context.services.fleet.plans.run(
+        _request(params), set_return_heights=params.set_return_heights
+    )
+    return {"started": started, "report": report}
+
+
+def plan_pause(context: Context, _: NoParams) -> JsonObject:
+    """Stop all on their ways, smoothly, by their common clock."""
+    return _done(context.services.fleet.plans.pause())
+
+
+async def plan_resume(context: Context, params: PlanForceParams) -> JsonObject:
+    """Go on after a pause or a stop.
+
+    Where all are at their places the clock goes on. Else a way back from where they are measured and the rest are
+    certified anew: not ok names the pair. Vehicles that landed are out of it; force also passes silent ones and those
+    flown by their pilots, where they were measured.
+    """
+    ok, message, reasons = await context.services.fleet.plans.resume(force=params.force)
+    return {"ok": ok, "message": message, "reasons": reasons}
+
+
+def plan_speed(context: Context, params: PlanSpeedParams) -> JsonObject:
+    """Fly faster or slower, at most as fast as was certified."""
+    return _done(context.services.fleet.plans.set_speed(params.speed))
+
+
+def plan_abort(context: Context, _: NoParams) -> JsonObject:
+    """Stop all on their ways for good, then order each to hold; who only armed is disarmed."""
+    return _done(context.services.fleet.plans.abort())
+
+
+def plan_land(context: Context, params: PlanForceParams) -> JsonObject:
+    """Stop all, then land them where they are: at once, or the lowest first, as a certificate allows it.
+
+    Where none does, they stay; vehicles.land lands one all the same.
+    """
+    return _done(context.services.fleet.plans.land(force=params.force))
+
+
+def plan_status(context: Context, _: NoParams) -> JsonObject:
+    """The plan that is loaded, and its flight."""
+    return context.services.fleet.plans.status()
+
+
+def _request(params: PlanFlightParams) -> FlightRequest:
+    return FlightRequest(params.plan, params.vehicles, params.mode, params.speed, params.margin_m, params.force)
+
+
+def _done(message: str) -> JsonObject:
+    return {"ok": True, "message": message, "reasons": []}
+
+
+_REFUSED = (dispatch.REFUSED,)
+_BOTH = (dispatch.TARGET_ERROR, dispatch.REFUSED)
+
+METHODS: tuple[Method[Context], ...] = (
+    Method("plan.load", PlanLoadParams, plan_load, LoadedPlan, _REFUSED),
+    Method("plan.check", PlanFlightParams, plan_check, PlanReport, _BOTH),
+    Method("plan.run", PlanRunParams, plan_run, PlanStarted, _BOTH),
+    Method("plan.pause", NoParams, plan_pause, PlanAnswer, _REFUSED, always=True),
+    Method("plan.resume", PlanForceParams, plan_resume, PlanAnswer, _REFUSED),
+    Method("plan.speed", PlanSpeedParams, plan_speed, PlanAnswer, _REFUSED),
+    Method("plan.abort", NoParams, plan_abort, PlanAnswer, _REFUSED, always=True),
+    Method("plan.land", PlanForceParams, plan_land, PlanAnswer, _REFUSED, always=True),
+    Method("plan.status", NoParams, plan_status, PlanStatus, while_stopping=True),
+    Method("plan.unload", NoParams, plan_unload, PlanAnswer, _REFUSED),
+)

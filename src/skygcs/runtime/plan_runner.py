@@ -1,0 +1,700 @@
+"""The plan of a fleet: kept, checked, flown. One plan at a time.
+
+    load     it is kept in memory; nothing moves
+    check    vehicles are measured and asked, the way to the starts is made, all is certified with what is measured now
+    run      the check, and if it passes (or somebody insists) the flight; it goes on without its client
+    resume   where everybody is at its place the clock goes on; else with a way back and a new certificate
+
+Certificates take numpy and up to seconds, so they are made beside the event loop (`work`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+from skygcs.core.geo import EnuFrame, Origin
+from skygcs.core.plan.execution import (
+    SILENT_S,
+    SLOW_MPS,
+    Execution,
+    PlanState,
+    Sight,
+    Why,
+)
+from skygcs.core.plan.fleet_plan import FlightSpace, PhasedPlan, Plan, TimedPlan
+from skygcs.core.plan.flight_findings import (
+    Finding,
+    Level,
+    ReturnHeight,
+    offered_heights,
+    refusals,
+    return_height_findings,
+)
+from skygcs.core.plan.flight_record import FlightRecord
+from skygcs.core.plan.flight_situation import Prepared, Situation
+from skygcs.core.plan.flight_steps import FlightStep, renamed, rest_of, starts_of
+from skygcs.core.plan.margins import MarginRule
+from skygcs.core.plan.plan_json import plan_from_json
+from skygcs.core.trajectory import ClockState, MotionLimits
+from skygcs.core.vehicle.trajectory_flight import LoadedTrajectory
+from skygcs.core.vehicle.vehicle import Vehicle
+from skygcs.errors import RefusedError, TargetError
+from skygcs.events import Event
+from skygcs.runtime.plan_checks import (
+    Measured,
+    battery_findings,
+    margin_rule,
+    measure,
+    preflight_findings,
+    return_heights,
+    state_findings,
+)
+from skygcs.runtime.plan_flight import KIND, FlightOrders, FlightSettings, PlanFlight
+from skygcs.runtime.trajectories import Trajectories
+from skygcs.runtime.vehicle_actor import VehicleActor
+from skygcs.runtime.vehicle_services import VehicleLinks
+
+CHARGE_S = 5.0
+"""Between two looks at the charges of all vehicles."""
+
+BELOW_GROUND_M = 2.0
+"""A landing is certified down to so far below the lowest known ground: the field may slope."""
+
+PAUSE_WAIT_S = 30.0
+"""The longest stop: 5 m/s with 1 m/s² takes five seconds."""
+
+Heavy = Callable[..., Awaitable[Any]]
+
+
+class World(Protocol):
+    """The parts of the fleet that a plan needs."""
+
+    def resolve(self, expression: str) -> list[VehicleActor]: ...
+    def everybody(self) -> list[VehicleActor]: ...
+    @property
+    def origin(self) -> Origin | None: ...
+    async def preflight(self, expression: list[str]) -> dict[str, Any]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class KeptPlan:
+    """A plan that was loaded."""
+
+    number: str
+    name: str
+    plan: Plan
+    space: FlightSpace
+
+    def describe(self) -> dict[str, Any]:
+        """For people and programs."""
+        plan = self.plan
+        timed = isinstance(plan, TimedPlan)
+        return {
+            "plan": self.number,
+            "name": self.name,
+            "kind": "timed" if timed else "phased",
+            "vehicles": list(starts_of(plan)),
+            "duration_s": round(max(t.duration_s for t in plan.trajectories.values()), 3)
+            if isinstance(plan, TimedPlan)
+            else None,
+            "phases": [phase.name for phase in plan.phases] if isinstance(plan, PhasedPlan) else [],
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRequest:
+    """How a plan is to be flown. ``vehicles``: names in the plan → targets of the fleet; None: all, by their names."""
+
+    plan: str | None = None
+    vehicles: Mapping[str, str] | None = None
+    control_mode: str = "position"
+    speed_factor: float = 1.0
+    margin_m: float | None = None
+    force: bool = False
+
+
+@dataclass(slots=True)
+class _Checked:
+    """What a check has found, and what a flight of it takes."""
+
+    kept: KeptPlan
+    actors: list[VehicleActor]
+    origin: Origin | None = None
+    findings: list[Finding] | None = None
+    steps: tuple[FlightStep, ...] = ()
+    loaded: tuple[dict[str, LoadedTrajectory], ...] = ()
+    execution: Execution | None = None
+    certificate: Any = None
+    way: Any = None
+    sources: dict[str, dict[str, list[Any]]] | None = None
+    heights: dict[str, ReturnHeight | None] | None = None
+    apart_m: float = 0.0
+
+    def report(self, *, force: bool) -> dict[str, Any]:
+        """JSON-able."""
+        findings = self.findings or []
+        heights = self.heights or {}
+        offered = offered_heights(heights, self.apart_m)
+        return {
+            "ok": not refusals(findings, force=force),
+            "findings": [finding.as_dict() for finding in findings],
+            "certificate": None if self.certificate is None else self.certificate.as_dict(),
+            "way_there": None if self.way is None else self.way.as_dict(),
+            "margins": self.sources or {},
+            "duration_s": round(math.fsum(step.duration_s for step in self.steps), 1),
+            "steps": [
+                {
+                    "name": step.name,
+                    "duration_s": round(step.duration_s, 1),
+                    "goals": {name: [round(v, 2) for v in place] for name, place in step.places().items()},
+                }
+                for step in self.steps[:MAX_STEPS_SHOWN]
+            ],
+            "return_heights": {
+                name: [h.height_m, offered[name], h.param] for name, h in heights.items() if h is not None
+            },
+        }
+
+
+MAX_STEPS_SHOWN = 50
+
+
+class PlanRunner:
+    """Of one fleet. ``on_change`` is called after each change of `status` that is worth a notification."""
+
+    def __init__(
+        self,
+        fleet: World,
+        trajectories: Trajectories,
+        links: VehicleLinks,
+        loop: asyncio.AbstractEventLoop,
+        on_event: Callable[[Event], None],
+    ) -> None:
+        self.kept: KeptPlan | None = None
+        self.flight: PlanFlight | None = None
+        self.work: Heavy = asyncio.to_thread
+        """Runs what is heavy: a function and its arguments."""
+        self.observers: set[Callable[[], None]] = set()
+        self._fleet = fleet
+        self._links = links
+        self._loop = loop
+        self._on_event = on_event
+        self._orders = FlightOrders(trajectories, loop, on_event, self._changed, self._certify_landing)
+        self._numbers = itertools.count(1)
+        self._records: dict[int, FlightRecord] = {}
+        self._charged_at = -math.inf
+        self._busy: str | None = None
+        """What is under way that must not be twice: a check before a flight, or a new certificate."""
+        self._rule: MarginRule = MarginRule()
+        self._request = FlightRequest()
+        self._force_landing = False
+        self._ending = False
+
+    # -- what is kept
+
+    async def load(self, content: Mapping[str, Any], name: str) -> dict[str, Any]:
+        """Keep a plan in our JSON format, in place of the one before. Raises RefusedError, PlanFileError."""
+        self._require_idle("another plan cannot be loaded")
+        plan, space = await self.work(plan_from_json, name, content)
+        self._require_idle("another plan cannot be loaded")
+        self.kept, self.flight = KeptPlan(str(next(self._numbers)), name, plan, space), None
+        self._changed()
+        return self.kept.describe()
+
+    def unload(self) -> str:
+        """Forget the plan. Raises RefusedError."""
+        self._require_idle("it cannot be unloaded")
+        if self.kept is None:
+            raise RefusedError("no plan is loaded")
+        name, self.kept, self.flight = self.kept.name, None, None
+        self._changed()
+        return f"{name} is unloaded"
+
+    def _require_idle(self, what: str) -> None:
+        if self._busy is not None:
+            raise RefusedError(f"{what}: {self._busy} is under way")
+        if self.flight is not None and not self.flight.execution.over:
+            state = self.flight.execution.state
+            raise RefusedError(f"{what}: {self.flight.settings.plan} is {state}; `skygcs-cli plan abort` first")
+
+    # -- checks
+
+    async def check(self, request: FlightRequest) -> dict[str, Any]:
+        """The report; nothing moves. Raises RefusedError, TargetError."""
+        return (await self._check(request)).report(force=request.force)
+
+    async def run(self, request: FlightRequest, *, set_return_heights: bool = False) -> tuple[bool, dict[str, Any]]:
+        """Whether the flight has begun, and the report. Raises RefusedError, TargetError."""
+        self._require_idle("it cannot be flown")
+        if self._ending:
+            raise RefusedError("skygcs is shutting down")
+        self._busy = "the check before a flight"
+        try:
+            checked = await self._check(request, set_return_heights=set_return_heights)
+        finally:
+            self._busy = None
+        report = checked.report(force=request.force)
+        if not report["ok"] or checked.execution is None or checked.origin is None:
+            return False, report
+        if self._ending:
+            raise RefusedError("skygcs is shutting down")
+        settings = FlightSettings(checked.kept.name, request.control_mode, request.speed_factor, request.force)
+        actors = {actor.name: actor for actor in checked.actors}
+        self._request = request
+        self.flight = PlanFlight(settings, checked.execution, actors, checked.loaded, checked.origin)
+        self.flight.look(self._loop.time())
+        self._orders.carry_out(self.flight, checked.execution.begin())
+        return True, report
+
+    async def _check(self, request: FlightRequest, *, set_return_heights: bool = False) -> _Checked:
+        kept = self._kept(request.plan)
+        names, actors = self._chosen(kept, request.vehicles)
+        origin = self._fleet.origin
+        if origin is None:
+            raise RefusedError("the fleet has no origin yet: set [origin], or `skygcs-cli origin from`")
+        checked = _Checked(kept, actors, origin)
+        frame, now = EnuFrame(origin), self._loop.time()
+        # each vehicle by itself
+        flown: list[Vehicle] = [actor.vehicle for actor in actors]
+        findings = [f for actor in actors for f in state_findings(actor, request.control_mode, flown, self._links)]
+        if not refusals(findings, force=request.force):
+            standing = measure(actors, [], frame, now).grounded
+            findings += await preflight_findings(actors, standing, self._fleet.preflight)
+            checked.heights = await return_heights(actors)
+        # the places as they are now, after the questions
+        measured = measure(actors, self._fleet.everybody(), frame, self._loop.time())
+        findings += measured.findings
+        checked.findings = findings
+        rule, checked.sources = self._margins(actors, request)
+        self._rule = rule
+        if len(measured.places) < len(actors):
+            return checked
+        await self._check_heights(checked, rule, set_return_heights=set_return_heights)
+        # the way there, the plan, the certificates
+        situation = Situation(
+            renamed(kept.plan, names),
+            _space_with(kept.space, measured, {actor.name for actor in actors}),
+            measured.places,
+            measured.grounded,
+            rule,
+            _limits(actors),
+            request.speed_factor,
+        )
+        prepared, checked.loaded = await self._prepared(situation, None)
+        checked.steps, checked.certificate, checked.way = prepared.steps, prepared.certificate, prepared.way
+        findings += _certificate_findings(prepared)
+        findings += _bounds_findings(checked, request.speed_factor)
+        findings += battery_findings(actors, prepared.duration_s / request.speed_factor, self._record)
+        if prepared.tubes is not None and prepared.steps:
+            checked.execution = Execution(prepared.steps, measured.grounded, prepared.tubes)
+        return checked
+
+    async def _check_heights(self, checked: _Checked, rule: MarginRule, *, set_return_heights: bool) -> None:
+        """Return heights that differ; set them if that is asked for."""
+        if checked.heights is None or checked.findings is None or len(checked.actors) < 2:
+            return
+        half_m = max(rule.half_m(actor.name) for actor in checked.actors)
+        checked.apart_m = 2.0 * half_m * rule.downwash_ratio
+        found = return_height_findings(checked.heights, checked.apart_m)
+        if set_return_heights and any(f.level is Level.REFUSED for f in found):
+            offered = offered_heights(checked.heights, checked.apart_m)
+            for actor in checked.actors:
+                is_now = checked.heights.get(actor.name)
+                if is_now is not None and offered[actor.name] != is_now.height_m:
+                    await actor.params.set({is_now.param: offered[actor.name] * is_now.per_metre})
+            checked.heights = await return_heights(checked.actors)
+            found = return_height_findings(checked.heights, checked.apart_m)
+        checked.findings += found
+
+    def _kept(self, number: str | None) -> KeptPlan:
+        if self.kept is None:
+            raise RefusedError("no plan is loaded: plan.load first")
+        if number is not None and number != self.kept.number:
+            raise RefusedError(f"plan {number} is not loaded any more; plan {self.kept.number} ({self.kept.name}) is")
+        return self.kept
+
+    def _chosen(self, kept: KeptPlan, vehicles: Mapping[str, str] | None) -> tuple[dict[str, str], list[VehicleActor]]:
+        """The fleet's name of each vehicle of the plan, and the vehicles. Raises RefusedError, TargetError."""
+        wanted = {name: name for name in starts_of(kept.plan)} if vehicles is None else dict(vehicles)
+        if unknown := wanted.keys() - starts_of(kept.plan).keys():
+            raise RefusedError(f"the plan has no {min(unknown)[:40]}")
+        if not wanted:
+            raise RefusedError("a flight has one vehicle at least")
+        names, actors = dict[str, str](), list[VehicleActor]()
+        for name, target in wanted.items():
+            found = self._fleet.resolve(target)
+            if len(found) != 1:
+                raise TargetError(f"{target!r} names {len(found)} vehicles; one is wanted for {name} of the plan")
+            if found[0] in actors:
+                raise RefusedError(f"{found[0].name} is given twice")
+            names[name] = found[0].name
+            actors.append(found[0])
+        return names, actors
+
+    def _margins(
+        self, actors: Sequence[VehicleActor], request: FlightRequest
+    ) -> tuple[MarginRule, dict[str, dict[str, list[Any]]]]:
+        others = [actor for actor in self._fleet.everybody() if actor not in actors]
+        return margin_rule(actors, others, self._record, request.margin_m)
+
+    def _record(self, actor: VehicleActor) -> FlightRecord:
+        return self._records.setdefault(actor.vehicle.key, FlightRecord())
+
+    # -- orders of people
+
+    def pause(self) -> str:
+        """Stop on the way. Raises RefusedError."""
+        flight = self._flying()
+        self._orders.carry_out(flight, flight.execution.pause())
+        return "stopping on the way"
+
+    def abort(self) -> str:
+        """Stop for good, then hold. Raises RefusedError."""
+        flight = self._flying()
+        self._orders.carry_out(flight, flight.execution.abort())
+        return "stopping for good, then holding"
+
+    def land(self, *, force: bool = False) -> str:
+        """Stop, and land where a certificate allows it; with ``force`` without one. Raises RefusedError."""
+        flight = self._flying()
+        orders = flight.execution.land()
+        self._force_landing = force
+        self._orders.carry_out(flight, orders)
+        return "stopping, then landing"
+
+    def set_speed(self, speed_factor: float) -> str:
+        """Fly at this multiple of the planned speed, no faster than was certified. Raises RefusedError."""
+        flight = self._flying()
+        certified = self._request.speed_factor
+        if speed_factor > certified * (1.0 + 1e-9):
+            raise RefusedError(
+                f"it was certified for {certified:g} times the planned speed: run it with --speed for more"
+            )
+        if flight.group is None or flight.execution.over:
+            raise RefusedError(f"the plan is {flight.execution.state}: it has no speed now")
+        flight.group.clock.set_speed(self._loop.time(), speed_factor)
+        flight.settings = flight.settings._replace(speed_factor=speed_factor)
+        self._changed()
+        return f"flying at {speed_factor:g} times the planned speed"
+
+    async def resume(self, *, force: bool = False) -> tuple[bool, str, list[str]]:
+        """Go on: (whether, a line, reasons). Raises RefusedError."""
+        flight = self._flying()
+        execution, now = flight.execution, self._loop.time()
+        sights = flight.look(now)
+        _, trajectory_s = flight.clock(now)
+        away = [
+            name
+            for name in execution.names
+            if sights[name].place_m is None
+            or sights[name].age_s > SILENT_S
+            or execution.step.off_m(name, sights[name].place_m or (0.0, 0.0, 0.0), trajectory_s)
+            > execution.tube_m(name)
+        ]
+        if not (execution.resumable and (away or execution.left)):
+            self._orders.carry_out(flight, execution.go_on())
+            return True, "going on: all are at their places", []
+        if self._busy is not None:
+            raise RefusedError(f"{self._busy} is under way")
+        self._busy = "a new certificate"
+        try:
+            return await self._return(flight, sights, force=force)
+        finally:
+            self._busy = None
+
+    async def _return(
+        self, flight: PlanFlight, sights: Mapping[str, Sight], *, force: bool
+    ) -> tuple[bool, str, list[str]]:
+        """Back to their ways with a new certificate, then on."""
+        execution, now = flight.execution, self._loop.time()
+        state, trajectory_s = flight.clock(now)
+        if state in (ClockState.RUNNING, ClockState.PAUSING, ClockState.ABORTING):
+            raise RefusedError("they are still stopping: wait a moment")
+        staying, out, reasons = _returning(execution, sights, force=force)
+        if reasons:
+            return False, f"refused: {reasons[0]}", reasons
+        if not staying:
+            return False, "refused: nobody is left to fly it", ["nobody is left to fly it"]
+        actors = [flight.actors[name] for name in staying]
+        measured = measure(actors, self._fleet.everybody(), flight.frame, now)
+        lacking = [f"{f.vehicle}: {f.text}" for f in refusals(measured.findings, force=force)]
+        if lacking or len(measured.places) < len(actors):
+            return False, f"refused: {lacking[0] if lacking else 'a position is not known'}", lacking
+        rule, _ = self._margins(actors, self._request)
+        kept_space = FlightSpace() if self.kept is None else self.kept.space
+        step = execution.step
+        plan = TimedPlan(step.trajectories) if step.timed else PhasedPlan(step.starts(), ())
+        situation = Situation(
+            plan,
+            _space_with(kept_space, measured, set(staying)),
+            measured.places,
+            frozenset(),
+            rule,
+            _limits(actors),
+            self._request.speed_factor,
+        )
+        rest = rest_of(execution.steps[execution.index :], trajectory_s, frozenset(staying))
+        prepared, loaded = await self._prepared(situation, rest)
+        if prepared.problems or prepared.tubes is None:
+            return False, f"refused: {prepared.problems[0]}", list(prepared.problems)
+        if self.flight is not flight or execution.state not in (PlanState.PAUSED, PlanState.STOPPED):
+            raise RefusedError(f"the plan is {execution.state} by now")
+        # a new flight from here
+        if flight.group is not None:
+            flight.group.clock.abort(self._loop.time())
+        again = Execution(prepared.steps, (), prepared.tubes)
+        later = PlanFlight(flight.settings, again, {a.name: a for a in actors}, loaded, flight.origin)
+        self.flight = later
+        later.look(self._loop.time())
+        self._orders.carry_out(later, again.begin())
+        without = f", without {', '.join(out)}" if out else ""
+        return True, f"going back to their ways, then on{without}", []
+
+    async def _certify_landing(self, flight: PlanFlight) -> None:
+        """Find the rounds of a landing from where they are measured."""
+        execution, now = flight.execution, self._loop.time()
+        sights = flight.look(now)
+        flying = [name for name in execution.names if not sights[name].on_ground]
+        if not flying:
+            self._orders.carry_out(flight, execution.landing([]))
+            return
+        if self._force_landing:
+            self._orders.carry_out(flight, execution.landing([flying]))
+            return
+        actors = [flight.actors[name] for name in flying]
+        measured = measure(actors, self._fleet.everybody(), flight.frame, now)
+        unplaced = [name for name in flying if name not in measured.places]
+        if unplaced:
+            text = f"the position of {', '.join(unplaced)} is not known; `plan land --force` lands all at once"
+            self._orders.carry_out(flight, execution.landing_refused([text]))
+            return
+        grounds = [place[2] for place in measured.others.values()] + [
+            flight.frame.from_geodetic(*home)[2] for a in actors if (home := _home(a)) is not None
+        ]
+        ground_m = min([*grounds, *(place[2] for place in measured.places.values())]) - BELOW_GROUND_M
+        space = FlightSpace(standing=measured.others)
+        rounds, certificate = await self.work(_way_down, measured.places, ground_m, self._rule, space)
+        if certificate.certified:
+            self._orders.carry_out(flight, execution.landing(rounds))
+        else:
+            reasons = [*certificate.reasons(), "move them apart, or `plan land --force` lands all at once"]
+            self._orders.carry_out(flight, execution.landing_refused(reasons))
+
+    async def _prepared(
+        self, situation: Situation, rest: list[FlightStep] | None
+    ) -> tuple[Prepared, tuple[dict[str, LoadedTrajectory], ...]]:
+        prepared, loaded = await self.work(_prepared_and_loaded, situation, rest)
+        return prepared, loaded
+
+    def _flying(self) -> PlanFlight:
+        if self.flight is None:
+            raise RefusedError("no plan is flown")
+        return self.flight
+
+    # -- time
+
+    def tick(self, now: float) -> None:
+        """Five times a second."""
+        if now - self._charged_at >= CHARGE_S:
+            self._charged_at = now
+            self._note_charges(now)
+        if self.flight is not None and not self.flight.execution.over:
+            self._orders.tick(self.flight, self._record)
+
+    def _note_charges(self, now: float) -> None:
+        there = self._fleet.everybody()
+        for actor in there:
+            battery = actor.vehicle.telemetry("battery")
+            percent = None if battery is None else battery["percent"]
+            record = self._record(actor)
+            record.charge(now, percent, in_air=actor.vehicle.armed and actor.vehicle.in_air(now) is True)
+            if actor.offboard.flying and (rtt_s := actor.offboard.controller.delay.rtt_p95_s) is not None:
+                record.delay_s = rtt_s
+        if len(self._records) > len(there):
+            keys = {actor.vehicle.key for actor in there}
+            self._records = {key: record for key, record in self._records.items() if key in keys}
+
+    async def wind_down(self) -> None:
+        """The daemon ends: nobody takes off any more, who stands armed is disarmed; who flies holds after this."""
+        self._ending = True
+        flight = self.flight
+        if flight is None or flight.execution.over:
+            return
+        before = flight.execution.state
+        flight.look(self._loop.time())
+        if before in (PlanState.ARMING, PlanState.TAKEOFF):
+            self._orders.carry_out(flight, flight.execution.abort("skygcs is shutting down"))
+            await self._orders.settled()
+            return
+        if flight.group is not None:
+            flight.group.clock.abort(self._loop.time())
+        self._on_event(Event(KIND, None, None, f"{flight.settings.plan}: ended by the shutdown of skygcs", {}))
+
+    def close(self) -> None:
+        self._orders.close()
+
+    # -- what is shown
+
+    def status(self) -> dict[str, Any]:
+        """As plan.status answers."""
+        now, kept, flight = self._loop.time(), self.kept, self.flight
+        answer: dict[str, Any] = {
+            "now_s": round(now, 3),
+            "plan": None if kept is None else kept.number,
+            "name": None if kept is None else kept.name,
+            "kind": None if kept is None else kept.describe()["kind"],
+            "state": "none" if kept is None else "loaded",
+            "busy": self._busy,
+            "phase": None,
+            "step": 0,
+            "steps": 0,
+            "reason": "",
+            "mode": None,
+            "speed": None,
+            "clock": None,
+            "waits_for": [],
+            "pairs": [],
+            "vehicles": [],
+        }
+        if flight is None:
+            return answer
+        execution, settings = flight.execution, flight.settings
+        clock = None
+        if flight.group is not None:
+            time = flight.group.clock.at(now)
+            finishes = flight.group.clock.finishes_at_s(now)
+            clock = {
+                "state": time.state.value,
+                "trajectory_s": round(time.trajectory_s, 3),
+                "duration_s": round(flight.group.clock.duration_s, 3),
+                "rate": round(time.rate, 3),
+                "speed_factor": flight.group.clock.speed_factor,
+                "finishes_in_s": None if finishes is None else round(max(0.0, finishes - now), 3),
+            }
+        return answer | {
+            "state": execution.state.value,
+            "phase": execution.step.name,
+            "step": execution.index + 1,
+            "steps": len(execution.steps),
+            "reason": execution.reason,
+            "mode": settings.control_mode,
+            "speed": settings.speed_factor,
+            "clock": clock,
+            "waits_for": list(execution.waits_for),
+            "pairs": [pair._asdict() for pair in execution.pairs],
+            "vehicles": flight.status(now),
+        }
+
+    @property
+    def moving(self) -> bool:
+        """Whether a flight is under way."""
+        return self.flight is not None and not self.flight.execution.over
+
+    def _changed(self) -> None:
+        for observer in list(self.observers):
+            observer()
+
+
+def _prepared_and_loaded(
+    situation: Situation, rest: list[FlightStep] | None
+) -> tuple[Prepared, tuple[dict[str, LoadedTrajectory], ...]]:
+    """The steps (``rest``: after a stop) and the bounds of each trajectory; both take long, and load numpy."""
+    from skygcs.core.plan.preparation import prepare, prepare_return
+
+    prepared = prepare(situation) if rest is None else prepare_return(situation, rest)
+    if prepared.problems:
+        return prepared, ()
+    loaded = tuple(
+        {name: LoadedTrajectory(trajectory, step.name) for name, trajectory in step.trajectories.items()}
+        for step in prepared.steps
+    )
+    return prepared, loaded
+
+
+def _way_down(*arguments: Any) -> Any:
+    """`preparation.way_down`, which loads numpy."""
+    from skygcs.core.plan.preparation import way_down
+
+    return way_down(*arguments)
+
+
+def _certificate_findings(prepared: Prepared) -> list[Finding]:
+    if prepared.problems:
+        todo = "move the vehicles, change the plan, or give another margin"
+        return [
+            Finding(vehicle, "certificate", Level.REFUSED, line, todo)
+            for line, vehicle in zip(prepared.problems, prepared.vehicles, strict=True)
+        ]
+    closest = None if prepared.certificate is None else prepared.certificate.closest
+    text = "certified" if closest is None else f"certified; closest: {closest.text()}"
+    return [Finding(None, "certificate", Level.OK, text)]
+
+
+def _bounds_findings(checked: _Checked, speed_factor: float) -> list[Finding]:
+    """Limits of motion and the control fence of each vehicle."""
+    found: dict[str, Finding] = {}
+    by_name = {actor.name: actor for actor in checked.actors}
+    for step, loaded in zip(checked.steps, checked.loaded, strict=False):
+        for name, one in loaded.items():
+            why = None if name in found else by_name[name].offboard.path_refusal(one, speed_factor)
+            if why is not None:
+                text = f"{step.name}: {why}"
+                found[name] = Finding(name, "bounds", Level.REFUSED, text, "fly slower, or change fence or limits")
+    return list(found.values())
+
+
+def _space_with(space: FlightSpace, measured: Measured, taking_part: set[str]) -> FlightSpace:
+    """What the plan says stands somewhere, and what is measured: that counts."""
+    standing = {name: place for name, place in space.standing.items() if name not in taking_part}
+    return replace(space, standing={**standing, **measured.others})
+
+
+def _limits(actors: Sequence[VehicleActor]) -> MotionLimits:
+    """Within which ways and phases are flown: the least of the vehicles' own, and of the defaults."""
+    default = MotionLimits()
+    own = [actor.offboard.trajectory_limits() for actor in actors]
+    return MotionLimits(
+        speed_mps=min(default.speed_mps, *(limit.speed_mps for limit in own)),
+        acceleration_mps2=min(default.acceleration_mps2, *(limit.acceleration_mps2 for limit in own)),
+        jerk_mps3=default.jerk_mps3,
+        climb_mps=min(default.climb_mps, *(limit.climb_mps for limit in own)),
+        descent_mps=min(default.descent_mps, *(limit.descent_mps for limit in own)),
+    )
+
+
+def _returning(
+    execution: Execution, sights: Mapping[str, Sight], *, force: bool
+) -> tuple[list[str], list[str], list[str]]:
+    """Who flies on, who is out of it, and why that cannot be."""
+    staying, out, reasons = [], [], []
+    for name in execution.names:
+        sight, left = sights[name], sights[name].left or execution.left.get(name)
+        silent = sight.place_m is None or sight.age_s > SILENT_S
+        if left is None:
+            staying.append(name)
+        elif sight.on_ground and not silent:
+            out.append(name)
+        elif silent:
+            out.append(name)
+            reasons.append(f"{name} is silent and flies: it may be anywhere; wait for it, or insist with force")
+        elif left.why is Why.PILOT:
+            out.append(name)
+            reasons.append(f"{name} is flown by its pilot: have it land or hold, or insist with force")
+        elif sight.speed_mps > SLOW_MPS:
+            staying.append(name)
+            reasons.append(f"{name} still moves: order it to hold, or insist with force")
+        else:
+            staying.append(name)
+    return staying, out, [] if force else reasons
+
+
+def _home(actor: VehicleActor) -> tuple[float, float, float] | None:
+    home = actor.vehicle.telemetry("home")
+    if home is None or home["lat_deg"] is None:
+        return None
+    return home["lat_deg"], home["lon_deg"], home["alt_amsl_m"]
