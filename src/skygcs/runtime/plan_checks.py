@@ -184,7 +184,7 @@ def state_findings(
     if why is not None:
         return [Finding(actor.name, "state", Level.REFUSED, why, "it cannot fly the plan: leave it out")]
     found.append(Finding(actor.name, "state", Level.OK, f"{vehicle.family}, {vehicle.mode}"))
-    if (why := links.stream_refusal(vehicle, flown)) is None:
+    if (why := links.stream_refusal(vehicle, lambda: flown)) is None:
         why = _too_slow(actor, control_mode, flown, links)
     if why is not None:
         found.append(Finding(actor.name, "link", Level.REFUSED, why, "fly fewer vehicles, or by position", insist=True))
@@ -195,7 +195,7 @@ def state_findings(
 
 def _too_slow(actor: VehicleActor, control_mode: str, flown: Sequence[Vehicle], links: VehicleLinks) -> str | None:
     """Whether its share of the radio carries the rate of the control mode."""
-    bytes_per_s = links.setpoint_bytes_per_s(actor.vehicle, flown)
+    bytes_per_s = links.setpoint_bytes_per_s(actor.vehicle, lambda: flown)
     config = actor.offboard.controller.config
     rate_hz, message = {
         "attitude": (config.rate_min_hz, "SET_ATTITUDE_TARGET"),
